@@ -5,7 +5,7 @@ robots freeze the problem and start from the same auction, or from the current p
 time is to be reduced. When the time is up, each robot offers the cost of its plan, unless it has
 received a better offer. The cheapest is elected, lower slots first among equals. The term of that
 election is the number of the round, so frames of an older round are ignored. The elected robot
-streams its plan row by row; if it falls silent, the others elect the second best. A plan is adopted
+streams its plan row by row. If it falls silent, the others elect the second best. A plan is adopted
 if its digest matches the offer.
 
 Robots' snapshots may differ slightly; the adopted plan defines the problem.
@@ -24,35 +24,39 @@ from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
 from protocol.state_machine import StateMachine, matrix
 
 SLICE_US = 50 * MS  # a control period
-SLICE_MOVES = 15_000  # of the search in each: 10 ms of a small computer's 50; and
-SLICE_MOVES_CHARGING = (
-    3_000  # with charging bays, for the same time; for routes of ROUTE_TASKS tasks
-)
-ROUTE_TASKS = 5  # longer ones are walked longer, so that there are fewer moves
-SLICE_MOVES_HASTE = 2_000  # more found nothing more
-WORTH = 0.99  # of the waiting before: a better plan is worth its frames
+# Moves of the search in each slice: 10 ms of a small computer's 50. With charging bays fewer moves take
+# the same time. Their number is for routes of `ROUTE_TASKS` tasks and falls with longer routes.
+SLICE_MOVES = 15_000
+SLICE_MOVES_CHARGING = 3_000
+ROUTE_TASKS = 5
+SLICE_MOVES_HASTE = 2_000  # for less waiting; more moves found no better plans
+WORTH = 0.99  # a plan with less than this share of the waiting before is worth its frames
 REPLAN_UNIT_US = 250 * MS
 REPLAN_US_MAX = 255 * REPLAN_UNIT_US
-OFFERS_US = 500 * MS  # offers are collected this long; the bus is through with all in a tenth of it
-HUSH_US = 700 * MS  # without a row of the stream: the next best takes over
-ROWS_A_BEAT = 6
+OFFERS_US = 500 * MS  # offers are collected this long; the bus needs a tenth of it for all of them
+HUSH_US = 700 * MS  # without a row of the stream for this long, the next best robot takes over
+ROWS_A_BEAT = 6  # rows of a plan sent with one beat
 PASSES = 2  # number of times a plan is streamed
-CALLS = 3
-HOT, COLD = 0.02, 0.0002  # temperatures of the whole search, shared out to its slices
+CALLS = 3  # number of times a call is sent
+HOT, COLD = 0.02, 0.0002  # first and last temperature of the whole search, over all slices
 
-Rows = dict[int, list[int]]  # slot: its tasks
+Rows = dict[int, list[int]]  # slot -> its tasks, by number
 
 
 class ProblemSnapshot(NamedTuple):
-    """The problem of a round."""
+    """What one robot froze when a round began: robots and tasks, by slot and number, with their
+    costs.
+    """
 
     slots: tuple[int, ...]
     tasks: tuple[int, ...]
     work: Workload
-    plan: Itineraries | None = None  # plan to improve for less waiting; None: start from scratch
+    plan: Itineraries | None = None  # to improve for less waiting; None: start from the auction
 
 
 class NegotiationPhase(Enum):
+    """The phases of a round; docs/how/states.md shows them."""
+
     REST = "no round"
     SEARCH = "every robot searches for a plan, from the auction on"
     OFFER = "robots offer the costs of their plans"
@@ -60,6 +64,8 @@ class NegotiationPhase(Enum):
 
 
 class NegotiationEvent(Enum):
+    """What moves a round from one phase to another."""
+
     BEGUN = "a round with a later number was called, by us or by another robot"
     SEARCHED = "the time for the search is up"
     ELECTED = "the time for offers is up, so the cheapest is elected"
@@ -76,7 +82,7 @@ NEGOTIATION_TABLE = matrix(
     NegotiationEvent,
     # phase   BEGUN   SEARCHED  ELECTED  SILENT  NO_OFFER  ADOPTED
     (REST,    SEARCH, stay,     stay,    stay,   stay,     stay),
-    (SEARCH,  stay,   OFFER,    stay,    stay,   stay,     REST),  # from a robot that was called earlier
+    (SEARCH,  stay,   OFFER,    stay,    stay,   stay,     REST),  # if others were called earlier
     (OFFER,   SEARCH, stay,     STREAM,  stay,   stay,     REST),
     (STREAM,  SEARCH, stay,     stay,    OFFER,  REST,     REST),
 )
@@ -84,38 +90,43 @@ NEGOTIATION_TABLE = matrix(
 
 
 class PlanNegotiation:
+    """One robot's part in rounds: it searches, offers its plan, and adopts the cheapest."""
+
     def __init__(self, slot: int, seed: int) -> None:
+        """`slot`: ours. `seed`: of our own search, another one for each robot."""
         self.slot, self.seed = slot, seed
         self.number = 0
         self.machine = StateMachine("plan negotiation", NEGOTIATION_TABLE, REST)
         self.ends_us = 0  # of the phase
         self.adopted: Rows | None = None  # the adopted plan, until the caller takes it
         self.first: Rows = {}  # the auction's plan, the same for all
-        self.streamed = 0  # rounds that we streamed
+        self.streamed = 0  # number of rounds in which we streamed the plan
         self._frozen: ProblemSnapshot | None = None
         self._planner: RoutingPlanner | None = None
         self._plan: Itineraries = []
         self._hastens = False
         self._slices = self._done = self._calls = 0
         self._replan = 0
-        self._offers: dict[int, tuple[int, int]] = {}  # slot: cost, digest
-        self._told: dict[int, dict[int, dict[int, int]]] = {}  # source: slot: position: task
-        self._lengths: dict[int, dict[int, int]] = {}  # source: slot: tasks
-        self._heard_us = 0  # the last row
+        self._offers: dict[int, tuple[int, int]] = {}  # slot -> cost, digest
+        self._told: dict[int, dict[int, dict[int, int]]] = {}  # source -> slot -> index -> task
+        self._lengths: dict[int, dict[int, int]] = {}  # source -> slot -> number of tasks
+        self._heard_us = 0  # when the last row was received
         self._queue: list[PlanRow] = []
         self._mine: Rows = {}
-        self._mute: set[int] = set()  # elected, and not heard
+        self._mute: set[int] = set()  # elected robots that were not received
 
     @property
     def phase(self) -> NegotiationPhase:
+        """The phase of the current round."""
         return self.machine.state
 
     @property
     def active(self) -> bool:
+        """Whether a round is running."""
         return self.phase is not REST
 
     def left_us(self, now_us: int) -> int:
-        """Until new itineraries can be expected."""
+        """How long it takes until new itineraries can be expected; 0 without a full round."""
         if self.phase is REST or self._hastens:
             return 0
         return max(self.ends_us - now_us, 0) + (OFFERS_US if self.phase is SEARCH else 0)
@@ -123,16 +134,17 @@ class PlanNegotiation:
     # ---------------------------------------------------------------- the steps
 
     def call(self, frozen: ProblemSnapshot, replan_us: int, now_us: int) -> None:
-        """Begin the next round."""
+        """Begin the next round: `frozen` is its problem, and the search takes `replan_us`."""
         units = min(ceil(replan_us / REPLAN_UNIT_US), 255)
         self._calls = CALLS
         self._begin((self.number + 1) & 0xFF, max(units, 1), frozen, now_us)
 
     def wanted(self, offer: PlanOffer) -> bool:
-        """Whether this is the call of a round that we are to join."""
+        """Whether this is the call of a later round, which we have to join."""
         return offer.replan > 0 and _newer(offer.round, self.number)
 
     def join(self, offer: PlanOffer, frozen: ProblemSnapshot, now_us: int) -> None:
+        """Join the round that `offer` calls, with our own snapshot of the problem."""
         self._calls = 1 if self.slot % 4 == 0 else 0  # an echo for robots that missed the call
         self._begin(offer.round, offer.replan, frozen, now_us)
 
@@ -157,7 +169,7 @@ class PlanNegotiation:
         }
 
     def tick(self, now_us: int) -> None:
-        """Each control period."""
+        """Each control period: search, elect, or stream, as the phase says."""
         if self.phase is SEARCH:
             self._search(now_us)
         elif self.phase is OFFER and now_us >= self.ends_us:
@@ -194,7 +206,7 @@ class PlanNegotiation:
         return planner.improved(self._plan, seed, moves, (hot, cold))
 
     def _cost_ms(self, planner: RoutingPlanner) -> int | None:
-        """What our plan costs; None: it is none, or not worth its frames."""
+        """The cost of our plan; None if it is not feasible or not worth its frames."""
         if self._hastens:
             assert self._frozen is not None and self._frozen.plan is not None
             before_ms = planner.waiting_ms(self._frozen.plan)
@@ -207,7 +219,7 @@ class PlanNegotiation:
         return sorted(self._offers, key=lambda slot: (self._offers[slot], slot))
 
     def _pass(self) -> None:
-        """The elected begins; the others wait to hear it."""
+        """If we are elected, begin to stream; otherwise wait for the elected robot."""
         rank = self._rank()
         if rank and rank[0] == self.slot and not self._queue:
             self._queue = list(_said(self.number, self._mine)) * PASSES
@@ -218,7 +230,7 @@ class PlanNegotiation:
             self.machine.fire(NegotiationEvent.NO_OFFER)
         elif self._queue:
             self._heard_us = now_us
-        elif rank[0] == self.slot:  # all said
+        elif rank[0] == self.slot:  # all rows were sent
             self._adopt(self._mine)
             self.streamed += 1
         elif now_us - self._heard_us > HUSH_US:
@@ -235,6 +247,7 @@ class PlanNegotiation:
     # ---------------------------------------------------------------- frames
 
     def hear(self, slot: int, message: PlanOffer | PlanRow, now_us: int) -> None:
+        """Take in an offer or a row of a plan from member `slot`."""
         if message.round != self.number or self.phase is REST:
             return
         if isinstance(message, PlanOffer):
@@ -251,7 +264,7 @@ class PlanNegotiation:
             self._complete(slot)
 
     def _complete(self, source: int) -> None:
-        """Adopt what a source has streamed if it is whole, and what it offered."""
+        """Adopt what a source has streamed if it is complete and matches its offer."""
         plan: Rows = {}
         for slot, length in self._lengths[source].items():
             row = self._told[source][slot]
@@ -262,7 +275,7 @@ class PlanNegotiation:
             self._adopt(plan)
 
     def say(self, now_us: int) -> Iterator[PlanOffer | PlanRow]:
-        """With our beat."""
+        """The frames that are due with our beat: calls, our offer, or rows of our plan."""
         if self.phase is SEARCH and self._calls:
             self._calls -= 1
             left_us = max(self.ends_us - now_us, 1)
@@ -277,12 +290,12 @@ class PlanNegotiation:
 
 
 def worth_streaming(before_ms: int, after_ms: int) -> bool:
-    """Of what planned tasks wait in sum, and would wait."""
+    """Whether a plan lets tasks wait so much less in sum that it is worth its frames."""
     return after_ms < before_ms * WORTH
 
 
 def _newer(a: int, b: int) -> bool:
-    """Of two numbers of rounds that are counted modulo 256."""
+    """Whether `a` is later than `b`; numbers of rounds count modulo 256."""
     return 0 < (a - b & 0xFF) < 128
 
 
@@ -294,5 +307,5 @@ def _said(number: int, rows: Rows) -> Iterator[PlanRow]:
 
 
 def digest_of(rows: Mapping[int, list[int]]) -> int:
-    """u16 of a plan."""
+    """A 16-bit digest of a plan."""
     return crc32(repr(sorted(rows.items())).encode()) & 0xFFFF

@@ -1,11 +1,11 @@
 """The stop before an unannounced obstacle: stand still, ask an operator, and obey the answer.
 
-`QUESTION_TABLE` has the states of the question. An answer is an operator's WAIT, CONTINUE or REPLAN;
-STOP, GO_HOME and SET_GOAL end the question, too. An obstacle that leaves closes it.
+`QUESTION_TABLE` has the states of the question. An answer is an operator's WAIT, CONTINUE or
+REPLAN; STOP, GO_HOME and SET_GOAL end the question as well. An obstacle that leaves closes it.
 
-A robot that goes round the obstacle creeps near it, at most as fast as it can stop before it. Points
-found behind the obstacle belong to it. A different obstacle in the way, or no free way at all, raises
-a new question. An answer with a number other than that of the open question is ignored.
+A robot that goes round the obstacle creeps near it, at most as fast as it can stop before it.
+Points found behind the obstacle belong to it. A different obstacle in the way, or no free way at
+all, raises a new question. An answer with a number other than that of the open question is ignored.
 """
 
 from collections.abc import Mapping, Sequence
@@ -35,14 +35,16 @@ ASK_US: Final = 1 * S  # repeat interval of the question, for operators that con
 NEAR_M: Final = 3.0  # within this distance of the obstacle a robot that goes round it creeps
 CREEP_M_S: Final = 1.0  # walking pace
 KEEP_M: Final = 0.25  # a robot that goes round stops this far from an obstacle ahead
-STUCK_US: Final = 4 * S  # no way round: ask again
+STUCK_US: Final = 4 * S  # a robot that is slower than this for this long asks again
 STUCK_M_S: Final = 0.05
-AHEAD_US: Final = 100 * MS  # how much faster a robot can be when it is next asked
-STANDING_M_S: Final = 0.02
+AHEAD_US: Final = 100 * MS  # time to accelerate until the next check is in force
+STANDING_M_S: Final = 0.02  # slower motion does not count
 ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
 class QuestionState(Enum):
+    """How far one robot's question about an obstacle is."""
+
     NONE = "no question is open"
     ASKING = "the robot stands still and repeats its question"
     WAITING = "the robot stands still by an operator's order, until the obstacle leaves"
@@ -50,6 +52,8 @@ class QuestionState(Enum):
 
 
 class QuestionEvent(Enum):
+    """What moves a question from one state to another."""
+
     BLOCKED = "an obstacle that nobody has announced is in the way, or there is no way round"
     TOLD_TO_WAIT = "an operator's WAIT"
     TOLD_TO_PASS = "an operator's CONTINUE or REPLAN, or an order that sends the robot somewhere"
@@ -70,7 +74,7 @@ QUESTION_TABLE = matrix(
     (GOING_ROUND,  ASKING,  stay,         stay,         stay,     NONE),
 )
 # fmt: on
-# What people are told at each event; of the last, nothing.
+# The report to people at each event; there is none at PASSED.
 REPORT: Mapping[QuestionEvent, ReportKind] = {
     QuestionEvent.BLOCKED: ReportKind.ASKING,
     QuestionEvent.TOLD_TO_WAIT: ReportKind.WAITING,
@@ -80,13 +84,19 @@ REPORT: Mapping[QuestionEvent, ReportKind] = {
 
 
 class ObstacleStop:
-    """The obstacle stop of one robot. While it is `asking`, the peer holds the robot."""
+    """The obstacle stop of one robot. While it is `asking`, the peer holds the robot.
+
+    It implements `ObstacleQuestion` of `agent/interface/motion_controller.py`.
+    """
 
     def __init__(self, slot: int, limits: BodyLimits, lookout: ObstacleDetector) -> None:
+        """`slot`: ours. `limits`: our body. `lookout`: finds and remembers the obstacles."""
         self.slot, self.limits, self.lookout = slot, limits, lookout
         self.number = 0  # of the newest question
         self.machine = StateMachine("obstacle question", QUESTION_TABLE, NONE)
-        self.things: frozenset[GroundCell] = frozenset()  # to go round, by an operator's answer
+        self.things: frozenset[GroundCell] = (
+            frozenset()
+        )  # ground cells to go round by an operator's answer
         self.leave_out = False  # the units under them are not worked
         self._known_as, self._places = self.things, frozenset[Point]()
         self.why = ""  # of the newest question
@@ -96,15 +106,19 @@ class ObstacleStop:
 
     @property
     def asking(self) -> bool:
+        """Whether a question is open, so that the robot has to stand still."""
         return self.machine.state in (ASKING, WAITING)
 
     @property
     def passing(self) -> bool:
+        """Whether the robot goes round an obstacle that an operator has confirmed."""
         return bool(self.things)
 
     @property
     def round(self) -> tuple[frozenset[Point], bool]:
-        """For the mission: the places to go round, and whether to skip the units under them."""
+        """For the mission: the places to go round, (x, y) metres, and whether to skip the units
+        under them.
+        """
         if self.things is not self._known_as:
             self._known_as, self._places = self.things, frozenset(map(middle, self.things))
         return self._places, self.leave_out
@@ -115,7 +129,11 @@ class ObstacleStop:
         self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
         may_move: bool, now_us: int,
     ) -> tuple[Drive, list[Effect]]:  # fmt: skip
-        """The drive that avoids the obstacle, and the effects. The safety gate comes after it."""
+        """Each control period: the drive that avoids the obstacle, and the effects.
+
+        `wanted`: the drive of the motion controller. `neighbours`: newest poses by slot.
+        `may_move`: no stop cause holds the robot. The safety gate comes after the result.
+        """
         if self.asking:
             ux, uy = self._course
             way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
@@ -134,7 +152,7 @@ class ObstacleStop:
         return HALT, self._ask(here, motions, sighting, now_us)
 
     def _motions(self, wanted: Drive, here: Observation) -> list[Point]:
-        """What the body does now, and what it would do next."""
+        """The motion of the body now, and the one that it would have next."""
         moves_m_s = hypot(here.vx_m_s, here.vy_m_s)
         wants_m_s = hypot(wanted.vx_m_s, wanted.vy_m_s)
         motions = [(here.vx_m_s, here.vy_m_s)] if moves_m_s > STANDING_M_S else []
@@ -204,7 +222,10 @@ class ObstacleStop:
     # ---------------------------------------------------------------- answers
 
     def answer(self, command: Command, number: int, now_us: int) -> Sequence[Effect]:
-        """WAIT, CONTINUE or REPLAN."""
+        """An operator's WAIT, CONTINUE or REPLAN to question `number`; 0 means the open one.
+
+        An answer to a question that is not open is refused with a report.
+        """
         if not self.asking or number not in (0, self.number):
             why = f"question {number} is not open"
             return [
@@ -217,7 +238,7 @@ class ObstacleStop:
         return self.go_round(f"an operator's {command.name}", now_us)
 
     def go_round(self, why: str, now_us: int) -> list[Effect]:
-        """Treat the obstacle in the way as confirmed from now on."""
+        """Treat the obstacle in the way as confirmed from now on; `why` is for the trace."""
         if not self.asking:
             return []
         self.things = frozenset(self.lookout.points)
@@ -225,6 +246,9 @@ class ObstacleStop:
         return self._turn(QuestionEvent.TOLD_TO_PASS, why, now_us)
 
     def report(self, matter: ReportKind) -> OperatorReport:
+        """The frame that tells people about the obstacle: where it is, its radius, and the free way
+        before it.
+        """
         seen = self._sighting
         away_m = [hypot(x - seen.x_m, y - seen.y_m) for x, y in map(middle, self.lookout.points)]
         radius_m = max((m for m in away_m if m <= 2 * CHAIN_M), default=0.0)
@@ -233,7 +257,7 @@ class ObstacleStop:
         )
 
     def _turn(self, event: QuestionEvent, why: str, now_us: int) -> list[Effect]:
-        """Move, and tell people."""
+        """Move to the next state, and report that to people."""
         source, _ = self.machine.fire(event)
         was, matter = "" if source is NONE else source.name, REPORT[event]
         self._asked_us = now_us
@@ -251,4 +275,4 @@ def _at_most(drive: Drive, speed_m_s: float) -> Drive:
     return drive._replace(vx_m_s=drive.vx_m_s * share, vy_m_s=drive.vy_m_s * share)
 
 
-assert KEEP_M < MARGIN_M, "who goes round may come nearer than who stops for it"
+assert KEEP_M < MARGIN_M, "clearance while passing must be below the stopping clearance"
