@@ -2,12 +2,13 @@
 leader.
 
 A candidate listens first and takes the lowest free number, and with it an address. Of two with the
-same number, the one with the lower random lot takes another number. The leader is elected by votes
+same number, the one with the higher random lot takes another number. The leader is elected by votes
 (`agent/peer/leader_election.py`). A silent candidate is no longer counted, and a new term fences it
 off. Stopping does not depend on this: every candidate forwards stops.
 """
 
 from collections.abc import Sequence
+from enum import Enum
 
 from agent.interface.config import MS
 from agent.interface.effects import Effect, Send, Trace
@@ -21,11 +22,39 @@ from protocol.frames.segment_frames import (
     SEGMENT_GATEWAY,
     GatewayBeat,
 )
+from protocol.state_machine import StateMachine, matrix
 
 BEAT_US = 250 * MS  # period of GATEWAY_BEAT
 SILENT_US = 800 * MS  # a candidate counts as silent after this: three beats are missing
 LISTEN_US = 600 * MS  # before a candidate takes a number: two beats of those already present
 NUMBERS = range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)
+
+
+class CandidateState(Enum):
+    LISTENING = "no number yet: the beats of the candidates already present are awaited"
+    CROWDED = "every number is taken, so this gateway stays without an address"
+    CANDIDATE = "it has a number and an address, forwards stops, and may be elected"
+
+
+class CandidateEvent(Enum):
+    NUMBER_FREE = "a number is free, and is taken"
+    NONE_FREE = "no number is free"
+    YIELDED = "another candidate with the same number has the lower lot"
+
+
+LISTENING, CROWDED, CANDIDATE = CandidateState
+stay = None
+
+# Whether a candidate leads is no state of its own: it follows from the votes that were received.
+# fmt: off
+CANDIDATE_TABLE = matrix(
+    CandidateEvent,
+    # state      NUMBER_FREE  NONE_FREE  YIELDED
+    (LISTENING,  CANDIDATE,   CROWDED,   stay),
+    (CROWDED,    CANDIDATE,   stay,      stay),
+    (CANDIDATE,  stay,        stay,      LISTENING),
+)
+# fmt: on
 
 
 class GatewayElection:
@@ -38,7 +67,7 @@ class GatewayElection:
         self.lot = lot & 0xFFFF
         self.number: int | None = None
         self.election = Election(SEGMENT_GATEWAY, NUMBERS[0], name_hash)
-        self.crowded = False  # no number is free
+        self.machine = StateMachine("gateway candidate", CANDIDATE_TABLE, LISTENING)
         self._heard: dict[int, tuple[int, int]] = {}  # number -> last beat, lot
         self._live: frozenset[int] = frozenset()
         self._beat_us = now_us + LISTEN_US
@@ -81,6 +110,7 @@ class GatewayElection:
             self.election.heard(number, message, self._live)
 
     def _give_up(self, now_us: int) -> None:
+        self.machine.fire(CandidateEvent.YIELDED)
         self.number = None
         self._beat_us = now_us + LISTEN_US
 
@@ -99,7 +129,9 @@ class GatewayElection:
         if now_us < self._beat_us:
             return ()
         self._beat_us = now_us + BEAT_US
-        if self.number is None and not self._choose(now_us):
+        if self.machine.state is not CANDIDATE:
+            self._choose(now_us)
+        if self.machine.state is not CANDIDATE:
             return ()
         self._look(now_us)
         election = self.election
@@ -118,16 +150,16 @@ class GatewayElection:
             effects.append(Trace("gateway", "", state, f"{self.number}", f"term {self.term}"))
         return effects
 
-    def _choose(self, now_us: int) -> bool:
+    def _choose(self, now_us: int) -> None:
+        """Take the lowest number that is free."""
         taken = {n for n, (heard_us, _) in self._heard.items() if now_us - heard_us < SILENT_US}
         free = [number for number in NUMBERS if number not in taken]
-        self.crowded = not free
+        self.machine.fire(CandidateEvent.NUMBER_FREE if free else CandidateEvent.NONE_FREE)
         if not free:
-            return False
+            return
         self.number = self.election.slot = free[0]
         self.election.votes.clear()
         self.election.see(now_us)
-        return True
 
     def _look(self, now_us: int) -> None:
         """Check which candidates are live; a change causes a vote."""

@@ -12,6 +12,7 @@ from agent.delivery import plan_negotiation
 from agent.interface import lifecycle
 from agent.mapf import joint_plan_agreement
 from agent.motion import obstacle_stop
+from agent.segments import gateway_election
 from protocol import address, transport
 from protocol.state_machine import edges
 
@@ -68,6 +69,12 @@ MACHINES = (
         "How carriers agree on new itineraries: every robot searches, and the cheapest plan wins.",
         "agent/delivery/plan_negotiation.py", plan_negotiation.NEGOTIATION_TABLE,
         plan_negotiation.REST,
+    ),
+    Machine(
+        "states_gateway.svg", "Gateway candidate",
+        "How a gateway comes to its number and address in a segment.",
+        "agent/segments/gateway_election.py", gateway_election.CANDIDATE_TABLE,
+        gateway_election.LISTENING,
     ),
 )  # fmt: skip
 
