@@ -47,9 +47,8 @@ TELL_US = 20 * MS  # by rank: one robot announces a dead robot's cells, and the 
 AHEAD = 60  # steps searched ahead for cells of a section: longer than there and back again
 LEFT_US = 1 * S  # between searches for covered sections that no robot has marked as done
 ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)  # others do not drive at all
-HELD_US = (
-    5 * S
-)  # not allowed to drive for this long: exceeds a protective stop or a sync (2 s each)
+# Not allowed to drive for this long: exceeds a protective stop or a sync (2 s each).
+HELD_US = 5 * S
 PERIOD_S = CONTROL_PERIOD_US / S
 
 

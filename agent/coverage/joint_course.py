@@ -60,9 +60,8 @@ class JointCourse:
         self._team = Team(walls, starts, turn_cost, mask)
         todo = ground.number_of[self._team.walked.order]
         self.todo: Numbers = todo
-        self.owner: Numbers = np.full(
-            len(ground), NONE, np.int32
-        )  # the robot that covers each cell; grows with steps
+        # The robot that covers each cell; grows with steps.
+        self.owner: Numbers = np.full(len(ground), NONE, np.int32)
         self._wanted = np.zeros(len(ground), dtype=np.bool_)
         self._wanted[todo] = True
         self._steps: list[Numbers] = [np.array(places, np.int32)]

@@ -72,10 +72,8 @@ def _run_end(order: Integers, along: Integers, way: Integers, first: int, bound:
     The robot enters at either end. Both costs never fall as the run grows, so the end is found by
     halving.
     """
-    low, high = (
-        first,
-        order.size,
-    )  # low is feasible (an empty run), one after `high` - 1 is not known
+    # Low is feasible (an empty run), one after `high` - 1 is not known.
+    low, high = (first, order.size)
     enter = way[order[first]]
     while low < high:
         middle = (low + high) // 2

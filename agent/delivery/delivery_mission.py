@@ -74,10 +74,8 @@ class DeliveryMission(NavigationMission):
         self._idle_us: int | None = None
         self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
         self._told_aboard = -1  # the parcel whose pickup we have announced
-        self._nearest: tuple[float, int] = (
-            0.0,
-            0,
-        )  # least distance within reach of the goal, and when
+        # Least distance within reach of the goal, and when.
+        self._nearest: tuple[float, int] = (0.0, 0)
 
     @property
     def section_units(self) -> Mapping[int, int]:

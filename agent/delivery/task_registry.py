@@ -68,9 +68,8 @@ class TaskRegistry:
         self._due: dict[int, int] = {}  # task to send again, and from when
         self._heard_us: dict[int, int] = {}
         self._slot, self._bucket = slot, slot
-        self._digest_us = (
-            now_us + DIGEST_US + slot * 37 * MS
-        )  # so that robots do not send in the same beat
+        # So that robots do not send in the same beat.
+        self._digest_us = now_us + DIGEST_US + slot * 37 * MS
 
     def __contains__(self, task: int) -> bool:
         return task in self.tasks

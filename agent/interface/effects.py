@@ -38,9 +38,8 @@ class Drive(NamedTuple):
     vy_m_s: float
     turn_rad_s: float = 0.0
     tool_on: bool = False  # the implement is lowered and working
-    parcel_action: int = (
-        -1
-    )  # number of the parcel that a carrier picks up or puts down here; -1: none
+    # Number of the parcel that a carrier picks up or puts down here; -1: none.
+    parcel_action: int = -1
 
 
 HALT = Drive(0.0, 0.0)

@@ -39,9 +39,8 @@ Point = tuple[float, float]
 STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
 PATIENCE_US = 10 * S  # longer than a sync (2 s) or a protective stop that ends (2 s) and the way on
 HURRY_US = 100 * MS  # a word that others wait for is repeated this often,
-HURRIED_US = (
-    350 * MS
-)  # a step on the route: four words, so that 1 % miss all of them where 30 % are lost
+# A step on the route: four words, so that 1 % miss all of them where 30 % are lost.
+HURRIED_US = 350 * MS
 KEPT_M = 0.15  # kept between bodies by avoidance; a node nearer to a body cannot be reached
 SEEN_MAX = 6  # nodes that one robot may name: what a box and a body cover
 SEATS = 3  # pitches round a place in which a node is looked for

@@ -65,9 +65,8 @@ class Replanning:
         tracker, _, beyond_m = self._kept
         if self._stands_on(tracker):
             return True
-        ahead = tracker.ahead(
-            beyond_m + SAMPLE_M - tracker.along_m
-        )  # its last sample may fall short
+        # Its last sample may fall short.
+        ahead = tracker.ahead(beyond_m + SAMPLE_M - tracker.along_m)
         return self.hazards.stands_near([(x, y) for x, y, _, _ in ahead], self.radius_m + GRAZE_M)
 
     def _stands_on(self, tracker: PathTracker) -> bool:

@@ -18,10 +18,8 @@ from protocol.frames.fleet_frames import LeaderElectionVote
 OPERATOR_GATEWAY = 1  # election of the robot that answers operators: `agent/peer/fleet_summary.py`
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
 SETTLE_US = 1 * S  # the live view must be unchanged for this long before a vote
-SPACING_US, SPACING_US_MAX = (
-    500 * MS,
-    8 * S,
-)  # between two votes of one peer while terms have no leader
+# Between two votes of one peer while terms have no leader.
+SPACING_US, SPACING_US_MAX = (500 * MS, 8 * S)
 AGAIN_US = 10 * S  # between repetitions of the same vote: 100 robots take 0.6 % of the bus
 # Settle times that a robot without memory waits for a term; a running election is heard within one.
 PATIENCE = 3

@@ -135,9 +135,8 @@ class Senses(Part):
             self._periods, self._expected_m = 0, 0.0
             return ""
         since_us = sensed_us if self._compared_us is None else self._compared_us
-        passed_s = (
-            min(max(sensed_us - since_us, 0), ACTUATOR_TTL_US) / S
-        )  # after the lifetime of the command it is void
+        # After the lifetime of the command it is void.
+        passed_s = min(max(sensed_us - since_us, 0), ACTUATOR_TTL_US) / S
         told_m_s = self._told_m_s(here, anchor)
         faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_s
         self._expected_m_s = min(told_m_s, faster_m_s)

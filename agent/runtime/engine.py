@@ -65,9 +65,8 @@ class Cleared(NamedTuple):
     """What a release of stops has done. Tractor ids."""
 
     stops: tuple[str, ...]  # that held this machine, by name
-    holding: tuple[
-        str, ...
-    ]  # machines that still hold a stop, or have not answered that they hold none
+    # Machines that still hold a stop, or have not answered that they hold none.
+    holding: tuple[str, ...]
     silent: tuple[str, ...]  # silent members: whether they hold a stop is unknown
 
     @property

@@ -17,9 +17,8 @@ from agent.safety.stop_controller import StopController
 from agent.segments.segment_area import Area
 from protocol.frames.segment_frames import GatewayBeat, SegmentSummary
 
-ALONE_US = (
-    3 * S
-)  # time without a gateway that reaches a segment; after a gateway dies, another leads in 2.3 s
+# Time without a gateway that reaches a segment; after a gateway dies, another leads in 2.3 s.
+ALONE_US = 3 * S
 SUMMARIES_MAX = 64
 
 

@@ -25,9 +25,8 @@ M = TypeVar("M", bound=NamedTuple)
 
 ROBOT, TOOL, GATEWAY, ANY_DEVICE = "robot", "tool", "gateway", ""  # senders
 WORDS = {8: "Q", 4: "I", 2: "H", 1: "B"}  # bytes -> format of struct
-TURNS = (
-    1 << 20
-)  # added to a cyclic value, so that truncation rounds down: no robot turns this often
+# Added to a cyclic value, so that truncation rounds down: no robot turns this often.
+TURNS = 1 << 20
 
 Choices = tuple[tuple[int, str], ...]  # raw value, name
 
