@@ -1,4 +1,10 @@
-"""Messages between gateways over the backbone: one header, five kinds, bytes.
+"""Messages between gateways over the backbone: MessagePack arrays of one header and one body.
+
+    [version, kind, segment, term, candidate, boot, sequence, body]
+
+    STOPS, RESETS   an array of frames, 8 bytes each
+    SUMMARY         an array: the fields of `Summary`
+    WORK, MAP       an array of entries; an entry is an array: the fields of `Entry`
 
 Every message is idempotent. Dots and resets are grow-only, work is joined by maximum or union, and
 of two summaries the newer one is kept. So a message that arrives twice, late, or around a loop has
@@ -6,30 +12,29 @@ no further effect. A message that cannot be parsed gives None and is counted; it
 """
 
 from enum import IntEnum
-from struct import Struct
-from struct import error as StructError
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from protocol.frames.codec import packed
+from protocol.frames.layout import FrameLayout
 from protocol.frames.segment_frames import (
     FLEET_RESET,
     FLEET_STOP,
     SEGMENT_MAX,
+    SEGMENTS,
     FleetReset,
     FleetStop,
 )
+from protocol.strict_msgpack import U8, U16, U32, StrictReader, packed, unsigned
 
-VERSION = 1
-HEADER = Struct("<BBHHBII")
-SUMMARY = Struct("<BBBHHIIIHH")
-PAIR, HEARD = Struct("<HI"), Struct("<HH")
-ENTRY = Struct("<BHHHB8s")
-FRAME = 8  # bytes of a stop or of half a reset
+VERSION = 2  # 1 was a layout of structs; its first byte is no array
+FRAME = 8  # bytes of a stop, of half a reset, and of an entry
+FRAMES_MAX = 1024  # stops or halves of resets per message
 ENTRIES_MAX = 64  # per message, so that no message blocks a link for long
-MESSAGE_MAX = 1 << 16  # longer messages are not ours
+MESSAGE_MAX = 1 << 16  # bytes; longer messages are not ours
 
 
 class Kind(IntEnum):
+    """What the body of a message holds."""
+
     STOPS = 1
     RESETS = 2
     SUMMARY = 3
@@ -77,61 +82,93 @@ class Entry(NamedTuple):
 
 Body = tuple[FleetStop, ...] | tuple[FleetReset, ...] | Summary | tuple[Entry, ...]
 
+HEADER_BITS = (U8, U16, U16, U8, U32, U32)
+SUMMARY_BITS = (U8, U8, U8, U16, U16, U32, U32, U32)
+ENTRY_BITS = (U8, U16, U16, U16, U8)
+FRAMES: dict[int, FrameLayout[Any]] = {Kind.STOPS: FLEET_STOP, Kind.RESETS: FLEET_RESET}
+
 
 class Message(NamedTuple):
+    """A header and the body that its kind names."""
+
     header: Header
     body: Body
 
 
 def pack(header: Header, body: Body) -> bytes:
-    kind, *rest = header
-    head = HEADER.pack(VERSION, kind, *rest)
+    """The bytes of a message; equal messages have equal bytes.
+
+    Raises ValueError if a number does not fit, and AssertionError if there are too many elements.
+    """
+    content: object
     if isinstance(body, Summary):
         *numbers, shared, heard = body
-        pairs = b"".join(PAIR.pack(*pair) for pair in sorted(shared.items()))
-        terms = b"".join(HEARD.pack(*pair) for pair in sorted(heard.items()))
-        return head + SUMMARY.pack(*numbers, len(shared), len(heard)) + pairs + terms
-    if kind in (Kind.WORK, Kind.MAP):
+        maps = [dict(sorted(pairs.items())) for pairs in (shared, heard)]
+        content = (*unsigned(numbers, SUMMARY_BITS), *maps)
+    elif header.kind in FRAMES:
+        assert len(body) <= FRAMES_MAX
+        content = [FRAMES[header.kind].pack(frame) for frame in body]
+    else:
         assert len(body) <= ENTRIES_MAX
-        return head + b"".join(ENTRY.pack(*entry) for entry in body)
-    return head + b"".join(packed(frame) for frame in body)  # type: ignore[arg-type]
+        content = [(*unsigned(entry[:-1], ENTRY_BITS), entry[-1]) for entry in body]
+    return packed((VERSION, *unsigned(header, HEADER_BITS), content))
 
 
 def unpack(data: bytes) -> Message | None:
     """Parse a message; None if it is not one of ours."""
-    if not HEADER.size <= len(data) <= MESSAGE_MAX:
+    if len(data) > MESSAGE_MAX:
         return None
-    version, *numbers = HEADER.unpack_from(data)
-    header, rest = Header(*numbers), data[HEADER.size :]
-    if version != VERSION or not 1 <= header.segment <= SEGMENT_MAX:
-        return None
+    reader = StrictReader(data, len(Summary._fields), map_max=SEGMENT_MAX, bytes_max=FRAME)
     try:
-        match header.kind:
-            case Kind.STOPS:
-                return Message(header, tuple(map(FLEET_STOP.unpack, _slices(rest))))
-            case Kind.RESETS:
-                return Message(header, tuple(map(FLEET_RESET.unpack, _slices(rest))))
-            case Kind.SUMMARY:
-                return Message(header, _summary(rest))
-            case Kind.WORK | Kind.MAP:
-                entries = tuple(Entry(*fields) for fields in ENTRY.iter_unpack(rest))
-                return Message(header, entries) if len(entries) <= ENTRIES_MAX else None
-    except (ValueError, StructError):
+        message = _message(reader)
+        reader.end()
+    except ValueError:
         return None
-    return None
+    return message
 
 
-def _slices(data: bytes) -> list[bytes]:
-    if len(data) % FRAME:
-        raise ValueError("length")
-    return [data[at : at + FRAME] for at in range(0, len(data), FRAME)]
+def _message(reader: StrictReader) -> Message:
+    if reader.count(8) != 8 or reader.numbers((U8,)) != [VERSION]:
+        raise ValueError("version")
+    header = Header(*reader.numbers(HEADER_BITS))
+    if header.segment not in SEGMENTS:
+        raise ValueError("segment")
+    match header.kind:
+        case Kind.STOPS | Kind.RESETS:
+            layout = FRAMES[header.kind]
+            frames = [_frame(reader.value()) for _ in range(reader.count(FRAMES_MAX))]
+            return Message(header, tuple(map(layout.unpack, frames)))
+        case Kind.SUMMARY:
+            return Message(header, _summary(reader.value()))
+        case Kind.WORK | Kind.MAP:
+            entries = [_entry(reader.value()) for _ in range(reader.count(ENTRIES_MAX))]
+            return Message(header, tuple(entries))
+    raise ValueError("kind")
 
 
-def _summary(data: bytes) -> Summary:
-    *numbers, shared, heard = SUMMARY.unpack_from(data)
-    middle = SUMMARY.size + shared * PAIR.size
-    pairs, terms = data[SUMMARY.size : middle], data[middle:]
-    if len(pairs) != shared * PAIR.size or len(terms) != heard * HEARD.size:
-        raise ValueError("length")
-    both = dict(PAIR.iter_unpack(pairs)), dict(HEARD.iter_unpack(terms))
-    return Summary._make((*numbers, *both))
+def _frame(value: object) -> bytes:
+    if type(value) is not bytes or len(value) != FRAME:
+        raise ValueError("frame")
+    return value
+
+
+def _entry(value: object) -> Entry:
+    if type(value) is not tuple:
+        raise ValueError("entry")
+    return Entry(*unsigned(value[:-1], ENTRY_BITS), _frame(value[-1] if value else None))
+
+
+def _summary(value: object) -> Summary:
+    if type(value) is not tuple or len(value) != len(Summary._fields):
+        raise ValueError("summary")
+    *numbers, shared, heard = value
+    both = _pairs(shared, (U16, U32)), _pairs(heard, (U16, U16))
+    return Summary._make((*unsigned(numbers, SUMMARY_BITS), *both))
+
+
+def _pairs(value: object, widths: tuple[int, int]) -> dict[int, int]:
+    if type(value) is not dict:
+        raise ValueError("map")
+    for pair in value.items():
+        unsigned(pair, widths)
+    return value

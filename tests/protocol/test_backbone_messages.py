@@ -1,5 +1,11 @@
 """Messages between gateways: there and back; any bytes at all without an exception."""
 
+import tracemalloc
+from random import Random
+from typing import Any
+
+import msgpack
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -36,6 +42,91 @@ def test_there_and_back(
 
 @given(st.binary(max_size=300), st.sampled_from(list(Kind)), st.booleans())
 def test_any_bytes_are_a_message_or_nothing(noise: bytes, kind: Kind, headed: bool) -> None:
-    head = backbone.HEADER.pack(backbone.VERSION, kind, 1, 0, 124, 0, 0) if headed else b""
-    message = backbone.unpack(head + noise)
+    head = b"\x98" + b"".join(map(msgpack.packb, (backbone.VERSION, kind, 1, 0, 124, 0, 0)))
+    message = backbone.unpack(head + noise if headed else noise)
     assert message is None or isinstance(message, Message)
+
+
+values: st.SearchStrategy[Any] = st.recursive(
+    st.none() | st.booleans() | st.integers(-(1 << 40), 1 << 40) | st.floats() | st.binary(max_size=9)
+    | st.text(max_size=3),
+    lambda inner: st.lists(inner, max_size=12) | st.dictionaries(st.integers(0, 99), inner, max_size=4),
+    max_leaves=12,
+)  # fmt: skip
+
+
+@given(st.sampled_from(list(Kind)), values)
+def test_a_body_of_other_types_is_no_message(kind: Kind, body: Any) -> None:
+    message = backbone.unpack(msgpack.packb((backbone.VERSION, kind, 1, 0, 124, 0, 0, body)))
+    assert message is None or backbone.pack(*message)
+
+
+@pytest.mark.parametrize(
+    "header",
+    [
+        (1, 1, 1, 0, 124, 0, 0),  # version
+        (2, 6, 1, 0, 124, 0, 0),  # kind
+        (2, True, 1, 0, 124, 0, 0),
+        (2, 1, 0, 0, 124, 0, 0),  # segment
+        (2, 1, 0x8000, 0, 124, 0, 0),
+        (2, 1, 1, 1 << 16, 124, 0, 0),
+        (2, 1, 1, 0, -1, 0, 0),
+        (2, 1, 1, 0, 124.0, 0, 0),
+        (2, 1, 1, 0, 124, "0", 0),
+    ],
+)
+def test_a_wrong_header_is_no_message(header: tuple[Any, ...]) -> None:
+    assert backbone.unpack(msgpack.packb((*header, []))) is None
+    assert backbone.unpack(msgpack.packb((2, 1, 1, 0, 124, 0, 0, []))) is not None
+
+
+def test_what_follows_or_lacks_makes_it_no_message() -> None:
+    whole = backbone.pack(Header(Kind.STOPS, 1, 0, 124, 0, 0), (FleetStop(1, 2, 3, 4),))
+    assert backbone.unpack(whole) is not None
+    assert backbone.unpack(whole + b"\0") is None
+    assert all(backbone.unpack(whole[:n]) is None for n in range(len(whole)))
+    assert backbone.unpack(whole + bytes(backbone.MESSAGE_MAX)) is None
+
+
+def test_a_number_that_does_not_fit_is_not_sent() -> None:
+    with pytest.raises(ValueError, match="range"):
+        backbone.pack(Header(Kind.STOPS, 1, 1 << 16, 124, 0, 0), ())
+
+
+def test_hostile_bytes_neither_raise_nor_fill_memory() -> None:
+    """100,000 mutations of valid messages, and headers that announce far more than follows."""
+    rng = Random(11)
+    header = Header(Kind.STOPS, 1, 2, 124, 3, 4)
+    summary = Summary(1, 2, 3, 4, 5, 6, 7, 8, {2: 9}, {3: 1, 4: 2})
+    entry = Entry(1, 2, 3, 4, 5, b"12345678")
+    seeds = [
+        backbone.pack(header, (FleetStop(1, 2, 3, 4), FleetStop(1, 2, 3, 5))),
+        backbone.pack(header._replace(kind=Kind.RESETS), (FleetReset(1, 0, 2, 3, 4, 5),)),
+        backbone.pack(header._replace(kind=Kind.SUMMARY), summary),
+        backbone.pack(header._replace(kind=Kind.WORK), (entry, entry)),
+    ]
+    huge = (b"\xdd\xff\xff\xff\xff", b"\xdf\xff\xff\xff\xff", b"\xc6\xff\xff\xff\xff", b"\xdc\xff\xff",
+            b"\xc9\xff\xff\xff\xff\0", b"\x9a" * 3000, b"\x8f" * 3000)  # fmt: skip
+    tracemalloc.start()
+    read = 0
+    for n in range(100_000):
+        data = bytearray(seeds[n % len(seeds)])
+        for _ in range(rng.randrange(1, 4)):
+            at = rng.randrange(len(data))
+            match rng.randrange(4):
+                case 0:
+                    data[at] = rng.randrange(256)
+                case 1:
+                    del data[at]
+                case 2:
+                    data[at:at] = rng.randbytes(rng.randrange(1, 4))
+                case 3 if n % 50 == 0:
+                    data[at:at] = rng.choice(huge)
+            if not data:
+                break
+        message = backbone.unpack(bytes(data))
+        read += message is not None
+    _, peak = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert 0 < read < 100_000
+    assert peak < 4 << 20
