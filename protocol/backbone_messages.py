@@ -153,9 +153,9 @@ def _frame(value: object) -> bytes:
 
 
 def _entry(value: object) -> Entry:
-    if type(value) is not tuple:
+    if type(value) is not tuple or not value:
         raise ValueError("entry")
-    return Entry(*unsigned(value[:-1], ENTRY_BITS), _frame(value[-1] if value else None))
+    return Entry._make((*unsigned(value[:-1], ENTRY_BITS), _frame(value[-1])))
 
 
 def _summary(value: object) -> Summary:

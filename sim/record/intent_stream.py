@@ -1,23 +1,26 @@
 """The intents of robot processes, forwarded to observers as messages beside the bus.
 
 A robot sends its intent to the world's process five times a second. A map that sends a hello gets
-copies for a while. Intents never reach another robot, and no process waits for them.
+copies for a while. Intents never reach another robot, and no process waits for them. An intent is
+four bytes of `MAGIC_INTENT` and a MessagePack array of the values of `Intent.to_dict`, in its order.
 """
 
 import asyncio
-import json
 from collections.abc import Callable
 from typing import Any
 
+from agent.interface.config import NEIGHBOURS_MAX, PEERS_MAX
 from agent.peer.peer import Peer
+from protocol.strict_msgpack import U8, StrictReader, finite, packed, unsigned
 from sim.record.local_link import Link
-from sim.record.robot_intent import intent_of
+from sim.record.robot_intent import POINTS_MAX, STRANGE_MAX, Intent, intent_of
 
 TELL_S = 0.2
 HELLO_S = 1.0
 WATCH_S = 3.0  # a watcher that sends no new hello within this time is forgotten
 WATCHERS_MAX = 8
 BYTES_MAX = 4096  # of an intent; 48 points of a path are a quarter of it
+HOLDS_MAX, CAUSE_BYTES_MAX = 32, 64  # causes for which a robot stands; bytes of the name of one
 MAGIC_INTENT, MAGIC_WATCH = b"HLIn", b"HLWa"
 
 
@@ -79,22 +82,61 @@ async def tell(peer: Peer, send: Callable[[bytes], None]) -> None:
         await asyncio.sleep(TELL_S)
         intent = intent_of(peer)
         if intent is not None:
-            data = MAGIC_INTENT + json.dumps(intent.to_dict(), separators=(",", ":")).encode()
+            data = intent_bytes(intent)
             if len(data) <= BYTES_MAX:
                 send(data)
 
 
+def intent_bytes(intent: Intent) -> bytes:
+    """An intent as one message."""
+    return MAGIC_INTENT + packed(list(intent.to_dict().values()))
+
+
 def read_intent(data: bytes) -> dict[str, Any] | None:
-    """Parse an intent; None if the data is none."""
+    """Parse an intent, as `Intent.to_dict` gives it; None if the data is none."""
     if data[:4] != MAGIC_INTENT or len(data) > BYTES_MAX:
         return None
+    reader = StrictReader(data[4:], array_max=PEERS_MAX, text_max=CAUSE_BYTES_MAX)
     try:
-        intent = json.loads(data[4:])
-        numbers = [intent[name] for name in ("slot", "x", "y", "heading", "vx", "vy")]
-        lists = [intent[name] for name in ("wanted", "path", "avoids", "hears", "strange", "holds")]
-    except (ValueError, KeyError, TypeError):
+        if reader.count(13) != 13:
+            return None
+        (slot,) = reader.numbers((U8,))
+        x, y, heading, vx, vy = finite([reader.value() for _ in range(5)])
+        intent = {
+            "slot": slot, "x": x, "y": y, "heading": heading, "vx": vx, "vy": vy,
+            "wanted": _point(reader.value()), "path": _points(reader.value(), POINTS_MAX),
+            "avoids": _slots(reader.value(), NEIGHBOURS_MAX), "hears": _slots(reader.value(), PEERS_MAX),
+            "strange": _points(reader.value(), STRANGE_MAX), "holds": _names(reader.value()),
+            "tool": reader.value(),
+        }  # fmt: skip
+        reader.end()
+    except ValueError:
         return None
-    valid = all(isinstance(n, int | float) for n in numbers) and all(
-        isinstance(each, list) for each in lists
-    )
-    return intent if valid else None
+    return intent if type(intent["tool"]) is bool else None
+
+
+def _array(value: object, most: int) -> tuple[Any, ...]:
+    if type(value) is not tuple or len(value) > most:
+        raise ValueError("array")
+    return value
+
+
+def _point(value: object) -> list[float]:
+    x, y = finite(_array(value, 2))
+    return [x, y]
+
+
+def _points(value: object, most: int) -> list[list[float]]:
+    return [_point(point) for point in _array(value, most)]
+
+
+def _slots(value: object, most: int) -> list[int]:
+    slots = _array(value, most)
+    return unsigned(slots, (U8,) * len(slots))
+
+
+def _names(value: object) -> list[str]:
+    names = _array(value, HOLDS_MAX)
+    if not all(type(name) is str for name in names):
+        raise ValueError("names")
+    return list(names)

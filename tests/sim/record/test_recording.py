@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from protocol.frames.frame import Frame
 from sim.files.candump import read_candump
 from sim.record import recording as recordings
-from sim.record.intent_stream import MAGIC_INTENT, read_intent
 from sim.record.mcap_log import CDR, McapLog, read_frames, read_recording
 from sim.record.recording import FramesDigest, Recording
 from sim.runs.field_run import FieldRun
@@ -132,11 +131,6 @@ def test_the_hash_tells_frames_apart(rows: list[tuple[int, bytes]]) -> None:
         assert hash_of(rows[:-1]) != hash_of(rows)
         identifier, data = rows[0]
         assert hash_of([(identifier ^ 1, data), *rows[1:]]) != hash_of(rows)
-
-
-@given(st.binary(max_size=200) | st.text(max_size=60).map(lambda t: MAGIC_INTENT + t.encode()))
-def test_any_datagram_is_an_intent_or_none(data: bytes) -> None:
-    assert read_intent(data) is None
 
 
 def test_python_can_reads_our_log(kept: tuple[Path, str, str]) -> None:
