@@ -11,12 +11,13 @@ from random import Random
 from agent.coverage.cell_map import CellMap
 from agent.coverage.coverage_mission import GridWork
 from agent.coverage.proximity_guard import GridGuard
+from agent.delivery.cost_matrix import Carrier
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.warehouse import Warehouse
 from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder
 from agent.field.field_mission import FieldMission
-from agent.field.field_plan import FieldPlan
+from agent.field.field_plan import FieldPlan, FieldValues
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import S
 from agent.interface.vehicle import Vehicle
@@ -26,6 +27,7 @@ from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.tractor_motion import TractorMotion
 from agent.navigation.navigation_mission import NavigationMission
+from agent.runtime.declared_values import BatteryTable, FieldTable, FleetTable, WarehouseTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import SIDE_MAX, OccupancyMap
@@ -40,6 +42,23 @@ KEEP_RIGHT_RAD = 0.05  # breaks the symmetry of two robots that meet head on in 
 # Distance that collision avoidance keeps from walls that are not known before; planned paths keep
 # 0.1 m.
 EXPLORED_WALL_M = 0.04
+# Share of the full speed, as an average that includes turns, braking and other robots.
+PLANNING_SPEED = 0.8
+
+
+def values_of(table: FieldTable) -> FieldValues:
+    """What is declared of the work in a field, without the file of its outline."""
+    return FieldValues(
+        table.implement_width_m, table.overlap_m, table.section_length_m, table.unit_m, table.gate
+    )
+
+
+def carrier_of(table: WarehouseTable, fleet: FleetTable, battery: BatteryTable) -> Carrier:
+    """What each robot of a delivery fleet can do, for planning."""
+    return Carrier(
+        PLANNING_SPEED * fleet.speed_m_s, table.handle_s, battery.range_m, battery.standby_s,
+        battery.dock_s, battery.charge_s, battery.reserve,
+    )  # fmt: skip
 
 
 def field_parts(slot: int, plan: FieldPlan) -> MissionParts:

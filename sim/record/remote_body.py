@@ -14,7 +14,9 @@ from pathlib import Path
 
 from agent.interface.effects import Drive
 from agent.interface.ports import Body, Observation, VisibleParcel
-from sim.record.intent_stream import IntentRelay
+from agent.peer.peer import Peer
+from agent.runtime.robot_body import RobotBody
+from sim.record.intent_stream import IntentRelay, tell
 from sim.record.local_link import Link, LinkServer
 from sim.world.world import World
 
@@ -188,3 +190,35 @@ class RemoteBody(Link):
                 magic, self.slot, c.vx_m_s, c.vy_m_s, c.turn_rad_s, c.tool_on, c.parcel_action
             )
         )
+
+
+class WorldBody(RobotBody):
+    """A body in the world of another process, as a robot file names it."""
+
+    def __init__(self, slot: int, socket: str) -> None:
+        """`socket`: the path that `BodyServer.start` returns."""
+        self.socket, self.remote = Path(socket), RemoteBody(slot)
+
+    async def open(self) -> None:
+        """Connect, and wait for the first observation. Raises OSError."""
+        try:
+            await self.remote.connect(self.socket)
+        except OSError as problem:
+            raise OSError(f"no world answers at {self.socket}: {problem}") from None
+        await self.remote.ready()
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest observation that has arrived."""
+        return self.remote.sense(now_us)
+
+    def drive(self, command: Drive, now_us: int) -> None:
+        """Send the command to the world."""
+        self.remote.drive(command, now_us)
+
+    async def watch(self, peer: Peer) -> None:
+        """Send the robot's intent to maps and recordings."""
+        await tell(peer, self.remote.tell)
+
+    def close(self) -> None:
+        """End the connection; the world then stops the body."""
+        self.remote.end()

@@ -19,6 +19,7 @@ from typing import Any
 
 from agent.interface.effects import Drive, Effect
 from agent.peer.inputs import Claim, Finish, Press
+from agent.runtime.gc_tuning import leave_standing
 from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
@@ -27,7 +28,6 @@ from protocol.frames.safety_frames import Reason
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, segment
 from sim.can.socketcand_server import Hub
-from sim.fleet.gc_tuning import leave_standing
 from sim.rigs.segments_rig import FIELD_HASH, ring_area
 
 CHANNEL = "can0"

@@ -6,11 +6,12 @@ from random import Random
 
 from agent.coverage.cell_map import CellMap
 from agent.interface.vehicle import Vehicle
+from agent.runtime.declared_values import FieldTable
 from agent.runtime.mission_parts import coverage_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.files.grid_map import Instance
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import BusTable, Fault, FieldTable, FleetTable, RunTable, Scenario
+from sim.scenarios.scenario import BusTable, Fault, FleetTable, RunTable, Scenario
 from sim.world.grid_world import GridWorld
 
 # The robots of the field scenarios: a cell is their working width.

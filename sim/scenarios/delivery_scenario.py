@@ -9,6 +9,8 @@ from typing import Any, Literal, NamedTuple
 from pydantic import Field
 
 from agent.delivery.task_registry import TASKS_MAX
+from agent.runtime.declared_values import XY, BatteryTable, FieldTable, Table
+from agent.runtime.declared_values import WarehouseTable as RobotWarehouse
 from agent.runtime.files.given_file import (
     SCENARIO_BYTES_MAX,
     TASKS_BYTES_MAX,
@@ -18,17 +20,14 @@ from agent.runtime.files.given_file import (
     read_toml,
 )
 from sim.scenarios.scenario import (
-    FieldTable,
     FleetTable,
     RunTable,
     Scenario,
     ScenarioError,
-    _Table,
     load_kind,
 )
 
 WAREHOUSES = Path(__file__).parents[1] / "warehouses"
-XY = tuple[float, float]
 TASK_KEYS = ("pickup_x_m", "pickup_y_m", "dropoff_x_m", "dropoff_y_m", "at_s")
 
 
@@ -40,26 +39,14 @@ class TaskRow(NamedTuple):
     at_s: float = 0.0
 
 
-class Outage(_Table):
+class Outage(Table):
     """From this time a bay gives no charge."""
 
     bay: int = Field(ge=0)
     at_s: float = Field(ge=0.0)
 
 
-class BatteryTable(_Table):
-    range_m: float = Field(default=0.0, ge=0.0)  # driving range of a full battery; 0: no limit
-    # How long a full battery lasts when standing; 0: no limit.
-    standby_s: float = Field(default=0.0, ge=0.0)
-    dock_s: float = Field(default=5.0, ge=0.0, le=600.0)
-    charge_s: float = Field(default=60.0, gt=0.0, le=86_400.0)
-    reserve: float = Field(default=0.15, ge=0.0, le=0.5)
-
-
-class WarehouseTable(_Table):
-    map: str  # a file in Moving AI format, or the drawing itself
-    cell_m: float = Field(default=1.0, ge=0.5, le=10.0)
-    bays: list[XY] = Field(default=[])
+class WarehouseTable(RobotWarehouse):
     outage: list[Outage] = Field(default=[])
     tasks: str | None = None  # CSV or JSON lines
     random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # drawn with the seed of the run
@@ -67,8 +54,6 @@ class WarehouseTable(_Table):
     boxes_a_minute: float = Field(default=0.0, ge=0.0, le=60.0)  # dropped at random, for box_s
     box_s: float = Field(default=20.0, gt=0.0)
     boxes_until_s: float = Field(default=120.0, ge=0.0)
-    handle_s: float = Field(default=2.0, ge=0.1, le=600.0)
-    t_max: int = Field(default=4, ge=1, le=100)
 
 
 class WarehouseFleet(FleetTable):

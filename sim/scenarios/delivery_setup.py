@@ -11,7 +11,7 @@ from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.mapping.building import Floor, FloorError
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
-from agent.runtime.mission_parts import delivery_parts
+from agent.runtime.mission_parts import carrier_of, delivery_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario, random_tasks, read_tasks
 from sim.scenarios.navigation_setup import ErrandSetting, scattered
@@ -19,8 +19,6 @@ from sim.scenarios.scenario import Box, ScenarioError
 from sim.world.parcel_truth import Parcels
 
 APART_M = 1.5  # minimum distance of robots at the start
-# Share of the full speed, as an average that includes turns, braking and other robots.
-PLANNING_SPEED = 0.8
 BOX_M = 0.5
 
 
@@ -37,11 +35,7 @@ class DeliverySetting(ErrandSetting):
         except ValueError as problem:
             raise ScenarioError(f"{name}: fleet.robots: {problem}") from None
         super().__init__(scenario, floor, starts, [()] * fleet.robots)
-        battery = scenario.battery
-        self.carrier = Carrier(
-            PLANNING_SPEED * fleet.speed_m_s, table.handle_s, battery.range_m, battery.standby_s,
-            battery.dock_s, battery.charge_s, battery.reserve,
-        )  # fmt: skip
+        self.carrier = carrier_of(table, fleet, scenario.battery)
         plain = Warehouse(floor, self.carrier)
         for number, bay in enumerate(table.bays):
             if plain.cell(bay) is None:

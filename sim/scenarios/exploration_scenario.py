@@ -12,12 +12,13 @@ from pydantic import Field
 
 from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, Kind
 from agent.exploration.exploration_task import ExplorationOrder as Task
+from agent.runtime.declared_values import FieldTable, Table
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
 from crdt.occupancy import Geometry
 from crdt.sighting import MergeOrder
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import FieldTable, Scenario, ScenarioError, _Table, load_kind
+from sim.scenarios.scenario import Scenario, ScenarioError, load_kind
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.world import World
@@ -27,7 +28,7 @@ XY = tuple[float, float]
 Box = tuple[float, float, float, float]
 
 
-class ArenaTable(_Table):
+class ArenaTable(Table):
     """A walled rectangle round the origin, and solid rectangles in it: west, south, east, north."""
 
     width_m: float = Field(ge=1.0, le=96.0)
@@ -41,7 +42,7 @@ class ArenaTable(_Table):
     robots_max: int = Field(default=ROBOTS_MAX, ge=1, le=32)
 
 
-class OrderTable(_Table):
+class OrderTable(Table):
     """A task for the fleet besides exploration; the nearest free robot does it."""
 
     kind: Literal["navigate_to", "patrol"]

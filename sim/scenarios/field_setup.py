@@ -10,7 +10,6 @@ from agent.field.field_plan import (
     CLEARANCE_M,
     FieldError,
     FieldPlan,
-    FieldValues,
     divided,
     planned_radius_m,
 )
@@ -18,7 +17,7 @@ from agent.interface.vehicle import DriveTrain
 from agent.runtime.files.field_error import FILE_BYTES_MAX, FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import GivenFileError, read_bytes
-from agent.runtime.mission_parts import field_parts
+from agent.runtime.mission_parts import field_parts, values_of
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import Crash, CrashWorking, Scenario, ScenarioError
@@ -77,13 +76,9 @@ class Setting(FleetSetup):
 
     def _divided(self, path: Path) -> Field:
         table = self.scenario.field
-        values = FieldValues(
-            table.implement_width_m, table.overlap_m, table.section_length_m, table.unit_m,
-            table.gate,
-        )  # fmt: skip
         try:
             boundary = read_boundary(path, table.feature)
-            return divided(*boundary, values, self.vehicle)
+            return divided(*boundary, values_of(table), self.vehicle)
         except FieldFileError as problem:
             raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
         except FieldError as problem:

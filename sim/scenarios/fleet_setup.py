@@ -7,10 +7,8 @@ immutable, so sharing gives no peer knowledge that it would not have computed eq
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
-from math import radians
 
-from agent.interface.identity import SilencePolicy
-from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.interface.vehicle import Vehicle
 from agent.runtime.files.key_file import FLEET, KeyFileError, read
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
 from protocol.authentication import Keyring, Keys
@@ -28,7 +26,7 @@ class FleetSetup(ABC):
         """Raises ScenarioError if the key file of the fleet cannot be used."""
         self.scenario = scenario
         self.keys = _keys_of(scenario)
-        self.silence = SilencePolicy[scenario.fleet.silence.upper()]
+        self.silence = scenario.fleet.silence_policy
 
     # ---------------------------------------------------------------- what a mission says
 
@@ -66,12 +64,7 @@ class FleetSetup(ABC):
     @cached_property
     def vehicle(self) -> Vehicle:
         """What all robots of the fleet are alike in."""
-        fleet = self.scenario.fleet
-        return Vehicle(
-            fleet.radius_m, fleet.speed_m_s, fleet.acceleration_m_s2,
-            DriveTrain[fleet.drive.upper()], fleet.wheelbase_m, fleet.track_m,
-            radians(fleet.steer_deg),
-        )  # fmt: skip
+        return self.scenario.fleet.vehicle
 
     @cached_property
     def chassis(self) -> Chassis:

@@ -18,15 +18,14 @@ from shapely.geometry import box
 from shapely.ops import unary_union
 
 from agent.mapping.building import Floor, FloorError
+from agent.runtime.declared_values import FieldTable, Table
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.scenarios.navigation_setup import ErrandSetting, scattered
 from sim.scenarios.scenario import (
     FIELD_FILES,
     SHIPPED,
-    FieldTable,
     Scenario,
     ScenarioError,
-    _Table,
     load,
     load_kind,
     read_document,
@@ -38,20 +37,20 @@ CELLS_MAX = 1 << 20  # of a map at its finest; with more cells, paths take too l
 APART_RADII = 2.5  # minimum distance of drawn starts
 
 
-class FloorTable(_Table):
+class FloorTable(Table):
     map: str
     cell_m: float = Field(default=1.0, gt=0.05, le=10.0)
     # Distance from walls, in addition to the radius.
     margin_m: float = Field(default=0.1, ge=0.02, le=1.0)
 
 
-class ErrandTable(_Table):
+class ErrandTable(Table):
     each: int = Field(default=1, ge=1, le=64)  # goals per robot, drawn by the seed
     starts: list[XY] | None = None
     goals: list[list[XY]] | None = None
 
 
-class ObstacleTable(_Table):
+class ObstacleTable(Table):
     """Boxes that appear and vanish again, drawn by the seed."""
 
     every_s: float = Field(default=20.0, gt=0.1)

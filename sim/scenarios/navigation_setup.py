@@ -12,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.mapping.building import Floor
+from agent.runtime.declared_values import FieldTable
 from agent.runtime.mission_parts import navigation_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.fleet_setup import FleetSetup, Point
-from sim.scenarios.scenario import BusTable, FieldTable, FleetTable, RunTable, Scenario
+from sim.scenarios.scenario import BusTable, FleetTable, RunTable, Scenario
 from sim.world.lidar import Lidar
 from sim.world.temporary_obstacles import TemporaryObstacle, schedule
 from sim.world.walls import Grid

@@ -4,9 +4,10 @@ from collections.abc import Mapping
 from functools import cached_property
 from pathlib import Path
 
+from agent.runtime.declared_values import FieldTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import DRILLS, FieldTable, FleetTable, RunTable, Scenario
+from sim.scenarios.scenario import DRILLS, FleetTable, RunTable, Scenario
 from sim.world.protocol_world import (
     SECTIONS_A_ROBOT,
     SPRINT_SECTIONS,

@@ -1,13 +1,14 @@
 """Scenario files: validated TOML; an invalid file gives one line with the key and the reason."""
 
 from collections.abc import Mapping, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import Field, ValidationError
 
-from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
+from agent.interface.config import PEERS_MAX
+from agent.runtime.declared_values import FieldTable, Table, first_error
+from agent.runtime.declared_values import FleetTable as RobotFleet
 from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
 from sim.world.step_engine import Engine
 
@@ -15,7 +16,6 @@ SHIPPED = Path(__file__).parent
 SEED_MAX = 2**63 - 1  # the largest value that every format with a seed can hold
 AT_MAX_S = 1e6  # of a fault: longer than any run
 LINE_MAX = 1000  # characters of a message
-SAID_MAX = 60  # characters of a wrong value quoted in a message
 FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field file alone is a scenario of defaults
 
 
@@ -27,42 +27,16 @@ class ScenarioError(Exception):
         super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
 
 
-class _Table(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+class FleetTable(RobotFleet):
+    """The robots of a simulated fleet: slip and range sensors are the simulator's."""
 
-
-class FieldTable(_Table):
-    file: str
-    feature: str | None = None
-    implement_width_m: float = Field(default=4.0, gt=0.2, le=60.0)
-    overlap_m: float = Field(default=0.2, gt=0.01, le=2.0)
-    section_length_m: float = Field(default=250.0, ge=10.0, le=50_000.0)
-    unit_m: float = Field(default=5.0, ge=0.5, le=100.0)
-    # Metres east and north of the middle; default: a corner.
-    gate: tuple[float, float] | None = None
-
-
-class FleetTable(_Table):
-    robots: int = Field(default=6, ge=1, le=PEERS_MAX)
-    radius_m: float = Field(default=0.8, gt=0.05, le=5.0)
-    speed_m_s: float = Field(default=2.5, gt=0.05, le=SPEED_MAX_M_S)
-    acceleration_m_s2: float = Field(default=1.5, gt=0.05, le=10.0)
     slip: float = Field(default=0.02, ge=0.0, le=0.3)
-    drive: Literal["mecanum", "differential", "ackermann"] = "mecanum"
-    wheelbase_m: float = Field(default=1.2, gt=0.1, le=6.0)  # with "ackermann"
-    track_m: float = Field(default=1.0, gt=0.1, le=4.0)  # with "differential" and "ackermann"
-    steer_deg: float = Field(default=40.0, ge=10.0, le=60.0)  # full lock, with "ackermann"
     rays: int = Field(
         default=72, ge=8, le=720
     )  # of each robot's range sensors; a gap of 0.35 m at 4 m
-    silence: Literal["stop", "slow", "continue"] = "stop"
-    # In a building: stop before an unannounced obstacle and ask; else drive round it. In a field
-    # robots always ask.
-    asks: bool = False
-    keys: str | None = None  # key file, made by `headland keys new`
 
 
-class BusTable(_Table):
+class BusTable(Table):
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
     loss: float = Field(default=0.0, ge=0.0, le=0.9)
     error_rate: float = Field(default=0.0, ge=0.0, le=0.5)
@@ -70,13 +44,13 @@ class BusTable(_Table):
     duplicate: float = Field(default=0.0, ge=0.0, le=0.9)
 
 
-class RunTable(_Table):
+class RunTable(Table):
     seed: int = Field(default=1, ge=0, le=SEED_MAX)
     time_limit_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
     engine: Engine = "pymunk"
 
 
-class _Fault(_Table):
+class _Fault(Table):
     at_s: float = Field(ge=0.0, le=AT_MAX_S)
 
 
@@ -302,7 +276,7 @@ Fault = Annotated[
 DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is short and contended
 
 
-class Scenario(_Table):
+class Scenario(Table):
     name: str = Field(min_length=1, max_length=64)
     # Or a mission without a world: see DRILLS.
     mission: Literal["field", "drill", "sprint"] = "field"
@@ -310,8 +284,10 @@ class Scenario(_Table):
     fleet: FleetTable = FleetTable()
     bus: BusTable = BusTable()
     run: RunTable = RunTable()
-    fault: list[Fault] = []
-    places: dict[str, tuple[float, float]] = {}  # names for operators; metres east and north
+    fault: list[Fault] = Field(default=[])
+    places: dict[str, tuple[float, float]] = Field(
+        default={}
+    )  # names for operators; metres east and north
     folder: Path = Field(Path(), exclude=True)  # file names are relative to this folder
 
     def path_of(self, name: str) -> Path:
@@ -389,7 +365,7 @@ def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind
     try:
         scenario = kind(**{**document, "folder": folder})
     except ValidationError as problem:
-        raise ScenarioError(f"{name}: {_one_line(problem)}") from None
+        raise ScenarioError(f"{name}: {first_error(problem, Scenario)}") from None
     except TypeError as problem:
         raise ScenarioError(f"{name}: {problem}") from None
     for number, fault in enumerate(scenario.fault):
@@ -415,39 +391,3 @@ def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:
         if robot in known:
             raise ScenarioError(f"{where}: robot {robot} is on two islands")
         known.add(robot)
-
-
-def _one_line(problem: ValidationError) -> str:
-    """The first error: the key, what is wrong, and the probable intention."""
-    error = problem.errors()[0]
-    path = [str(part) for part in error["loc"]]
-    key = ".".join(path)
-    if error["type"] == "extra_forbidden":
-        meant = get_close_matches(path[-1], _keys_beside(path), n=1)
-        return f"{key}: unknown key" + (f"; did you mean {meant[0]!r}?" if meant else "")
-    if error["type"] == "missing":
-        return f"{key}: is missing"
-    message = error["msg"][0].lower() + error["msg"][1:]
-    more = len(problem.errors()) - 1
-    tail = f" (and {more} more)" if more else ""
-    return f"{key}: {message}, not {_said(error['input'])}{tail}"
-
-
-def _said(value: object) -> str:
-    try:
-        text = repr(value)
-    except (ValueError, RecursionError):  # an integer of thousands of digits
-        return "a value that long"
-    return text if len(text) <= SAID_MAX else f"{text[: SAID_MAX - 4]} ..."
-
-
-def _keys_beside(path: list[str]) -> list[str]:
-    model: Any = Scenario
-    for part in path[:-1]:
-        field = getattr(model, "model_fields", {}).get(part)
-        if field is None or not isinstance(field.annotation, type):
-            return []
-        model = field.annotation
-    return (
-        list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
-    )

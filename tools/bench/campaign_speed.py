@@ -46,8 +46,8 @@ def measured(profile: str, runs: int, seed: int, interpreted: bool = False) -> C
 def campaign(profile: str, runs: int, seed: int) -> Campaign:
     """Here and now: every rule is judged, as `headland chaos` does it."""
     compiled = use()
+    from agent.runtime.gc_tuning import leave_standing
     from sim.chaos.verdict import judge
-    from sim.fleet.gc_tuning import leave_standing
     from tools.chaos.planted_bug_hunt import warm_up
 
     warm_up()  # before any clock starts

@@ -15,12 +15,12 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
+from agent.runtime.gc_tuning import leave_standing
 from sim.chaos.fault_profiles import PROFILES, draw
 from sim.chaos.planted_bugs import MUTANTS
 from sim.chaos.shrink import shrink
 from sim.chaos.verdict import RULES, Verdict, judge
 from sim.files.strict_json import dumps
-from sim.fleet.gc_tuning import leave_standing
 from sim.scenarios.scenario import ScenarioError, load
 from sim.scenarios.toml_writer import to_toml
 from tools.chaos.campaign import ClusterError, room, workers

@@ -15,6 +15,7 @@ from typing import Any
 from agent.interface.ports import Bus
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
 from agent.runtime.gateway_runner import GatewayShell
+from agent.runtime.gc_tuning import leave_standing
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
@@ -24,7 +25,6 @@ from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
 from sim.files.strict_json import dumps
-from sim.fleet.gc_tuning import leave_standing
 from tools.common.bus_attach import AttachError, attach, keep_attached
 
 TELL_S = 5.0  # a status line this often

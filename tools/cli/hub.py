@@ -12,11 +12,11 @@ from ipaddress import ip_address
 
 from rich.console import Console
 
+from agent.runtime.gc_tuning import leave_standing
 from sim.can.simulated_bus import segment
 from sim.can.socketcand_beacon import announce
 from sim.can.socketcand_server import Hub
 from sim.files.strict_json import dumps
-from sim.fleet.gc_tuning import leave_standing
 from tools.common.bus_attach import CHANNEL
 
 WRONG, INTERRUPTED = 2, 130

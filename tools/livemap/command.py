@@ -19,10 +19,10 @@ from agent.runtime.files.given_file import (
     read_json,
 )
 from agent.runtime.files.key_file import OPERATOR, KeyFileError, read
+from agent.runtime.gc_tuning import leave_standing
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
-from sim.fleet.gc_tuning import leave_standing
 from sim.record.intent_stream import IntentListener
 from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import McapMissing, add_notes, read_recording

@@ -23,7 +23,7 @@ from tools.common.run_folder import (
     link,
     numbered,
 )
-from tools.run.robot import AnySetting
+from tools.run.launch_setup import AnySetting
 
 FLEET = "fleet.json"
 TRUTH = "truth.jsonl"

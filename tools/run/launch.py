@@ -16,12 +16,12 @@ from typing import Any
 from rich.console import Console
 
 from agent.interface.lifecycle import State
+from agent.runtime.gc_tuning import leave_standing
 from protocol.frames.frame import Frame
 from sim.files.candump import CandumpWriter
 from sim.files.log_parts import LAUNCH_LIMIT, PartedLog
 from sim.files.recording_end import Ending
 from sim.files.strict_json import dumps
-from sim.fleet.gc_tuning import leave_standing
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.remote_body import BodyServer
 from sim.scenarios.field_setup import Setting
@@ -37,7 +37,7 @@ from tools.inspect.inspector import SILENT_S, Inspector
 from tools.language.places import Places
 from tools.run.fleet_folder import TRUTH, Fleet, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
-from tools.run.robot import AnySetting
+from tools.run.launch_setup import AnySetting, robot_document
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
@@ -201,15 +201,13 @@ class Launch:
         self.inspector.hear(t_us / 1e6, frame)
 
     async def _start_all(self, bus_port: int, bodies: Path) -> None:
+        bus = {
+            "interface": "socketcand", "channel": CHANNEL,
+            "options": {"host": HOST, "port": bus_port},
+        }  # fmt: skip
         for slot in range(self.setting.scenario.fleet.robots):
-            order = {
-                "slot": slot, "scenario": self.name, "robots": self.setting.scenario.fleet.robots,
-                "seed": self.setting.scenario.run.seed, "host": HOST, "channel": CHANNEL,
-                "bus_port": bus_port, "bodies": str(bodies),
-                "journal": str(self.out / f"robot{slot}.sqlite"),
-                "first_boot": not self.fleet.continues,
-                "keys": self.keys, "segment": self.segment,
-            }  # fmt: skip
+            robot = robot_document(self.setting, slot, bus, bodies, self.out, self.segment)
+            order = {"robot": robot, "first_boot": not self.fleet.continues}
             with (self.out / f"robot{slot}.log").open("wb") as errors:
                 process = await asyncio.create_subprocess_exec(
                     *module_command("tools.run.robot"),

@@ -21,7 +21,7 @@ from tools.run.launch import (
     Launch,
 )
 from tools.run.launch_delivery import HaulLaunch
-from tools.run.robot import setting_of
+from tools.run.launch_setup import setting_of
 
 
 def launch(

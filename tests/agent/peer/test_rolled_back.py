@@ -149,15 +149,16 @@ def test_item_9_a_checked_record_without_sense_is_put_aside(
 
 
 def test_item_9_a_journal_that_is_not_to_be_had_is_one_line(tmp_path: Path) -> None:
-    owner = SqliteJournal(tmp_path / "locked")
+    (tmp_path / "locked").mkdir()
+    owner = SqliteJournal(tmp_path / "locked/robot1.sqlite")
     owner.write([Persist("a", b"1")])
-    (tmp_path / "folder").mkdir()
-    for name in ("locked", "folder", "nowhere/j"):
-        order = {
-            "slot": 1, "scenario": "small", "robots": 2, "seed": 1, "host": "127.0.0.1",
-            "channel": "can0", "bus_port": 1, "bodies": str(tmp_path / "none"),
-            "journal": str(tmp_path / name), "first_boot": False, "keys": None, "segment": 0,
+    (tmp_path / "folder/robot1.sqlite").mkdir(parents=True)
+    for name in ("locked", "folder", "nowhere"):
+        robot = {
+            "name": "rolled back", "robot": {"slot": 1, "journal": str(tmp_path / name)},
+            "fleet": {"robots": 2},
         }  # fmt: skip
+        order = {"robot": robot, "first_boot": False}
         ended = subprocess.run(
             [sys.executable, "-m", "tools.run.robot"], input=json.dumps(order).encode() + b"\n",
             capture_output=True, timeout=60, check=False,

@@ -24,6 +24,7 @@ from sim.scenarios.field_setup import Setting
 from sim.scenarios.scenario import load
 from tests.tools.launching import ENVIRONMENT, ROOT, WAIT_S
 from tests.tools.watch import STANDING_M_S, Watch
+from tools.run.launch_setup import robot_document, setting_of
 
 SCENARIO, ROBOTS = "yard", 3
 HUB_SIDE, FAR_SIDE = (0,), (1, 2)  # robots in the namespace of the hub, and in the other
@@ -118,13 +119,14 @@ async def enter(side: str, *words: str) -> Process:
 async def robot(folder: Path, slot: int, bodies: Path) -> Process:
     side = HUB if slot in HUB_SIDE else FAR
     process = await enter(side, "tools.run.robot")
-    order = {
-        "slot": slot, "scenario": SCENARIO, "robots": ROBOTS, "seed": 1, "channel": "can0",
-        "host": "127.0.0.1" if side == HUB else f"{BUS_NET}.1", "bus_port": BUS_PORT,
-        "bodies": str(bodies),  # one computer: files are the same in every namespace
-        "journal": str(folder / f"robot{slot}.sqlite"), "first_boot": True, "keys": None,
-        "segment": 0,
+    host = "127.0.0.1" if side == HUB else f"{BUS_NET}.1"
+    bus = {
+        "interface": "socketcand", "channel": "can0",
+        "options": {"host": host, "port": BUS_PORT},
     }  # fmt: skip
+    setting = setting_of(SCENARIO, ROBOTS, 1, None)
+    # One computer: files are the same in every namespace.
+    order = {"robot": robot_document(setting, slot, bus, bodies, folder), "first_boot": True}
     assert process.stdin is not None
     process.stdin.write(json.dumps(order).encode() + b"\n")
     return process

@@ -1,0 +1,268 @@
+"""One robot as a process, without a simulator: bus, body, keys, work and memory from one file.
+
+    python -m agent.runtime.robot_process robot2.toml --first-boot    # a new machine
+    python -m agent.runtime.robot_process robot2.toml                 # later
+
+It ends on SIGTERM or Ctrl-C, with a farewell on the bus. `docs/use/robot.md` says how to add a body.
+"""
+
+import argparse
+import asyncio
+import secrets
+import signal
+import sys
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+from agent.delivery.task_registry import TransportTask
+from agent.delivery.warehouse import Warehouse
+from agent.field.field_plan import FieldError, FieldPlan, divided
+from agent.interface.ports import Bus
+from agent.mapping.building import Floor, FloorError
+from agent.peer.inputs import Leave
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import read_boundary
+from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
+from agent.runtime.files.key_file import FLEET, KeyFileError
+from agent.runtime.files.key_file import read as read_keys
+from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.mission_parts import carrier_of, delivery_parts, field_parts, values_of
+from agent.runtime.peer_factory import (
+    NO_MISSION,
+    MissionParts,
+    identity_of,
+    keyring_of,
+    make_peer,
+)
+from agent.runtime.peer_runner import PeerRunner
+from agent.runtime.robot_body import FactoryError, RobotBody, called
+from agent.runtime.robot_file import BusTable, CarrierTable, RobotError, RobotFile
+from agent.runtime.sqlite_journal import SqliteJournal
+from agent.segments.segment_area import Area
+from crdt import FieldAllocationCRDT
+from protocol.authentication import Keys
+from protocol.links.bus import open_bus
+from protocol.links.socketcand_link import SocketcandLink
+
+GOODBYE_S = 0.2  # for the farewell frame to leave
+WRONG = 2  # exit code: what is said in one line must be mended first
+
+
+class Work(NamedTuple):
+    """What a robot works on."""
+
+    field_hash: int  # u24; equal for all robots of a fleet, and of no other work
+    sections: int  # in all; 0: not known before
+    parts: MissionParts
+
+
+def work_of(robot: RobotFile, now_us: int, recalled: Mapping[str, bytes]) -> Work:
+    """The work that a robot file declares. Raises RobotError.
+
+    `now_us`: the time of the boot. `recalled`: the contents of the robot's durable memory.
+    """
+    slot, fleet = robot.robot.slot, robot.fleet
+    try:
+        if robot.field is not None:
+            boundary = read_boundary(robot.folder / robot.field.file, robot.field.feature)
+            field = divided(*boundary, values_of(robot.field), fleet.vehicle)
+            parts = field_parts(slot, FieldPlan(field, fleet.vehicle))
+            return Work(field.config_hash, len(field.sections), parts)
+        if robot.warehouse is not None:
+            table, house = robot.warehouse, _house(robot, robot.warehouse)
+            parts = delivery_parts(
+                slot, fleet.robots, house, table.home, fleet.vehicle, table.seed, now_us,
+                recalled, asks=fleet.asks,
+            )  # fmt: skip
+            return Work(house.check, 0, parts)
+        if robot.mission is not None:
+            made = called(
+                robot.mission.factory, slot, fleet.robots, now_us, **robot.mission.options
+            )
+            if not isinstance(made, MissionParts):
+                raise FactoryError(f"{robot.mission.factory!r} makes no MissionParts")
+            text = f"{robot.name} {robot.mission.model_dump_json()}"
+            return Work(FieldAllocationCRDT.hash_of(text), 0, made)
+    except FieldFileError as problem:
+        raise RobotError(f"robot {slot}: field.file: {problem}") from None
+    except (FieldError, FloorError) as problem:
+        raise RobotError(f"robot {slot}: {problem}") from None
+    except FactoryError as problem:
+        raise RobotError(f"robot {slot}: mission.factory: {problem}") from None
+    return Work(FieldAllocationCRDT.hash_of(robot.name), 0, NO_MISSION)
+
+
+def _house(robot: RobotFile, table: CarrierTable) -> Warehouse:
+    """The warehouse with the tasks that are known before the start. Raises RobotError, FloorError."""
+    slot = robot.robot.slot
+    try:
+        drawn = "\n" in table.map  # the map itself
+        text = table.map if drawn else read_text(robot.folder / table.map, DRAWING_BYTES_MAX)
+    except GivenFileError as problem:
+        raise RobotError(f"robot {slot}: warehouse.map: {problem}") from None
+    floor = Floor.drawn(text, table.cell_m, robot.fleet.radius_m)
+    carrier = carrier_of(table, robot.fleet, table.battery)
+    plain, known = Warehouse(floor, carrier), dict[int, TransportTask]()
+    for bay in table.bays:
+        if plain.cell(bay) is None:
+            raise RobotError(f"robot {slot}: warehouse.bays: {bay} is not on free floor")
+    for task in table.task:
+        pickup, dropoff = plain.cell(task.pickup), plain.cell(task.dropoff)
+        if pickup is None or dropoff is None:
+            raise RobotError(f"robot {slot}: warehouse.task {task.number}: not on free floor")
+        known[task.number] = TransportTask(pickup, dropoff)
+    return Warehouse(floor, carrier, table.bays, known, table.t_max)
+
+
+def _keys(robot: RobotFile) -> Keys | None:
+    """The keys of its fleet; None without any. Raises RobotError."""
+    if robot.fleet.keys is None:
+        return None
+    try:
+        return read_keys(robot.folder / robot.fleet.keys, FLEET).keys
+    except KeyFileError as problem:
+        raise RobotError(f"robot {robot.robot.slot}: fleet.keys: {problem}") from None
+
+
+def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
+    """Its durable memory, and what that recalls. Raises RobotError."""
+    slot = robot.robot.slot
+    path = robot.folder / robot.robot.journal / f"robot{slot}.sqlite"
+    try:
+        return SqliteJournal.opened(path)
+    except OSError as problem:
+        raise RobotError(f"robot {slot}: its journal is not to be had: {problem}") from None
+
+
+async def _bus(table: BusTable, slot: int) -> Bus:
+    """The bus; one behind a socketcand server reconnects by itself. Raises RobotError."""
+    options = table.options
+    try:
+        if table.interface != "socketcand":
+            return open_bus(table.interface, table.channel, table.bitrate, **options)
+        rng = Random(f"line of robot {slot}")
+        host, port = str(options["host"]), int(options["port"])
+        link = SocketcandLink(host, port, table.channel, rng)
+    except Exception as problem:  # python-can interfaces raise what they like
+        reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
+        where = f"{table.interface} {table.channel}"
+        raise RobotError(f"robot {slot}: bus: cannot open {where}: {reason}") from None
+    await link.up()
+    return link
+
+
+async def _body(robot: RobotFile) -> RobotBody:
+    """Its body, connected. Raises RobotError."""
+    slot = robot.robot.slot
+    try:
+        body = called(robot.body.factory, slot, **robot.body.options)
+        if not isinstance(body, RobotBody):
+            raise FactoryError(f"{robot.body.factory!r} makes no RobotBody")
+        await body.open()
+    except FactoryError as problem:
+        raise RobotError(f"robot {slot}: body.factory: {problem}") from None
+    except OSError as problem:
+        raise RobotError(f"robot {slot}: body: {problem}") from None
+    return body
+
+
+async def run_robot(
+    robot: RobotFile,
+    end: asyncio.Event,
+    *,
+    first_boot: bool = False,
+    started: Callable[[PeerRunner], None] | None = None,
+) -> None:
+    """Run one robot until `end` is set; then it leaves the fleet with a farewell.
+
+    `first_boot`: a new machine. Otherwise an empty memory counts as lost, and the robot stays latched
+    until a person resets it. `started`: called once, when it takes part. Raises RobotError before
+    it takes part, and whatever ends its peer.
+    """
+    slot, keys = robot.robot.slot, _keys(robot)
+    journal, recalled = _journal(robot)
+    try:
+        body = await _body(robot)
+        try:
+            bus = await _bus(robot.bus, slot)
+            try:
+                now_us, lot = PeerRunner.now_us(), secrets.token_bytes(16)
+                work = work_of(robot, now_us, recalled)
+                identity = identity_of(
+                    robot.name, slot, robot.fleet.robots, work.field_hash,
+                    robot.fleet.silence_policy, first_boot=first_boot,
+                )  # fmt: skip
+                segment = robot.robot.segment
+                peer = make_peer(
+                    identity, Random(lot), PeerRunner.now_us(), recalled, work.parts,
+                    keyring=keyring_of(keys, slot, lot.hex().encode()),
+                    area=Area(segment, work.sections) if segment else None,
+                )  # fmt: skip
+                await _take_part(PeerRunner(peer, bus, body, journal), body, end, started)
+            finally:
+                bus.close()
+        finally:
+            body.close()
+    finally:
+        journal.close()
+
+
+async def _take_part(
+    runner: PeerRunner,
+    body: RobotBody,
+    end: asyncio.Event,
+    started: Callable[[PeerRunner], None] | None,
+) -> None:
+    """From the first frame to the farewell."""
+    leave_standing()
+    running = asyncio.create_task(runner.run())
+    watching = asyncio.create_task(body.watch(runner.peer))
+    ending = asyncio.create_task(end.wait())
+    if started is not None:
+        started(runner)
+    await asyncio.wait({running, ending}, return_when=asyncio.FIRST_COMPLETED)
+    if not running.done():
+        runner.operate(Leave())
+        await asyncio.sleep(GOODBYE_S)
+        running.cancel()
+    for task in (ending, watching):
+        task.cancel()
+    (failure,) = await asyncio.gather(running, return_exceptions=True)
+    if isinstance(failure, BaseException) and not isinstance(failure, asyncio.CancelledError):
+        raise failure
+
+
+async def _until_told(robot: RobotFile, first_boot: bool) -> None:
+    """Run until SIGTERM or SIGINT."""
+    end, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, end.set)
+
+    def started(runner: PeerRunner) -> None:
+        print(f"robot {runner.peer.slot} is up", flush=True)
+
+    await run_robot(robot, end, first_boot=first_boot, started=started)
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(
+        prog="python -m agent.runtime.robot_process", description="Run one robot from a robot file."
+    )
+    parser.add_argument("file", type=Path, help="the robot file (TOML)")
+    parser.add_argument(
+        "--first-boot", action="store_true",
+        help="a new machine, for which an empty memory is no loss",
+    )  # fmt: skip
+    options = parser.parse_args()
+    try:
+        asyncio.run(_until_told(RobotFile.read(options.file), options.first_boot))
+    except RobotError as problem:
+        print(problem, file=sys.stderr)
+        sys.exit(WRONG)
+
+
+if __name__ == "__main__":
+    main()

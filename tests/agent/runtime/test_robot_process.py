@@ -1,0 +1,143 @@
+"""Robots run as processes with nothing of the simulator, and a robot file is refused in one line."""
+
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+import can
+import pytest
+
+from agent.runtime.robot_file import RobotError, RobotFile
+
+SCRIPT, LIMIT_S = Path(__file__).with_name("robots_without_simulator.py"), 150
+DEGREE_M = 111_320.0  # on the equator, where the field lies
+MULTICAST = "239.74.163.11"
+
+
+def field(folder: Path, half_x_m: float = 8.0, half_y_m: float = 6.0) -> None:
+    x, y = half_x_m / DEGREE_M, half_y_m / DEGREE_M
+    ring = [[-x, -y], [x, -y], [x, y], [-x, y], [-x, -y]]
+    (folder / "tiny.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [ring]}))
+
+
+def begun(folder: Path, interface: str, channel: str, robots: int, *slots: int) -> Any:
+    words = [str(folder), interface, channel, str(robots), *map(str, slots)]
+    return subprocess.Popen(
+        [sys.executable, "-P", str(SCRIPT), *words], stdout=subprocess.PIPE, text=True
+    )
+
+
+def ended(process: "subprocess.Popen[str]") -> dict[str, Any]:
+    said, _ = process.communicate(timeout=LIMIT_S)
+    assert process.returncode == 0, said
+    found: dict[str, Any] = json.loads(said)
+    return found
+
+
+@pytest.mark.slow
+def test_robots_on_a_virtual_bus_work_a_field_without_the_simulator(tmp_path: Path) -> None:
+    field(tmp_path)
+    found = ended(begun(tmp_path, "virtual", "tiny", 3, 0, 1, 2))
+    assert found["foreign"] == []
+    assert len(set(found["addresses"])) == 3 and None not in found["addresses"]
+    assert found["members"] == [3, 3, 3]
+    assert len(set(found["done"])) == 1 and found["done"][0] >= 1
+    assert len(list(tmp_path.glob("robot*.sqlite"))) == 3
+
+
+@pytest.fixture
+def multicast() -> str:
+    """A channel of datagrams that reach this machine itself."""
+    try:
+        with (
+            can.Bus(interface="udp_multicast", channel=MULTICAST) as out,
+            can.Bus(interface="udp_multicast", channel=MULTICAST) as back,
+        ):
+            out.send(can.Message(arbitration_id=1, is_extended_id=True))
+            heard = back.recv(timeout=2.0)
+    except (OSError, can.CanError, ImportError) as problem:
+        pytest.skip(f"this machine has no multicast: {problem}")
+    if heard is None:
+        pytest.skip("this machine does not deliver its own multicast datagrams")
+    return MULTICAST
+
+
+@pytest.mark.slow
+def test_robots_in_processes_of_their_own_work_a_field(tmp_path: Path, multicast: str) -> None:
+    field(tmp_path)
+    for folder in ("a", "b"):
+        (tmp_path / folder).mkdir()
+        field(tmp_path / folder)
+    processes = [
+        begun(tmp_path / folder, "udp_multicast", multicast, 2, slot)
+        for slot, folder in enumerate(("a", "b"))
+    ]
+    try:
+        first, second = map(ended, processes)
+    finally:
+        for process in processes:
+            process.kill()
+    assert first["foreign"] == second["foreign"] == []
+    assert first["addresses"] != second["addresses"]
+    assert first["done"] == second["done"]
+
+
+def test_the_modules_of_a_robot_are_not_the_simulators() -> None:
+    program = (
+        "import sys, agent.runtime.robot_process; "
+        "print([m for m in sys.modules if m.split('.')[0] in ('sim', 'tools', 'pymunk')])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True,
+        env={**os.environ, "PYTHONDONTWRITEBYTECODE": "1"},
+    )  # fmt: skip
+    assert done.stdout.strip() == "[]"
+
+
+GOOD: dict[str, Any] = {"name": "n", "robot": {"slot": 0}, "fleet": {"robots": 2}}
+
+
+@pytest.mark.parametrize(
+    ("change", "says"),
+    [
+        ({"robot": {"slot": 2}}, "robot.slot: 2 is not one of 2 robots"),
+        (
+            {"robot": {"slot": 0, "jurnal": "x"}},
+            "robot.jurnal: unknown key; did you mean 'journal'",
+        ),
+        ({"fleet": {"robots": 0}}, "fleet.robots: "),
+        ({"field": {"file": "f"}, "mission": {"factory": "a:b"}}, "a robot has one work"),
+        ({"name": ""}, "name: "),
+    ],
+)
+def test_a_wrong_robot_file_is_one_line(change: dict[str, Any], says: str) -> None:
+    with pytest.raises(RobotError) as problem:
+        RobotFile.of({**GOOD, **change}, "r.toml", Path())
+    assert says in str(problem.value) and "\n" not in str(problem.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ('[body]\nfactory = "nowhere:Body"', "body.factory: 'nowhere:Body' cannot be imported"),
+        ('[body]\nfactory = "pathlib:Path"', "body.factory: 'pathlib:Path' makes no RobotBody"),
+        ('[field]\nfile = "none.geojson"', "field.file: "),
+        ('[mission]\nfactory = "pathlib:Path"', "mission.factory: "),
+        ('[bus]\ninterface = "none"', "bus: cannot open none can0"),
+    ],
+)
+def test_a_robot_that_cannot_start_says_so_in_one_line(
+    text: str, says: str, tmp_path: Path
+) -> None:
+    bus = "" if "[bus]" in text else '[bus]\ninterface = "virtual"\n'
+    path = tmp_path / "robot.toml"
+    path.write_text(f'name = "n"\n[robot]\nslot = 0\n[fleet]\nrobots = 2\n{bus}{text}\n')
+    done = subprocess.run(
+        [sys.executable, "-P", "-m", "agent.runtime.robot_process", str(path)],
+        capture_output=True, text=True, check=False, timeout=LIMIT_S,
+    )  # fmt: skip
+    assert done.returncode == 2, done.stderr
+    assert says in done.stderr and done.stderr.count("\n") == 1, done.stderr

@@ -1,0 +1,74 @@
+"""The setup of a launch, and the robot file of each of its robots."""
+
+from pathlib import Path
+from typing import Any
+
+from agent.runtime.declared_values import FieldTable, FleetTable, WarehouseTable
+from sim.scenarios.delivery_scenario import is_warehouse, load_warehouse
+from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.field_setup import Setting
+from sim.scenarios.scenario import load
+
+BODY = "sim.record.remote_body:WorldBody"
+
+AnySetting = Setting | DeliverySetting
+
+
+def setting_of(
+    scenario: str, robots: int | None, seed: int | None, keys: Path | None
+) -> AnySetting:
+    """A field's, or a warehouse's. Raises ScenarioError."""
+    if is_warehouse(scenario):
+        return DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
+    return Setting(load(scenario).changed(robots, seed, keys))
+
+
+def robot_document(
+    setting: AnySetting,
+    slot: int,
+    bus: dict[str, Any],
+    bodies: Path,
+    journal: Path,
+    segment: int = 0,
+) -> dict[str, Any]:
+    """The values of `agent.runtime.robot_file.RobotFile` for one robot, plain as JSON has them.
+
+    `bus`: its table of the same name. `bodies`: the socket of the world. `journal`: the folder of
+    the robots' memories. Files are named by their absolute paths.
+    """
+    scenario = setting.scenario
+    fleet = scenario.fleet.model_dump(mode="json", include=set(FleetTable.model_fields))
+    if fleet["keys"] is not None:
+        fleet["keys"] = str((scenario.folder / fleet["keys"]).absolute())
+    document: dict[str, Any] = {
+        "name": scenario.name,
+        "robot": {"slot": slot, "journal": str(journal.absolute()), "segment": segment},
+        "fleet": fleet,
+        "bus": bus,
+        "body": {"factory": BODY, "options": {"socket": str(bodies)}},
+    }
+    if isinstance(setting, DeliverySetting):
+        return {**document, "warehouse": _warehouse(setting, slot)}
+    field = scenario.field.model_dump(mode="json", include=set(FieldTable.model_fields))
+    field["file"] = str(scenario.path_of(field["file"]).absolute())
+    return {**document, "field": field}
+
+
+def _warehouse(setting: DeliverySetting, slot: int) -> dict[str, Any]:
+    """The warehouse as one robot has it, with the tasks that are known before the start."""
+    scenario, known = setting.scenario, setting.house.tasks
+    table = scenario.warehouse.model_dump(mode="json", include=set(WarehouseTable.model_fields))
+    if "\n" not in table["map"]:
+        table["map"] = str((scenario.folder / table["map"]).absolute())
+    rows = enumerate(setting.rows)
+    return {
+        **table,
+        "home": setting.starts[slot],
+        "seed": setting.search_seed(slot),
+        "battery": scenario.battery.model_dump(mode="json"),
+        "task": [
+            {"number": number, "pickup": row.pickup, "dropoff": row.dropoff}
+            for number, row in rows
+            if number in known
+        ],
+    }
