@@ -34,6 +34,8 @@ QUESTIONS = {
     "Where are frontiers of an unknown building found?": "agent/exploration/frontier.py",
     "Where is a robot's durable memory written?": "agent/runtime/sqlite_journal.py",
     "Where is a peer made?": "agent/runtime/peer_factory.py",
+    "How does a robot run as a process?": "agent/runtime/robot_process.py",
+    "What must the body of my vehicle implement?": "agent/runtime/robot_body.py",
     "Where are key files read?": "agent/runtime/files/key_file.py",
     "Where is the outline of a field read?": "agent/runtime/files/field_file.py",
     "How do I run a robot from my own program?": "agent/runtime/engine.py",
