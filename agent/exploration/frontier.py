@@ -212,7 +212,8 @@ class FrontierChooser:
     def utility_m(self, frontier: Frontier, wave: Steps, rivals: Sequence[OtherExplorer]) -> float:
         """The value of a frontier in metres: what would be seen there, less the way to it.
 
-        The share that another robot will see at its own target does not count.
+        `wave`: (rows, columns), the way to each cell, as `wave_from` fills it. The share that
+        another robot will see at its own target does not count.
         """
         way_m = int(wave[frontier.station]) / STRAIGHT * self.cell_m
         promised = max(

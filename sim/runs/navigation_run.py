@@ -141,7 +141,7 @@ class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
 def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], until_us: int) -> float:
     """Root mean square of the distance to the polyline (not to its vertices) followed at the time.
 
-    nan if nothing was driven.
+    `track`: (n, 4), microseconds, x, y and a number that is not used. nan if nothing was driven.
     """
     squares: list[float] = []
     for k, path in enumerate(paths):

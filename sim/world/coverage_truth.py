@@ -22,6 +22,7 @@ from sim.world.ground_truth import Track, TrackPoint
 from sim.world.raster import Raster, fitting_m, rasterise
 
 Floats = NDArray[np.float64]
+# By slot. An array is (points, 4), see `strokes_of`.
 Tracks = Mapping[int, Track | Sequence[TrackPoint] | Floats]
 
 MERGE_M = 0.05  # shorter moves have no reliable direction: slip, and coming to rest
@@ -56,7 +57,10 @@ def sample_points(
 def coverage(
     raster: Raster, tracks: Tracks, width_m: float, reachable: NDArray[np.bool_] | None = None
 ) -> Coverage:
-    """Sweep the tracks over the cells. `reachable`: those that the bodies can work; None: all."""
+    """Sweep an implement of `width_m` along the tracks, and count what it worked.
+
+    `reachable`: (rows, columns), the cells of the raster that the bodies can work; None: all.
+    """
     shape = raster.cells.shape
     robots = np.zeros(shape, dtype=np.uint8)
     again = np.zeros(shape, dtype=np.bool_)

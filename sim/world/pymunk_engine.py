@@ -69,7 +69,8 @@ class Physics:
         self.space.remove(shape)
 
     def put(self, motion: Floats) -> None:
-        """Set all bodies to `motion`, see `step`: they were moved without the engine."""
+        """Set all bodies to `motion`, (robots, at least 6), see `step`: they were moved without the
+        engine."""
         for body, (x_m, y_m, angle, vx, vy, turn) in zip(
             self._robots, motion[:, :6].tolist(), strict=True
         ):

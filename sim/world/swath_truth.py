@@ -43,7 +43,11 @@ class LineTruth:
         self.line_of: NDArray[np.int64] = self._table[:, 4].astype(np.int64)
 
     def worked_us(self, track: Track | Sequence[TrackPoint] | Floats) -> NDArray[np.int64]:
-        """When each sample was first worked by the robot of this track; `NEVER_US`: never."""
+        """When each sample was first worked by the robot of this track, (samples,); `NEVER_US`:
+        never.
+
+        `track` as an array is (points, 4), see `coverage_truth.strokes_of`.
+        """
         at_us = np.full(len(self._table), NEVER_US)
         if len(self._table):
             _pass(strokes_of(track), self.tolerance_m, self._place, self._shape, self._table,
@@ -51,8 +55,7 @@ class LineTruth:
         return at_us
 
     def shares(self, tracks: Tracks) -> Floats:
-        """The share of each line that any robot worked, (lines,), from 0 to 1. Each track has a row
-        a point: see `coverage_truth.strokes_of`."""
+        """The share of each line that any robot worked, (lines,), from 0 to 1."""
         worked = np.zeros(len(self._table), dtype=np.bool_)
         for _, track in sorted(tracks.items()):
             worked |= self.worked_us(track) != NEVER_US

@@ -44,7 +44,8 @@ def read(path: Path) -> Grid:
 
 
 def rooms(rng: Rng, rows: int, columns: int, side: int, door: int) -> Grid:
-    """Rooms of `side` cells; each wall between two of them has a door, one in five is shut."""
+    """A grid (rows, columns) of rooms of `side` cells: each wall between two has a door, one in
+    five is shut."""
     blocked = np.zeros((rows, columns), dtype=np.bool_)
     blocked[::side], blocked[:, ::side] = True, True
     for i in range(0, rows, side):
@@ -133,7 +134,7 @@ def landscape(rng: Rng, rows: int, columns: int) -> Grid:
 
 
 def scattered(rng: Rng, rows: int, columns: int) -> Grid:
-    """A fifth of all cells."""
+    """A grid (rows, columns) in which a fifth of all cells is blocked."""
     blocked: Grid = rng.random((rows, columns)) < 0.2
     return blocked
 

@@ -91,7 +91,7 @@ KIND = re.compile(
 SHAPE = re.compile(
     r"\([\w.+*\- ]+,[\w.+*\-, ]*\)|\bshape\b|\bgrid\b|\bvector\b|\bscalar\b|\blength\b|\bflat\b"
     r"|\b(?:a|one|an?)\b[\w ]{0,24}\b(?:a|each|per|for each)\b"
-    r"|\b(?:each|every|per|all)\b|\brows?\b|\bcolumns?\b|\bentries\b|\belements?\b|\bn by \w+"
+    r"|\brows?\b|\bcolumns?\b|\bentries\b|\belements?\b|\bn by \w+"
 )
 WEAK = frozenset(
     re.findall(
