@@ -36,6 +36,8 @@ VIOLATION_US = 5 * S
 
 
 class ClaimState(Enum):
+    """How far this device is with its address."""
+
     WAITING = "a random delay of 0 to 153 ms, so that devices powered up together do not collide"
     CONTENDING = "our claim is on the bus; for 250 ms a device with a lower NAME may object"
     HELD = "the address is ours; a claim by a higher NAME is answered with ours"
@@ -43,6 +45,8 @@ class ClaimState(Enum):
 
 
 class ClaimEvent(Enum):
+    """What moves this device from one state to another."""
+
     RESTARTED = "power-up, a return to the bus, or the next try after 'cannot claim' (J1939-81)"
     CLAIMED = "a claim of the candidate address was sent, of the first one or of another"
     UNCONTESTED = "no device objected for the contention time"
@@ -65,12 +69,19 @@ CLAIM_TABLE = matrix(
 
 
 class AddressMessage(NamedTuple):
+    """A claim, with the address that it must be sent from."""
+
     message: AddressClaimed
     source: int
     destination: int = GLOBAL_ADDRESS
 
 
 class AddressClaim:
+    """One device's claim of a source address, from power-up on.
+
+    It has no clock and no bus: received claims and the time go in, claims to send come out.
+    """
+
     def __init__(
         self, name: Name, preferred: int, rng: Random, now_us: int, modest_for_us: int | None = None
     ) -> None:
@@ -96,6 +107,7 @@ class AddressClaim:
 
     @property
     def state(self) -> ClaimState:
+        """How far the claim is, as in `CLAIM_TABLE`."""
         return self._machine.state
 
     @property
@@ -105,6 +117,7 @@ class AddressClaim:
 
     @property
     def deadline_us(self) -> int | None:
+        """When `tick` next has something to do, if nothing is received before; None: nothing."""
         next_us, answer_us = self._next_us, self._answer_us
         if next_us is None or answer_us is None:
             return answer_us if next_us is None else next_us
@@ -126,6 +139,7 @@ class AddressClaim:
             self._next_us = now_us
 
     def tick(self, now_us: int) -> list[AddressMessage]:
+        """The claims to send now: answers that are due, or the next step of our own claim."""
         claims: list[AddressMessage] = []
         if self._answer_us is not None and now_us >= self._answer_us:
             self._answer_us = None
@@ -152,6 +166,11 @@ class AddressClaim:
         self._next_us += ANSWERS_US
 
     def receive(self, source: int, message: AddressClaimed, now_us: int) -> list[AddressMessage]:
+        """Handle another device's claim from the address `source`; returns the claims to send in
+        reply.
+
+        A lower NAME takes our address, a higher one is answered with our claim.
+        """
         if source == NULL_ADDRESS:
             return []
         if message.name == self.number and source != self.candidate:

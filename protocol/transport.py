@@ -30,6 +30,8 @@ WORDS_MAX = 20
 
 
 class Control(IntEnum):
+    """The first byte of a TP.CM frame, with the numbers of the standard."""
+
     RTS = 16
     CTS = 17
     END = 19  # end of message acknowledged
@@ -38,6 +40,8 @@ class Control(IntEnum):
 
 
 class Abort(IntEnum):
+    """Why a session was ended, with the numbers of the standard."""
+
     BUSY = 1  # already in a session with you
     RESOURCES = 2
     TIMEOUT = 3
@@ -49,12 +53,16 @@ class Abort(IntEnum):
 
 
 class SendingState(Enum):
+    """How far a message of ours is."""
+
     AWAITING = "an answer of the receiver is due: a CTS, or the end of message"
     SENDING = "packets are sent, of the latest grant or of a broadcast"
     CLOSED = "the message has arrived, or was given up"
 
 
 class SendingEvent(Enum):
+    """What moves a message of ours from one state to another."""
+
     GRANTED = "a CTS asks for packets"
     ON_HOLD = "a CTS asks for none: the receiver needs time"
     GRANT_SENT = "the last packet of a grant was sent"
@@ -85,14 +93,14 @@ OUTCOME = {
 
 
 class OutgoingFrame(NamedTuple):
-    """A frame to send."""
+    """A TP.CM or TP.DT to send, and the address that it goes to."""
 
     message: TransportManagement | TransportData
     destination: int
 
 
 class ReceivedMessage(NamedTuple):
-    """A whole message."""
+    """All bytes of a message that was put together from its packets."""
 
     source: int
     pgn: int
@@ -132,6 +140,12 @@ class _Sending:
 
 
 class Transport:
+    """One device's sessions, to it and from it, at most `RECEIVING_MAX` and `SENDING_MAX` at a
+    time.
+
+    It has no clock and no bus: received frames and the time go in, frames to send come out.
+    """
+
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()  # errors and successes, by kind
         self._receiving: dict[tuple[int, bool], _Receiving] = {}  # (source, broadcast)
@@ -139,6 +153,8 @@ class Transport:
 
     @property
     def deadline_us(self) -> int | None:
+        """When `tick` next has something to do, if nothing is received before; None: no session is
+        open."""
         if not self._receiving and not self._sending:
             return None
         due = [session.due_us for session in self._receiving.values()]
@@ -147,6 +163,7 @@ class Transport:
 
     @property
     def sessions(self) -> int:
+        """Number of open sessions, both ways."""
         return len(self._receiving) + len(self._sending)
 
     # ---------------------------------------------------------------- sending
@@ -154,8 +171,10 @@ class Transport:
     def send(
         self, pgn: int, data: bytes, destination: int, now_us: int
     ) -> Iterable[OutgoingFrame] | None:
-        """Start to send a message; None if a session to that device is open, or too many are
-        open."""
+        """Start to send a message; None if a session to that device is open, or too many are open.
+
+        Returns the first frame; `tick` returns the others. `data` has 9 to 1,785 bytes.
+        """
         assert SIZE_MIN <= len(data) <= SIZE_MAX and 0 <= pgn < 1 << 18
         if destination in self._sending or len(self._sending) >= SENDING_MAX:
             self.counts["refused"] += 1
@@ -206,7 +225,10 @@ class Transport:
     def receive(
         self, source: int, destination: int, m: TransportManagement | TransportData, now_us: int
     ) -> tuple[Iterable[OutgoingFrame], ReceivedMessage | None]:
-        """A frame that was sent to us or to all."""
+        """Handle a frame from the address `source` that was sent to us or to all.
+
+        Returns the frames to send in reply, and the message if it is complete now.
+        """
         broadcast = destination == GLOBAL_ADDRESS
         if isinstance(m, TransportData):
             return self._data(source, broadcast, m, now_us)

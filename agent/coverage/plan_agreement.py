@@ -1,17 +1,21 @@
-"""How a crew on a grid agrees on its next plan, in rounds, and on how far each has come in it.
+"""How a fleet on a grid agrees on its next plan, in rounds, and on how far each robot has come in
+it.
 
-A robot that detects a crew different from that of the plan calls a round with the next number: after a
-boot, a death, a join, a network split or its healing, or if an unknown obstacle is in the way. Every
-robot stops in a cell and announces it, with the digest of all covered cells. When all live robots have
-done so and the digests are equal, each computes the same plan and announces the digest of its inputs.
-When these are equal too, all go. A robot that knows other obstacles announces them to all.
+A robot that detects other members than those of the plan calls a round with the next number: after
+a boot, a death, a join, a network split or its healing, or if an unknown obstacle is in the way.
+Every robot stops in a cell and announces it, with the digest of all covered cells. When all live
+robots have done so and the digests are equal, each computes the same plan and announces the digest
+of its inputs. When these are equal too, all go. A robot that knows other obstacles announces them
+to all.
 
-From then on each says the step of the plan that it has reached, and drives the next one when the robots
-that were in its cell before have gone on (`agent/coverage/joint_course.py`). Nothing here carries
-safety: a robot also sees robots ahead of it (`agent/coverage/proximity_guard.py`).
+From then on each robot announces the step of the plan that it has reached. It drives the next one
+when the robots that were in its cell before have gone on (`agent/coverage/joint_course.py`).
+Nothing here carries safety: a robot also sees robots ahead of it
+(`agent/coverage/proximity_guard.py`).
 
-One silent robot is a wreck, and its work is cut again at once. Where several fall silent together the
-bus is cut, and they work: their part is kept for them until ours is done and their lease is over.
+One silent robot counts as a wreck, and its work is cut again immediately. Where several fall silent
+together, the bus is cut and they go on working. Their part is kept for them until ours is done and
+their lease is over.
 """
 
 from collections.abc import Iterable, Mapping
@@ -44,6 +48,8 @@ FOREVER = 1 << 62
 
 
 class CoveragePlanEvent(Enum):
+    """What moves a round of agreement from one phase to the next."""
+
     BEGUN = "a round with a later number was called, by us or by another robot"
     GATHERED = "every live robot stands in a cell of its own and knows the same covered cells"
     CHANGED = "a robot has left, joined or moved, or reports an obstacle: the plan is out of date"
@@ -66,12 +72,16 @@ COVERAGE_PLAN_TABLE = matrix(
 
 
 class CellPlace(NamedTuple):
+    """Where one robot stands in this round, as it announced it."""
+
     number: int
     digest: int  # 24 bits, of all registers of progress
     answer: AgreementReply
 
 
 class CellObstacle(NamedTuple):
+    """Something in a cell that is not part of the plan, and until when to avoid it."""
+
     slot: int  # or ANYBODY
     until_us: int  # ignored after this time
 
@@ -85,6 +95,12 @@ class FleetSnapshot(NamedTuple):
 
 
 class CoverageAgreement:
+    """One robot's part in the rounds. It has no clock and no bus: messages and the time go in,
+    messages come out.
+
+    Cells are numbers of the `ground`; `turn_cost` is that of a quarter turn, in steps.
+    """
+
     def __init__(self, slot: int, ground: CellMap, turn_cost: float = 0.0) -> None:
         self.slot, self.ground, self.turn_cost = slot, ground, turn_cost
         self.round = 0
@@ -109,11 +125,13 @@ class CoverageAgreement:
 
     @property
     def phase(self) -> Phase:
+        """How far the round is, or FREE before the first one."""
         return self.machine.state
 
     # ---------------------------------------------------------------- hearing
 
     def call(self, now_us: int) -> None:
+        """Begin a round with the next number; the others join when they receive our place."""
         self.called += 1
         self._begin(after(self.round), now_us)
 
@@ -128,6 +146,7 @@ class CoverageAgreement:
         self._said.clear()
 
     def on_message(self, slot: int, m: AgreementMessage, now_us: int) -> None:
+        """Handle an agreement message of another robot; one of a round that is over is ignored."""
         if m.say == AgreementKind.BODY:
             self._hear_body(m, now_us)
             return
@@ -163,13 +182,17 @@ class CoverageAgreement:
 
     @property
     def going(self) -> bool:
+        """Whether an agreed plan is being driven and we have a part in it."""
         return self.phase is GO and self.me != NONE
 
     def reached(self, robot: int) -> int:
+        """The number of the step that a robot of the plan has announced, by its index in the plan;
+        0: the start."""
         assert self.course is not None
         return self._reached.get(self.course.slots[robot], 0)
 
     def reach(self, step: int) -> None:
+        """We have reached this step of the plan, or are so near that we shall."""
         self._reached[self.slot] = max(step, self._reached.get(self.slot, 0))
 
     def may(self, step: int) -> bool:
@@ -222,8 +245,11 @@ class CoverageAgreement:
     def tick(
         self, number: int, answer: AgreementReply, ready: bool, crew: FleetSnapshot, now_us: int
     ) -> None:
-        """`number`: the cell in whose middle we are, -1 on the way. `ready`: all that we have
-        covered is part of our replica."""
+        """One control period: call a round, gather, or agree, whichever is due.
+
+        `number`: the cell in whose middle we are, -1 on the way. `ready`: all that we have covered
+        is part of our replica.
+        """
         if self._call_due(answer, crew, now_us):
             self.call(now_us)
             return
@@ -254,7 +280,7 @@ class CoverageAgreement:
 
     @property
     def later(self) -> bool:
-        """Something is left out of the plan that can perhaps be done some time."""
+        """Whether something is left out of the plan that can perhaps be done at another time."""
         passing = any(body.until_us < FOREVER for body in self.bodies.values())
         return self._left_out and (self.kept or passing)
 
@@ -342,7 +368,7 @@ class CoverageAgreement:
         self.owner[mine] = slots[self.course.owner[mine]]
 
     def owing(self, progress: Progress, slots: Iterable[int]) -> list[int]:
-        """Which of them have something to do by the last plan."""
+        """Which of these slots have something left to do by the last plan."""
         left = self.owner[~covered_of(self.ground, progress)]
         return sorted(set(left.tolist()) & set(slots))
 
@@ -406,7 +432,7 @@ class CoverageAgreement:
 
 
 def covered_of(ground: CellMap, progress: Progress) -> NDArray[np.bool_]:
-    """By number."""
+    """Whether each cell of the ground is covered, (cells,), by its number."""
     covered: NDArray[np.bool_] = np.zeros(len(ground), dtype=np.bool_)
     for section in ground.section_units:
         bits = progress.bits(section, 0)

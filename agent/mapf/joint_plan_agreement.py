@@ -48,6 +48,8 @@ AFAR = 1 << 24  # cost of a node that is none of ours; more than all squares of 
 
 
 class JointPlanEvent(Enum):
+    """What moves a round of agreement from one phase to the next."""
+
     BEGUN = "a round with a later number was called, by us or by another robot"
     GATHERED = "the place of every expected robot is known"
     AGREED = "every robot that is to move has the same plan"
@@ -109,6 +111,7 @@ class JointPlanAgreement:
         self._begin(after(self.round), now_us)
 
     def on_message(self, slot: int, m: AgreementMessage, now_us: int) -> None:
+        """Handle an agreement message of another robot; one of a round that is over is ignored."""
         later = ahead(m.round, self.round)
         if later is None:
             return  # a round that is over
@@ -147,6 +150,7 @@ class JointPlanAgreement:
 
     @property
     def phase(self) -> Phase:
+        """How far the round is, or FREE if there is none."""
         return self.machine.state
 
     @property
@@ -354,7 +358,8 @@ def plan_of(
 ) -> JointPlan | None:
     """The joint plan of these robots among these blocked nodes; None if there is none.
 
-    The last one is kept: robots that share a process compute the same one after the other.
+    `salt` varies how ties are broken. The last plan is kept, because robots that share a process
+    compute the same one after the other.
     """
     key = (id(lattice), places, blocked, salt)
     if key not in _KEPT:
@@ -398,8 +403,9 @@ def seats(
 ) -> list[int] | None:
     """A separate node for each place, with the least total distance; None: too few nodes.
 
-    By squared distance, which keeps the order of robots in a row. Whole numbers throughout, so that
-    no two machines round differently.
+    `at` are places in metres (x, y); `weights` count for distances from them. Squared distances are
+    used, which keeps the order of robots in a row. All are whole numbers, so that no two machines
+    round differently.
     """
     reach_m = SEATS * lattice.pitch_m
     near = [lattice.within(point, reach_m) for point in at]
