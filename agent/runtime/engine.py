@@ -1,4 +1,5 @@
-"""`FleetCoordinationEngine`: the asyncio interface of one peer, with the API of the protocol document.
+"""`FleetCoordinationEngine`: the asyncio interface of one peer, with the API of the protocol
+document.
 
     engine = FleetCoordinationEngine("tractor_001", open_bus("socketcan", "can0", 250_000))
     await engine.start()
@@ -57,12 +58,12 @@ log = logging.getLogger(__name__)
 
 CLEAR_TIMEOUT_S = 5.0  # two robots of a quiet bus need 0.5 s
 CLEAR_STEP_S = 0.15  # robots answer a question about held stops at most every 0.1 s
-QUESTION_BITS = 48
+QUESTION_BITS = 48  # of the nonce in a question about held stops
 JOIN_TIMEOUT_S = 5.0  # address claim 0.4 s, a first sync 2 s; beyond it something is wrong
 
 
 class Cleared(NamedTuple):
-    """What a release of stops has done. Tractor ids."""
+    """What a release of stops has done. Machines are named by tractor ids."""
 
     stops: tuple[str, ...]  # that held this machine, by name
     # Machines that still hold a stop, or have not answered that they hold none.
@@ -71,14 +72,15 @@ class Cleared(NamedTuple):
 
     @property
     def complete(self) -> bool:
+        """Whether no machine holds a stop, as far as can be known."""
         return not self.holding and not self.silent
 
 
 class FleetCoordinationEngine:
-    """Orchestrates fleet coordination using the specified protocol.
+    """One robot of a fleet, for a program that has its own sensors and wheels.
 
-    `tractor_id` ends in the fleet slot ("tractor_001" is slot 1). `isobus_interface` is a
-    `protocol.links.bus.CanBus` over any python-can interface, or anything with the same three methods.
+    All methods must be called on the thread of one asyncio loop. Methods that need a running engine
+    raise RuntimeError before `start`.
     """
 
     def __init__(
@@ -94,9 +96,19 @@ class FleetCoordinationEngine:
         first_boot: bool = False,
         keys: Keys | None = None,
     ) -> None:
-        """`first_boot`: this machine is new. Otherwise an empty journal counts as lost, and the robot
-        stays latched until a person resets it. Without a journal nothing can be lost.
-        `keys`: keys of the fleet; without them any device on the bus can stop and release it."""
+        """`tractor_id`: ends in the fleet slot ("tractor_001" is slot 1). `isobus_interface`: a
+        `protocol.links.bus.CanBus` over any python-can interface, a `can.Bus`, or anything with the
+        methods of `Bus`. `fleet`: the name that all its robots share. `members`: how many robots it
+        has.
+
+        `journal`: durable memory; without one nothing can be lost. `silence`: what ends a stop by
+        silence. `seed`: of random delays; None: the slot. `first_boot`: this machine is new.
+        Otherwise an empty journal counts as lost, and the robot stays latched until a person resets
+        it. `keys`: keys of the fleet; without them any device on the bus can stop and release it.
+
+        Raises TypeError if the interface has not these methods, and ValueError if the id has no
+        slot of this fleet.
+        """
         self.keys = keys
         self.first_boot = first_boot or journal is None
         if isinstance(isobus_interface, BusABC):
@@ -132,7 +144,11 @@ class FleetCoordinationEngine:
     # ---------------------------------------------------------------- lifecycle
 
     async def start(self) -> None:
-        """Start the engine and join the fleet network. TimeoutError where no address is to be had."""
+        """Start the engine and join the fleet; nothing happens if it runs already.
+
+        Raises TimeoutError if no address can be claimed within `JOIN_TIMEOUT_S`, and OSError if the
+        journal cannot be read.
+        """
         if self._task is not None:
             return
         recalled: Mapping[str, bytes] = self.journal.load() if self.journal else {}
@@ -158,7 +174,9 @@ class FleetCoordinationEngine:
             raise
 
     async def stop(self) -> None:
-        """Stop the engine and gracefully leave the fleet. A latched stop stays latched (durably)."""
+        """Leave the fleet with a farewell and stop the engine. A latched stop stays latched,
+        durably.
+        """
         if self._shell is None:
             return
         self._shell.operate(Leave())
@@ -178,8 +196,9 @@ class FleetCoordinationEngine:
     ) -> None:
         """The current reading of this machine's own sensors, sent in its beats from now on.
 
-        Field frame: metres east and north, heading counter-clockwise from east in radians. `health`: 0.0
-        failed to 1.0. After the first call, call it at least each 50 ms: old senses stop the machine.
+        Field frame: metres east and north, heading in radians counter-clockwise from east.
+        `health`: 0.0 failed to 1.0 healthy. After the first call, call it at least every 50 ms: the
+        machine has to stand if its reading is old.
         """
         vx_m_s, vy_m_s = speed_m_s * cos(heading_rad), speed_m_s * sin(heading_rad)
 
@@ -191,7 +210,8 @@ class FleetCoordinationEngine:
     async def claim_section(self, section_id: str) -> bool:
         """Claim a section; True once the contention window has passed and the claim still wins.
 
-        False where it is lost, or where this machine may not work; `refusal` says why.
+        False if it is lost, or if this machine may not work; `refusal` says why. Raises ValueError
+        if the name cannot be a section.
         """
         try:
             won = await self._claim_section(section_id)
@@ -221,7 +241,10 @@ class FleetCoordinationEngine:
         return peer.allocation.owner_of(section) == self.slot
 
     async def release_section(self, section_id: str) -> None:
-        """Release a completed section: it is DONE for good. One that was not started is given back."""
+        """Release a section: a started one is DONE for good, another one is given back.
+
+        Raises ValueError if the name cannot be a section.
+        """
         section = self.sections.number(section_id)
         if self._peer.claims.current == section:
             self._operate(Finish(section))
@@ -231,7 +254,9 @@ class FleetCoordinationEngine:
     # ---------------------------------------------------------------- emergency
 
     async def broadcast_emergency_stop(self, reason_code: str) -> None:
-        """Stop the whole fleet. ValueError names the reasons there are."""
+        """Stop the whole fleet. Raises ValueError with the known reasons if `reason_code` is none
+        of them.
+        """
         try:
             reason = Reason[reason_code]
         except KeyError:
@@ -246,12 +271,14 @@ class FleetCoordinationEngine:
         keyless: bool = False,
         timeout_s: float = CLEAR_TIMEOUT_S,
     ) -> "Cleared":
-        """Clear the stops that hold this machine, here and at every other; reset and start none.
+        """Clear the stops that hold this machine, here and at every other one; reset and start
+        none.
 
         `operator`: the keyring of a person's operator key (`agent.runtime.files.key_file`), with a
-        sender of 192 or more. A fleet without keys has to be named as such, by `keyless`. ValueError
-        where the authority does not fit the fleet. Afterwards each machine needs its `manual_reset`,
-        then its `permit`. A stop that is pressed meanwhile is not cleared.
+        sender of 192 or more. `keyless`: must be True in a fleet without keys. `timeout_s`: how
+        long to wait for answers. Afterwards each machine needs its `manual_reset`, then its
+        `permit`. A stop that is pressed meanwhile is not cleared. Raises ValueError if the
+        authority does not fit the fleet.
         """
         peer = self._peer
         if peer.safety.keyed and (keyless or operator is None):
@@ -283,12 +310,12 @@ class FleetCoordinationEngine:
         return Cleared(named, holding, tuple(map(self._name, sorted(peer.membership.silent))))
 
     async def manual_reset(self) -> bool:
-        """A person at this machine. False while a stop is not cleared."""
+        """A person resets this machine. False while a stop is not cleared."""
         self._operate(ManualReset())
         return self._peer.lifecycle.state is not State.EMERGENCY_STOP
 
     async def permit(self) -> bool:
-        """A person at this machine permits it to move, after its reset. False where it is latched."""
+        """A person permits this machine to move, after its reset. False if it is latched."""
         self._operate(Start())
         return self._peer.safety.started and not self._peer.safety.latched
 
@@ -335,10 +362,11 @@ class FleetCoordinationEngine:
 
     @property
     def speed_limit_m_s(self) -> float:
-        """The speed limit of this machine now: 0.0 means that it must stand, infinity that it is free.
+        """The speed limit of this machine now: 0.0 means that it must stand, infinity that it is
+        free.
 
-        Read it in each control period, before commanding the wheels: it includes the stops and all
-        other stop causes. It is 0.0 while the engine is not started.
+        Read it in each control period before commanding the wheels: it includes all stops and other
+        causes. It is 0.0 while the engine is not started.
         """
         if self._shell is None or self._peer.safety.severity >= Severity.PAUSE:
             return 0.0
@@ -346,21 +374,26 @@ class FleetCoordinationEngine:
 
     @property
     def stands(self) -> list[str]:
-        """Why this machine stands still or creeps and what a person can do, a line for each cause."""
+        """Why this machine stands still or creeps, and what a person can do: one line for each
+        cause.
+        """
         return [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
 
     def leader(self) -> str | None:
-        """The elected leader as this machine knows it; None if there is none, or before the start.
+        """The id of the elected leader as this machine knows it; None if there is none, or before
+        the start.
 
-        Only the leader answers a global request for the state of the fleet. Use it for tasks that one
-        machine should do once, and that do no harm if two machines or none do them for a while, because
-        a network cut has a leader on each side. Never use it for stopping, claims or maps.
+        Only the leader answers a global request for the state of the fleet. Use it for tasks that
+        one machine should do once. They must do no harm if two machines or none do them for a
+        while, because a network cut has a leader on each side. Never use it for stopping, claims or
+        maps.
         """
         slot = None if self._shell is None else self._peer.leader
         return None if slot is None else self._name(slot)
 
     @property
     def is_leader(self) -> bool:
+        """Whether this machine is the elected leader; see `leader`."""
         return self._shell is not None and self._peer.leads
 
     def get_field_allocation_state(self) -> FieldAllocationCRDT:
@@ -368,18 +401,27 @@ class FleetCoordinationEngine:
         return self._peer.allocation
 
     def get_current_state(self) -> str:
+        """The name of this machine's state, as in `State`; DISCONNECTED before the start."""
         return State.DISCONNECTED.name if self._shell is None else self._peer.lifecycle.state.name
 
     # ---------------------------------------------------------------- events
 
     def on_state_change(self, callback: Callable[[str], Awaitable[None] | None]) -> None:
+        """Call back with the name of the new state at each change. The callback may be a coroutine
+        function.
+        """
         self._on_state.append(callback)
 
     def on_emergency(self, callback: Callable[[dict[str, Any]], Awaitable[None] | None]) -> None:
+        """Call back at each stop with its data: why, from_state, reason, slot and position of the
+        presser.
+
+        Entries that are not known are None. The callback may be a coroutine function.
+        """
         self._on_emergency.append(callback)
 
     def on_leader_change(self, callback: Callable[[str | None], Awaitable[None] | None]) -> None:
-        """Called with the id of the new leader, or None when there is none any more."""
+        """Call back with the id of the new leader, or None if there is none any more."""
         self._on_leader.append(callback)
 
     # ---------------------------------------------------------------- inside
@@ -419,7 +461,9 @@ class FleetCoordinationEngine:
         self._changed.set()
 
     def _emergency(self, pressed: Trace, is_stop: bool = True) -> dict[str, Any]:
-        """Data of each stop, also during another stop: presser, reason, and the presser's last place."""
+        """The data of a stop, also during another one: presser, reason, and the presser's last
+        place.
+        """
         last = self._peer.safety.last_stop
         told: dict[str, Any] = {
             "why": f"stop: {pressed.why}" if is_stop else pressed.why, "from_state": self._state,

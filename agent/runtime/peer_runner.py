@@ -1,7 +1,8 @@
-"""The only code that waits: passes frames, observations and time into a peer, and performs its effects.
+"""The only code that waits: passes frames, observations and time into a peer, and performs its
+effects.
 
-The same runner works on a robot (real time) and in `headland run` (virtual time). Frames are processed
-as they arrive; a tick is called at the peer's deadline.
+The same runner works on a robot (real time) and in `headland run` (virtual time). Frames are
+processed when they arrive; the timer fires at the peer's deadline.
 """
 
 import asyncio
@@ -23,18 +24,21 @@ from protocol.frames.safety_frames import EmergencyStop
 log = logging.getLogger(__name__)
 
 BEAT_PGN = GROUP_OF[Pose].pgn
-INBOX_MAX = 4096  # frames; two seconds of a full bus. A peer that is further behind drops the rest
+INBOX_MAX = 4096  # frames: two seconds of a full bus; a peer that is further behind drops the rest
 
 
 def _is_press(message: Message) -> bool:
     """Whether this is a press, which a robot also sends without an address.
 
-    Its dot names the robot, and its tag proves it. Echoes need an address, because simultaneous echoes
-    of several robots under one identifier would destroy each other's frames."""
+    Its dot names the robot, and its tag proves it. Echoes need an address, because simultaneous
+    echoes of several robots under one identifier would destroy each other's frames.
+    """
     return isinstance(message, EmergencyStop) and not message.echo
 
 
 class PeerRunner:
+    """Runs one peer on a bus, a body and a journal in an asyncio loop."""
+
     def __init__(
         self,
         peer: Peer,
@@ -44,6 +48,10 @@ class PeerRunner:
         on_effect: Callable[[int, Effect], None] | None = None,
         clock: Callable[[], int] | None = None,
     ) -> None:
+        """`body`: None for a peer without sensors and actuators of its own. `journal`: None if
+        nothing is kept durably. `on_effect`: called with the time and each effect after it was
+        performed. `clock`: the time in microseconds; None: the time of the loop.
+        """
         self.peer, self.bus, self.body, self.journal = peer, bus, body, journal
         self.on_effect = on_effect
         self.dropped = 0  # frames that found the inbox full
@@ -51,7 +59,7 @@ class PeerRunner:
         self.clock = self.now_us if clock is None else clock  # microseconds
         self._listening = False
         self._wake: asyncio.Future[None] | None = None
-        self._armed_us = 0  # when the timer that is set will fire
+        self._armed_us = 0  # when the timer fires
         self._failure: Exception | None = None
         self._disk_failed = False
         self._taken = True  # whether the bus accepted the last frame
@@ -61,6 +69,7 @@ class PeerRunner:
 
     @staticmethod
     def now_us() -> int:
+        """The time of the running asyncio loop, microseconds."""
         return round(asyncio.get_running_loop().time() * 1e6)
 
     def perform(self, effects: Sequence[Effect]) -> None:
@@ -103,8 +112,9 @@ class PeerRunner:
     def _persist(self, records: list[Effect]) -> bool:
         """Whether the records are durable.
 
-        A disk that has failed once is not used again, because after an error it is unknown which
-        earlier writes are still only in its cache."""
+        A disk that has failed once is not used again: after an error it is unknown which earlier
+        writes are still only in its cache.
+        """
         if self.journal is None:
             return True
         if self._disk_failed:
@@ -124,7 +134,9 @@ class PeerRunner:
         self._nudge()
 
     def _arrive(self, frame: Frame) -> None:
-        """A frame, in the loop's thread: processed immediately, unless this process is frozen."""
+        """A frame, on the thread of the loop: processed immediately, unless this process is
+        frozen.
+        """
         if self._frozen_until_us or not self._listening:
             if len(self._inbox) >= INBOX_MAX:
                 self.dropped += 1
@@ -140,7 +152,7 @@ class PeerRunner:
             self._nudge()
 
     def _hear(self, frame: Frame) -> bool:
-        """Process a frame; returns whether it may have changed when the peer is due."""
+        """Process a frame; returns whether the peer's deadline may have changed."""
         effects = self.peer.step(Received(frame), self.clock())
         if effects:
             self.perform(effects)
@@ -151,7 +163,7 @@ class PeerRunner:
         return True
 
     def freeze(self, for_s: float) -> None:
-        """Fault injection: this process is frozen for a while and then continues."""
+        """Fault injection: this process stands still for `for_s` seconds and then continues."""
         self._frozen_until_us = self.clock() + round(for_s * 1e6)
         self._nudge()
 
@@ -160,6 +172,7 @@ class PeerRunner:
             self._wake.set_result(None)
 
     async def run(self) -> None:
+        """Run until cancelled. Raises the exception of a broken invariant, if there is one."""
         loop, peer = asyncio.get_running_loop(), self.peer
         self.bus.subscribe(self._arrive)
         while True:
@@ -184,7 +197,7 @@ class PeerRunner:
             self._hear(self._inbox.popleft())
 
     def turn(self) -> None:
-        """Tick, if something is due."""
+        """Give the peer the state of the bus, an observation and the time, if it is due."""
         now_us, peer = self.clock(), self.peer
         if now_us >= self._armed_us or now_us >= peer.deadline_us:
             sent = None if self._confirming is None else self._confirming.sent

@@ -1,12 +1,12 @@
 """Stops and resets of a fleet of several segments, at one robot.
 
-A press in this segment is sent a second time as FLEET_STOP, with a tag that every segment can verify,
-and so is its reset. The pressed robot sends it immediately. After a press at a panel, a tool or an
-older robot, the first robot in slot order that received it sends it, and the others overhear it.
-Gateways forward these frames unchanged and hold no secret. A frame with the bit `told` is not a press:
-its sender holds the stop and repeats it for robots that may not know it. A press with a dot that was
-cleared here brakes, and latches if it is still sent (`StopController.press_used`), as such a press on
-the own bus does.
+A press in this segment is sent a second time as FLEET_STOP, with a tag that every segment can
+verify. So is its reset. The pressed robot sends it immediately. After a press at a panel, a tool or
+an older robot, the first robot in slot order that received it sends it, and the others overhear it.
+Gateways forward these frames unchanged and hold no secret. A frame with the bit `told` is not a
+press: its sender holds the stop and repeats it for robots that may not know it. A press with a dot
+that was cleared here brakes. It latches if it is still sent (`StopController.press_used`), as such a
+press on the own bus does.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
@@ -35,9 +35,14 @@ HALVES_MAX = 64  # resets of which one half was received
 
 
 class FleetStops(Part):
+    """The part of a robot that sends its segment's stops to all segments and obeys theirs."""
+
     def __init__(
         self, segment: int, safety: StopController, senders: SenderOrigins, tags: FleetTags | None
     ) -> None:
+        """`segment`: ours. `safety`: holds the stops. `senders`: knows which senders are doubtful.
+        `tags`: None in a fleet without keys.
+        """
         self.segment, self.slot, self.safety, self.tags = segment, safety.slot, safety, tags
         self.senders = senders
         self.refused = 0  # frames without a valid tag
@@ -90,7 +95,10 @@ class FleetStops(Part):
     # ---------------------------------------------------------------- what happened here
 
     def see(self, live: Iterable[int], now_us: int) -> None:
-        """Called after any press or clear: schedule what the other segments have to know."""
+        """Schedule what the other segments have to know; call it after any press or clear.
+
+        `live`: slots of the live members. The robot in the first place sends first.
+        """
         stops = self.safety.stops
         active, cleared, far = stops.active, stops.cleared, self.safety.far.active
         if active == self._pressed and cleared == self._cleared and far == self._far:
@@ -119,6 +127,7 @@ class FleetStops(Part):
         return min((*self._stop_due_us.values(), *self._reset_due_us.values()))
 
     def tick(self, now_us: int) -> Sequence[Effect]:
+        """The stops and resets that are due now, for all segments."""
         if now_us < self.deadline_us:
             return ()
         effects: list[Effect] = []
@@ -131,7 +140,10 @@ class FleetStops(Part):
         return effects
 
     def tell(self, now_us: int) -> Sequence[Effect]:
-        """The stops we hold, in the form for all segments; at most once per ANSWER_SPACING_US."""
+        """Repetitions of up to `TOLD_MAX` stops that we hold, in the form for all segments.
+
+        At most one reply in `ANSWER_SPACING_US`; the next one goes on where this one ended.
+        """
         if now_us - self._told_us < ANSWER_SPACING_US:
             return ()
         self._told_us = now_us
@@ -141,9 +153,11 @@ class FleetStops(Part):
         return [Send(self.say_stop(dot)._replace(told=True)) for dot in dots]
 
     def say_stop(self, dot: RemoteStopDot) -> FleetStop:
+        """The frame of a stop, with its tag if the fleet has keys."""
         return plain_stop(dot) if self.tags is None else self.tags.stop(dot)
 
     def say_reset(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
+        """Both halves of a reset, with their tags if the fleet has keys."""
         return plain_reset(dot) if self.tags is None else self.tags.reset(dot)
 
     def _everywhere(self, dot: StopDot) -> RemoteStopDot:
@@ -152,6 +166,10 @@ class FleetStops(Part):
     # ---------------------------------------------------------------- what is heard
 
     def receive_stop(self, m: FleetStop, now_us: int) -> Sequence[Effect]:
+        """A stop of any segment: brake and latch if it is genuine and new.
+
+        A stop without a valid tag brakes for `UNAUTHENTICATED_HOLD_US` after its last frame.
+        """
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if near is not None:
@@ -187,6 +205,9 @@ class FleetStops(Part):
         return self.safety.stops.is_cleared(near)
 
     def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
+        """One half of a reset; the stop is cleared when both halves were received and are
+        genuine.
+        """
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if self._cleared_here(far, near):

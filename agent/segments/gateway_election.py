@@ -1,5 +1,4 @@
-"""Coordination of the gateways of one segment: numbers, signs of life, and the election of a
-leader.
+"""Coordination of the gateways of one segment: numbers, signs of life, and electing a leader.
 
 A candidate listens first and takes the lowest free number, and with it an address. Of two with the
 same number, the one with the higher random lot takes another number. The leader is elected by votes
@@ -31,12 +30,16 @@ NUMBERS = range(GATEWAY_SLOT, GATEWAY_SLOT + CANDIDATES_MAX)
 
 
 class CandidateState(Enum):
+    """How far a gateway is on its way to an address."""
+
     LISTENING = "no number yet: the beats of the candidates already present are awaited"
     CROWDED = "every number is taken, so this gateway stays without an address"
     CANDIDATE = "it has a number and an address, forwards stops, and may be elected"
 
 
 class CandidateEvent(Enum):
+    """What moves a candidate from one state to another."""
+
     NUMBER_FREE = "a number is free, and is taken"
     NONE_FREE = "no number is free"
     YIELDED = "another candidate with the same number has the lower lot"

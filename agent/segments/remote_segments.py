@@ -17,24 +17,29 @@ from agent.safety.stop_controller import StopController
 from agent.segments.segment_area import Area
 from protocol.frames.segment_frames import GatewayBeat, SegmentSummary
 
-# Time without a gateway that reaches a segment; after a gateway dies, another leads in 2.3 s.
+# Without a gateway that reaches a segment for this long, none is reached. After a gateway dies, another
+# one leads in 2.3 s.
 ALONE_US = 3 * S
-SUMMARIES_MAX = 64
+SUMMARIES_MAX = 64  # summaries of segments that are kept
 
 
 class Heard(NamedTuple):
+    """The newest summary of a segment, and when it was received, microseconds."""
+
     summary: SegmentSummary
     heard_us: int
 
 
 class RemoteSegments(Part):
+    """The part of a robot that tracks the other segments and applies the policy to their loss."""
+
     def __init__(
         self, area: Area, policy: SilencePolicy, safety: StopController, now_us: int
     ) -> None:
         """`policy`: what to do if no other segment is reached any more."""
         self.area, self.policy, self.safety = area, policy, safety
         self.segment = area.segment
-        self.reached = 0  # other segments, as the leading gateway says
+        self.reached = 0  # number of other segments that the leading gateway reaches
         self.alone = True  # no other segment is reached
         self.ever = False  # one was reached since we started
         self.summaries: OrderedDict[int, Heard] = OrderedDict()
@@ -52,7 +57,9 @@ class RemoteSegments(Part):
         return self._changed() if self.tick(ctx.now_us) else NOTHING
 
     def may_claim(self, section: int) -> bool:
-        """A borrowed section is decided by its home segment, which must be reached."""
+        """Whether a section may be claimed: its home decides about a borrowed one, so the home must
+        be reached.
+        """
         return not self.alone or section not in self.area.borrowed
 
     def _gateway(
@@ -77,7 +84,7 @@ class RemoteSegments(Part):
             self.safety.clear_cause(cause, 0)
 
     def hear(self, m: GatewayBeat | SegmentSummary, now_us: int) -> bool:
-        """Returns whether this changed `alone`."""
+        """Take in a gateway's frame; returns whether this changed `alone`."""
         if isinstance(m, SegmentSummary):
             if m.segment != self.segment:
                 self.summaries.pop(m.segment, None)
@@ -98,6 +105,7 @@ class RemoteSegments(Part):
         return was
 
     def tick(self, now_us: int) -> bool:
+        """Notice that no segment is reached any more; returns whether this changed `alone`."""
         if self.alone or now_us < self._reached_us + ALONE_US:
             return False
         self.alone, self.reached = True, 0

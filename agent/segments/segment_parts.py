@@ -41,7 +41,9 @@ CARRIED = frozenset((
 def segments_of(parts: PeerParts, area: Area, policy: SilencePolicy, now_us: int) -> Segments:
     """The additional parts of one peer, which share its stops and its claims.
 
-    `policy`: what it does if no other segment is reached any more."""
+    `area`: the sections that concern its segment. `policy`: what it does if no other segment is
+    reached any more.
+    """
     guests = frozenset(area.guest(segment) for segment in area.neighbours)
     admission = parts.admission
     admission.owners = parts.identity.members | guests | {LAST_SLOT}
@@ -56,10 +58,10 @@ def segments_of(parts: PeerParts, area: Area, policy: SilencePolicy, now_us: int
 
 
 def remote_segments_of(peer: Peer) -> RemoteSegments:
-    """What this peer knows of other segments. StopIteration for a peer of a fleet of one segment."""
+    """What this peer knows of other segments. Raises StopIteration in a fleet of one segment."""
     return next(part for part in peer.parts if isinstance(part, RemoteSegments))
 
 
 def fleet_stops_of(peer: Peer) -> FleetStops:
-    """Its stops of the whole fleet. StopIteration for a peer of a fleet of one segment."""
+    """Its stops of the whole fleet. Raises StopIteration in a fleet of one segment."""
     return next(part for part in peer.parts if isinstance(part, FleetStops))
