@@ -45,7 +45,6 @@ from protocol.frames.safety_frames import (
 Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, HeldReset, OperatorCommand, OperatorGoal)
 AnySigned = EmergencyStop | EmergencyReset | HeldReset | OperatorCommand | OperatorGoal
 
-PANEL_FIRST = 128  # sender ids from here are stop panels
 OPERATOR_FIRST = 192  # and from here operator devices, which may release
 KEY_SIZE = 16  # bytes
 WINDOW = 127  # a counter this far ahead is fresh; more frames than that are never lost in a row

@@ -22,7 +22,6 @@ NON_SPECIFIC = 0  # device class
 GATEWAY_FUNCTION = 66  # a device that joins networks: here, the segments of one fleet
 OUR_FUNCTIONS = frozenset((FUNCTION, TOOL_FUNCTION, GATEWAY_FUNCTION))
 SLOT_BITS = 7  # of the identity number of a robot; the other 14 bits are its fleet
-IDENTITY_MAX = (1 << 21) - 1
 
 FIELDS = (  # name, shift, bits
     ("identity", 0, 21), ("manufacturer", 21, 11), ("ecu_instance", 32, 3),

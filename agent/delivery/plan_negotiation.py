@@ -32,7 +32,6 @@ ROUTE_TASKS = 5
 SLICE_MOVES_HASTE = 2_000  # for less waiting; more moves found no better plans
 WORTH = 0.99  # a plan with less than this share of the waiting before is worth its frames
 REPLAN_UNIT_US = 250 * MS
-REPLAN_US_MAX = 255 * REPLAN_UNIT_US
 OFFERS_US = 500 * MS  # offers are collected this long; the bus needs a tenth of it for all of them
 HUSH_US = 700 * MS  # without a row of the stream for this long, the next best robot takes over
 ROWS_A_BEAT = 6  # rows of a plan sent with one beat
@@ -106,7 +105,6 @@ class PlanNegotiation:
         self._plan: Itineraries = []
         self._hastens = False
         self._slices = self._done = self._calls = 0
-        self._replan = 0
         self._offers: dict[int, tuple[int, int]] = {}  # slot -> cost, digest
         self._told: dict[int, dict[int, dict[int, int]]] = {}  # source -> slot -> index -> task
         self._lengths: dict[int, dict[int, int]] = {}  # source -> slot -> number of tasks
@@ -149,7 +147,7 @@ class PlanNegotiation:
         self._begin(offer.round, offer.replan, frozen, now_us)
 
     def _begin(self, number: int, units: int, frozen: ProblemSnapshot, now_us: int) -> None:
-        self.number, self._replan = number, units
+        self.number = number
         self.machine.fire(NegotiationEvent.BEGUN)
         self.ends_us = now_us + units * REPLAN_UNIT_US
         self._frozen, self._planner = frozen, RoutingPlanner(frozen.work)

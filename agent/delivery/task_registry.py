@@ -74,10 +74,6 @@ class TaskRegistry:
     def __contains__(self, task: int) -> bool:
         return task in self.tasks
 
-    def free_number(self) -> int:
-        """The lowest number above all known tasks."""
-        return max(self.tasks, default=-1) + 1
-
     def hear(
         self, message: TaskOrder | TaskBookDigest, now_us: int
     ) -> tuple[tuple[str, bytes], ...]:

@@ -9,7 +9,6 @@ from typing import Final, NamedTuple
 MS: Final = 1_000  # microseconds in a millisecond
 S: Final = 1_000_000  # microseconds in a second
 
-BITRATE: Final = 250_000  # bit/s, ISO 11783-2
 FRAME_US_MAX: Final = 640  # 8 data bytes, 29-bit identifier, worst stuffing: 160 bits
 
 PEERS_MAX: Final = 108  # self-configurable addresses of industry group 2: 128 to 235 (ISO 11783-5)
@@ -32,8 +31,6 @@ CLAIM_AHEAD: Final = 1
 MEMBERSHIP_STABLE_US: Final = 2 * S  # a protective stop ends only after this long without a change
 # A silent owner keeps its sections this long. Others do their own work first.
 LEASE_US: Final = 20 * S
-# SYNCHRONIZING ends when digests agree, or after this time without an answer.
-SYNC_TIMEOUT_US: Final = 2 * S
 
 
 class BeaconTiming(NamedTuple):

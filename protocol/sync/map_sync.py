@@ -112,15 +112,6 @@ class MapSync:
         """Number of patches observed and not sent yet."""
         return len(self._news)
 
-    def awaits(self, patch: int) -> Values:
-        """The cells of a patch that are observed and not sent yet: 16 values, shape (16,), row by
-        row, UNKNOWN for the others."""
-        found = np.zeros(CELLS, dtype=np.int64)
-        for (number, _), values in self._news.items():
-            if number == patch:
-                found = np.where(values, values, found)
-        return found
-
     def merged(self, now_us: int) -> MergeResult:
         """What other robots have sent since the last call."""
         result = MergeResult(sum(self._merged.values()), len(self._merged), now_us)

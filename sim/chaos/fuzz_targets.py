@@ -60,7 +60,6 @@ from sim.scenarios.scenario import ScenarioError, load
 
 ENTRY = Struct("<IB8s")  # of a sequence: identifier, milliseconds since the last, data
 STEPS_MAX = 64
-SECTIONS_MAX = 1 << 16  # the range of a section number
 UNITS = dict.fromkeys(range(8), 70)
 
 

@@ -30,7 +30,7 @@ from agent.safety.standard_stop import OwnButton, ShortcutButtons
 from agent.safety.stop_controller import StopController
 from crdt.allocation import FieldAllocationCRDT
 from crdt.progress import Progress
-from crdt.stops import StopDot, StopSet
+from crdt.stops import StopSet
 from protocol.address import AddressClaim
 from protocol.frames.safety_frames import EmergencyStop, Switch
 from protocol.sync.digest_comparison import Divergence
@@ -67,30 +67,6 @@ def _without_halt(right: Any) -> Any:
         return [e for e in effects if e is not HALT]
 
     return receive_stop
-
-
-def _without_echo(right: Any) -> Any:
-    def receive_stop(self: StopController, *args: Any) -> Sequence[Effect]:
-        return [e for e in right(self, *args) if not isinstance(e, Send)]
-
-    return receive_stop
-
-
-def _clears_all(right: Any) -> Any:
-    def clear(self: StopSet, dot: StopDot) -> bool:
-        found = [right(self, active) for active in (*self.active, dot)]
-        return any(found)
-
-    return clear
-
-
-def _first_echo_is_enough(right: Any) -> Any:
-    def repeat(self: StopController, now_us: int) -> Any:
-        if any(self._echoes.get(dot) for dot in self._own):
-            self._own.clear()
-        return right(self, now_us)
-
-    return repeat
 
 
 def _single_shot(right: Any) -> Any:

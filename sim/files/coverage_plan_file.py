@@ -18,7 +18,6 @@ from agent.runtime.files.given_file import PLAN_BYTES_MAX, GivenFileError, parse
 from sim.files.grid_map import CELLS_MAX, Cell, GridFileError, Walls, check_starts
 
 STEPS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of each action
-FILE_FACTOR = 16  # a plan has about three bytes per robot and step in addition to its map
 
 
 @dataclass

@@ -20,7 +20,6 @@ from protocol.frames.work_frames import (
 )
 from protocol.sync.synchronizer import Said, Synchronizer
 from sim.can.can_segment import Delivery, Wire
-from sim.can.frame_timing import frame_bits
 
 ADDRESS = 128
 SILENCE_US = 300_000  # a cut or healed link is detected this much later
@@ -47,7 +46,6 @@ class SyncFleet:
         self.islands: list[set[int]] = [set()]
         self.now_us = 0
         self.sent: Counter[str] = Counter()  # sync frames sent by members, by kind
-        self.sync_bits = 0
         self.first_us = self.last_us = -1  # sync frames on the bus
         self._due: list[tuple[int, int]] = []  # (time, slot) of heartbeats; a member's has slot
         for slot in range(size):
@@ -151,7 +149,6 @@ class SyncFleet:
         for message in messages:
             frame = encode(message, ADDRESS + member.slot)
             self.sent[type(message).__name__] += 1
-            self.sync_bits += frame_bits(*frame)
             if self.first_us < 0:
                 self.first_us = self.now_us
             self.last_us = self.now_us
@@ -190,5 +187,4 @@ class SyncFleet:
     def count_from_here(self) -> None:
         """Begin the counts of frames and bits again."""
         self.sent.clear()
-        self.sync_bits = 0
         self.first_us = self.last_us = -1

@@ -10,10 +10,8 @@ from math import inf
 from typing import Final, NamedTuple
 
 import numpy as np
-from shapely.geometry import MultiPolygon, Polygon
 
 from agent.interface.config import ACTUATOR_TTL_US, S
-from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import Track
 from sim.world.swath_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.world.world import STEP_US, World
@@ -29,57 +27,6 @@ class Violation(NamedTuple):
     t_us: int
     slots: tuple[int, ...]
     what: str
-
-
-class ContactChecker:
-    """S17: no body touches another body, a fence or a box. Pushed robots may be excused."""
-
-    def __init__(self, world: World, excused: Collection[int] = ()) -> None:
-        self.world, self.excused = world, frozenset(excused)
-
-    @property
-    def violations(self) -> list[Violation]:
-        """One for each contact of robots that are not excused, the earliest first, at most
-        `VIOLATIONS_MAX`."""
-        found = []
-        for contact in self.world.contacts:
-            slots = (contact.first,) if contact.second is None else (contact.first, contact.second)
-            if not self.excused.intersection(slots):
-                what = f"{contact.depth_m * 1000:.1f} mm into {contact.against}"
-                found.append(Violation("contact", contact.t_us, slots, what))
-        return found[:VIOLATIONS_MAX]
-
-
-class CoverageChecker:
-    """All of the reachable area was worked."""
-
-    def __init__(
-        self,
-        polygon: Polygon | MultiPolygon,
-        width_m: float,
-        overlap_m: float,
-        raster_m: float = 0.25,
-        share_min: float = 1.0,
-    ) -> None:
-        self.width_m, self.share_min = width_m, share_min
-        self.raster = sample_points(polygon, width_m, overlap_m, raster_m)
-
-    def measure(self, tracks: Mapping[int, Track]) -> Coverage:
-        """What the implements of these tracks have worked of the raster."""
-        return coverage(self.raster, tracks, self.width_m)
-
-    def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
-        """Empty if the share worked is at least `share_min`; else one, which names the first cell
-        left."""
-        result = self.measure(tracks)
-        if result.share >= self.share_min:
-            return []
-        x_m, y_m = result.uncovered[0]
-        what = (
-            f"{(1 - result.share) * result.area_m2:.2f} m2 of {result.area_m2:.0f} m2 never "
-            f"worked, first at {x_m:.2f}, {y_m:.2f}"
-        )
-        return [Violation("coverage", result.last_us, (), what)]
 
 
 class _Watch(NamedTuple):

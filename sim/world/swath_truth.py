@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sim.world.coverage_truth import Floats, Tracks, cells_near, strokes_of
+from sim.world.coverage_truth import Floats, cells_near, strokes_of
 from sim.world.ground_truth import Track, TrackPoint
 
 Polyline = Sequence[tuple[float, float]]
@@ -27,7 +27,7 @@ class LineTruth:
     each line."""
 
     def __init__(self, lines: Sequence[Polyline], tolerance_m: float) -> None:
-        self.lines, self.tolerance_m = len(lines), tolerance_m
+        self.tolerance_m = tolerance_m
         pieces = [_samples(number, line) for number, line in enumerate(lines)]
         table = np.vstack([np.empty((0, 5)), *pieces])
         low = table[:, :2].min(axis=0, initial=np.inf)
@@ -53,20 +53,6 @@ class LineTruth:
             _pass(strokes_of(track), self.tolerance_m, self._place, self._shape, self._table,
                   self._begins, at_us)  # fmt: skip
         return at_us
-
-    def shares(self, tracks: Tracks) -> Floats:
-        """The share of each line that any robot worked, (lines,), from 0 to 1."""
-        worked = np.zeros(len(self._table), dtype=np.bool_)
-        for _, track in sorted(tracks.items()):
-            worked |= self.worked_us(track) != NEVER_US
-        hits = np.bincount(self.line_of, weights=worked, minlength=self.lines)
-        return hits / np.maximum(np.bincount(self.line_of, minlength=self.lines), 1)
-
-
-def units_worked(lines: Sequence[Polyline], tracks: Tracks, tolerance_m: float) -> Floats:
-    """Share of each line that was worked, (lines,), from 0 to 1. `lines` are points in metres; each
-    track is that of one robot."""
-    return LineTruth(lines, tolerance_m).shares(tracks)
 
 
 def _samples(number: int, line: Polyline) -> Floats:

@@ -35,7 +35,6 @@ from sim.world.contact_free_steps import (
 from sim.world.contacts import (
     FENCE,
     NEAREST_ROBOT,
-    NEAREST_WALL,
     OBSTACLE,
     TOUCHES_MAX,
     crossings,
@@ -146,11 +145,6 @@ class World:
     def closest_m(self) -> float:
         """The smallest gap between two robots so far."""
         return float(self._nearest[NEAREST_ROBOT])
-
-    @property
-    def closest_wall_m(self) -> float:
-        """The smallest gap from a robot to anything else; inf where none came within 0.5 m."""
-        return float(self._nearest[NEAREST_WALL])
 
     def add_robot(
         self, slot: int, at: XY, radius_m: float, chassis: Chassis, heading_rad: float = 0.0

@@ -14,7 +14,7 @@ from random import Random
 from secrets import randbits
 from typing import Protocol
 
-from protocol.address import AddressClaim, AddressMessage, ClaimState
+from protocol.address import AddressClaim, AddressMessage
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
@@ -65,11 +65,6 @@ class DeviceAddress:
     def address(self) -> int | None:
         """None until it is ours."""
         return None if self.claim is None else self.claim.address
-
-    @property
-    def hopeless(self) -> bool:
-        """Every address has a holder."""
-        return self.claim is not None and self.claim.state is ClaimState.CANNOT
 
     async def held(self, seconds: float = 2.0) -> bool:
         """Wait for the address, at most for this time."""

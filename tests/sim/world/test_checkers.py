@@ -1,11 +1,7 @@
 """Each checker finds what breaks its rule, and finds nothing where the rule holds."""
 
-from shapely.geometry import box
-
 from agent.interface.effects import Drive
 from sim.world.checkers import (
-    ContactChecker,
-    CoverageChecker,
     ExclusiveWorkChecker,
     MotionAfterStopChecker,
 )
@@ -68,17 +64,6 @@ def test_a_released_robot_may_move() -> None:
     assert {v.slots for v in checker.violations} == {(1,)}
 
 
-def test_contacts_are_violations_unless_excused() -> None:
-    world = World([[(-5.0, -5.0), (5.0, -5.0), (5.0, 5.0), (-5.0, 5.0)]], 1)
-    world.add_robot(3, (4.0, 0.0), 0.5, Chassis())
-    assert ContactChecker(world).violations == []
-    for t_us in range(0, 2_000_000, 50_000):
-        world.body(3).drive(Drive(1.0, 0.0), t_us)
-    (found,) = ContactChecker(world).violations
-    assert found.slots == (3,) and "fence" in found.what
-    assert ContactChecker(world, excused=[3]).violations == []
-
-
 def drive_line(world: World, slot: int, x_m: float, y_m: float, begin_us: int) -> None:
     world.body(slot).teleport(0.0, y_m)
     t_us = begin_us
@@ -87,20 +72,6 @@ def drive_line(world: World, slot: int, x_m: float, y_m: float, begin_us: int) -
         t_us += 50_000
         world.advance(t_us)
     world.advance(t_us + 3_000_000)
-
-
-def test_a_field_left_half_done_is_found() -> None:
-    field = box(0.0, 0.0, 30.0, 8.0)
-    checker = CoverageChecker(field, 4.0, 0.4, share_min=0.98)
-    world = World([], 1)
-    world.add_robot(0, (0.0, 0.0), 0.5, Chassis(slip=0.0))
-    drive_line(world, 0, 30.0, 2.0, 0)
-    tracks = {slot: robot.track for slot, robot in world.robots.items()}
-    (found,) = checker.violations(tracks)
-    assert "never worked" in found.what
-    assert 0.45 < checker.measure(tracks).share < 0.58
-    drive_line(world, 0, 30.0, 5.9, world.now_us)
-    assert checker.violations(tracks) == []
 
 
 def test_two_robots_in_one_section_at_once_are_found() -> None:

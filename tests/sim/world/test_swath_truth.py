@@ -1,9 +1,13 @@
 """Lines that were passed along with the implement down, and those that were only crossed."""
 
+from collections.abc import Mapping, Sequence
+
+import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from sim.world.ground_truth import Track
-from sim.world.swath_truth import LineTruth, units_worked
+from sim.world.swath_truth import NEVER_US, LineTruth, Polyline
 
 
 def track(*ways: tuple[float, float, float, float, bool]) -> Track:
@@ -15,6 +19,18 @@ def track(*ways: tuple[float, float, float, float, bool]) -> Track:
             result.add(t_us, ax + (bx - ax) * k / steps, ay + (by - ay) * k / steps, tool)
             t_us += 100_000
     return result
+
+
+def units_worked(
+    lines: Sequence[Polyline], tracks: Mapping[int, Track], tolerance_m: float
+) -> NDArray[np.float64]:
+    """The share of each line that was worked by anybody."""
+    truth = LineTruth(lines, tolerance_m)
+    worked = np.zeros(len(truth.line_of), dtype=np.bool_)
+    for track in tracks.values():
+        worked |= truth.worked_us(track) != NEVER_US
+    hits = np.bincount(truth.line_of, weights=worked, minlength=len(lines))
+    return hits / np.maximum(np.bincount(truth.line_of, minlength=len(lines)), 1)
 
 
 UNITS = [
