@@ -15,8 +15,8 @@ from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import Name
 from protocol.state_machine import StateMachine, matrix
+from protocol.units import MS, S
 
-MS = 1_000
 FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
 # Preferred addresses that a standard assigns to one kind of device. Such a device sends as soon as
 # it has claimed (J1939-81). The standard lists 0 to 127 as well; none of our devices prefers those.
@@ -26,7 +26,6 @@ SAID_US = 20 * MS
 CONTENTION_US = 250 * MS
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
 DEFENCES_MAX = 5  # per second; otherwise two devices with one NAME would answer each other forever
-S = 1_000_000
 # From "cannot claim" to the next try. It doubles, and each device adds a random part of a second.
 RETRY_US, RETRY_MAX_US = 5 * S, 20 * S
 ANSWERS_US = 200 * MS  # devices answer a request for claims within 153 ms, and the bus may be full

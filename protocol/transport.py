@@ -13,8 +13,8 @@ from typing import NamedTuple
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.network_frames import TransportData, TransportManagement
 from protocol.state_machine import StateMachine, matrix
+from protocol.units import MS
 
-MS = 1_000
 PACKET = 7  # bytes of the message in one TP.DT
 SIZE_MIN, SIZE_MAX = 9, 1785  # 255 packets
 TR_US, TH_US = 200 * MS, 500 * MS  # time limit for an answer; time limit for the next hold

@@ -15,7 +15,7 @@ from random import Random
 from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnapshot
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
-from agent.interface.lifecycle import State
+from agent.interface.lifecycle import ABLE, State
 from agent.interface.mission import (
     STILL,
     ClaimRequest,
@@ -46,7 +46,6 @@ STUCK_US = 4 * S  # after this a body in the way counts as an obstacle outside o
 TELL_US = 20 * MS  # by rank: one robot announces a dead robot's cells, and the others overhear it
 AHEAD = 60  # steps searched ahead for cells of a section: longer than there and back again
 LEFT_US = 1 * S  # between searches for covered sections that no robot has marked as done
-ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)  # others do not drive at all
 # Not allowed to drive for this long: exceeds a protective stop or a sync (2 s each).
 HELD_US = 5 * S
 PERIOD_S = CONTROL_PERIOD_US / S

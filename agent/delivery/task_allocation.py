@@ -26,7 +26,7 @@ from agent.delivery.waiting_policy import REPLAN_US as HASTE_US
 from agent.delivery.waiting_policy import WaitingPolicy
 from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS, S
-from agent.interface.lifecycle import State
+from agent.interface.lifecycle import ABLE
 from agent.interface.mission import FleetView, Record
 from crdt import Phase
 from protocol.frames.delivery_frames import (
@@ -42,7 +42,6 @@ from protocol.frames.delivery_frames import (
 # the square of the robots. These numbers, with batteries, take 25 ms on a small computer: half of a
 # control period.
 ROUND_TASKS, ROUND_ROBOTS = 72, 6
-ABLE = (State.IDLE, State.WORKING, State.SYNCHRONIZING)
 LOOK_US = 250 * MS  # period of the search for open tasks
 BIDS_US = 300 * MS  # bids for a task are collected this long: six beats of a small fleet
 AWARDED_US = 2 * S  # the winner has announced its itinerary by then

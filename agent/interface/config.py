@@ -6,10 +6,9 @@ response-time analysis of Davis, Burns, Bril and Lukkien (2007) for 250 kbit/s.
 
 from typing import Final, NamedTuple
 
-MS: Final = 1_000  # microseconds in a millisecond
-S: Final = 1_000_000  # microseconds in a second
-
-FRAME_US_MAX: Final = 640  # 8 data bytes, 29-bit identifier, worst stuffing: 160 bits
+from protocol.units import FRAME_US as FRAME_US
+from protocol.units import MS as MS
+from protocol.units import S as S
 
 PEERS_MAX: Final = 108  # self-configurable addresses of industry group 2: 128 to 235 (ISO 11783-5)
 ADDRESS_FIRST, ADDRESS_LAST = 128, 235
@@ -53,7 +52,7 @@ BEATS: Final = (
 for _beat in BEATS:
     assert 5 <= _beat.silence_us / _beat.pose_us <= 6, "five or six beats may be lost before a stop"
     assert _beat.heartbeat_us % _beat.pose_us == 0, "a heartbeat rides on a beat"
-    _share = _beat.peers_max * FRAME_US_MAX * (1 / _beat.pose_us + 1 / _beat.heartbeat_us)
+    _share = _beat.peers_max * FRAME_US * (1 / _beat.pose_us + 1 / _beat.heartbeat_us)
     assert _share <= 0.45, "the beats of a full fleet leave more than half of the bus for the rest"
 assert BEATS[0].silence_us <= 300 * MS, (
     "the only bus-native figure for silence: ISO 11783-7 heartbeat"

@@ -43,6 +43,7 @@ class Event(IntEnum):
 
 DISCONNECTED, IDLE, SYNCHRONIZING, WORKING, EMERGENCY_STOP = State
 STOP, stay = EMERGENCY_STOP, None
+ABLE = (IDLE, WORKING, SYNCHRONIZING)  # states of robots that drive; others do not drive at all
 
 # fmt: off
 TABLE = matrix(

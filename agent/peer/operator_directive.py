@@ -7,7 +7,7 @@ until START. WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstac
 
 from collections.abc import Mapping
 from math import hypot
-from typing import Any, Final
+from typing import Any
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Send, Trace
@@ -17,7 +17,7 @@ from agent.peer.obstacle_hold import ObstacleHold
 from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.safety.stop_controller import StopController
 from protocol.frames.operator_frames import OperatorGoal, OperatorReport, ReportKind, goal_check
-from protocol.frames.safety_frames import Command, OperatorCommand
+from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand
 
 Point = tuple[float, float]
 
@@ -30,7 +30,6 @@ DIRECTED = (
     Command.SET_GOAL,
 )
 THERE_M = 0.5  # within this distance of the goal it has arrived
-EVERYBODY: Final = 0xFF  # target of an order to all robots
 GOAL_LIFE_US = 2 * S  # coordinates wait this long for the order that uses them
 
 

@@ -12,7 +12,7 @@ from collections import Counter
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from agent.interface.config import FRAME_US_MAX, MS, S
+from agent.interface.config import FRAME_US, MS, S
 from agent.interface.effects import Effect, Send
 from agent.peer.frame_origin import PROPRIETARY, Origin, Origins
 from agent.peer.member_discovery import CLAIM_PGN
@@ -45,7 +45,7 @@ from protocol.name import Name
 from protocol.sync.synchronizer import Synchronizer
 
 SHARE = 0.10  # share of the bus for all frames that are not stops
-BURST_US = 20 * FRAME_US_MAX  # bus time of the longest burst
+BURST_US = 20 * FRAME_US  # bus time of the longest burst
 SUMMARY_US = 500 * MS  # period of our segment's summary on the backbone
 # One other segment's summary is sent to the robots this often: 0.6 % of the bus, for any number of
 # segments.
@@ -314,7 +314,7 @@ class Gateway:
             effects += self._publish(Kind.SUMMARY, self.summary(now_us))
         if now_us >= self._rotate_us:
             self._rotate_us = now_us + ROTATION_US
-            if self._limit.take(FRAME_US_MAX, now_us):
+            if self._limit.take(FRAME_US, now_us):
                 effects += self._rotate(now_us)
         if self.chart is not None and now_us >= max(self.chart.deadline_us, self._map_us):
             near, far = self.chart.tick(self._limit, now_us)
@@ -322,9 +322,9 @@ class Gateway:
             effects += [self._send(message) for message in near]
             effects += self._publish(Kind.MAP, tuple(far)) if far else []
         if self.border.to_say:
-            if self._limit.take(FRAME_US_MAX, now_us):
+            if self._limit.take(FRAME_US, now_us):
                 effects.append(self._send(self.border.say()))
-            self._say_us = self._limit.ready_us(FRAME_US_MAX, now_us)
+            self._say_us = self._limit.ready_us(FRAME_US, now_us)
         return effects
 
     def _rotate(self, now_us: int) -> list[Out]:

@@ -11,7 +11,7 @@ with the same slot count as one observer, which trusts the data of the other as 
 
 from typing import Any
 
-from agent.interface.config import FRAME_US_MAX, S
+from agent.interface.config import FRAME_US, S
 from agent.segments.token_bucket import TokenBucket
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
@@ -77,7 +77,7 @@ class MapRelay:
     def tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
         """The frames for our bus, as far as `limit` allows, and the entries for the backbone."""
         near: list[Said] = []
-        if self.near.deadline_us <= now_us and limit.take(FRAME_US_MAX, now_us):
+        if self.near.deadline_us <= now_us and limit.take(FRAME_US, now_us):
             near = self.near.tick(now_us)
         far = self.far.tick(now_us) if self.far.deadline_us <= now_us else []
         told = [

@@ -14,6 +14,8 @@ from protocol.frames.layout import (
     reserved,
 )
 
+EVERYBODY = 0xFF  # target of an operator's command to all robots
+
 
 class Reason(IntEnum):
     """Why a stop was pressed: four bits. The first three are the mission's."""

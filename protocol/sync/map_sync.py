@@ -21,9 +21,8 @@ from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import CELLS, FANOUT, MergeResult, OccupancyMap, mix
 from crdt.sighting import RECORD_MASK, TIME_MAX, UNKNOWN, VALUE
 from protocol.frames.map_frames import DIGEST_BITS, FIRST_NODES, SALTS, MapDigests, MapPatch
+from protocol.units import FRAME_US, MS
 
-MS = 1_000
-FRAME_US = 640  # worst-case stuffing, 250 kbit/s
 NEWS_SHARE = 0.10  # of the bus: with digests and repairs a fleet stays below the mission's 15 %
 # After a split or a join, for as long as it takes; as in `protocol/sync/synchronizer.py`.
 REPAIR_SHARE = 0.30

@@ -43,10 +43,8 @@ from protocol.frames.work_frames import (
 )
 from protocol.sync.digest_comparison import Divergence
 from protocol.sync.replica import EMPTY, GROUPS, AppliedEntry, Replica, entry_of
+from protocol.units import FRAME_US, MS, S
 
-MS = 1_000
-S = 1_000_000
-FRAME_US = 640  # worst-case stuffing, 250 kbit/s
 SHARE = 0.30
 GAP_US = round(FRAME_US / SHARE)  # from one sync frame of the segment to the next
 SLOT_US = 3 * MS  # step of the sending order: a frame, the frame that blocks it, and a margin

@@ -19,6 +19,7 @@ from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.frames.messages import Message
 from protocol.frames.safety_frames import (
+    EVERYBODY,
     AllImplementsStop,
     Command,
     EmergencyReset,
@@ -29,7 +30,6 @@ from protocol.frames.safety_frames import (
 from protocol.frames.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 from sim.fleet.foreign_devices import PANEL
 
-EVERYBODY = 255
 HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
 NEVER_US = -1
 CONTESTED_US = CONTENTION_US * 98 // 100  # by the robot's clock, which may drift by half a percent

@@ -1,8 +1,8 @@
 """Time limit for replicas to become equal after the last work is done."""
 
+from agent.interface.config import S
 from sim.scenarios.scenario import BusTable
 
-S = 1_000_000
 QUIET_US = 2 * S  # on a bus without loss
 # On a bus with loss: a lost question is repeated after 38 s at the latest
 # (`protocol.sync.synchronizer`).

@@ -8,13 +8,13 @@ from collections.abc import Callable, Collection
 from enum import IntEnum
 
 from agent.interface.config import MS, beat_of
-from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
+from protocol.frames.safety_frames import EVERYBODY, Command, EmergencyReset, OperatorCommand
 from sim.can.can_segment import Wire
 from sim.world.checkers import MotionAfterStopChecker, Violation
 from sim.world.protocol_world import CommandChecker, ProtocolWorld
 from sim.world.world import World
 
-EVERYBODY, NOBODY = 255, -1
+NOBODY = -1
 REACTION_US = 20 * MS  # a tick and a frame's jitter, in addition to the silence limit
 
 

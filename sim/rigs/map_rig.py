@@ -4,6 +4,7 @@ from random import Random
 
 import numpy as np
 
+from agent.interface.config import S
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import LEVELS, TIME_MAX, MergeOrder
@@ -13,7 +14,6 @@ from protocol.sync.map_sync import MapSync
 from sim.can.can_segment import Wire
 
 ADDRESS = 128
-S = 1_000_000
 
 
 class MapFleet:

@@ -13,6 +13,7 @@ from random import Random
 from socket import socket
 from typing import Any, TypeVar
 
+from agent.interface.config import S
 from agent.peer.inputs import Press
 from protocol.frames.safety_frames import Reason
 from sim.rigs.bridged_processes import BridgedSegments, write_area
@@ -22,7 +23,6 @@ from tools.chaos.campaign import workers
 from tools.chaos.chaos import campaign_hash, judged
 
 T = TypeVar("T")
-S = 1_000_000
 PAGE = 4096
 PROFILE = "bus"  # of the campaign that is run on a cluster and here
 OPERATION_US = 30 * S  # each robot works a section in this time: 2 a minute

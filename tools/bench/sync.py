@@ -5,11 +5,11 @@ from random import Random
 from statistics import median
 from time import process_time
 
+from agent.interface.config import S
 from crdt import FieldAllocationCRDT
 from sim.rigs.sync_rig import SyncFleet
 from tools.bench.figure import Figure
 
-S = 1_000_000
 ENTRIES = 1000
 
 

@@ -15,7 +15,13 @@ from crdt.register import Claim, pack
 from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
-from protocol.frames.safety_frames import AllImplementsStop, Command, EmergencyStop, OperatorCommand
+from protocol.frames.safety_frames import (
+    EVERYBODY,
+    AllImplementsStop,
+    Command,
+    EmergencyStop,
+    OperatorCommand,
+)
 from protocol.frames.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 
 STEPS_MAX = (
@@ -26,7 +32,6 @@ NOTES_MAX = 256  # newest stops, orders and farewells
 NEAR_S = (
     2.0  # longest time from a cause to the release that it leads to: a control period and the bus
 )
-EVERYBODY = 255
 Register = TaskClaim | StateSyncResponse
 
 

@@ -23,6 +23,7 @@ from protocol.frames.messages import GROUP_OF, Message
 from protocol.frames.network_frames import AddressClaimed, Request
 from protocol.frames.operator_frames import OperatorReport, ReportKind, goal_check, goal_frames
 from protocol.frames.safety_frames import (
+    EVERYBODY,
     Challenge,
     Command,
     EmergencyReset,
@@ -43,7 +44,6 @@ LEFT_S = 0.5  # silence after a farewell until it is believed: ten beats
 ECHOES_TRIED = (
     8  # echoes of one robot that are checked for one stop: a forger has 8 guesses of 2^-16
 )
-EVERYBODY = 255
 NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 ASK_S = 0.25
 
