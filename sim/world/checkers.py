@@ -1,7 +1,7 @@
 """The rules of the physical world, each judged from true positions and commands alone.
 
 A checker does not know the agents. It gets what people did (pressed, released) and the field, and
-it observes the bodies. `violations` is empty if the rule held. S1, S7 and S17 are names of
+it observes the bodies. `violations` is empty if the rule held. S1 and S7 are names of
 invariants; ARCHITECTURE.md lists them.
 """
 
