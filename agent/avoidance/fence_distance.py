@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 Floats = NDArray[np.float64]
 
-LINE_2_M2 = 1e-18  # a fence shorter than its root has no length: a lone echo
+LINE_2_M2 = 1e-18  # least squared length of a fence; a single echo is a fence without length
 
 
 @njit(cache=True, error_model="numpy")

@@ -82,7 +82,7 @@ def beside_agent(
     if length > ZERO:
         scale = ONE / length
         wx, wy = wx * scale, wy * scale
-    else:  # at the very centre of the velocity obstacle: any way out is as good
+    else:  # at the centre of the velocity obstacle every direction is equally good
         wx, wy = ONE, ZERO
     out = reach - length
     lines[k, PX], lines[k, PY] = vx + share * (out * wx), vy + share * (out * wy)

@@ -24,19 +24,19 @@ from agent.interface.config import NEIGHBOURS_MAX
 Buffer = NDArray[np.float64]  # (SIZE,)
 
 f32: Any = np.float32  # a number of single precision is a float to callers
-PEERS_MAX = 256  # a row for every slot of a fleet, operators' devices included
+PEERS_MAX = 256  # a row for every slot of a fleet, including those of operators' devices
 GIVEN_MAX = 32  # rows a caller may give; the nearest `NEIGHBOURS_MAX` of them count
 FENCES_MAX = 64  # fences near a robot; the nearest are kept
-FENCE_SLACK_M = 2.0  # near fences are looked for again after this much travel
-CREEP_M_S = 0.5  # a body inside its margin to a fence leaves it no faster than this
+FENCE_SLACK_M = 2.0  # near fences are gathered again after the robot has moved this far
+CREEP_M_S = 0.5  # greatest speed at which a body inside its margin is made to leave a fence
 
 # the head: written at each call up to NOW_S, the rows in use when they change, the rest once
 X, Y, VX, VY, WANT_X, WANT_Y, NOW_S, FIRST_ROW, LAST_ROW, RANGE = range(10)
 RADIUS, SPEED_MAX, HORIZON, WALL_HORIZON, DT, AGE_MAX, COS, SIN = range(10, 18)
 NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, GATHERED_X, GATHERED_Y = range(18, 25)
-STOPPING = 25  # deceleration to stop with before others; 0: that is not asked of us
+STOPPING = 25  # deceleration for stopping before other robots; 0: no such constraint
 HEAD = 26  # even: rows stay aligned
-# a row of a neighbour, a cache line; MOVED_ON_S: of its way since it was heard this is in its place
+# Columns of a neighbour, one cache line. Its position was already moved on by MOVED_ON_S.
 ROW_X, ROW_Y, ROW_VX, ROW_VY, ROW_RADIUS, ROW_SHARE, ROW_HEARD_S, ROW_MOVED_ON_S = range(8)
 ROW_COLUMNS = 8
 UNKNOWN = -1.0  # radius of a row that is free
@@ -50,9 +50,8 @@ SQUARES_AT = NEAR_AT + WALLS_MAX  # after as many int64; then as many float32
 SIZE = SQUARES_AT + WALLS_MAX // 2
 
 
-FENCE_S = (
-    0.4  # towards a fence at most so fast that it is this far away: two periods, and the wheels
-)
+# The speed towards a fence is at most the distance to it over this: two periods, and the wheels.
+FENCE_S = 0.4
 
 
 @njit(cache=True, error_model="numpy")
@@ -90,7 +89,8 @@ def _nearest(work: Buffer, near: Longs, squares: Singles) -> Number:
         if work[at + ROW_RADIUS] < 0.0:
             continue
         age = now - work[at + ROW_HEARD_S]
-        if age > work[AGE_MAX]:  # it may have stopped meanwhile: it is where it was heard
+        # It may have stopped since: assume it stands where it was last heard.
+        if age > work[AGE_MAX]:
             age = 0.0
         dx = f32(work[at + ROW_X] + work[at + ROW_VX] * age - x)
         dy = f32(work[at + ROW_Y] + work[at + ROW_VY] * age - y)

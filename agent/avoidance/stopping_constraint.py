@@ -28,9 +28,9 @@ from agent.avoidance.k_nearest import Number, Real
 from agent.avoidance.linear_program import DX, DY, PX, PY, Lines, violation
 
 f32 = np.float32
-REACTION_S = 0.1  # two control periods: what was decided is in force, and the wheels follow
+REACTION_S = 0.1  # two control periods, until a decision is executed and the wheels follow
 HARDEST_M_S2 = 7.0  # tyre grip limits braking to this: 0.7 g, rubber on dry ground
-SLACK_M = 0.1  # of the margin between two bodies: they may stand nearer than ORCA leads them
+SLACK_M = 0.1  # part of the margin between two bodies that a stop may use up
 SAID_M_S = 0.025  # rounding error of the speed in a beat
 
 

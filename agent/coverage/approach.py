@@ -18,7 +18,7 @@ from agent.coverage.team_state import NONE
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]
 
-NEW, BESIDE = 8, 1  # worth of a cell to do, and of each neighbour that needs nothing
+NEW, BESIDE = 8, 1  # value of a cell to do, and of each neighbour with nothing to do
 
 
 @njit(cache=True)

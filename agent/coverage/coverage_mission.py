@@ -34,10 +34,9 @@ from protocol.frames.messages import Message
 COVERED = 0.1
 BOUND = 0.5  # share of the way into a cell from which a robot goes on and announces the cell
 CLOSE = 0.1  # share of a cell by which a robot that follows round a corner may begin too early
-ASTRIDE = (
-    0.3  # share of a cell: a body this far off the middle blocks the next cell too. It has 0.7
-)
-# left, of which the guard keeps 0.6, and a cell is covered from 0.1
+# Share of a cell: a body this far off the middle blocks the next cell too. That cell has 0.7 left,
+# Of which the guard keeps 0.6, and a cell is covered from 0.1.
+ASTRIDE = 0.3
 NEAR = 0.8  # share of a cell: a body this near to a cell's middle is in it
 BACK_US = 1500 * MS  # after being held up for this long on the way, go back and wait
 GATHER_BACK_US = 200 * MS  # the same while all robots stop, because the robot ahead will not go on
@@ -61,18 +60,18 @@ class GridWork(Mission):
         self.slot, self.ground, self.speed_m_s, self.rng = slot, ground, speed_m_s, rng
         self.agreement = CoverageAgreement(slot, ground, turn_cost)
         self._from = self._to = NONE  # cells: the middle we left last, and the one we drive to
-        self._step = 0  # of the plan, that we are at or were at last
+        self._step = 0  # the step of the plan that we are at or were at last
         self._onward = False  # to the next step's cell, not back
         self._round = -1
         self._news: list[tuple[int, int]] = []
         self._told: set[int] = set()  # cells in our news that our replica does not have yet
         self._at_once = False
         self._section: int | None = None
-        self._turn = 0  # of the plan's turns, that we have not had yet
+        self._turn = 0  # index of the first of the plan's turns that we have not had
         self._wish = STILL
         self._asked = False  # whether our motion request went to the drive the last time
-        self._asked_us = 0  # when it last did
-        self._held_us = 0  # since when we make no progress; 0: we do
+        self._asked_us = 0  # when that was last the case
+        self._held_us = 0  # since when we have made no progress; 0: we are making progress
         self._strange_us = 0  # since when we have not reached a cell that we may enter
         self._wait_us = 0  # we stand until then
         self._left_us = 0
@@ -387,7 +386,7 @@ class GridWork(Mission):
 
     def work(self, view: FleetView) -> MotionRequest:
         self._asked, self._asked_us = True, view.now_us
-        if self._section is None:  # kept over a stop or a restart
+        if self._section is None:  # the section was claimed before a stop or a restart
             self._section = view.allocation.assigned_sections(view.slot)[0]
         if view.progress.complete(self._section):
             self._section = None

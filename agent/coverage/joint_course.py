@@ -27,7 +27,7 @@ class Wait(NamedTuple):
 
     robot: int
     step: int
-    leaves: int  # its step out of the cell: `step`, or the one after it where it goes as we come
+    leaves: int  # its step out of the cell: `step`, or the next one if it leaves as we arrive
 
 
 FREE = Wait(NONE, 0, 0)

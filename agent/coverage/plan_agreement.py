@@ -36,13 +36,13 @@ from protocol.state_machine import StateMachine, matrix
 SETTLE_US = 300 * MS  # the view must be unchanged for this long, because boots come in bursts
 # A robot that receives no other for this long after boot is alone: two heartbeats (1.4 s).
 BOOT_US = 3 * S
-STAGGER_US = 20 * MS  # by rank, so that one calls and the others hear it
+STAGGER_US = 20 * MS  # times the rank among live robots, so that one calls and the others join
 HURRY_US, HURRY_ROBOT_US = 200 * MS, 8 * MS  # between repeats: a tenth of the bus for all together
 PATIENCE_US = 5 * S  # longer than a sync (2 s) or a protective stop (2 s) and the way to the cell
 PLAIN_US = 1 * S  # without agreement for this long, plan without reserving silent robots' cells
 OBSTACLE_US = 20 * S  # lifetime of an obstacle, because it may have gone since
 SPARE_US = 5 * S  # margin so that all robots drop a reported obstacle in the same round
-AGAIN_MAX = 2  # an obstacle seen this often counts as permanent until the crew changes
+AGAIN_MAX = 2  # an obstacle seen more often than this is permanent until the members change
 ANYBODY = 0xFFFF  # slot of an unannounced body
 FOREVER = 1 << 62
 
@@ -66,7 +66,7 @@ COVERAGE_PLAN_TABLE = matrix(
     (FREE,    GATHER, stay,     stay,    stay),
     (GATHER,  stay,   AGREE,    stay,    stay),
     (AGREE,   GATHER, stay,     GATHER,  GO),
-    (GO,      GATHER, stay,     stay,    stay),  # a crew that differs calls a new round
+    (GO,      GATHER, stay,     stay,    stay),  # a change of the members calls a new round
 )
 # fmt: on
 
@@ -114,13 +114,15 @@ class CoverageAgreement:
         self._used: dict[int, CellPlace] = {}  # those the course was computed from
         self._plans: dict[int, int] = {}
         self._reached: dict[int, int] = {}
-        self.bodies: dict[int, CellObstacle] = {}  # cell -> what stands there, not one of the crew
+        # Cell -> what stands there that is not part of the plan.
+        self.bodies: dict[int, CellObstacle] = {}
         self._seen: dict[int, int] = {}  # cell -> how often an obstacle was seen there
         self._plain = False
         self._left_out = False  # cells of our rooms are neither covered nor in the plan
         self.kept = False  # a part of the work is kept for silent robots
         self.owner: NDArray[np.int16] = np.full(len(ground), NONE, np.int16)
-        self._differs_us: int | None = None  # since when the crew is not the live view
+        # Since when the live members differ from those of the plan.
+        self._differs_us: int | None = None
         self._said: dict[AgreementKind, tuple[object, int, int]] = {}  # what, how often, when
 
     @property
@@ -308,7 +310,7 @@ class CoverageAgreement:
             return  # the sync makes them equal
         numbers = [place.number for place in places.values()]
         if len(set(numbers)) < len(numbers):
-            return  # one of them has been told late; it will say another
+            return  # one place is outdated; its robot will announce another
         self._used = places
         self._compute(crew, now_us)
         self.machine.fire(CoveragePlanEvent.GATHERED)

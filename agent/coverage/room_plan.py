@@ -24,8 +24,9 @@ Costs = NDArray[np.int32]
 Mask = NDArray[np.uint8]
 CUT_ROUNDS = 12  # assignment and cut settle within a few
 EXCHANGES = 2_000_000  # runs looked up while exchanging robots: a tenth of a second at the worst
-APPROACH_ROUNDS = 4  # what is won is won in the first two or three
-APPROACH_SHARE = 0.06  # of all cost; smaller ways win less than a hundredth for double the time
+APPROACH_ROUNDS = 4  # later rounds save almost nothing
+# Least share of the ways in all cost; below it, laying them saves less than 1 %.
+APPROACH_SHARE = 0.06
 
 CHOICE_MAX = 20_000  # cells; in larger rooms the robots' places make too little difference
 
@@ -78,7 +79,7 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
     ways = np.tile(_dry(grid), (places.size, 1))
     for row, place in zip(ways, places, strict=True):
         flood(grid.width, row, place, grid.queue)
-    ways *= costing.step  # what is not in this room is not asked for
+    ways *= costing.step  # cells outside of this room are never looked up
     nothing = [np.empty(0, np.int32) for _ in places]
     best = draft = _draft(grid, inside, todo, places, ways, nothing, costing)
     lost = draft.bound * places.size - int(draft.along[-1] - draft.along[0])

@@ -20,7 +20,7 @@ from agent.coverage.work_sharing import choose_goals
 Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]
 TURN_PARTS = 4  # a turn's cost is kept in quarters of a step
-TURN_COST_MAX = 100.0  # steps; more would say that robots cannot turn
+TURN_COST_MAX = 100.0  # steps; a greater cost would mean that robots cannot turn
 
 
 class Team:
@@ -46,7 +46,7 @@ class Team:
         self.unit = TURN_PARTS if turn_cost else 1
         self.turn = round(turn_cost * self.unit)
         self.now = 0
-        self.bound = 0  # the cut's promise, in steps after it was made; turns included
+        self.bound = 0  # the bound of the latest cut, in steps from then on, turns included
         places = np.array([self.number(cell) for cell in starts], np.int64)
         self._recut(places)
 

@@ -134,7 +134,7 @@ def _splice(
     a, b = ends[one, 0], ends[one, 1]
     stamp_a, distance_a, queue_a = near_a
     stamp_b, distance_b, queue_b = near_b
-    none = int(np.int64(NONE))  # a literal is a type of its own: compiled twice
+    none = int(np.int64(NONE))  # numba would compile twice for a literal
     best, at, after, mine, radius = FAR, none, none, a, int(np.int64(4))
     while True:
         stamp_a[0] += 1

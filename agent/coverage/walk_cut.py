@@ -18,7 +18,7 @@ from agent.coverage.team_state import Number
 
 Integers = NDArray[np.int32]
 Longs = NDArray[np.int64]
-UNREACHED = 1 << 28  # a distance to what cannot be reached; far from overflow when added
+UNREACHED = 1 << 28  # distance to unreachable cells; sums of it do not overflow
 
 
 @njit(cache=True)

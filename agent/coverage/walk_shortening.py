@@ -21,8 +21,8 @@ Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
 
-PASSES = 3  # over all hops; later ones find next to nothing
-HOP_MAX = 24  # longer hops are few, and looking around them costs their square
+PASSES = 3  # passes over all hops; further ones save almost nothing
+HOP_MAX = 24  # steps; longer hops are rare, and searching round one costs its square
 STRETCH_MAX = 64  # cells moved at once
 
 
@@ -78,7 +78,7 @@ def _untangle(free, width, order, at, gaps, i, near_a, near_b):  # type: ignore[
     """The best 2-opt change that removes the hop after place i; returns what it saves."""
     a, b, hop = order[i], order[i + 1], gaps[i]
     last = order.size - 1
-    best, first, final = 0, np.int64(0), np.int64(0)  # literals are types of their own
+    best, first, final = 0, np.int64(0), np.int64(0)  # numba would compile twice for literals
     for step in (-width, width, -1, 1):
         c = a + step
         j = at[c]
@@ -123,7 +123,7 @@ def _move(
     for k in range(count - 1):
         inner[k] = gaps[last - 1 - k if turned else first + k]
     low, high = (to + 1, last) if to < first else (first, to)
-    if to < first:  # what was between goes up, and the stretch before it
+    if to < first:  # cells in between move up, and the stretch goes before them
         for k in range(first - 1, to, -1):
             order[k + count] = order[k]
         for k in range(first - 2, to, -1):
@@ -159,7 +159,7 @@ def _shift(
 ) -> int:
     """The best move of a stretch that begins after the hop at i; returns what it saves."""
     last, hop, a, b = order.size - 1, gaps[i], order[i], order[i + 1]
-    none = int(np.int64(0))  # a literal is a type of its own: compiled twice
+    none = int(np.int64(0))  # numba would compile twice for a literal
     best, best_end, best_to, best_turned = 0, none, none, none > 0
     for end in range(i + 1, min(last, i + STRETCH_MAX) + 1):
         out = _gap(order, gaps, end)

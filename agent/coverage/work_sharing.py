@@ -19,8 +19,8 @@ from agent.coverage.team_step import FAR, fill_field, wipe_field
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]
 
-WON_MIN = 2  # steps: below it, the way there and back costs more than it brings
-ASK_AGAIN = 4  # steps after which the others' progress may have changed the answer
+WON_MIN = 2  # least gain in steps; below it, the way there and back costs more
+ASK_AGAIN = 4  # steps until an idle robot asks again, because others have made progress
 
 
 @njit(cache=True)

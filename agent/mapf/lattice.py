@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 Point = tuple[float, float]  # metres (x, y)
 Near = NDArray[np.int32]  # (nodes, 4): east, north, west, south; -1 where there is none
 NODES_MAX = 1 << 16  # an ACCORD frame names a node in 16 bits
-TRIES = 12  # ways to lay the lines; a few do where they can go through all passages at all
+TRIES = 12  # layouts tried; a few are enough if lines can go through all passages at all
 DEARER = 4.0  # a missed passage is worth this much more the next time
 FINE = 16  # positions are sent in this many parts of the pitch
 

@@ -43,7 +43,7 @@ def _assigned(cost: NDArray[np.float64]) -> NDArray[np.int64]:
     for first in range(rows):
         far[:] = np.inf
         for k in range(columns):
-            open_ones[k] = columns - 1 - k  # backwards: of equal costs the identity comes out
+            open_ones[k] = columns - 1 - k  # backwards, so that equal costs give the identity
         row, length, left, sink = first, 0.0, columns, NOBODY
         while sink == NOBODY:
             lowest, chosen = np.inf, -1
@@ -60,7 +60,7 @@ def _assigned(cost: NDArray[np.float64]) -> NDArray[np.int64]:
                 sink = column
             else:
                 row = row_of[column]
-            left -= 1  # those that were chosen stand behind it
+            left -= 1  # chosen columns are kept behind index `left`
             open_ones[chosen], open_ones[left] = open_ones[left], column
         row_price[first] += length
         for k in range(left, columns):

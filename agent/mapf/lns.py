@@ -35,7 +35,7 @@ Room = tuple[Ints, Ints, Ints, Ints]
 GROUP_MAX = 8  # robots removed together; 4 and 6 get stuck more often, 10 are rarely put back
 GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
 LOOKS_MAX = 40_000_000  # node-time states examined in total, 1 s; a hundred robots take a third
-CELLS_MAX = 1 << 22  # nodes times units of time: 60 MB; longer plans are left as they are
+CELLS_MAX = 1 << 22  # nodes times units of time, 60 MB; longer plans are not changed
 ASIDE_MAX = 5  # nodes that a robot may step aside from its goal
 WALKS = 10  # paths tried to find the robots in the way
 PATIENCE = 16  # after this many failed attempts a robot's priority is halved
@@ -212,7 +212,7 @@ def _in_the_way(
         at = track[robot, t]
         while t < end and count < size:
             to = at
-            if at != goal:  # by chance one of those from which it still comes earlier
+            if at != goal:  # a random neighbour from which it would still arrive earlier
                 choices = 0
                 for side in range(5):
                     other = near[at, side] if side < 4 else at

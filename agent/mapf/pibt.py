@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-Index = int | np.integer[Any]  # numba takes both, and unifies them
+Index = int | np.integer[Any]  # one type to numba
 NOWHERE = np.int32(1 << 29)  # farther than any way
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]
-CELLS_MAX = 1 << 23  # nodes times units of time: 40 MB; longer plans are left as they are
+CELLS_MAX = 1 << 23  # nodes times units of time, 40 MB; longer plans are not shortened
 
 
 @njit(cache=True)
@@ -61,7 +61,7 @@ def _earliest(
         if t >= free_from and came[t, goal] >= 0:
             return t
         found = 0
-        for k in range(count):  # robots that can stay do so: they wait before a gap, not on the way
+        for k in range(count):  # staying comes first, so robots wait before a gap, not inside it
             at = layer[k]
             if not taken[t, at] and t + 1 + far[at] <= latest:
                 came[t + 1, at], coming[found] = at, at
@@ -98,7 +98,7 @@ def _put_back(
     latest: int,
 ) -> bool:
     """Find a path on which one robot is at its goal by `latest`; False: its path stays as it is."""
-    hold(taken, track, robot, np.bool_(False))  # a literal is a type of its own
+    hold(taken, track, robot, np.bool_(False))  # numba would compile `hold` twice for a literal
     came[: latest + 1] = -1
     end = _earliest(track[robot, 0], goal, near, far, taken, came, layer, coming, latest)
     if end >= 0:
@@ -138,7 +138,7 @@ class Timetable:
         nodes = len(self.near)
         came = np.full((self.track.shape[1], nodes), -1, dtype=np.int32)
         layer, coming = np.empty(nodes, dtype=np.int32), np.empty(nodes, dtype=np.int32)
-        tried = set[int]()  # since anybody last gained by it
+        tried = set[int]()  # robots tried since the last improvement
         for _ in range(most):
             arrived = self.arrivals()
             waits = arrived - self.far[np.arange(len(self.track)), self.track[:, 0]]

@@ -37,12 +37,12 @@ from agent.paths.corner_graph import (
 )
 from agent.paths.line_of_sight import kind, rerun
 
-SIDE_MAX = 32_000  # rows or columns: what int16 holds, and what keeps the products inside int64
+SIDE_MAX = 32_000  # rows or columns: fits int16, and products of positions fit int64
 LOG_MAX = 1024  # rectangles of changed cells in the log; beyond this the edges are forgotten
 POOL_MAX = 1 << 24  # edges cached (64 MB); beyond this they are forgotten
-REACH = 2  # changed cells this near to each other are one rectangle: 3 x 3 boxes stay one entry
+REACH = 2  # cells; changes this near to each other share one rectangle, so a box is one entry
 OUTSIDE = -2
-VIEW, HEAP, POOL = 256, 1024, 1024  # first sizes, doubled whenever one is too small
+VIEW, HEAP, POOL = 256, 1024, 1024  # initial sizes, doubled when one is too small
 Point = tuple[float, float]  # row, column
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int32]

@@ -39,7 +39,7 @@ ROW, COLUMN, AT_Y, AT_X, KIND, STAMP, PARENT, GOAL, LISTS = *range(8), 8
 FIRST, COUNT, SEEN, TOP, BOTTOM, LEFTMOST, RIGHTMOST, LIST = range(8)
 CORNER_COLUMNS = LISTS + 2 * LIST
 EMPTY = -1  # SEEN of a list that is not filled
-SEEN_MAX = 64  # a list that has missed more log entries than this is filled again
+SEEN_MAX = 64  # a list that is more log entries behind than this is filled again
 # head of `ints`
 ROWS, COLUMNS, TURN, USED, POOL_SIZE, HEAP_SIZE, VIEW_SIZE, LOGGED, LOG_SIZE, EXPANDED = range(10)
 HEAD = 16
@@ -117,7 +117,7 @@ def in_sight(
     uy, ux = y / UNIT + 0.5, x / UNIT + 0.5
     r, c = (y + UNIT // 2) // UNIT, (x + UNIT // 2) // UNIT
     a, b = runs[START, r, c], runs[END, r, c]
-    count = np.int64(0)  # a literal would be a type of its own: all it is given to, compiled twice
+    count = np.int64(0)  # numba would compile every kernel that takes a literal twice
     for step in (-1, 1):
         line = r if step < 0 else r + 1
         top, count = glance(runs, index, uy, ux, step, line, a, b, stack, slopes, found, count)
@@ -126,7 +126,7 @@ def in_sight(
                          found, count)  # fmt: skip
         if count < 0:
             return count
-    for n in range(count):  # the views were wider than they are: none is sure
+    for n in range(count):  # the views were widened: every corner must be verified
         if found[n] >= 0:
             found[n] = ~found[n]
     return _verify(runs, columns, corners, y, x, found, 0, count)
@@ -311,7 +311,7 @@ def _search(
             break
         g = cost[node, G]
         if key != g + cost[node, H]:
-            continue  # reached on a shorter way meanwhile
+            continue  # an outdated entry: a shorter way to it was found since
         ints[EXPANDED] += 1
         y, x, parent = corners[node, AT_Y], corners[node, AT_X], corners[node, PARENT]
         py, px = (r0, c0) if parent == GOAL_NODE else (corners[parent, AT_Y], corners[parent, AT_X])

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 WORDS = 6
-STRAIGHT_1_M = 1e-9  # less curvature is none
+STRAIGHT_1_M = 1e-9  # a piece with less curvature counts as straight
 
 
 @njit(cache=True, error_model="numpy")

@@ -29,17 +29,17 @@ Flags = NDArray[np.bool_]
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
 
-PIECE_M = 0.9  # of the search; longer than the diagonal of a cell
-NUDGES_M = (0.3, 0.6)  # from the start, where no longer piece is free
-CELL_M = 0.5  # in which one pose a heading is kept
+PIECE_M = 0.9  # length of a piece of the search; longer than the diagonal of a cell
+NUDGES_M = (0.3, 0.6)  # lengths of the first pieces where no longer one is free
+CELL_M = 0.5  # side of a search cell: one pose is kept for each cell and heading
 HEADINGS = 36
 CHECK_M = 0.15  # between points looked up on the grid
-BACK_COST = 2.0  # a metre backing up, in metres ahead: it is slower, and the driver looks round
-SHIFT_M = 3.0  # a change of direction, in metres ahead: it stands meanwhile
+BACK_COST = 2.0  # cost of a metre backing up, in metres ahead: backing up is slower
+SHIFT_M = 3.0  # cost of a change between forwards and backwards, in metres ahead
 BEND_COST = 0.1  # a metre of full lock costs this much more than one straight ahead
-NODES_MAX = 40_000  # poses looked at before giving up: some 0.2 s
-BETTER_NODES = 3_000  # and after a way was found, for a better one
-FLOOD = 4  # cells of the grid to one of the flood
+NODES_MAX = 40_000  # poses expanded before the search gives up: about 0.2 s
+BETTER_NODES = 3_000  # poses expanded after a way was found, to find a better one
+FLOOD = 4  # cells of the grid in one cell of the flood, each way
 LEAP_M = 12.0  # nearer than this a word is tried from every 4th pose, further away from every 20th
 LEAP_NEAR, LEAP_EVERY = 4, 20
 # a node: pose, cost, parent, curvature and signed length of the piece that led to it
@@ -291,7 +291,7 @@ def search(
     nodes[0, N_X], nodes[0, N_Y], nodes[0, N_HEADING] = start[0], start[1], start[2]
     nodes[0, N_COST], nodes[0, N_PARENT], nodes[0, N_LENGTH] = 0.0, -1.0, 0.0
     keys[0], ids[0], found = 0.0, 0, -1
-    size, made = np.int64(1), np.int64(1)  # literals are types of their own: compiled twice
+    size, made = np.int64(1), np.int64(1)  # numba compiles kernels twice for a literal
     best, best_leap = cost, leap.copy()
     left = NODES_MAX
     if nudged:

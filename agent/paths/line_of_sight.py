@@ -37,7 +37,8 @@ UNIT = 1 << 16  # units a cell
 MARGIN = 4  # units that a path keeps from a blocked cell; 0.06 thousandths of a cell
 HALF = UNIT // 2 + MARGIN
 START, END = 0, 1
-NEAR = 4.0 * MARGIN / UNIT  # a slope off by this passes a corner in the next row too closely
+# Tolerance of slopes: passing a corner nearer than this needs an exact check.
+NEAR = 4.0 * MARGIN / UNIT
 
 
 @njit(cache=True, error_model="numpy")

@@ -26,10 +26,9 @@ Point = tuple[float, float]  # metres (x, y)
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
 Box = tuple[int, int, int, int]  # rows [r0, r1) and columns [c0, c1)
-DETOUR = 1.0003  # an edge is left out where two others are this much longer at most
-SPACING_M = (
-    2.0  # between waypoints of a portal: costs 0.3 % of a way at most where halls are 10 m wide
-)
+DETOUR = 1.0003  # an edge is left out if two others together are at most this factor longer
+# Between waypoints of a portal: makes ways at most 0.3 % longer where halls are 10 m wide.
+SPACING_M = 2.0
 
 
 @njit(cache=True)
@@ -310,7 +309,7 @@ def _along(ends: tuple[float, float, float, float], spacing: float) -> list[tupl
     """Places on a portal: both ends, half a cell inside, and between them at even steps."""
     r0, c0, r1, c1 = ends
     length = hypot(r1 - r0, c1 - c0)
-    inset = min(0.5, length / 2) / length  # a body's centre keeps to the middles of cells
+    inset = min(0.5, length / 2) / length  # the centre of a body stays on the middles of cells
     r0, r1 = r0 + (r1 - r0) * inset, r1 - (r1 - r0) * inset
     c0, c1 = c0 + (c1 - c0) * inset, c1 - (c1 - c0) * inset
     steps = ceil((length - 1.0) / spacing) if length > 1 else 0

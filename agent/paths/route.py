@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from agent.paths.any_angle_planner import Planner
 
 Point = tuple[float, float]  # metres (x, y)
-OPEN_SEARCH_CELLS = 12  # how far a start or goal on a blocked cell is moved to an open one
+OPEN_SEARCH_CELLS = 12  # greatest distance by which a start or goal on a blocked cell is moved
 
 
 class Route:

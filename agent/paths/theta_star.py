@@ -139,7 +139,7 @@ def search(
                     continue
                 known = g[other] if stamp[other] == turn else np.inf
                 cost, link = base + sqrt((nr - pr) ** 2 + (nc - pc) ** 2), by
-                if cost >= known:  # by the triangle inequality nothing better comes of this
+                if cost >= known:  # by the triangle inequality, nothing shorter is possible
                     continue
                 if not lazy and not sees(blocked, pr, pc, nr, nc):
                     cost, link = g[node] + (ROOT2 if i != 0 and j != 0 else 1.0), node

@@ -16,8 +16,8 @@ from agent.paths.hybrid_a_star import BACK_COST, SHIFT_M, is_free, piece_is_free
 
 Point = tuple[float, float]  # metres (x, y)
 SAMPLE_M = 0.1
-RUN_UPS_M = (1.5, 1.0, 0.5)  # straight before the goal, as much of it as there is room for
-RUN_UP_M = 1.0  # half a metre of it is worth this much of a detour
+RUN_UPS_M = (1.5, 1.0, 0.5)  # lengths of the straight before the goal that are tried
+RUN_UP_M = 1.0  # a shorter run-up is taken only if it saves more than this
 
 
 class Pose(NamedTuple):
