@@ -40,6 +40,8 @@ CAUSES_MAX: Final = 15  # causes reported by one robot: four bits
 
 
 class Announcements(Part):
+    """The part that sends our beat, our heartbeat, and what goes with them."""
+
     def __init__(
         self,
         identity: Identity,

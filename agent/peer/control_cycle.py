@@ -23,6 +23,8 @@ NEAR_M: Final = 1.8  # between two hulls; we do not wait for a robot that is fur
 
 
 class ControlCycle(Part):
+    """The part that runs the mission and the motion controller once each control period."""
+
     def __init__(
         self,
         first_us: int,

@@ -35,7 +35,12 @@ FIRST_INCARNATION = 1
 
 
 class DurableRecords(Part):
+    """What durable memory held at the boot, and the records of what has to be kept."""
+
     def __init__(self, recalled: Mapping[str, bytes], first_boot: bool, rng: Random) -> None:
+        """`recalled`: durable memory by key. `first_boot`: an empty memory is no loss. `rng`: draws
+        the new incarnation after a loss.
+        """
         self.recalled = recalled
         self.incarnation = self._number(INCARNATION, U16, 0)
         self.fresh = not self.incarnation  # this incarnation is not on disk yet
@@ -69,6 +74,9 @@ class DurableRecords(Part):
                 progress.apply(int(section), int(block), U64.unpack(raw)[0])
 
     def restore_map(self, chart: OccupancyMap) -> None:
+        """Restore the patches of the fleet's map. One that does not parse is skipped, because peers
+        have it too.
+        """
         for key, raw in sorted(self.recalled.items()):
             if key.startswith(MAP) and len(raw) == PATCH_BYTES:
                 with suppress(ValueError):  # skip impossible cells; peers have them too
@@ -76,20 +84,26 @@ class DurableRecords(Part):
 
     @staticmethod
     def patch(chart: OccupancyMap, patch: int) -> tuple[str, bytes]:
+        """The record of one patch of the map: key and value."""
         return f"{MAP}{patch}", chart.patch_bytes(patch)
 
     def identity(self) -> tuple[str, bytes]:
+        """The record of our incarnation: key and value."""
         return INCARNATION, U16.pack(self.incarnation)
 
     @staticmethod
     def operation(count: int, section: int, key: int) -> tuple[tuple[str, bytes], ...]:
-        """The register after this operation, and the number of operations so far."""
+        """The records of an own operation: the register after it, and the number of operations so
+        far.
+        """
         return (f"{REGISTER}{section}", U64.pack(key)), (OPERATIONS, U32.pack(count))
 
     @staticmethod
     def progress(section: int, block: int, bits: int) -> tuple[str, bytes]:
+        """The record of 40 units of a section: key and value. `bits`: one for each unit."""
         return f"{PROGRESS}{section}/{block}", U64.pack(bits)
 
     @staticmethod
     def vote(term: int, candidate: int) -> tuple[str, bytes]:
+        """The record of our newest vote: key and value. `candidate`: the slot that we voted for."""
         return ELECTION, VOTE.pack(term, candidate)

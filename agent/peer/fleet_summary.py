@@ -41,6 +41,8 @@ class MemberRow(NamedTuple):
 
 
 class FleetSummary(NamedTuple):
+    """The fleet as one peer sees it. `by`: its slot. `done`: number of finished sections."""
+
     by: int
     sections: int  # number of known sections
     done: int
@@ -77,7 +79,7 @@ def compose(
 
 
 def write(bulletin: FleetSummary) -> str:
-    """The text, at most as long as a transport session carries."""
+    """The text of a summary, cut to what a transport session carries."""
     text = f"by {bulletin.by} sections {bulletin.sections} done {bulletin.done}"
     for number, m in enumerate(bulletin.lines):
         sections = ",".join(f"S{section}" for section in m.sections) or "-"

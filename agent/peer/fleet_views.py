@@ -9,6 +9,8 @@ from crdt import FieldAllocationCRDT, Progress
 
 
 class FleetViews:
+    """Collects what a mission may know from the parts that know it."""
+
     def __init__(
         self,
         senses: Senses,

@@ -39,6 +39,8 @@ MUST_NOT_BE_MISSED = (
 
 
 class Origin(Enum):
+    """What kind of device sends from an address, by the NAME that it has claimed."""
+
     OURS = auto()  # a robot of our fleet, a gateway, an operator's tool
     ANOTHER_FLEET = auto()  # a robot of a fleet with another name
     FOREIGN = auto()  # of another maker, or a device kind that does not send to robots
@@ -59,6 +61,7 @@ class Origins:
         self.elsewhere: Counter[int] = Counter()  # PGN -> refused frames of another fleet
 
     def of(self, address: int) -> Origin:
+        """The origin of frames from this address."""
         return self._of.get(address, Origin.UNCLAIMED)
 
     def is_robot(self, address: int) -> bool:
@@ -70,7 +73,7 @@ class Origins:
         return self._names.get(address, number) != number
 
     def claimed(self, address: int, number: int) -> Origin:
-        """A NAME has claimed the address."""
+        """Note that a NAME (64 bits) has claimed the address; returns its origin."""
         self._names[address] = number
         name = Name.unpack(number)
         if not is_ours(name):

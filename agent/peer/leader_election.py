@@ -1,13 +1,13 @@
 """Leader election for conveniences: only the leader answers an operator's global request.
 
-Never for stopping, claims or maps. A vote is fixed once cast: one vote per voter, election and
-term, kept durably. A candidate leads when it holds the votes of a majority of the live view; a later
-term fences an earlier one. After a network split each side has a leader, and the higher term (then
-the lower slot) remains when they meet. Votes are repeated every 10 s, because a lost vote would
-otherwise leave its voter, or those that missed it, without a leader for good.
+Never use it for stopping, claims or maps. A vote is fixed once cast: one vote for each voter,
+election and term, kept durably. A candidate leads when it holds the votes of a majority of the live
+view. A later term fences an earlier one. After a network split each side has a leader. When the
+sides meet, the one with the higher term remains, then the one with the lower slot. Votes are
+repeated every 10 s, because a lost vote would otherwise leave robots without a leader for good.
 
-All prefer the lowest slot of the live view. Health is not considered: any robot can do the leader's
-task, and a preference that changes would cause an election each time.
+All members prefer the lowest slot of the live view. Health is not considered: any robot can do the
+leader's task, and a preference that changes would cause an election each time.
 """
 
 from typing import NamedTuple
@@ -26,6 +26,8 @@ PATIENCE = 3
 
 
 class Leader(NamedTuple):
+    """The leader of a term, by its slot."""
+
     term: int
     slot: int
 
@@ -55,6 +57,7 @@ class Election:
 
     @property
     def deadline_us(self) -> int | None:
+        """When `tick` has something to do; None: not before the live view changes."""
         return self._call_us
 
     def see(self, now_us: int) -> None:
@@ -65,6 +68,7 @@ class Election:
         self._call_us = now_us + SETTLE_US
 
     def tick(self, live: frozenset[int], now_us: int) -> None:
+        """Vote, if the live view has settled. `live`: slots of the live members."""
         if self._call_us is None or now_us < self._call_us:
             return
         self._call_us = None
@@ -77,6 +81,7 @@ class Election:
         self._say(self.call(live))
 
     def heard(self, voter: int, vote: LeaderElectionVote, live: frozenset[int]) -> None:
+        """A vote of member `voter` was received."""
         self._say(self.receive(voter, vote, live))
 
     def _say(self, vote: LeaderElectionVote | None) -> None:

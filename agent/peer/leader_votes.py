@@ -12,6 +12,8 @@ from protocol.frames.fleet_frames import LeaderElectionVote
 
 
 class LeaderVotes(Part):
+    """The part that takes part in the election of the robot that answers for the fleet."""
+
     def __init__(self, election: Election) -> None:
         self.election = election
         self._led: Leader | None = None

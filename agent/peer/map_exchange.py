@@ -13,6 +13,8 @@ from protocol.sync.map_sync import MapSync
 
 
 class MapExchange(Part):
+    """The part that passes map frames to the map's synchronisation, and sends its frames."""
+
     def __init__(self, chart: MapSync | None, joining: NetworkJoin) -> None:
         """`chart`: None if the fleet has no map; then frames about it are ignored."""
         self.chart, self.joining = chart, joining

@@ -30,6 +30,8 @@ SAID_MAX = 64  # own beats that may still be looped back: 2 s of them
 
 
 class Conflicts(Part):
+    """The part that holds this robot while another machine contradicts its identity or field."""
+
     def __init__(self, safety: StopController, joining: NetworkJoin) -> None:
         self.safety, self.joining = safety, joining
         self._at: dict[int, StopCause] = {}  # address of the other machine

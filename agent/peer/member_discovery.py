@@ -27,6 +27,8 @@ ASKED_ENOUGH = 3  # requests, in 6 s; without an answer to these we stop waiting
 
 
 class MemberDiscovery:
+    """Which addresses are unknown, when each is asked, and whether we have to answer."""
+
     def __init__(self, slot: int, pgn: int = MEMBER_PGN) -> None:
         """`pgn`: the requested group: MEMBER for the slot, or the address claim for the NAME."""
         self.slot, self.pgn = slot, pgn
@@ -38,6 +40,7 @@ class MemberDiscovery:
 
     @property
     def deadline_us(self) -> int | None:
+        """When the next request is due; None: no address is unknown."""
         return min(self._ask_us.values()) if self._ask_us else None
 
     @property
@@ -47,6 +50,7 @@ class MemberDiscovery:
         return any(asked.get(address, 0) < ASKED_ENOUGH for address in self._ask_us)
 
     def power_up(self) -> None:
+        """Forget everything: we join the bus again."""
         self.answer_due = self._everybody_asked = False
         self._ask_us.clear()
         self._asked.clear()

@@ -11,6 +11,8 @@ from protocol.frames.fleet_frames import Standstill, VectorSlice
 
 
 class MemberReports(Part):
+    """The part that keeps what other members report about themselves, by slot."""
+
     def __init__(self, slot: int, clock: VectorClock) -> None:
         self.slot, self.clock = slot, clock
         self.healths: dict[int, float] = {}  # slot -> health from 0 to 1, from its heartbeats

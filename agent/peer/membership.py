@@ -48,6 +48,8 @@ DISBELIEVED_US = 10_000_000
 
 
 class MemberStatus(Enum):
+    """What this robot knows of a configured member."""
+
     ABSENT = auto()  # configured, but not received since we booted
     LIVE = auto()
     SILENT = auto()  # was live and stopped sending without leaving
@@ -59,6 +61,8 @@ NEVER_US = -(1 << 62)
 
 
 class Membership(Part):
+    """The part that tracks which members are received, by slot, and when each was last."""
+
     def __init__(
         self,
         identity: Identity,

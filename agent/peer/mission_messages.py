@@ -30,6 +30,8 @@ OF_MISSIONS = (
 
 
 class MissionMessages(Part):
+    """The part between the mission and the bus."""
+
     def __init__(self, mission: Mission | None) -> None:
         self.mission = mission
 

@@ -12,6 +12,8 @@ from protocol.frames.identifier import NULL_ADDRESS
 
 
 class NameDiscovery(Part):
+    """The part that asks addresses for the NAME of their device (J1939-81)."""
+
     def __init__(self, slot: int, joining: NetworkJoin) -> None:
         self.asks, self.joining = MemberDiscovery(slot, CLAIM_PGN), joining
 

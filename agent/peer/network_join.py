@@ -1,4 +1,4 @@
-"""Becoming a member: claim an address, then announce our slot from it."""
+"""Becoming a member: claim an address (ISO 11783-5, J1939-81), then announce our slot from it."""
 
 from collections.abc import Mapping, Sequence
 from random import Random
@@ -19,6 +19,8 @@ CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
 
 
 class NetworkJoin(Part):
+    """The part that claims our address and announces our slot."""
+
     def __init__(self, identity: Identity, incarnation: int, rng: Random, now_us: int) -> None:
         self.identity, self.incarnation = identity, incarnation
         self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
@@ -30,6 +32,7 @@ class NetworkJoin(Part):
 
     @property
     def address(self) -> int | None:
+        """Our source address; None while we have none."""
         return self.machine.address
 
     @property
@@ -76,6 +79,7 @@ class NetworkJoin(Part):
         return self._sends(self.machine.asked(everybody, now_us), now_us)
 
     def receive(self, source: int, message: AddressClaimed, now_us: int) -> Sequence[Effect]:
+        """An address claim of another device, from address `source`."""
         effects = self._sends(self.machine.receive(source, message, now_us), now_us)
         if self.joined and self.machine.address is None:
             self.joined, self.lost_address = False, True
@@ -111,6 +115,7 @@ class NetworkJoin(Part):
 
     @property
     def announcement(self) -> Member:
+        """The frame that binds our slot and incarnation to our address."""
         return Member(self.identity.slot, self.incarnation, self.identity.field_hash)
 
     def spoke_at(self, address: int, since_us: int) -> bool:

@@ -34,6 +34,8 @@ GOAL_LIFE_US = 2 * S  # coordinates wait this long for the order that uses them
 
 
 class OperatorDirective(Part):
+    """The part that obeys operators' orders to this robot. Places are (x, y) metres."""
+
     def __init__(
         self, slot: int, safety: StopController, mission: Mission | None, obstacle: ObstacleHold
     ) -> None:

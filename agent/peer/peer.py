@@ -62,6 +62,13 @@ ONE_SEGMENT = Segments((), {}, frozenset(), {})
 
 
 class Peer:
+    """One robot: inputs go in by `step`, effects come out in the order in which they must be
+    performed.
+
+    It routes messages and notices to its parts and decides nothing itself. The attributes that are
+    not methods are for runners, recorders and displays to read.
+    """
+
     def __init__(self, parts: PeerParts, segments: Segments = ONE_SEGMENT) -> None:
         self.named = parts
         self.parts: tuple[Part, ...] = (*parts.in_order, *segments.parts)
@@ -263,10 +270,12 @@ class Peer:
 
     @property
     def address(self) -> int | None:
+        """Our source address on the bus; None while we have none."""
         return self.joining.address
 
     @property
     def state(self) -> State:
+        """The lifecycle state of this peer."""
         return self.lifecycle.state
 
     @property

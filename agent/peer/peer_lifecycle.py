@@ -12,12 +12,15 @@ from protocol.state_machine import StateMachine
 
 
 class PeerLifecycle(Part):
+    """The part that holds the lifecycle state and moves it when notices say so."""
+
     def __init__(self, safety: StopController) -> None:
         self.safety = safety
         self.machine = StateMachine("lifecycle", TABLE, State.DISCONNECTED)
 
     @property
     def state(self) -> State:
+        """The current lifecycle state."""
         return self.machine.state
 
     @property

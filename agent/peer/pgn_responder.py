@@ -31,6 +31,8 @@ INBOX_MAX = 16  # newest received texts, for display only; no decision uses them
 
 
 class PgnResponder(Part):
+    """The part that answers other devices' requests for parameter groups with texts."""
+
     def __init__(self, component: str, known: frozenset[int], joining: NetworkJoin) -> None:
         """`known`: the groups that other parts of the peer answer."""
         self.joining = joining

@@ -22,6 +22,8 @@ PROGRESS_PERIOD_US: Final = 2 * S  # covered units are announced together, at mo
 
 
 class ProgressAnnouncements(Part):
+    """The part that collects the units that we cover and announces them together."""
+
     def __init__(
         self, progress: Progress, sync: Synchronizer, beat: BeaconTiming, now_us: int
     ) -> None:

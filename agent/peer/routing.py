@@ -70,6 +70,8 @@ MEMBER_ONLY = Senders.MEMBER_ONLY
 
 
 class Route(NamedTuple):
+    """The part that handles a message, and the senders from whom it is taken."""
+
     part: type[Part]
     senders: Senders
 

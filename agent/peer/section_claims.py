@@ -11,6 +11,10 @@ from crdt import FieldAllocationCRDT, Phase
 
 
 class SectionClaims:
+    """Our claims and our section. Methods that change a register return its key to be announced, or
+    None if it did not change.
+    """
+
     def __init__(self, slot: int, allocation: FieldAllocationCRDT) -> None:
         self.slot, self.allocation = slot, allocation
         self.contested_until_us: dict[int, int] = {}  # in the order in which they will be worked
@@ -19,10 +23,12 @@ class SectionClaims:
 
     @property
     def room(self) -> bool:
+        """Whether another section may be claimed now."""
         return len(self.contested_until_us) < (CLAIM_AHEAD if self.current is not None else 1)
 
     @property
     def next(self) -> int | None:
+        """The section that is worked next; None if none is claimed."""
         return next(iter(self.contested_until_us), None)
 
     def claim(self, choice: ClaimRequest, now_us: int) -> int | None:
@@ -45,6 +51,7 @@ class SectionClaims:
         return section if self.contested_until_us[section] <= now_us else None
 
     def start(self, section: int) -> int | None:
+        """Start a section whose contention window has passed; None if the claim was lost."""
         key = self.allocation.start(section, self.slot)
         del self.contested_until_us[section]
         if key is not None:
@@ -52,6 +59,7 @@ class SectionClaims:
         return key
 
     def finish(self) -> int | None:
+        """The current section is done; returns the register key to announce, or None."""
         assert self.current is not None
         section, self.current = self.current, None
         return self.allocation.done(section, self.slot)
@@ -79,6 +87,7 @@ class SectionClaims:
 
     @property
     def deadline_us(self) -> int | None:
+        """When the contention window of the next section ends; None if nothing waits."""
         if self.current is not None or not self.contested_until_us:
             return None
         return next(iter(self.contested_until_us.values()))

@@ -25,6 +25,8 @@ from protocol.sync.synchronizer import Synchronizer
 
 
 class SectionWork(Part):
+    """The part that claims, starts, finishes and gives back sections, and announces it."""
+
     def __init__(
         self,
         claims: SectionClaims,

@@ -42,6 +42,8 @@ PROBE_US: Final = 2 * S
 
 
 class SelfCheck(Part):
+    """The part that stops this robot while its bus, its reception or its timing fails."""
+
     def __init__(
         self,
         safety: StopController,

@@ -25,6 +25,8 @@ POOR: Final = DEGRADED  # a source at this value or below is reported in the tra
 
 
 class Source(Enum):
+    """What a reading of a robot's health is about."""
+
     BATTERY = "battery"
     MACHINE = "machine"
     BUS = "bus"
@@ -114,7 +116,7 @@ def readings(known: Known) -> list[Reading]:
 
 
 def health(known: Known) -> float:
-    """The lowest reading of all sources: 0.0 failed to 1.0 healthy."""
+    """The lowest reading of all sources, a share of 0.0 failed to 1.0 healthy."""
     return readings(known)[0].share
 
 

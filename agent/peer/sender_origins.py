@@ -41,6 +41,8 @@ SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, F
 
 
 class SenderOrigins(Part):
+    """The part that decides which frames are taken as frames of our fleet."""
+
     def __init__(
         self,
         origins: Origins,

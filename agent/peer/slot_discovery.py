@@ -12,6 +12,8 @@ from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepConte
 
 
 class SlotDiscovery(Part):
+    """The part that finds out which member sends from which address."""
+
     def __init__(self, slot: int, joining: NetworkJoin, origins: Origins) -> None:
         self.asks, self.joining, self.origins = MemberDiscovery(slot, MEMBER_PGN), joining, origins
 

@@ -23,6 +23,8 @@ FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap between calls: it was n
 
 
 class Advice(IntEnum):
+    """What to do about a stall."""
+
     REPLAN = 1
     TELL = 2  # plan again, and report the stall on the bus
 
@@ -37,7 +39,11 @@ class Stall:
         self._since_us = self._asked_us = 0
 
     def look(self, at: Point, wants_m_s: float, crowded: bool, now_us: int) -> Advice | None:
-        """Called each control period in which it may drive. `crowded`: another robot is near."""
+        """What to do now; None if the robot is not stalled.
+
+        Call it in each control period in which the robot may drive. `at`: its position, (x, y)
+        metres. `crowded`: another robot is near.
+        """
         lapsed = now_us - self._asked_us > FORGET_US
         self._asked_us = now_us
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])

@@ -30,6 +30,8 @@ TELL_SPACING_US: Final = 2 * S  # 1,000 entries take 2.1 s at the share that syn
 
 
 class StateSync(Part):
+    """The part that merges work frames of others and takes part in anti-entropy."""
+
     def __init__(
         self, sync: Synchronizer, admission: Admission, joining: NetworkJoin, heartbeat_us: int
     ) -> None:

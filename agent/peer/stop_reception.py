@@ -29,6 +29,8 @@ from protocol.name import Name
 
 
 class StopReception(Part):
+    """The part that passes stops, resets and proofs to the stop controller."""
+
     def __init__(
         self,
         safety: StopController,

@@ -57,6 +57,8 @@ class StopRelease(Part):
 
 
 class Release:
+    """One release of stops by a person: the orders, and the answers of the other robots."""
+
     def __init__(
         self,
         safety: StopController,

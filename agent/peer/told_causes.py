@@ -18,6 +18,7 @@ class ToldCauses:
         self._number = 0  # number of its causes now, from the newest frame
 
     def hear(self, m: Standstill, now_us: int) -> None:
+        """A frame of this robot about one of its causes."""
         self._number = m.causes
         self._told = {cause: seen for cause, seen in self._told.items() if seen[0].place < m.causes}
         if m.causes == 1:

@@ -22,11 +22,15 @@ AnyStop = EmergencyStop | FleetStop
 
 
 class Doubted(NamedTuple):
+    """When a stop was received first and last, microseconds."""
+
     first_us: int
     last_us: int
 
 
 class Doubts:
+    """The stops that are in doubt, by the address that they came from."""
+
     def __init__(self) -> None:
         self._since_us: dict[int, int] = {}  # address -> first stop
         self._stops: dict[int, dict[AnyStop, Doubted]] = {}

@@ -26,6 +26,8 @@ Work = TaskClaim | StateSyncResponse | WorkProgress
 
 
 class Admission:
+    """Decides which received work frames may be merged, and counts the others."""
+
     def __init__(self, sections: AbstractSet[int], owners: AbstractSet[int], now_us: int) -> None:
         """`sections`: those of the field; empty: any. `owners`: slots that may hold a section."""
         self.sections, self.owners = sections, owners

@@ -25,7 +25,7 @@ class Table(BaseModel):
 
 
 class FieldTable(Table):
-    """A field and how it is worked."""
+    """A field file, the implement, and how the field is divided into sections."""
 
     file: str
     feature: str | None = None
