@@ -27,7 +27,7 @@ FLOORS = {
     "agent/motion": 100,
     "agent/navigation": 100,
     "agent/paths": 100,
-    "agent/peer": 62,
+    "agent/peer": 100,
     "agent/runtime": 100,
     "agent/safety": 100,
     "agent/segments": 100,
