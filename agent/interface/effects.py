@@ -5,7 +5,7 @@ follows. So nothing is revealed before it is durable. Only the stop deviates, on
 send, then persist.
 """
 
-from typing import NamedTuple
+from typing import NamedTuple, NewType
 
 from protocol.frames.messages import Message
 
@@ -16,14 +16,6 @@ class Send(NamedTuple):
     message: Message
     destination: int = 255
     source: int | None = None  # None: the peer's address at the time of sending
-
-
-_tuple = tuple.__new__
-
-
-def to_all(message: Message) -> Send:
-    """`Send(message)` to all, without the cost of default arguments: every beat is one."""
-    return _tuple(Send, (message, 255, None))
 
 
 class Drive(NamedTuple):
@@ -42,7 +34,10 @@ class Drive(NamedTuple):
     parcel_action: int = -1
 
 
-HALT = Drive(0.0, 0.0)
+# What a body takes. The gate of `agent/safety/stop_controller.py` is the only one that makes it from a
+# wanted drive, so a motion that has not passed the gate is a type error. HALT needs no gate.
+GatedDrive = NewType("GatedDrive", Drive)
+HALT = GatedDrive(Drive(0.0, 0.0))
 
 
 class Persist(NamedTuple):
@@ -62,4 +57,4 @@ class Trace(NamedTuple):
     why: str = ""
 
 
-Effect = Send | Drive | Persist | Trace
+Effect = Send | GatedDrive | Persist | Trace

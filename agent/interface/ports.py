@@ -6,7 +6,7 @@ SI units. Field frame: x east, y north, metres.
 from collections.abc import Callable, Iterable, Mapping
 from typing import NamedTuple, Protocol, runtime_checkable
 
-from agent.interface.effects import Drive, Persist
+from agent.interface.effects import GatedDrive, Persist
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
@@ -90,8 +90,10 @@ class Body(Protocol):
         """The newest observation and when it was sensed; None if there is none (any more)."""
         ...
 
-    def drive(self, command: Drive, now_us: int) -> None:
-        """Pass a command to the actuators. It expires after `config.ACTUATOR_TTL_US`."""
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        """Pass a command to the actuators: one that the gate has let through.
+
+        It expires after `config.ACTUATOR_TTL_US`."""
         ...
 
 

@@ -9,7 +9,7 @@ from collections.abc import Collection, Mapping, Sequence
 from math import hypot
 
 from agent.interface.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
-from agent.interface.effects import HALT, Drive, Effect, Persist, Send, Trace
+from agent.interface.effects import HALT, Drive, Effect, GatedDrive, Persist, Send, Trace
 from agent.interface.identity import SilencePolicy
 from agent.safety.command_authority import CommandAuthority
 from agent.safety.standard_stop import STOPS, OwnButton, ShortcutButtons
@@ -597,14 +597,14 @@ class StopController:
 
     # ---------------------------------------------------------------- the gate
 
-    def gate(self, wanted: Drive, now_us: int) -> Drive:
+    def gate(self, wanted: Drive, now_us: int) -> GatedDrive:
         """The last function before the actuator: what of the wanted drive the active causes permit.
 
         The result is the drive itself, the same curve at no more than `CREEP_M_S` under a SLOW
         cause, or HALT.
         """
         if not self._causes:
-            return wanted
+            return GatedDrive(wanted)
         severity = self.severity
         if severity >= Severity.PAUSE:
             return HALT
@@ -612,12 +612,13 @@ class StopController:
             speed_m_s = hypot(wanted.vx_m_s, wanted.vy_m_s)
             if speed_m_s > CREEP_M_S:
                 share = CREEP_M_S / speed_m_s
-                return wanted._replace(  # scale the turn rate too, so the curve keeps its radius
+                slower = wanted._replace(  # the turn rate too, so the curve keeps its radius
                     vx_m_s=wanted.vx_m_s * share,
                     vy_m_s=wanted.vy_m_s * share,
                     turn_rad_s=wanted.turn_rad_s * share,
                 )
-        return wanted
+                return GatedDrive(slower)
+        return GatedDrive(wanted)
 
     # ---------------------------------------------------------------- inside
 

@@ -6,7 +6,7 @@ is over, even if the robot's process restarts meanwhile, because it is a fault o
 
 from collections import deque
 
-from agent.interface.effects import Drive
+from agent.interface.effects import GatedDrive
 from agent.interface.ports import Body, Observation
 from sim.fleet.scheduler import Host
 
@@ -71,6 +71,6 @@ class ReceivedBody:
             return seen
         return seen._replace(sensed_at_us=now_us - (world_us - seen.sensed_at_us))
 
-    def drive(self, command: Drive, now_us: int) -> None:
+    def drive(self, command: GatedDrive, now_us: int) -> None:
         """Pass the command on at the world's time."""
         self._drive(command, self._now_us())

@@ -12,7 +12,7 @@ import struct
 from collections.abc import Callable
 from pathlib import Path
 
-from agent.interface.effects import Drive
+from agent.interface.effects import Drive, GatedDrive
 from agent.interface.ports import Body, Observation, VisibleParcel
 from agent.peer.peer import Peer
 from agent.runtime.robot_body import RobotBody
@@ -106,7 +106,8 @@ class BodyServer:
             self.refused += 1
         elif magic == MAGIC_DRIVE:
             drive = Drive(vx_m_s, vy_m_s, turn_rad_s, tool_on == 1, parcel_action)
-            self.body(slot).drive(drive, self.now_us())
+            # It has passed the gate in the robot's process.
+            self.body(slot).drive(GatedDrive(drive), self.now_us())
 
     async def run(self) -> None:
         """Step the world in real time and send an observation to every robot that has asked."""

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.delivery_mission import REACH_M
 from agent.interface.config import S
-from agent.interface.effects import HALT, Drive
+from agent.interface.effects import HALT, GatedDrive
 from agent.interface.ports import Body, Observation, VisibleParcel
 
 Point = tuple[float, float]
@@ -188,7 +188,7 @@ class CarrierBody:
         load = self._parcels.aboard.get(self._slot, -1)
         return seen._replace(battery=left, load=load, parcels=self._parcels.seen(self._slot, at))
 
-    def drive(self, command: Drive, now_us: int) -> None:
+    def drive(self, command: GatedDrive, now_us: int) -> None:
         """Pass the command on, unless the battery is empty; move the arm for as long as the command
         asks for it."""
         if self._parcels.battery.get(self._slot, 1.0) == 0.0 and self._parcels.carrier.runs_dry:

@@ -258,7 +258,8 @@ class PassThroughMotion(MotionController):
     """Motion without obstacles: no robot is in the way of another."""
 
     def __init__(self) -> None:
-        self._wish, self._drive = STILL, HALT
+        self._wish: MotionRequest = STILL
+        self._drive: Drive = HALT
 
     def drive(
         self,
