@@ -23,7 +23,7 @@ from agent.peer.frame_origin import Origins
 from agent.peer.part import (
     FOREVER,
     NOTHING,
-    BeaconHandler,
+    DirectHandler,
     Handler,
     Header,
     Listener,
@@ -95,7 +95,7 @@ class Membership(Part):
         self._oldest_us = now_us  # no sign of life in `signs_us` is older
 
     @property
-    def beacons(self) -> Mapping[type[Any], BeaconHandler]:
+    def direct(self) -> Mapping[type[Any], DirectHandler]:
         return {Pose: self.on_pose}
 
     @property

@@ -56,7 +56,7 @@ class Senders(Enum):
 Output = Any  # an effect or a notice: `Effect | Notice`
 Outputs = Sequence[Output]
 Handler = Callable[[StepContext, Header, Any], Outputs]
-BeaconHandler = Callable[[int, int | None, Any, int], Outputs]  # source, slot, message, now_us
+DirectHandler = Callable[[int, int | None, Any, int], Outputs]  # source, slot, message, now_us
 Listener = Callable[[StepContext, Any], Outputs]
 NOTHING: Outputs = ()
 
@@ -75,8 +75,10 @@ class Part:
         return {}
 
     @property
-    def beacons(self) -> Mapping[type[Any], BeaconHandler]:
-        """Message -> handler, for what arrives a thousand times a second: it gets no snapshot."""
+    def direct(self) -> Mapping[type[Any], DirectHandler]:
+        """Message -> handler that gets no snapshot.
+
+        For what arrives a thousand times a second, and for stops, which wait for nothing."""
         return {}
 
     @property

@@ -17,7 +17,7 @@ from agent.peer.inputs import Heard, Input, Leave, Received, Timer
 from agent.peer.part import (
     FOREVER,
     NOTHING,
-    BeaconHandler,
+    DirectHandler,
     Handler,
     Header,
     Listener,
@@ -46,7 +46,7 @@ class BoundRoute(NamedTuple):
 
     senders: Senders
     handler: Handler | None
-    beacon: BeaconHandler | None  # instead of `handler`, for beacons
+    direct: DirectHandler | None  # instead of `handler`, without a snapshot
 
 
 class Segments(NamedTuple):
@@ -55,7 +55,7 @@ class Segments(NamedTuple):
     parts: Sequence[Part]
     routes: Routes
     carried: frozenset[type[Any]]  # messages that a gateway brings from other segments
-    overhears: Mapping[type[Any], BeaconHandler]  # called after the route's own handler
+    overhears: Mapping[type[Any], DirectHandler]  # called after the route's own handler
 
 
 ONE_SEGMENT = Segments((), {}, frozenset(), {})
@@ -150,8 +150,7 @@ class Peer:
         slot = self._slot_of.get(source)
         if route is not None and route.senders is Senders.URGENT:
             # First, in every state, before anything that may fail or be slow.
-            header = Header(source, slot, destination)
-            return route.handler(self.context(now_us), header, message)  # type: ignore[misc]
+            return route.direct(source, slot, message, now_us)  # type: ignore[misc]
         if self._carried and slot is None and kind is not AddressClaimed:
             number = gateway_slot(source)
             if number is not None:
@@ -191,8 +190,8 @@ class Peer:
                 return [notices.StrangerHeard(source)]
             if senders is Senders.MEMBER_ONLY:
                 return NOTHING
-        if route.beacon is not None:
-            return route.beacon(source, slot, message, now_us)
+        if route.direct is not None:
+            return route.direct(source, slot, message, now_us)
         header = Header(source, slot, destination)
         return route.handler(self.context(now_us), header, message)  # type: ignore[misc]
 
@@ -317,9 +316,9 @@ class Peer:
 def bound(parts: Sequence[Part], routes: Routes) -> dict[type[Any], BoundRoute]:
     """The routing table with the methods of these parts. Every handler must have a route."""
     of = {type(part): part for part in parts}
-    handled = {kind for part in parts for kind in (*part.handles, *part.beacons)}
+    handled = {kind for part in parts for kind in (*part.handles, *part.direct)}
     assert handled == routes.keys(), f"routes and handlers differ: {handled ^ routes.keys()}"
     return {
-        kind: BoundRoute(senders, of[part].handles.get(kind), of[part].beacons.get(kind))
+        kind: BoundRoute(senders, of[part].handles.get(kind), of[part].direct.get(kind))
         for kind, (part, senders) in routes.items()
     }

@@ -12,7 +12,16 @@ from agent.interface.lifecycle import State
 from agent.peer import inputs, notices
 from agent.peer.membership import Membership
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import (
+    NOTHING,
+    DirectHandler,
+    Handler,
+    Header,
+    Listener,
+    Outputs,
+    Part,
+    StepContext,
+)
 from agent.peer.sender_origins import SenderOrigins
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
@@ -44,13 +53,16 @@ class StopReception(Part):
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
         return {
-            EmergencyStop: self.on_stop,
             EmergencyReset: self._reset,
             HeldReset: self._held_reset,
             AllImplementsStop: self._implements_stop,
             Challenge: self._challenge,
             Freshness: self._freshness,
         }
+
+    @property
+    def direct(self) -> Mapping[type[Any], DirectHandler]:
+        return {EmergencyStop: self.on_stop}
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
@@ -88,9 +100,8 @@ class StopReception(Part):
 
     # ---------------------------------------------------------------- received
 
-    def on_stop(self, ctx: StepContext, header: Header, m: EmergencyStop) -> Outputs:
+    def on_stop(self, source: int, slot: int | None, m: EmergencyStop, now_us: int) -> Outputs:
         """In every state and from every sender; `SenderOrigins.doubted` says which ones wait."""
-        source, slot, now_us = header.source, header.slot, ctx.now_us
         if slot is None:
             doubted = self.senders.doubted(source, m, now_us)
             if doubted is not None:

@@ -15,7 +15,16 @@ from typing import Any
 from agent.interface.config import MS
 from agent.interface.effects import HALT, Effect, Send
 from agent.peer import notices
-from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import (
+    NOTHING,
+    DirectHandler,
+    Handler,
+    Header,
+    Listener,
+    Outputs,
+    Part,
+    StepContext,
+)
 from agent.peer.sender_origins import SenderOrigins
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import (
@@ -58,7 +67,11 @@ class FleetStops(Part):
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
-        return {FleetStop: self._stop, FleetReset: self._reset}
+        return {FleetReset: self._reset}
+
+    @property
+    def direct(self) -> Mapping[type[Any], DirectHandler]:
+        return {FleetStop: self._stop}
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
@@ -73,13 +86,13 @@ class FleetStops(Part):
         """A robot that moves while we hold a stop of another segment does not know that stop."""
         return self.tell(now_us) if self.holds_far and not m.stopped else NOTHING
 
-    def _stop(self, ctx: StepContext, header: Header, m: FleetStop) -> Outputs:
-        if header.slot is None:
-            doubted = self.senders.doubted(header.source, m, ctx.now_us)
+    def _stop(self, source: int, slot: int | None, m: FleetStop, now_us: int) -> Outputs:
+        if slot is None:
+            doubted = self.senders.doubted(source, m, now_us)
             if doubted is not None:
                 return doubted
-        effects = self.receive_stop(m, ctx.now_us)
-        return [*effects, notices.Latched(f"a stop from address {header.source}")]
+        effects = self.receive_stop(m, now_us)
+        return [*effects, notices.Latched(f"a stop from address {source}")]
 
     def _reset(self, ctx: StepContext, header: Header, m: FleetReset) -> Outputs:
         return self.receive_reset(m, ctx.now_us)

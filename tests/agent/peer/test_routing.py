@@ -40,7 +40,7 @@ def test_every_handler_has_a_row_and_every_row_a_handler(area: Area | None) -> N
     """The peer compares them itself when it is made; here with the parts of both kinds of fleets."""
     identity = identity_of("routes", 0, 3, 1, SilencePolicy.STOP, first_boot=True)
     peer = make_peer(identity, Random(1), 0, area=area)
-    handled = [kind for part in peer.parts for kind in (*part.handles, *part.beacons)]
+    handled = [kind for part in peer.parts for kind in (*part.handles, *part.direct)]
     table = ROUTES if area is None else {**ROUTES, **SEGMENT_ROUTES}
     assert len(handled) == len(set(handled)) and set(handled) == table.keys()
 
