@@ -11,7 +11,7 @@ the options of the file, `Tractor(slot, port="/dev/ttyUSB0")`.
 from importlib import import_module
 from typing import Any
 
-from agent.interface.effects import Drive
+from agent.interface.effects import GatedDrive
 from agent.interface.ports import Observation
 from agent.peer.peer import Peer
 
@@ -28,7 +28,7 @@ class RobotBody:
         None: there is none yet, or none any more."""
         raise NotImplementedError
 
-    def drive(self, command: Drive, now_us: int) -> None:
+    def drive(self, command: GatedDrive, now_us: int) -> None:
         """Obey until the next command, for `agent.interface.config.ACTUATOR_TTL_US` at most."""
         raise NotImplementedError
 
@@ -52,7 +52,7 @@ class StandingBody(RobotBody):
         """The place where it stands, sensed now."""
         return Observation(*self.pose, 0.0, 0.0, sensed_at_us=now_us)
 
-    def drive(self, command: Drive, now_us: int) -> None:
+    def drive(self, command: GatedDrive, now_us: int) -> None:
         """It has no wheels."""
 
 

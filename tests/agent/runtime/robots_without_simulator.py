@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.interface.config import ACTUATOR_TTL_US
-from agent.interface.effects import HALT, Drive
+from agent.interface.effects import HALT, GatedDrive
 from agent.interface.ports import Observation
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import RobotBody
@@ -43,7 +43,7 @@ class PointBody(RobotBody):
         vx_m_s, vy_m_s = self.command.vx_m_s, self.command.vy_m_s
         return Observation(self.x_m, self.y_m, 0.0, vx_m_s, vy_m_s, sensed_at_us=now_us)
 
-    def drive(self, command: Drive, now_us: int) -> None:
+    def drive(self, command: GatedDrive, now_us: int) -> None:
         self._move(now_us)
         self.command, self.until_us = command, now_us + ACTUATOR_TTL_US
 

@@ -74,7 +74,7 @@ def walked(*stations: Callable[..., Any]) -> Iterator[set[Call]]:
 
     These are the calls on the way: what they call and return from in between is not counted."""
     calls: set[Call] = set()
-    codes = {station.__code__ for station in stations}  # type: ignore[attr-defined]
+    codes = {station.__code__ for station in stations}
 
     def seen(frame: FrameType, event: str, _: object) -> None:
         if event == "call" and frame.f_code in codes:
