@@ -207,6 +207,37 @@ def test_a_package_says_what_is_in_it(path: Path) -> None:
             assert word in there, f"{word} is not in {name_of(path)}"
 
 
+def test_what_a_package_exports_is_there() -> None:
+    """Names in `__all__`, so that `from package import *` and the printed interface do not fail."""
+    exporting = 0
+    for module, path in MODULES.items():
+        if path.name == "__init__.py" and module.split(".")[0] in CORE:
+            package = importlib.import_module(module)
+            names = getattr(package, "__all__", [])
+            exporting += bool(names)
+            assert names == sorted(names)
+            assert all(hasattr(package, name) for name in names), module
+    assert exporting
+
+
+# What a program of one's own imports first, and what that may not bring along.
+LIGHT = {
+    "agent, protocol, crdt": "numba scipy shapely pydantic can",
+    "agent.interface.mission, agent.interface.ports": "numba scipy shapely pydantic can",
+    "agent.runtime.engine": "numba scipy shapely pydantic",
+    "agent.runtime.robot_process": "pymunk sim tools",
+}
+
+
+@pytest.mark.parametrize("modules", LIGHT)
+def test_an_import_brings_no_weight_along(modules: str) -> None:
+    program = f"import sys, {modules}; print(*{{name.split('.')[0] for name in sys.modules}})"
+    done = subprocess.run(
+        [sys.executable, "-P", "-c", program], capture_output=True, text=True, check=True
+    )
+    assert not set(done.stdout.split()) & set(LIGHT[modules].split())
+
+
 @pytest.mark.parametrize("layer", LAYERS)
 def test_no_intruder(layer: str) -> None:
     """Our package names are plain words: a distribution with the same name must not be what we import."""

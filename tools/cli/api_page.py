@@ -25,9 +25,12 @@ class Surface(NamedTuple):
 
 SURFACES = (
     Surface("A robot in your own program", "agent/runtime/engine.py"),
+    Surface("A robot as a process", "agent/runtime/robot_process.py", frozenset({"run_robot"})),
+    Surface("The file of a robot", "agent/runtime/robot_file.py"),
+    Surface("The body of a robot process", "agent/runtime/robot_body.py"),
     Surface("A CAN bus", "protocol/links/bus.py"),
     Surface("A mission of your own", "agent/interface/mission.py"),
-    Surface("A body of your own", "agent/interface/ports.py"),
+    Surface("What a body tells and is told", "agent/interface/ports.py"),
     Surface("Which robot of which fleet", "agent/interface/identity.py"),
     Surface("What comes out of the core", "agent/interface/effects.py"),
     Surface("The core", "agent/peer/peer.py", frozenset({"Peer"})),
