@@ -58,7 +58,7 @@ class Section:
         """Each longest run of wanted units of one swath: its polyline, and its units in driving
         order.
 
-        `wanted`: whether a unit, by its number in the section, is to be included.
+        `wanted`: whether to include a unit, by its number in the section.
         """
         first = 0
         for swath, count in zip(self.swaths, self.units_of, strict=True):

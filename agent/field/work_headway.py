@@ -10,7 +10,7 @@ FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap does not count: it was 
 class Headway:
     """Whether work makes progress: a unit is done, or the remaining distance reaches a new minimum.
 
-    A robot without either for `NONE_US` releases the section, for whatever reason it is stuck. The
+    A robot without either for `NONE_US` releases the section, for any reason. The
     raised epoch of the register lets another robot take it.
     """
 

@@ -2,6 +2,7 @@
 
 `holonomic_motion` and `tractor_motion` are the two motion controllers; `path_tracker` and
 `tractor_tracker` follow paths. `obstacle_detector` finds what no robot explains, `obstacle_stop`
-stops and asks a person. `right_of_way`, `deadlock_yield` and `stopping_zone` settle meetings.
+stops and asks a person. `right_of_way` and `deadlock_yield`
+settle meetings; `stopping_zone` is where a silent robot may stand.
 `implement_clearance` keeps robots off implements.
 """

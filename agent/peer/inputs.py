@@ -36,7 +36,7 @@ class Sensed(NamedTuple):
 
 
 class Timer(NamedTuple):
-    """Time has passed: whatever is due is done."""
+    """Time has passed: each part does what is due."""
 
 
 class BusState(NamedTuple):

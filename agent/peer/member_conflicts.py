@@ -1,6 +1,6 @@
 """Conflicts with other machines: a different field description, or our own identity.
 
-Such a conflict lasts as long as that machine sends frames. It ends when the machine agrees, when
+Such a conflict lasts while that machine sends frames. It ends when the machine agrees, when
 another device claims its address, or when it was not received for `GONE_US`.
 
 Two machines with one identity may also share one address, because equal NAMEs do not contend. Then

@@ -133,7 +133,7 @@ class AddressTaken(NamedTuple):
 
 
 class RequestOverheard(NamedTuple):
-    """A request was on the bus, whoever is asked. `data`: the packed group number."""
+    """A request to any device was on the bus. `data`: the packed group number."""
 
     data: bytes
     destination: int
@@ -156,7 +156,7 @@ class SignOfLife(NamedTuple):
 
 
 class MembershipChanged(NamedTuple):
-    """The live or silent members are others than before, or are to be told again."""
+    """The live or silent members have changed, or parts ask for them again."""
 
     live: frozenset[int]
     silent: frozenset[int]
@@ -218,4 +218,4 @@ class SectionsMerged(NamedTuple):
 
 
 class WorkGivenBack(NamedTuple):
-    """Every claimed section is to be released, because an operator wants something else."""
+    """Release every claimed section, because an operator has ordered something else."""

@@ -1,7 +1,8 @@
-"""Makes the parts of one peer, each from those that it works with. Here the order of the parts is set.
+"""Makes the parts of one peer, each from those that it works with, and sets their order.
 
-The order is a contract: timers and notices go through the parts in it. What is durable before
-anything is sent comes first, then stops, then who is there, then work, and at last what is announced.
+The order is a contract: timers and notices go through the parts in it. First comes what must be
+durable before anything is sent, then stops, the members on the bus, work, and at last
+announcements.
 """
 
 from collections.abc import Mapping
@@ -87,7 +88,7 @@ class PeerParts:
         self.sync = Synchronizer(slot, self.allocation, self.progress)
         self.admission = Admission(frozenset(units), identity.members, now_us)
 
-        # Stops, and who is on the bus.
+        # Stops, and the members on the bus.
         incarnation = self.records.incarnation
         self.safety = StopController(slot, incarnation, identity.silence, keyring, recalled, now_us)
         self.lifecycle = PeerLifecycle(self.safety)
