@@ -37,8 +37,8 @@ FLOORS = {
     "sim/fleet": 95,
     "sim/record": 95,
     "sim/rigs": 95,
-    "sim/runs": 43,
-    "sim/scenarios": 32,
+    "sim/runs": 94,
+    "sim/scenarios": 94,
     "sim/world": 95,
     "tools/bench": 95,
     "tools/build": 95,
@@ -50,7 +50,7 @@ FLOORS = {
     "tools/livemap": 95,
     "tools/operate": 95,
     "tools/report": 95,
-    "tools/run": 47,
+    "tools/run": 94,
 }
 
 

@@ -27,6 +27,8 @@ QUIET_US = 10 * S  # after the last cell, registers and replicas must be in orde
 
 
 class GridOutcome(NamedTuple):
+    """What came of one run of whole peers on a grid, from the truth."""
+
     map: str
     robots: int
     seed: int
@@ -55,20 +57,27 @@ class GridOutcome(NamedTuple):
 
     @property
     def ratio(self) -> float:
+        """Makespan as a factor of the bound."""
         return self.makespan_s / max(self.bound_s, STEP_S)
 
     @property
     def success(self) -> bool:
+        """Whether all cells are covered without a contact, a wall or a cell planned again, and all
+        replicas are equal."""
         clean = not (self.contacts or self.through_walls or self.uncovered or self.malformed)
         again = self.replanned or self.redone
         return self.finished and self.replicas_equal and clean and not again
 
     def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values for JSON."""
         plain = {**self._asdict(), "frames": dict(self.frames)}
         return {**plain, "ratio": round(self.ratio, 4), "success": self.success}
 
 
 class GridCluster(Cluster):
+    """A cluster in the world of cells. It knows which robots never died, because only these are
+    asked for equal replicas."""
+
     def __init__(self, setting: GridSetting, channel: str, record: Record, host: Host) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
@@ -110,6 +119,7 @@ class GridCluster(Cluster):
         raise AssertionError("more robots than cells")
 
     def mission(self, robot: Robot) -> GridWork:
+        """The coverage mission of a robot."""
         mission = robot.peer.mission
         assert isinstance(mission, GridWork)
         return mission
@@ -155,6 +165,7 @@ class ReplanAuditor:
         self._seen: dict[int, int] = {}  # slot -> last round that was checked
 
     def look(self) -> None:
+        """Compare the plan of every robot that has begun a new round."""
         islands = {n.island for n in self.cluster.segment.wire.nodes.values()}
         for robot in self.cluster.running:
             rounds = self.cluster.mission(robot).agreement
@@ -179,10 +190,13 @@ class ReplanAuditor:
 
 
 class CoverageRun(Run[GridSetting, GridCluster, GridOutcome]):
+    """Switches whole peers on over a grid, and judges covered cells, contacts and new plans."""
+
     kind = GridOutcome
     quiet_us = QUIET_US
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> GridCluster:
+        """Also begins to compare plans."""
         cluster = GridCluster(self.setting, channel, record, host)
         self.witness = ReplanAuditor(cluster)
         return cluster
@@ -191,6 +205,7 @@ class CoverageRun(Run[GridSetting, GridCluster, GridOutcome]):
         self.witness.look()
 
     def progress(self, cluster: GridCluster) -> RunProgress:
+        """Cells covered of all free ones."""
         covered = cluster.grid_world.truth.first_us != NONE
         done, now_s = int(np.count_nonzero(covered)), cluster.host.now_us() / S
         return RunProgress(now_s, done, covered.size, done / covered.size, states_of(cluster))

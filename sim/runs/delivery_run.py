@@ -23,6 +23,8 @@ QUIET_US = 4 * S  # after the last parcel, replicas must be equal within this ti
 
 
 class HaulOutcome(NamedTuple):
+    """What came of one delivery run, from the truth about parcels."""
+
     scenario: str
     robots: int
     seed: int
@@ -54,18 +56,23 @@ class HaulOutcome(NamedTuple):
 
     @property
     def success(self) -> bool:
+        """Whether every parcel was delivered and nothing went wrong."""
         return self.finished and not self.flawed
 
     @property
     def flawed(self) -> bool:
+        """Whether a parcel was mishandled, a battery ran empty, or something was touched."""
         return any(self.flaws.values()) or bool(self.empty) or self.contacts > 0
 
     def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values for JSON."""
         plain = {**self._asdict(), "flaws": dict(self.flaws), "frames": dict(self.frames)}
         return {**plain, "success": self.success}
 
 
 class HaulCluster(Cluster):
+    """A cluster in a warehouse, with its floor and the device that orders transports."""
+
     def __init__(
         self, setting: DeliverySetting, channel: str, record: Record | None, host: Host
     ) -> None:
@@ -113,6 +120,8 @@ class HaulCluster(Cluster):
 
 
 class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
+    """Runs a warehouse until every task is delivered, or cannot be reached."""
+
     kind = HaulOutcome
     quiet_us = QUIET_US
     tracks: dict[int, list[TrackPoint]]  # after the run
@@ -122,6 +131,7 @@ class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
     _hope_us = 0  # when a place could last be reached
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> HaulCluster:
+        """Robots with arms and batteries, on the floor of the warehouse."""
         return HaulCluster(self.setting, channel, record, host)
 
     def scripts(self, cluster: HaulCluster, faults: Script[None]) -> list[Handle]:
@@ -142,6 +152,7 @@ class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
         return (over and not self.forever) or self.ended
 
     def progress(self, cluster: HaulCluster) -> RunProgress:
+        """Parcels delivered of those ordered, with the next stops of each robot."""
         plans = "  ".join(
             f"{robot.slot} [{', '.join(stops[:3])}{', ...' if len(stops) > 3 else ''}]"
             for robot in cluster.running

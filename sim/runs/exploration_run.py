@@ -37,6 +37,8 @@ REPORT_S = 2.0
 
 
 class Sharing(Enum):
+    """What robots know of each other's maps."""
+
     FLEET = "the real wire"
     AT_ONCE = "one map for all, without a wire: what an omniscient coordinator would have"
     NONE = "each for itself, to the nearest frontier"
@@ -60,6 +62,8 @@ class InstantMapSync(MapSync):
 
 
 class SurveyOutcome(NamedTuple):
+    """What came of one exploration, from the truth about visible cells."""
+
     scenario: str
     robots: int
     seed: int
@@ -88,14 +92,18 @@ class SurveyOutcome(NamedTuple):
 
     @property
     def success(self) -> bool:
+        """Whether the fleet ended by itself with 98 % seen, without a contact, and with equal maps."""
         return self.finished and self.contacts == 0 and self.maps_equal and self.explored >= 0.98
 
     def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values for JSON."""
         plain = {**self._asdict(), "frames": dict(self.frames), "tasks": dict(self.tasks)}
         return {**plain, "success": self.success}
 
 
 class SurveyCluster(Cluster):
+    """A cluster of explorers, which share maps over the wire, at once, or not at all."""
+
     def __init__(
         self, setting: ArenaSetting, channel: str, record: Record, host: Host,
         sharing: Sharing, orders: Sequence[ExplorationOrder],
@@ -143,6 +151,7 @@ class SurveyCluster(Cluster):
 
     @property
     def maps_equal(self) -> bool:
+        """Whether the maps of all running robots are equal bit for bit."""
         charts = {self.missions[robot.slot].chart.fleet.serialize() for robot in self.running}
         return len(charts) <= 1
 
@@ -159,6 +168,7 @@ class SeenCells:
         self.cells = int(np.count_nonzero(self.truth))  # cells that can be seen
 
     def look(self, missions: Mapping[int, ExplorationMission]) -> None:
+        """Take the new evidence of each robot."""
         for slot, mission in sorted(missions.items()):
             own = (mission.chart.own() != 0) & self.truth
             known = self.by.setdefault(slot, np.zeros_like(own))
@@ -169,17 +179,19 @@ class SeenCells:
 
     @property
     def share(self) -> float:
+        """Share of the visible cells that any robot has seen."""
         return float(
             np.count_nonzero((self.first >= 0) & self.truth) / np.count_nonzero(self.truth)
         )
 
     @property
     def overlap(self) -> float:
+        """Cells that were seen again by another robot, as a factor of the visible ones."""
         return self.again / self.cells
 
 
 class FilmFrame(NamedTuple):
-    """One picture of the film."""
+    """What one picture of the film shows: a map, its robot, and where all robots were."""
 
     now_s: float
     slot: int  # the robot whose map it is
@@ -189,6 +201,9 @@ class FilmFrame(NamedTuple):
 
 
 class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
+    """Explores an arena until no robot sees a frontier that it could reach, or until a share is
+    seen."""
+
     kind = SurveyOutcome
     look_us, compare_us = 250 * MS, 50 * MS
     quiet_us = 2 * QUIET_US
@@ -214,6 +229,7 @@ class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
         self._done_us = self._last_us = 0  # when the fleet was done; when the run was over
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> SurveyCluster:
+        """Also counts the frames of maps on the wire."""
         cluster = SurveyCluster(self.setting, channel, record, host, self.sharing, self.orders)
         cluster.segment.taps.append(self._tap)
         return cluster
@@ -242,6 +258,7 @@ class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
         return cluster.maps_equal
 
     def progress(self, cluster: SurveyCluster) -> RunProgress:
+        """Cells seen of all visible ones."""
         share, cells = self.seen.share, self.seen.cells
         now_s = cluster.host.now_us() / S
         return RunProgress(now_s, round(share * cells), cells, share, states_of(cluster))

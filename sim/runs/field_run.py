@@ -22,9 +22,11 @@ class WorkRun(Run[SetupT, Cluster, Outcome]):
     look_us = 1 * S
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
+        """A plain cluster."""
         return Cluster(self.setting, channel, record, host)
 
     def progress(self, cluster: Cluster) -> RunProgress:
+        """Sections that are done by the best replica, and the share of units."""
         peers = [robot.peer for robot in cluster.running]
         done = max((peer.allocation.done_count() for peer in peers), default=0)
         share = max((peer.progress.fraction() for peer in peers), default=0.0)
@@ -41,6 +43,8 @@ class WorkRun(Run[SetupT, Cluster, Outcome]):
 
 
 class FieldRun(WorkRun[Setting]):
+    """Works a field to its end, and measures the swept ground."""
+
     truth: Coverage | None = None
     tracks: dict[int, list[TrackPoint]]  # after the run
 

@@ -32,6 +32,8 @@ class GoalResult(NamedTuple):
 
 
 class OutingOutcome(NamedTuple):
+    """What came of one run of errands, from the truth about positions."""
+
     scenario: str
     robots: int
     seed: int
@@ -57,6 +59,7 @@ class OutingOutcome(NamedTuple):
 
     @property
     def success(self) -> bool:
+        """Whether all arrived, touched nothing, obeyed every stop, and have equal replicas."""
         clean = self.contacts == 0 and self.moved_after_stop == 0
         return self.finished and clean and self.replicas_equal
 
@@ -72,12 +75,15 @@ class OutingOutcome(NamedTuple):
 
 
 class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
+    """Lets robots go to their goals, and records which path each one followed when."""
+
     kind = OutingOutcome
     compare_us = 50 * MS
     tracks: dict[int, NDArray[np.float64]]  # after the run; (n, 4): microseconds, x, y, -
     followed: dict[int, list[FollowedPath]]
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
+        """A plain cluster; arrivals are noted by section."""
         self._done_us: dict[int, int] = {}  # section -> when its robot reported it done
         return Cluster(self.setting, channel, record, host)
 
@@ -93,6 +99,7 @@ class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
         return len(self._done_us) == self.setting.section_count
 
     def progress(self, cluster: Cluster) -> RunProgress:
+        """Goals reached of all."""
         done, total = len(self._done_us), self.setting.section_count
         now_s = cluster.host.now_us() / S
         return RunProgress(now_s, done, total, done / max(total, 1), states_of(cluster))
@@ -141,7 +148,7 @@ class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
 def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], until_us: int) -> float:
     """Root mean square of the distance to the polyline (not to its vertices) followed at the time.
 
-    `track`: (n, 4), microseconds, x, y and a number that is not used. nan if nothing was driven.
+    `track` (n, 4): microseconds, x, y, and a column that is not used. nan if nothing was driven.
     """
     squares: list[float] = []
     for k, path in enumerate(paths):
@@ -152,6 +159,7 @@ def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], until_us: int)
 
 
 def to_polyline_m(at: tuple[float, float], path: Points) -> float:
+    """Distance from a point to the nearest point of a polyline; both in metres."""
     nearest = hypot(at[0] - path[0][0], at[1] - path[0][1])
     for (ax, ay), (bx, by) in itertools.pairwise(path):
         ex, ey = bx - ax, by - ay

@@ -17,11 +17,15 @@ STEPS_PER_CELL_MAX = 50
 
 
 class Death(NamedTuple):
+    """A robot that stops for good at the beginning of a step."""
+
     step: int
     robot: int
 
 
 class Arrival(NamedTuple):
+    """A robot that joins at a cell (row, column) at the beginning of a step."""
+
     step: int
     cell: Cell
 

@@ -10,6 +10,8 @@ from sim.scenarios.protocol_setup import DrillSetting
 
 
 class ProtocolRun(WorkRun[DrillSetting]):
+    """Works sections by the clock; figures about ground and motion are those of nothing."""
+
     def measure(self, cluster: Cluster) -> dict[str, Any]:
         share = self.setting.parade.share
         return {

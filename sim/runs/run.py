@@ -30,7 +30,7 @@ OutcomeT = TypeVar("OutcomeT")
 
 
 class RunProgress(NamedTuple):
-    """How far a run is."""
+    """What a bar shows while a run goes on."""
 
     simulated_s: float
     done: int  # of `total`: sections, goals, parcels
@@ -63,10 +63,12 @@ class Run(ABC, Generic[SetupT, FleetT, OutcomeT]):
     # ---------------------------------------------------------------- what a mission says
 
     @abstractmethod
-    def make_fleet(self, channel: str, record: Record, host: Host) -> FleetT: ...
+    def make_fleet(self, channel: str, record: Record, host: Host) -> FleetT:
+        """The cluster of this mission, switched off."""
 
     @abstractmethod
-    def progress(self, cluster: FleetT) -> RunProgress: ...
+    def progress(self, cluster: FleetT) -> RunProgress:
+        """What is done at present, for the bar."""
 
     @abstractmethod
     def measure(self, cluster: FleetT) -> dict[str, Any]:

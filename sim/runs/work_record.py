@@ -32,11 +32,15 @@ Rings = tuple[tuple[LonLat, ...], ...]  # the exterior first; each ends at its s
 
 
 class Swath(NamedTuple):
+    """One swath of a section as a line of longitude and latitude."""
+
     section: int
     points: tuple[LonLat, ...]
 
 
 class LogPoint(NamedTuple):
+    """Where a robot was, and whether it worked from there on."""
+
     t_ms: int  # since the start of the record
     lon: float
     lat: float
@@ -44,6 +48,8 @@ class LogPoint(NamedTuple):
 
 
 class WorkRecord(NamedTuple):
+    """Everything that farm software gets of a run: longitudes and latitudes in degrees."""
+
     name: str
     started: datetime  # UTC
     finished: bool  # every section was done
@@ -55,6 +61,7 @@ class WorkRecord(NamedTuple):
 
     @property
     def duration_ms(self) -> int:
+        """Until the last point of any robot; 0 without points."""
         return max((log[-1].t_ms for log in self.logs.values() if log), default=0)
 
 

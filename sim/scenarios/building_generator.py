@@ -24,8 +24,11 @@ DEAD_END = """
 
 
 def rooms(seed: int, side: int = 64, pitch: int = 8, doors: float = 0.7) -> str:
-    """A square of square rooms like the benchmark map room-64-64-8: one-cell walls between them,
-    doors of one cell, all rooms connected; `doors`: share of the walls with a door."""
+    """A square of `side` cells with square rooms, one every `pitch` cells, like the benchmark map
+    room-64-64-8: one-cell walls between them, doors of one cell, all rooms connected.
+
+    `doors`: share of the walls with a door.
+    """
     rng = Random(f"{seed}/rooms")
     cells = [["."] * side for _ in range(side)]
     count = side // pitch

@@ -21,6 +21,9 @@ VEHICLE = Vehicle(RADIUS_M, SPEED_M_S)
 
 
 class GridSetting(FleetSetup):
+    """A fleet on the cells of a map: where robots start, how cells are numbered, and what a turn
+    costs."""
+
     def __init__(self, scenario: Scenario, instance: Instance, turn_cost: float = 0.0) -> None:
         """ValueError if there are more free cells than numbers on the wire."""
         super().__init__(scenario)

@@ -47,6 +47,8 @@ class Outage(Table):
 
 
 class WarehouseTable(RobotWarehouse):
+    """The building, its bays, and where the transports come from."""
+
     outage: list[Outage] = Field(default=[])
     tasks: str | None = None  # CSV or JSON lines
     random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # drawn with the seed of the run
@@ -57,6 +59,8 @@ class WarehouseTable(RobotWarehouse):
 
 
 class WarehouseFleet(FleetTable):
+    """The robots of a warehouse, smaller and slower than those of a field."""
+
     robots: int = Field(default=6, ge=1, le=108)
     radius_m: float = Field(default=0.3, gt=0.05, le=5.0)
     speed_m_s: float = Field(default=1.0, gt=0.05, le=12.7)
@@ -65,6 +69,8 @@ class WarehouseFleet(FleetTable):
 
 
 class WarehouseScenario(Scenario):
+    """A scenario file with `mission = "delivery"`."""
+
     mission: Literal["delivery"] = "delivery"  # type: ignore[assignment]
     field: FieldTable = FieldTable(file="")  # there is no field
     fleet: FleetTable = WarehouseFleet()
@@ -96,7 +102,8 @@ def load_warehouse(name: str) -> WarehouseScenario:
 
 
 def read_tasks(path: Path) -> list[TaskRow]:
-    """CSV with a header, or JSON lines, with the keys `TASK_KEYS`; `at_s` may be left out."""
+    """Read CSV with a header, or JSON lines, with the keys `TASK_KEYS`; `at_s` may be left out.
+    Raises ScenarioError, which names the file and the line."""
     try:
         text = read_text(path, TASKS_BYTES_MAX)
     except GivenFileError as problem:
@@ -136,6 +143,7 @@ def _row(path: Path, number: int, row: Any) -> TaskRow:
 
 
 def random_tasks(cells: list[XY], count: int, over_s: float, rng: Random) -> list[TaskRow]:
+    """Transports between random cells, in the order in which they appear within `over_s`."""
     rows = []
     for _ in range(count):
         pickup, dropoff = rng.sample(cells, 2)

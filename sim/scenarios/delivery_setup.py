@@ -23,6 +23,9 @@ BOX_M = 0.5
 
 
 class DeliverySetting(ErrandSetting):
+    """A building with robots in it, the transports that are known from the start, and those that
+    come later."""
+
     scenario: WarehouseScenario
 
     def __init__(self, scenario: WarehouseScenario) -> None:
@@ -66,6 +69,7 @@ class DeliverySetting(ErrandSetting):
 
     @staticmethod
     def order(house: Warehouse, row: TaskRow) -> TransportTask:
+        """A row of the file as the frame has it: cells instead of metres."""
         pickup, dropoff = house.cell(row.pickup), house.cell(row.dropoff)
         assert pickup is not None and dropoff is not None
         return TransportTask(pickup, dropoff)
@@ -106,6 +110,7 @@ class DeliverySetting(ErrandSetting):
         return self.scenario.run.seed * 1000 + slot
 
     def parcels(self) -> Parcels:
+        """The truth about parcels at the start: those of all known transports lie at their pickups."""
         truth = Parcels(self.carrier, self.house.bays)
         for number, order in self.house.tasks.items():
             trip = self.house.trip(order)
@@ -129,11 +134,12 @@ class DeliverySetting(ErrandSetting):
 
 
 def floor_of(scenario: WarehouseScenario) -> Floor:
+    """The building of a scenario, from its file or its drawing. Raises ScenarioError if it cannot
+    be read."""
     table = scenario.warehouse
     drawn = "\n" in table.map  # the map itself
-    path = (
-        scenario.folder if drawn else scenario.folder / table.map
-    )  # an absolute path stays as it is
+    # An absolute path stays as it is.
+    path = scenario.folder if drawn else scenario.folder / table.map
     try:
         text = table.map if drawn else read_text(path, DRAWING_BYTES_MAX)
         return Floor.drawn(text, table.cell_m, scenario.fleet.radius_m)

@@ -50,10 +50,13 @@ class OrderTable(Table):
 
     @property
     def order(self) -> Task:
+        """As the mission takes it."""
         return Task(Kind(self.kind), tuple(self.points))
 
 
 class ArenaScenario(Scenario):
+    """A scenario file with `mission = "exploration"`."""
+
     mission: Literal["exploration"] = "exploration"  # type: ignore[assignment]
     field: FieldTable = FieldTable(file="")  # there is no field
     arena: ArenaTable

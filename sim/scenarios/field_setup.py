@@ -37,6 +37,8 @@ _fields: dict[tuple[object, ...], Field] = {}  # by all their inputs: dividing a
 
 
 class Setting(FleetSetup):
+    """A field with its sections and swaths, and the bodies that work it."""
+
     def __init__(self, scenario: Scenario) -> None:
         """Raises ScenarioError if the field cannot be used."""
         super().__init__(scenario)

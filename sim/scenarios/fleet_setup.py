@@ -20,6 +20,8 @@ Point = tuple[float, float]
 
 
 class FleetSetup(ABC):
+    """The base of all setups: a subclass adds the world and the missions."""
+
     starts: Sequence[Point]  # metres; of each robot
 
     def __init__(self, scenario: Scenario) -> None:

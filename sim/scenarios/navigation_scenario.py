@@ -38,6 +38,8 @@ APART_RADII = 2.5  # minimum distance of drawn starts
 
 
 class FloorTable(Table):
+    """The map of the building."""
+
     map: str
     cell_m: float = Field(default=1.0, gt=0.05, le=10.0)
     # Distance from walls, in addition to the radius.
@@ -45,6 +47,8 @@ class FloorTable(Table):
 
 
 class ErrandTable(Table):
+    """Where robots start, and where each has to go; both may be drawn."""
+
     each: int = Field(default=1, ge=1, le=64)  # goals per robot, drawn by the seed
     starts: list[XY] | None = None
     goals: list[list[XY]] | None = None
@@ -60,6 +64,8 @@ class ObstacleTable(Table):
 
 
 class ErrandScenario(Scenario):
+    """A scenario file with `mission = "errands"`."""
+
     mission: Literal["errands"] = "errands"  # type: ignore[assignment]
     field: FieldTable = FieldTable(file="")  # there is no field
     floor: FloorTable

@@ -24,6 +24,8 @@ from sim.world.world import World
 
 
 class ErrandSetting(FleetSetup):
+    """A building with robots in it, the goals of each in their order, and boxes that come and go."""
+
     def __init__(
         self,
         scenario: Scenario,
@@ -55,7 +57,8 @@ class ErrandSetting(FleetSetup):
         time_limit_s: float = 600.0,
         agrees: bool = True,
     ) -> "ErrandSetting":
-        """Make it without a scenario file."""
+        """A setup without a file: `starts` and `goals` are metres, `loss` is a share of all frames
+        from 0 to 1."""
         scenario = Scenario(
             name=name,
             field=FieldTable(file="none"),
@@ -101,7 +104,8 @@ class ErrandSetting(FleetSetup):
 def scattered(
     floor: Floor, count: int, rng: Random, apart_m: float, among: NDArray[np.intp] | None = None
 ) -> list[Point]:
-    """Places for robots on connected nodes of the lattice, this far from each other."""
+    """Places for robots in metres, on connected nodes of the lattice, this far from each other.
+    Raises ValueError if there are too few."""
     lattice = floor.lattice
     home = int(np.argmax(np.bincount(lattice.component)))
     nodes = np.flatnonzero(lattice.component == home) if among is None else among

@@ -20,12 +20,15 @@ CONFIG_HASH = 1  # equal for all peers, because there is no field
 
 
 class DrillSetting(FleetSetup):
+    """A fleet that works sections by the clock, in a world without physics."""
+
     def __init__(self, scenario: Scenario) -> None:
         assert scenario.mission in DRILLS
         super().__init__(scenario)
 
     @cached_property
     def parade(self) -> ProtocolWorld:
+        """The world, made once: bodies that stand, and the truth about units."""
         return ProtocolWorld(self.scenario.fleet.robots, self.section_count)
 
     def world(self) -> ProtocolWorld:

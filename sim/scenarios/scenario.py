@@ -28,15 +28,16 @@ class ScenarioError(Exception):
 
 
 class FleetTable(RobotFleet):
-    """The robots of a simulated fleet: slip and range sensors are the simulator's."""
+    """How many robots there are, what bodies they have, and what they do about silence."""
 
     slip: float = Field(default=0.02, ge=0.0, le=0.3)
-    rays: int = Field(
-        default=72, ge=8, le=720
-    )  # of each robot's range sensors; a gap of 0.35 m at 4 m
+    # Of each robot's range sensors; a gap of 0.35 m at 4 m.
+    rays: int = Field(default=72, ge=8, le=720)
 
 
 class BusTable(Table):
+    """Bit rate and faults of the bus from the start."""
+
     bitrate: Literal[125_000, 250_000, 500_000, 1_000_000] = 250_000
     loss: float = Field(default=0.0, ge=0.0, le=0.9)
     error_rate: float = Field(default=0.0, ge=0.0, le=0.5)
@@ -45,6 +46,8 @@ class BusTable(Table):
 
 
 class RunTable(Table):
+    """Seed, limit and engine of the run."""
+
     seed: int = Field(default=1, ge=0, le=SEED_MAX)
     time_limit_s: float = Field(default=3600.0, gt=0.0, le=86_400.0)
     engine: Engine = "pymunk"
@@ -62,15 +65,21 @@ Slot = Annotated[int, Field(ge=0, lt=PEERS_MAX)]
 
 
 class Partition(_Fault):
+    """The bus is cut into islands of robots; robots that no island names stay in the first."""
+
     kind: Literal["partition"]
     islands: list[list[Slot]]
 
 
 class Heal(_Fault):
+    """All links work again."""
+
     kind: Literal["heal"]
 
 
 class OneWay(_Fault):
+    """The receiver gets no frame from the sender, until a heal."""
+
     kind: Literal["one_way"]
     sender: Slot
     receiver: Slot
@@ -82,17 +91,23 @@ DiskState = Literal["kept", "lost", "torn", "rolled_back"]
 
 
 class Crash(_Fault):
+    """The power of a robot fails."""
+
     kind: Literal["crash"]
     robot: Slot
 
 
 class Restart(_Fault):
+    """A robot is switched on again, with its disk in this state."""
+
     kind: Literal["restart"]
     robot: Slot
     disk: DiskState = "kept"
 
 
 class Freeze(_Fault):
+    """The process of a robot does nothing, and then gets everything that waited."""
+
     kind: Literal["freeze"]
     robot: Slot
     for_s: float = Field(gt=0.0)
@@ -103,40 +118,57 @@ class _Rated(_Fault):
 
 
 class Loss(_Rated):
+    """From now on each receiver misses frames with this probability, and no node detects it."""
+
     kind: Literal["loss"]
 
 
 class Omission(_Rated):
+    """From now on receivers miss frames that others get, with this probability (inconsistent
+    omission)."""
+
     kind: Literal["omission"]
 
 
 class Duplicate(_Rated):
+    """From now on frames arrive twice, with this probability."""
+
     kind: Literal["duplicate"]
 
 
 class Errors(_Fault):
+    """From now on frames are destroyed by error frames and sent again, with this probability."""
+
     kind: Literal["errors"]
     rate: float = Field(ge=0.0, le=0.5)
 
 
 class BusOff(_Fault):
+    """The controller of a robot leaves the bus for a while."""
+
     kind: Literal["bus_off"]
     robot: Slot
     for_s: float = Field(gt=0.0)
 
 
 class Estop(_Fault):
+    """A person presses the stop at a robot."""
+
     kind: Literal["estop"]
     robot: Slot
     reason: ReasonName = "OPERATOR_INTERVENTION"
 
 
 class Reset(_Fault):
-    kind: Literal["reset"]  # clear every stop, reset every machine, and start again
+    """An operator clears every stop, resets every machine, and starts again."""
+
+    kind: Literal["reset"]
 
 
 class Order(_Fault):
-    kind: Literal["order"]  # an operator's command to one robot
+    """An operator sends a command to one robot."""
+
+    kind: Literal["order"]
     robot: Slot
     order: Literal["wait", "continue", "replan", "stop", "go_home", "set_goal", "start", "hold",
                    "manual_reset"]  # fmt: skip
@@ -145,6 +177,8 @@ class Order(_Fault):
 
 
 class Box(_Fault):
+    """Something stands in the field for a while."""
+
     kind: Literal["box"]
     x_m: float
     y_m: float
@@ -153,6 +187,8 @@ class Box(_Fault):
 
 
 class Pushed(_Fault):
+    """Somebody moves a machine, as far as there is room."""
+
     kind: Literal["pushed"]
     robot: Slot
     dx_m: float
@@ -160,12 +196,16 @@ class Pushed(_Fault):
 
 
 class Join(_Fault):
-    kind: Literal["join"]  # this robot is switched on at this time
+    """A robot is switched on only now."""
+
+    kind: Literal["join"]
     robot: Slot
 
 
 class Babble(_Fault):
-    kind: Literal["babble"]  # a device that sends without pause
+    """A device sends frames without pause."""
+
+    kind: Literal["babble"]
     priority: int = Field(default=7, ge=0, le=7)  # of a group that no robot knows
     # instead: all 29 bits of the identifier; below 0x00FF0000 it outranks a stop, and
     # 0 outranks every frame
@@ -174,7 +214,9 @@ class Babble(_Fault):
 
 
 class Buttons(_Fault):
-    kind: Literal["buttons"]  # shortcut buttons of other makers; one of them is pressed
+    """Shortcut buttons of other makers permit, and one of them is pressed."""
+
+    kind: Literal["buttons"]
     buttons: int = Field(default=2, ge=2, le=8)
     for_s: float = Field(gt=0.0)
     lost: int = Field(default=0, ge=0, le=1)  # of its stop frames, after each one that is received
@@ -182,28 +224,34 @@ class Buttons(_Fault):
 
 
 class UsedStop(_Fault):
-    kind: Literal["used_stop"]  # a panel is pressed after an operator has cleared its next names
+    """A panel is pressed after an operator has cleared its next names."""
+
+    kind: Literal["used_stop"]
     names: int = Field(default=4, ge=1, le=64)
     for_s: float = Field(gt=0.0)
     every_s: float = Field(default=0.005, ge=0.001, le=1.0)
 
 
 class Foreign(_Fault):
-    # A device of another maker uses our proprietary groups for its own data.
+    """A device of another maker uses our proprietary groups for its own data."""
+
     kind: Literal["foreign"]
     claims: bool = True  # an address with its NAME; else its maker is unknown
     for_s: float = Field(gt=0.0)
 
 
 class Twin(_Fault):
-    kind: Literal["twin"]  # a second machine with the robot's slot and NAME
+    """A second machine has the slot and the NAME of a robot."""
+
+    kind: Literal["twin"]
     robot: Slot
     same_address: bool = False  # as the robot; else it has a separate one
     for_s: float = Field(gt=0.0)
 
 
 class Nonsense(_Fault):
-    # By a device: a robot of another field; impossible work; claims of every address by NAME 0.
+    """A device sends what no fleet has: another field, impossible work, or claims of every address."""
+
     kind: Literal["nonsense"]
     what: Literal["field", "work", "claims"]
     # The address from which the work is sent; the slot of the robot of another field.
@@ -213,52 +261,67 @@ class Nonsense(_Fault):
 
 
 class Clone(_Fault):
-    kind: Literal["clone"]  # a device claims the robot's address; does its NAME win?
+    """A device claims the address of a robot, with the better NAME or the worse."""
+
+    kind: Literal["clone"]
     robot: Slot
     wins: bool = True
 
 
 class Blind(_Fault):
-    kind: Literal["blind"]  # no observation reaches the robot: a muted antenna, a dead driver
+    """No observation reaches a robot, as with a muted antenna or a dead driver."""
+
+    kind: Literal["blind"]
     robot: Slot
     for_s: float = Field(gt=0.0)
 
 
 class Frozen(_Fault):
-    kind: Literal["frozen"]  # the old position arrives with new timestamps: a filter that hangs
+    """The old position of a robot arrives with new times, as from a filter that hangs."""
+
+    kind: Literal["frozen"]
     robot: Slot
     for_s: float = Field(gt=0.0)
 
 
 class Late(_Fault):
-    kind: Literal["late"]  # the robot's observations arrive this much later
+    """The observations of a robot arrive this much later."""
+
+    kind: Literal["late"]
     robot: Slot
     by_s: float = Field(gt=0.0, le=60.0)
     for_s: float = Field(gt=0.0)
 
 
 class DiskFull(_Fault):
-    kind: Literal[
-        "disk_full"
-    ]  # every write to the robot's disk fails; then it is switched on with another disk
+    """The disk of a robot accepts no write; then it is switched on with another one."""
+
+    kind: Literal["disk_full"]
     robot: Slot
     for_s: float = Field(gt=0.0)
 
 
 class Drift(_Fault):
-    kind: Literal["drift"]  # the robot's clock runs fast or slow from now on
+    """The clock of a robot runs fast or slow from now on."""
+
+    kind: Literal["drift"]
     robot: Slot
     ppm: float = Field(ge=-100_000.0, le=100_000.0)
 
 
 class ClockJump(_Fault):
-    kind: Literal["clock_jump"]  # the robot's clock leaps from one microsecond to the next
+    """The clock of a robot leaps, forwards or backwards."""
+
+    kind: Literal["clock_jump"]
     robot: Slot
     by_s: float = Field(ge=-60.0, le=86_400.0)
 
 
 class CrashWorking(_Fault):
-    kind: Literal["crash_working"]  # dies in the middle of a section, at the next opportunity
+    """A robot dies in the middle of a section, at the next opportunity, and is switched on again
+    later."""
+
+    kind: Literal["crash_working"]
     robot: Slot
     for_s: float = Field(gt=0.0)  # then it is switched on again
     disk: DiskState = "kept"
@@ -277,6 +340,8 @@ DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is sh
 
 
 class Scenario(Table):
+    """A whole scenario file: what is worked by which robots, and which faults happen when."""
+
     name: str = Field(min_length=1, max_length=64)
     # Or a mission without a world: see DRILLS.
     mission: Literal["field", "drill", "sprint"] = "field"
@@ -285,9 +350,8 @@ class Scenario(Table):
     bus: BusTable = BusTable()
     run: RunTable = RunTable()
     fault: list[Fault] = Field(default=[])
-    places: dict[str, tuple[float, float]] = Field(
-        default={}
-    )  # names for operators; metres east and north
+    # Names for operators; metres east and north.
+    places: dict[str, tuple[float, float]] = Field(default={})
     folder: Path = Field(Path(), exclude=True)  # file names are relative to this folder
 
     def path_of(self, name: str) -> Path:
@@ -297,6 +361,7 @@ class Scenario(Table):
         return ships if not beside.exists() and ships.is_file() else beside
 
     def with_engine(self, engine: Engine) -> Self:
+        """The same, with its bodies moved by another engine."""
         return self.model_copy(update={"run": self.run.model_copy(update={"engine": engine})})
 
     def changed(
@@ -327,6 +392,7 @@ Kind = TypeVar("Kind", bound=Scenario)
 
 
 def shipped(folder: Path = SHIPPED) -> list[str]:
+    """Names of the scenarios in a folder, in alphabetical order."""
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
@@ -348,7 +414,8 @@ def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
 
 
 def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
-    """The parsed scenario file, and the folder that its file names are relative to."""
+    """The parsed scenario file, and the folder that its file names are relative to. Raises
+    ScenarioError if there is no such file, or if it is no TOML."""
     path = Path(name)
     if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"

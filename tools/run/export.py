@@ -13,6 +13,8 @@ RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field
 
 
 def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
+    """Write the work of a run as task data, GeoJSON, or both. The exit code is 2 where the folder
+    has none, or nothing can be written; a FieldFileError becomes a line."""
     if isoxml is None and geojson is None:
         print("headland: export: name --isoxml or --geojson", file=sys.stderr)
         return 2

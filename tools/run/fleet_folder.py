@@ -33,6 +33,8 @@ FLEET_BYTES_MAX = 64 * 1024
 
 
 class Fleet(NamedTuple):
+    """A folder that this launch holds alone, with what earlier launches of the fleet left."""
+
     folder: Path
     launches: int  # this one included
     continues: bool

@@ -41,10 +41,12 @@ from tools.run.launch_setup import AnySetting, robot_document
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
-STRAIGHT_M = 0.02  # that a track of truth may be off, as RTK GNSS is: one point in 2 s of driving
+STRAIGHT_M = (
+    0.02  # largest error of a thinned true track, that of RTK GNSS: one point in 2 s of driving
+)
 TELL_S = 5.0  # a status line this often
-QUIET_LOOKS = 6  # all done for this many looks in a row: finished
-MAP_NICE = 5  # of the map's process, beside the robots'
+QUIET_LOOKS = 6  # checks in a row at which all is done before the launch ends
+MAP_NICE = 5  # niceness of the map's process; robots go first
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
 NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
@@ -55,8 +57,10 @@ class BusError(Exception):
 
 
 class Launch:
+    """Starts the processes of a fleet, moves its world in real time, and ends everything in order."""
+
     log_limit = LAUNCH_LIMIT  # of can.log, and of run.mcap
-    endless = False  # goes on when all is done: more may come
+    endless = False  # whether it goes on when all is done, because more may come
 
     def __init__(
         self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
@@ -67,8 +71,8 @@ class Launch:
         )
         self.fleet, out = fleet, fleet.folder
         self.page_port, self.log_hash, self.logs = page_port, "", ""
-        self.segment = 0  # of a fleet of several; 0: there are no others
-        self.hub_port = 0  # of a hub that runs by itself; 0: ours
+        self.segment = 0  # number of the segment; 0: the fleet has no others
+        self.hub_port = 0  # port of a hub that runs by itself; 0: ours
         self.map: asyncio.subprocess.Process | None = None
         self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
         self.keys = None if keys is None else str(keys.absolute())
@@ -80,10 +84,12 @@ class Launch:
         self.latched: list[int] = []  # robots that a person has to look at before they move
         self.unkept = False  # the truth of the world could not be written
         self.memory: WorldMemory
-        self.world_began_us = 0  # where the world goes on, of an earlier launch
-        self.difference = ""  # between what robots say and what is true; empty: there is none
+        self.world_began_us = 0  # time at which the world continues after an earlier launch
+        self.difference = ""  # how reports of robots differ from the truth; empty: they do not
 
     async def run(self, port: int, seconds: float | None) -> int:
+        """Run until the work is done, `seconds` are over, or a person ends it. Returns the exit
+        code. Raises BusError if the port is taken."""
         loop = asyncio.get_running_loop()
         end = asyncio.Event()
         for number in (signal.SIGINT, signal.SIGTERM):
@@ -165,6 +171,7 @@ class Launch:
 
     @property
     def flawed(self) -> bool:
+        """Whether a body touched something."""
         return bool(self.world.contacts)
 
     def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:

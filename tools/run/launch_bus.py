@@ -22,6 +22,8 @@ def viewer_command(host: str, port: int) -> str:
 
 
 class LaunchBus(Protocol):
+    """What a launch needs of its bus, whichever process has it."""
+
     port: int
     taps: list[Tap]  # get every frame, ours too
 
@@ -29,12 +31,16 @@ class LaunchBus(Protocol):
         """Raises OSError."""
         ...
 
-    def say(self, frame: Frame) -> None: ...
+    def say(self, frame: Frame) -> None:
+        """Send a frame as a device of the launch."""
 
-    async def stop(self) -> None: ...
+    async def stop(self) -> None:
+        """Leave the bus, or end it."""
 
 
 class OwnHub:
+    """A hub within the process of the launch, announced by its beacon."""
+
     def __init__(self, host: str, port: int, bitrate: int, seed: int) -> None:
         self.host, self.port = host, port
         self.wire = segment(f"launch {os.getpid()}", bitrate, seed)
@@ -44,17 +50,20 @@ class OwnHub:
         self._beacon: asyncio.Task[None] | None = None
 
     async def start(self, taps: list[Tap]) -> None:
+        """Open the port and begin to announce it. Raises OSError if the port is taken."""
         await self.hub.start(self.host, self.port)
         self.port = self.hub.port
         self.taps += taps
         self._beacon = asyncio.create_task(announce(self.host, self.port, CHANNEL))
 
     def say(self, frame: Frame) -> None:
+        """Send a frame as a device of the launch, which gets a controller for its first one."""
         if self._desk is None:
             self._desk = FieldBus(self.wire.channel)
         self._desk.submit(frame)
 
     async def stop(self) -> None:
+        """Close the hub and forget the wire."""
         if self._beacon is not None:
             self._beacon.cancel()
         await self.hub.stop()
@@ -76,10 +85,13 @@ class OutsideHub:
             tap(t_us, frame)
 
     def say(self, frame: Frame) -> None:
+        """Send a frame, and pass it to the taps, because a hub returns no frame to its sender."""
         if self.link.send(frame):
             self._heard(frame)  # a hub does not return its own frames
 
     async def start(self, taps: list[Tap]) -> None:
+        """Connect, and pass frames to the taps from now on. Raises OSError if no hub answers in
+        time."""
         self.taps += taps
         self.link.subscribe(self._heard)
         try:
@@ -91,4 +103,5 @@ class OutsideHub:
             ) from None
 
     async def stop(self) -> None:
+        """Close the connection; the hub goes on."""
         self.link.close()

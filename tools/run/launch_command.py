@@ -29,9 +29,13 @@ def launch(
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
     segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
 ) -> int:  # fmt: skip
-    """`page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
-    named after the scenario. `fresh`: a new fleet, also where the last one is not done. `operator_key`:
-    the map's page may release and start with it."""
+    """The exit code of `headland launch`: 0 if all is done in truth, 1 if not, 2 for a wrong
+    argument, 130 after Ctrl-C.
+
+    `page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
+    named after the scenario. `fresh`: a new fleet, also where the last one is not done.
+    `operator_key`: the map's page may release and start with it.
+    """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = setting_of(scenario, robots, seed, keys)
@@ -45,7 +49,7 @@ def launch(
                 "play this scenario with headland run"
             )
         if page_port is not None:
-            listen(page_port).close()  # what is taken is known before the robots start
+            listen(page_port).close()  # a port that is taken is reported before robots start
             check_operator_key(operator_key)
         fleet = fleet_folder(out, setting, fresh)
     except (ScenarioError, ServerError, FolderError, AttachError) as problem:
@@ -54,7 +58,8 @@ def launch(
         return _wrong(f"--out: {problem}")
     if fleet.said:
         console.print(fleet.said)
-    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)  # not in every robot at once
+    # Here once, and not in every robot at the same time.
+    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)
     kind = Launch if isinstance(setting, Setting) else HaulLaunch
     running = kind(setting, scenario, fleet, console, keys, page_port)
     running.operator_key = None if operator_key is None else str(operator_key.absolute())

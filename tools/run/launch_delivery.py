@@ -32,6 +32,8 @@ class _Desk:
 
 
 class HaulLaunch(Launch):
+    """A launch whose world has parcels and chargers, and which takes orders until a person ends it."""
+
     depot: WarehouseFloor
     endless = True
 
@@ -76,6 +78,7 @@ class HaulLaunch(Launch):
 
     @property
     def flawed(self) -> bool:
+        """Whether a parcel was mishandled, a battery ran empty, or a body touched something."""
         truth = self.depot.truth
         return bool(self.world.contacts or truth.empty or any(truth.flaws.values()))
 

@@ -43,6 +43,7 @@ class Picture:
         return self.png
 
     def save(self, path: str | Path) -> None:
+        """Write the PNG. Raises OSError."""
         Path(path).write_bytes(self.png)
 
 
@@ -96,6 +97,8 @@ class Run:
         return [dict(zip(values[0], row, strict=True)) for row in values[1]]
 
     def picture(self, chapter: str = "tracks") -> Picture:
+        """The picture of a chapter of the report. Raises ValueError if the chapter has none, or is
+        not there."""
         found = self._chapter(chapter)
         if found.picture is None:
             raise ValueError(found.missing or f"{chapter} is a table: run.table({chapter!r})")

@@ -18,7 +18,7 @@ from tools.inspect.inspector import Inspector
 from tools.livemap.command import show_map
 
 WRONG = 2
-LOOK_S = 0.25  # of the recording, between two looks of the screen
+LOOK_S = 0.25  # time of the recording between two updates of the screen
 PICTURES_A_SECOND = 8
 
 
@@ -26,7 +26,11 @@ def replay(
     log: Path, speed: float, interface: str, channel: str, bitrate: int, host: str, port: int,
     as_json: bool, page_port: int | None = None,
 ) -> int:  # fmt: skip
-    """`page_port`: of the same log in the map."""
+    """The exit code of `headland replay`: 2 where the log or the bus is wrong; a SourceError
+    becomes a line.
+
+    `speed`: a factor of real time; 0: as fast as it goes. `page_port`: of the same log in the map.
+    """
     if page_port is not None:
         return show_map(
             log, interface, channel, bitrate, host, port, None, None, page_port, as_json, speed

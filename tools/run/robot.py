@@ -19,12 +19,15 @@ from agent.runtime.robot_process import WRONG, run_robot
 
 
 async def run(order: dict[str, Any]) -> None:
-    """Run until the launcher ends it. Raises RobotError."""
+    """Run one robot as the order describes it, until the process is told to end. Raises RobotError
+    if its journal cannot be opened."""
     robot = RobotFile.of(order["robot"], "robot", Path())
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     loop.add_signal_handler(signal.SIGTERM, end.set)
     loop.add_signal_handler(signal.SIGINT, lambda: None)  # the launcher decides
-    loop.add_reader(sys.stdin, end.set)  # nothing more is ever written: readable means the end
+    loop.add_reader(
+        sys.stdin, end.set
+    )  # the launch writes no more, so a readable pipe is a closed one
 
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)
@@ -33,7 +36,8 @@ async def run(order: dict[str, Any]) -> None:
 
 
 def main() -> None:
-    """Exit code `WRONG` with one line on stderr if the robot cannot start."""
+    """Read the order from the first line of input and run the robot. A RobotError is one line, and
+    an exit code."""
     order = json.loads(sys.stdin.readline())
     try:
         asyncio.run(run(order))

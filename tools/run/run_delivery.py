@@ -30,6 +30,9 @@ def haul(
     keys: Path | None, live: bool, port: int, seconds: float | None,
     limit_s: float | None = None,
 ) -> int:  # fmt: skip
+    """The exit code of `headland run` for a warehouse: 0 if all is delivered, 3 if tasks are left
+    that cannot be reached."""
+
     def make() -> DeliveryCommand:
         warehouse = load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
         run = DeliveryRun(DeliverySetting(warehouse))
@@ -48,9 +51,12 @@ def exit_code(outcome: HaulOutcome) -> int:
 
 
 class DeliveryCommand(MissionCommand[DeliveryRun]):
+    """A delivery in virtual time, with a picture of the warehouse."""
+
     unit = "parcels"
 
     def exit_code(self, outcome: HaulOutcome) -> int:
+        """0, 1, or 3 for tasks that cannot be reached."""
         return exit_code(outcome)
 
     def draw(self, outcome: HaulOutcome, folder: Path, log_hash: str) -> list[str]:
@@ -91,6 +97,7 @@ class LiveDeliveryCommand(DeliveryCommand):
         self.port, self.seconds, self.interrupted = port, seconds, False
 
     def exit_code(self, outcome: HaulOutcome) -> int:
+        """130 if a person ended the run, else as in virtual time."""
         return INTERRUPTED if self.interrupted else super().exit_code(outcome)
 
     def play(self, console: Console, folder: Path, recorder: RunRecorder) -> HaulOutcome:

@@ -17,6 +17,9 @@ def explore(
     as_json: bool,
     animate: bool,
 ) -> int:
+    """The exit code of `headland explore`: 0 for a run without a flaw, 1 for any other, 2 for a
+    wrong argument."""
+
     def make() -> ExplorationCommand:
         return ExplorationCommand(
             ExplorationRun(load_arena(scenario).changed(robots, seed)), animate
@@ -26,6 +29,8 @@ def explore(
 
 
 class ExplorationCommand(MissionCommand[ExplorationRun]):
+    """An exploration in virtual time, with maps, a film if wanted, and what the fleet reports."""
+
     unit = "cells"
 
     def __init__(self, run: ExplorationRun, animate: bool) -> None:

@@ -31,7 +31,11 @@ def run(
     page_port: int | None = None,
     limit_s: float | None = None,
 ) -> int:
-    """`page_port`: of a map that shows the run, and at a terminal stays after its end."""
+    """The exit code of `headland run`: 0 for a run without a flaw, 1 for any other, 2 for a wrong
+    argument.
+
+    `page_port`: of a map that shows the run, and at a terminal stays after its end.
+    """
 
     def make() -> MissionCommand[Any]:
         changed = load_mission(scenario).changed(
@@ -47,6 +51,8 @@ def run(
 
 
 class FieldCommand(MissionCommand[FieldRun]):
+    """A field in virtual time, with its picture, and work for farm software."""
+
     unit = "sections"
 
     def report(self, outcome: Outcome) -> dict[str, Any]:

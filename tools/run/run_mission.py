@@ -32,6 +32,9 @@ class RunError(Exception):
 
 
 class MissionCommand(ABC, Generic[RunT]):
+    """What differs between missions on the command line: the rows of the table, what is drawn, and
+    the exit code."""
+
     unit = ""  # of which progress is counted
 
     def __init__(self, run: RunT) -> None:
@@ -46,7 +49,7 @@ class MissionCommand(ABC, Generic[RunT]):
         """Write what this mission leaves besides the report and the logs; returns the names."""
 
     def report(self, outcome: Any) -> dict[str, Any]:
-        """What this mission adds to the report."""
+        """Further keys of `report.json`; none by default."""
         return {}
 
     def play(self, console: Console, folder: Path, recorder: RunRecorder) -> Any:
@@ -54,6 +57,7 @@ class MissionCommand(ABC, Generic[RunT]):
         return self.run.run()
 
     def exit_code(self, outcome: Any) -> int:
+        """0 for a run without a flaw, else 1."""
         return 0 if outcome.success else UNFINISHED
 
 
@@ -73,7 +77,7 @@ def run_mission(
         setting = command.run.setting
         name = setting.scenario.name
         for log in logs:
-            open_log(log).close()  # so that what is wrong is known before the run, not after
+            open_log(log).close()  # so that a wrong argument is reported before the run
         folder = folder_for(out, name)
         if page_port is not None:
             shown = MapThread(Recording(), setting.field.name, page_port)

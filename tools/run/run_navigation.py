@@ -13,10 +13,13 @@ from tools.run.run_mission import MissionCommand
 
 
 class NavigationCommand(MissionCommand[NavigationRun]):
+    """Errands in virtual time, with a picture of each robot's path."""
+
     unit = "goals"
 
     @classmethod
     def of(cls, scenario: ErrandScenario) -> Self:
+        """For the scenario as it was read."""
         return cls(NavigationRun(setting_of(scenario)))
 
     def draw(self, outcome: OutingOutcome, folder: Path, log_hash: str) -> list[str]:
