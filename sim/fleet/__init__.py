@@ -1,5 +1,6 @@
-"""A fleet of peers: scheduling in virtual time, disks, faults, and monitors.
+"""A fleet of peers in one process: scheduling, disks, faults, and monitors.
 
-`simulated_fleet` starts peers on a wire and a world; `scheduler`, `virtual_clock` and `event_loop`
-move time. `fault_injector` plays faults, `outcome` is what a run came to.
+Read `simulated_fleet` first: it starts peers on a wire and in a world. `scheduler` is what drives
+them, by `virtual_clock` under asyncio or by `event_loop` without it. `fault_injector` plays faults,
+`stop_monitor` tells judges which robots must stand, and `outcome` has the figures of a run.
 """

@@ -18,6 +18,8 @@ from sim.can.simulated_bus import BufferedBeacon, FieldBus
 
 
 class BatchedRunner(PeerRunner):
+    """A runner that lets beacons wait on a shelf until its peer takes a turn for another reason."""
+
     def __init__(self, *parts: Any) -> None:
         super().__init__(*parts)
         wire = self.bus.bus if isinstance(self.bus, CanBus) else None

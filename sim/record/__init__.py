@@ -1,5 +1,7 @@
 """Recordings of a run, and streams for people who watch it.
 
-`recording` is the film, `mcap_log` and `foxglove` its formats. `robot_intent` is what a robot
-means to do, `intent_stream` brings it to a map. `remote_body` joins a robot process with its body.
+Read `recording` first: frames, intents and obstacles with their times. `live_recording` is one that
+forgets. `mcap_log` writes and reads it as a file, with the messages of `foxglove` and `mcap_schema`.
+`robot_intent` is what a robot means to do, and `intent_stream` brings it to a map. `remote_body`
+joins a robot process with its body over `local_link`.
 """

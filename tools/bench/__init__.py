@@ -1,3 +1,5 @@
-"""Benches: every figure that a document of ours claims, one JSON line each (`figure`,
-`command`).
+"""Every figure that a document of ours claims, measured again: one JSON line each.
+
+`command` is `headland bench`, and `figure` is one line of it. Each other module measures one subject,
+and its `figures` yields the lines. `kernels` steps whole fleets together, for comparisons.
 """

@@ -1,1 +1,5 @@
-"""Preparing and checking: kernels compiled ahead, the compiled core for campaigns, docstrings."""
+"""What is prepared and checked before a run.
+
+`warmup` compiles all kernels ahead. `compile` makes a compiled core for campaigns, which
+`compiled_core` finds and loads. `docstring_checker` checks docstrings by rules.
+"""

@@ -1,6 +1,7 @@
 """Commands in plain language: read, weighed, obeyed, answered.
 
-`vocabulary` and `grammar` are the language, `parse` reads a sentence into an `intent`, `authorize`
-decides whether it is obeyed. `alarm` has the words that hold all robots. `say` is the command,
-`command_session` a conversation, `endpoint` its web door.
+`vocabulary` and `grammar` are the language, and `parse` reads a phrase into intents (`intent`).
+`authorize` decides whether they are obeyed, given the fleet as it is (`fleet_state`, `view`). `alarm`
+has the words that hold all robots first. `command_session` is the operator's device, `say` the
+command, and `endpoint` asks a language model if one is named.
 """

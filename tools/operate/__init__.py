@@ -1,4 +1,6 @@
 """Commands that act on a live fleet: stop, reset, orders, transport tasks.
 
-`operator_device` is the operator's device on the bus, with a claimed address (`tool_address`).
+Read `operator_device` first: the operator's device on the bus, with a claimed address
+(`tool_address`). `estop`, `reset`, `order` and `transport_order` are the commands. `shown_stops` says
+what a reset may clear, and `pgn_client` asks robots for texts.
 """

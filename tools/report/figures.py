@@ -30,8 +30,8 @@ PHASES = {Phase.CLAIMED.name: 0.35, Phase.STARTED.name: 1.0, Phase.DONE.name: 0.
 
 
 def figure_of(width: float, height: float) -> tuple[Figure, Any]:
-    """A figure of `width` by `height` inches, and its axes. Without pyplot: nothing is kept, and no
-    screen is looked for."""
+    """A figure of this width and height, in inches of `DPI` pixels, and its axes. Without pyplot:
+    nothing is kept, and no screen is looked for."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure as Plain
 
