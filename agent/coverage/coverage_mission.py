@@ -35,7 +35,7 @@ COVERED = 0.1
 BOUND = 0.5  # share of the way into a cell from which a robot goes on and announces the cell
 CLOSE = 0.1  # share of a cell by which a robot that follows round a corner may begin too early
 # Share of a cell: a body this far off the middle blocks the next cell too. That cell has 0.7 left,
-# Of which the guard keeps 0.6, and a cell is covered from 0.1.
+# of which the guard keeps 0.6, and a cell is covered from 0.1.
 ASTRIDE = 0.3
 NEAR = 0.8  # share of a cell: a body this near to a cell's middle is in it
 BACK_US = 1500 * MS  # after being held up for this long on the way, go back and wait
