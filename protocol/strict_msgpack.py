@@ -82,7 +82,8 @@ def unsigned(values: Sequence[object], widths: Sequence[int]) -> list[int]:
 
 
 def finite(values: Sequence[object]) -> list[float]:
-    """The values, if they are numbers and neither infinite nor NaN. Raises ValueError."""
+    """The values as floats, in the unit that they came in. Raises ValueError unless all are
+    numbers, neither infinite nor NaN."""
     found = []
     for value in values:
         if type(value) not in (int, float) or not isfinite(value):  # type: ignore[arg-type]

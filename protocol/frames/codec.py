@@ -82,4 +82,5 @@ def decode_once(frame: Frame) -> tuple[int, Message | Malformed]:
 
 
 def destination_of(frame: Frame) -> int:
+    """The address that a frame goes to; 255 for all devices."""
     return Identifier.unpack(frame.identifier).destination

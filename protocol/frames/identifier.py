@@ -14,12 +14,15 @@ NULL_ADDRESS = 254  # source address of a device that could not claim an address
 
 
 class Identifier(NamedTuple):
+    """The parts of a CAN identifier; a group that is addressed has no destination in its `pgn`."""
+
     priority: int  # 0 is the most urgent and wins arbitration, 7 the least
     pgn: int  # parameter group number, 18 bits
     destination: int  # 255 for every broadcast group
     source: int
 
     def pack(self) -> int:
+        """The 29 bits of the identifier as a number."""
         assert 0 <= self.priority <= 7 and 0 <= self.pgn < 1 << 18
         assert 0 <= self.source <= 0xFF and 0 <= self.destination <= 0xFF
         group = self.pgn

@@ -61,6 +61,7 @@ class Field(NamedTuple):
 
     @property
     def width(self) -> int:
+        """Bits of the field with all its repetitions."""
         return self.bits * (self.repeat or 1)
 
 
@@ -102,7 +103,10 @@ def scaled(
     name: str, bits: int, scale: float, unit: str, meaning: str = "", offset: float = 0,
     cyclic: bool = False, clamped: bool = False, unavailable: bool = False,
 ) -> Field:  # fmt: skip
-    """A measure in steps of `scale` from `offset`, rounded to the nearest step, ties upwards."""
+    """A measure in steps of `scale` from `offset`, rounded to the nearest step, ties upwards.
+
+    `scale` and `offset` are numbers of `unit`, which may be empty for a dimensionless measure.
+    """
     return Field(
         name, bits, meaning, unit, scale=scale, offset=offset, cyclic=cyclic, clamped=clamped,
         unavailable=unavailable,

@@ -109,5 +109,8 @@ def goal_frames(target: int, operator: int, x_m: float, y_m: float) -> tuple[Ope
 
 
 def goal_check(east: int, north: int) -> int:
-    """SET_GOAL's argument: it means this pair of values, and no mixture of an old and a new one."""
+    """SET_GOAL's argument: 8 bits that a mixture of an old and a new goal changes, most likely.
+
+    `east` and `north` are the raw values of the two OPERATOR_GOAL frames that it belongs to.
+    """
     return (east + (east >> 8) + 3 * north + 5 * (north >> 8)) & 0xFF
