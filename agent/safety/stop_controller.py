@@ -68,10 +68,10 @@ class StopController:
         recalled: Mapping[str, bytes],
         now_us: int,
     ) -> None:
-        """`slot`: ours. `incarnation`: counts the starts of this robot. `policy`: what ends a stop
-        by silence. `keyring`: None in a fleet without keys. `recalled`: durable memory as it was
-        before the start; the keys are `STOPS_KEY`, `FAR_KEY`, `COUNTER_KEY` and `HOLD_KEY`. A stop
-        set that cannot be read raises BOOT_UNCONFIRMED instead of an exception.
+        """`slot`: ours. `incarnation`: 16 bits, another number after each loss of memory. `policy`:
+        what ends a stop by silence. `keyring`: None in a fleet without keys. `recalled`: durable
+        memory as it was before the start; the keys are `STOPS_KEY`, `FAR_KEY`, `COUNTER_KEY` and
+        `HOLD_KEY`. A stop set that cannot be read raises BOOT_UNCONFIRMED instead of an exception.
         """
         self.slot, self.incarnation = slot, incarnation & 0xFF
         self.policy, self.authority = policy, CommandAuthority(slot, keyring)
@@ -337,8 +337,8 @@ class StopController:
         return [*remembered, Trace("safety", "", "CLEARED", "", f"{dot}")]
 
     def press_near(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
-        """A stop of this segment that we missed, authenticated by a gateway that got it back from
-        another segment.
+        """An authenticated stop of this segment that we missed and that came back from another
+        segment.
         """
         if self.stops.full and not self.stops.is_cleared(dot):
             return self._hold_more(True, now_us)
@@ -356,7 +356,7 @@ class StopController:
     def clear_near(self, dot: StopDot, who: str) -> Sequence[Effect]:
         """Clear one dot of this segment and persist that; no effects if it was cleared before.
 
-        `who`: for the trace, the operator or gateway that cleared it.
+        `who`: by whom it was cleared, for the trace.
         """
         if not self.stops.clear(dot):
             return ()

@@ -50,7 +50,7 @@ SUMMARY_US = 500 * MS  # period of our segment's summary on the backbone
 # One other segment's summary is sent to the robots this often: 0.6 % of the bus, for any number of
 # segments.
 ROTATION_US = 100 * MS
-MAP_STEP_US = 2 * MS  # shortest time between two frames of the map: at most three in ten frames
+MAP_STEP_US = 2 * MS  # shortest time between two turns of the map: three in ten frames at most
 LOOK_US = 200 * MS  # period of the liveness check of our segment
 LEFT_US = 60 * S  # a robot silent for longer is no longer counted as silent
 TELL_STEP_US = 20 * MS  # gateways send their stops to a new segment one after the other
