@@ -16,7 +16,7 @@ from crdt import Phase
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import Cluster
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 
 Point = tuple[float, float]
@@ -95,7 +95,7 @@ class SoilSamples(Mission):
         self.there_us = None
 
 
-class SoilSetting(Setting):
+class SoilSetting(FieldSetup):
     """A field whose work is not swaths but posts."""
 
     posts: Sequence[Point] = (

@@ -9,7 +9,7 @@ from protocol.frames.frame import Frame
 from sim.files.can_log import LogWriter, open_log
 
 
-class BusTally:
+class FrameCounter:
     """Counts the frames of each kind on a bus, and writes every frame to the open logs."""
 
     def __init__(self) -> None:

@@ -32,7 +32,7 @@ from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.simulated_disk import MemoryJournal
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Reset, load
 
 STANDS = "that it stands until a person resets it"
@@ -67,7 +67,7 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
             tapes[slot].append(effect.message)
 
     async def play() -> None:
-        cluster = Cluster(Setting(scenario), f"tape {seed}", keep)
+        cluster = Cluster(FieldSetup(scenario), f"tape {seed}", keep)
         for slot, tape in tapes.items():
             cluster.journals[slot] = RecordingJournal(tape)
         cluster.boot_all()

@@ -18,7 +18,7 @@ from sim.can.simulated_bus import FieldBus
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 
 FLEETS = {3: "small", 6: "small", 20: "oxted"}  # robots and where they work
@@ -97,7 +97,7 @@ class Trial:
         scenario = load(FLEETS[flood.robots]).changed(flood.robots, flood.seed, faults=())
         fleet = scenario.fleet.model_copy(update={"silence": flood.policy})
         scenario = scenario.with_engine("contact_free")
-        setting = Setting(scenario.model_copy(update={"fleet": fleet}))
+        setting = FieldSetup(scenario.model_copy(update={"fleet": fleet}))
         self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
         self.cluster.stops.bound_us = beat_of(flood.robots).silence_us + REACTION_US
 

@@ -55,7 +55,7 @@ from sim.files.grid_map import GridFileError, read_instance, read_map
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.record.mcap_log import McapLog, read_recording
 from sim.record.scene import scene_of
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError, load
 
 ENTRY = Struct("<IB8s")  # of a sequence: identifier, milliseconds since the last, data
@@ -473,7 +473,7 @@ def _texts(name: str) -> Iterator[bytes]:
         yield b"(1.000000) can0 0CFF1080#0011223344556677\n(1.5) can0 123#00 R\n"
     elif name == "mcap":
         path = _scratch("run.mcap", b"")
-        log = McapLog(path, scene_of(Setting(load("small"))))
+        log = McapLog(path, scene_of(FieldSetup(load("small"))))
         for k in range(40):
             log.write(k * 1000, Frame(0x0CFF1080, bytes((k,) * 8)))
         log.place(50_000, [[1.0, 2.0, 3.0, 0.5, 0.5, 1.0, 0.0]])

@@ -20,7 +20,7 @@ from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import is_link_trouble, span_of
 from sim.chaos.protocol_rules import RuleViolation
 from sim.fleet.event_loop import EventLoop
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.stop_monitor import motions
@@ -28,8 +28,8 @@ from sim.runs.field_run import FieldRun
 from sim.runs.protocol_run import ProtocolRun
 from sim.runs.run import RunProgress
 from sim.scenarios import scenario as kinds
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.protocol_setup import DrillSetting
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.protocol_setup import ProtocolSetup
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import ExclusiveWorkChecker, Violation
 from sim.world.contacts import TOUCH_M
@@ -78,10 +78,10 @@ class ScenarioJudge:
         self.first_only = first_only
         self.scenario, self.span = scenario, span_of(scenario)
         plain = scenario.with_engine("contact_free")
-        self.any_setting = DrillSetting(plain) if scenario.mission in DRILLS else Setting(plain)
+        self.any_setting = ProtocolSetup(plain) if scenario.mission in DRILLS else FieldSetup(plain)
         self.witness = EffectObserver(scenario.fleet.robots)
         self.broken: list[RuleViolation] = []
-        self.outcome: Outcome | None = None
+        self.outcome: FieldOutcome | None = None
         # Dead robot -> watches of the robots that must stand.
         self._silences: dict[int, list[int]] = {}
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
@@ -101,7 +101,7 @@ class ScenarioJudge:
         """Play the scenario to its end, or to the first violation with `first_only`, and judge what
         is left to judge."""
         run: ProtocolRun | FieldRun
-        if isinstance(self.any_setting, DrillSetting):
+        if isinstance(self.any_setting, ProtocolSetup):
             run = ProtocolRun(self.any_setting, attach=self._attach)
         else:
             run = FieldRun(self.any_setting, attach=self._attach)
@@ -431,7 +431,7 @@ class ScenarioJudge:
 
     # ---------------------------------------------------------------- at the end
 
-    def _judge(self, outcome: Outcome) -> None:
+    def _judge(self, outcome: FieldOutcome) -> None:
         world, end_s = self.cluster.world, outcome.simulated_s
         self._moved()
         self._contacts()
@@ -517,9 +517,9 @@ class ScenarioJudge:
                 return
 
     @property
-    def setting(self) -> Setting:
+    def setting(self) -> FieldSetup:
         """The field; a protocol run has none."""
-        assert isinstance(self.any_setting, Setting)
+        assert isinstance(self.any_setting, FieldSetup)
         return self.any_setting
 
     def _exclusive(self, world: World) -> list[Any]:

@@ -9,7 +9,7 @@ from sim.world.reachable_ground import Unreached
 COVERAGE_MIN = 0.99995  # prints as 100.00 %
 
 
-class Outcome(NamedTuple):
+class FieldOutcome(NamedTuple):
     """The figures of one run, as its report has them."""
 
     scenario: str

@@ -16,7 +16,7 @@ from protocol.frames.messages import Message
 from sim.fleet.scheduler import Script
 from sim.fleet.transport_orders import TransportClient
 from sim.scenarios.delivery_scenario import TaskRow
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.world import World
 
 DESK_US = 500_000  # between two repeats of an unconfirmed order
@@ -27,7 +27,7 @@ class WarehouseFloor:
     """Where parcels, boxes and bays are, what the operator orders, and what fails when."""
 
     def __init__(
-        self, setting: DeliverySetting, world: World, now_us: Callable[[], int],
+        self, setting: DeliverySetup, world: World, now_us: Callable[[], int],
         is_up: Callable[[int], bool], say: Callable[[Message], None],
     ) -> None:  # fmt: skip
         """`say`: sends on the bus, as the device that orders transports."""

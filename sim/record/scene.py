@@ -9,8 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.mapping.building import Floor
-from sim.scenarios.exploration_scenario import ArenaSetting, load_arena
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import ScenarioError, load
 
@@ -34,7 +34,7 @@ def scene_of(setting: FleetSetup) -> Scene:
         goals: Mapping[int, Sequence[Sequence[float]]] = getattr(setting, "goals", {})
         scene["goals"] = [[slot, *_point(at)] for slot, own in goals.items() for at in own]
         scene["kind"] = "floor"
-    elif isinstance(setting, ArenaSetting):
+    elif isinstance(setting, ExplorationSetup):
         geometry = setting.geometry
         west, south = geometry.origin_m
         scene["rings"] = [
@@ -46,7 +46,7 @@ def scene_of(setting: FleetSetup) -> Scene:
             "columns": geometry.columns, "order": setting.order.value,
         }  # fmt: skip
         scene["kind"] = "arena"
-    elif isinstance(setting, Setting):
+    elif isinstance(setting, FieldSetup):
         field = setting.field
         scene["name"] = field.name
         scene["rings"] = [_line(ring) for ring in (field.exterior, *field.holes)]
@@ -61,10 +61,10 @@ def scene_of(setting: FleetSetup) -> Scene:
 def scene_named(name: str, robots: int | None = None) -> Scene:
     """The scene of a scenario or an arena, by file or by name. Raises ScenarioError."""
     try:
-        return scene_of(Setting(_with(load(name), robots)))
+        return scene_of(FieldSetup(_with(load(name), robots)))
     except ScenarioError as problem:
         try:
-            return scene_of(ArenaSetting(_with(load_arena(name), robots)))
+            return scene_of(ExplorationSetup(_with(load_arena(name), robots)))
         except ScenarioError:
             raise problem from None
 

@@ -1,6 +1,6 @@
 """Whole peers cover a grid map over the simulated wire; the outcome is measured from the truth.
 
-    outcome = GridFleet(GridSetting.made(instance)).run()
+    outcome = CoverageRun(CoverageSetup.made(instance)).run()
 
 Every robot is the peer that runs on a real robot, with address claim, membership, safety, claims,
 sync and all frames on a bus of 250 kbit/s. Only bodies and sensors are simpler than in a field
@@ -18,15 +18,15 @@ from agent.coverage.coverage_mission import GridWork
 from agent.interface.config import S
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
-from sim.runs.run import Run, RunProgress, states_of
-from sim.scenarios.coverage_setup import STEP_S, GridSetting
+from sim.runs.run import MissionRun, RunProgress, states_of
+from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.world.grid_world import GridWorld
 from sim.world.plan_judge import lower_bound, steps_from
 
 QUIET_US = 10 * S  # after the last cell, registers and replicas must be in order within this time
 
 
-class GridOutcome(NamedTuple):
+class CoverageOutcome(NamedTuple):
     """What came of one run of whole peers on a grid, from the truth."""
 
     map: str
@@ -74,11 +74,11 @@ class GridOutcome(NamedTuple):
         return {**plain, "ratio": round(self.ratio, 4), "success": self.success}
 
 
-class GridCluster(Cluster):
+class CoverageFleet(Cluster):
     """A cluster in the world of cells. It knows which robots never died, because only these are
     asked for equal replicas."""
 
-    def __init__(self, setting: GridSetting, channel: str, record: Record, host: Host) -> None:
+    def __init__(self, setting: CoverageSetup, channel: str, record: Record, host: Host) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
         assert isinstance(self.world, GridWorld)
@@ -159,7 +159,7 @@ class GridCluster(Cluster):
 class ReplanAuditor:
     """Compares each new plan with the cells that were covered when its round began."""
 
-    def __init__(self, cluster: GridCluster) -> None:
+    def __init__(self, cluster: CoverageFleet) -> None:
         self.cluster = cluster
         self.replanned = self.redone = self.untold = 0
         self._seen: dict[int, int] = {}  # slot -> last round that was checked
@@ -189,28 +189,28 @@ class ReplanAuditor:
                 self.untold += int(np.count_nonzero(before & ~told))
 
 
-class CoverageRun(Run[GridSetting, GridCluster, GridOutcome]):
+class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
     """Switches whole peers on over a grid, and judges covered cells, contacts and new plans."""
 
-    kind = GridOutcome
+    kind = CoverageOutcome
     quiet_us = QUIET_US
 
-    def make_fleet(self, channel: str, record: Record, host: Host) -> GridCluster:
+    def make_fleet(self, channel: str, record: Record, host: Host) -> CoverageFleet:
         """Also begins to compare plans."""
-        cluster = GridCluster(self.setting, channel, record, host)
+        cluster = CoverageFleet(self.setting, channel, record, host)
         self.witness = ReplanAuditor(cluster)
         return cluster
 
-    def look(self, cluster: GridCluster) -> None:
+    def look(self, cluster: CoverageFleet) -> None:
         self.witness.look()
 
-    def progress(self, cluster: GridCluster) -> RunProgress:
+    def progress(self, cluster: CoverageFleet) -> RunProgress:
         """Cells covered of all free ones."""
         covered = cluster.grid_world.truth.first_us != NONE
         done, now_s = int(np.count_nonzero(covered)), cluster.host.now_us() / S
         return RunProgress(now_s, done, covered.size, done / covered.size, states_of(cluster))
 
-    def measure(self, cluster: GridCluster) -> dict[str, Any]:
+    def measure(self, cluster: CoverageFleet) -> dict[str, Any]:
         truth, setting, witness = cluster.grid_world.truth, self.setting, self.witness
         late = truth.first_us[sorted(cluster.reachable())]
         starts = [

@@ -11,8 +11,8 @@ from crdt import Phase
 from sim.fleet.scheduler import Handle, Host, Script
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
 from sim.fleet.warehouse_floor import WarehouseFloor
-from sim.runs.run import Run, RunProgress, of_bodies, points_of
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.runs.run import MissionRun, RunProgress, of_bodies, points_of
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.contacts import TOUCH_M
 from sim.world.ground_truth import TrackPoint
 from sim.world.parcel_truth import CarrierBody
@@ -22,7 +22,7 @@ CUT_OFF_US = 60 * S
 QUIET_US = 4 * S  # after the last parcel, replicas must be equal within this time
 
 
-class HaulOutcome(NamedTuple):
+class DeliveryOutcome(NamedTuple):
     """What came of one delivery run, from the truth about parcels."""
 
     scenario: str
@@ -70,11 +70,11 @@ class HaulOutcome(NamedTuple):
         return {**plain, "success": self.success}
 
 
-class HaulCluster(Cluster):
+class DeliveryFleet(Cluster):
     """A cluster in a warehouse, with its floor and the device that orders transports."""
 
     def __init__(
-        self, setting: DeliverySetting, channel: str, record: Record | None, host: Host
+        self, setting: DeliverySetup, channel: str, record: Record | None, host: Host
     ) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
@@ -119,39 +119,39 @@ class HaulCluster(Cluster):
         return frozenset(found)
 
 
-class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
+class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
     """Runs a warehouse until every task is delivered, or cannot be reached."""
 
-    kind = HaulOutcome
+    kind = DeliveryOutcome
     quiet_us = QUIET_US
     tracks: dict[int, list[TrackPoint]]  # after the run
-    watch: Callable[[HaulCluster], None] | None = None  # gets the fleet twice a second
+    watch: Callable[[DeliveryFleet], None] | None = None  # gets the fleet twice a second
     forever = False  # more tasks may come at any time
     ended = False  # a person ended the run
     _hope_us = 0  # when a place could last be reached
 
-    def make_fleet(self, channel: str, record: Record, host: Host) -> HaulCluster:
+    def make_fleet(self, channel: str, record: Record, host: Host) -> DeliveryFleet:
         """Robots with arms and batteries, on the floor of the warehouse."""
-        return HaulCluster(self.setting, channel, record, host)
+        return DeliveryFleet(self.setting, channel, record, host)
 
-    def scripts(self, cluster: HaulCluster, faults: Script[None]) -> list[Handle]:
+    def scripts(self, cluster: DeliveryFleet, faults: Script[None]) -> list[Handle]:
         cluster.host.spawn(cluster.depot.calls())  # these never end
         events = cluster.depot.events()
         return super().scripts(cluster, faults) + [cluster.host.spawn(event) for event in events]
 
-    def look(self, cluster: HaulCluster) -> None:
+    def look(self, cluster: DeliveryFleet) -> None:
         if self.watch is not None:
             self.watch(cluster)
         left = cluster.truth.dropoff.keys() - cluster.truth.delivered_us.keys()
         if not left or left != cluster.unreachable:
             self._hope_us = cluster.host.now_us()
 
-    def is_over(self, cluster: HaulCluster, scripts: Sequence[Handle]) -> bool:
+    def is_over(self, cluster: DeliveryFleet, scripts: Sequence[Handle]) -> bool:
         done = cluster.finished or cluster.host.now_us() - self._hope_us > CUT_OFF_US
         over = all(script.done() for script in scripts) and done
         return (over and not self.forever) or self.ended
 
-    def progress(self, cluster: HaulCluster) -> RunProgress:
+    def progress(self, cluster: DeliveryFleet) -> RunProgress:
         """Parcels delivered of those ordered, with the next stops of each robot."""
         plans = "  ".join(
             f"{robot.slot} [{', '.join(stops[:3])}{', ...' if len(stops) > 3 else ''}]"
@@ -161,7 +161,7 @@ class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
         done, total = len(cluster.truth.delivered_us), len(cluster.truth.dropoff)
         return RunProgress(cluster.host.now_us() / S, done, total, done / max(total, 1), plans)
 
-    def measure(self, cluster: HaulCluster) -> dict[str, Any]:
+    def measure(self, cluster: DeliveryFleet) -> dict[str, Any]:
         truth, missions = cluster.truth, cluster.missions.values()
         self.tracks = points_of(cluster)
         waits_s = [
@@ -187,7 +187,7 @@ class DeliveryRun(Run[DeliverySetting, HaulCluster, HaulOutcome]):
         }
 
 
-def _charges(cluster: HaulCluster) -> int:
+def _charges(cluster: DeliveryFleet) -> int:
     """Visits of bays that were completed, by a running replica."""
     for robot in cluster.running:
         allocation = robot.peer.allocation

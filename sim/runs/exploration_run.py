@@ -27,8 +27,8 @@ from protocol.sync.map_sync import MapSync, Values
 from sim.can.frame_timing import worst_bits
 from sim.fleet.scheduler import Handle, Host
 from sim.fleet.simulated_fleet import Cluster, Record
-from sim.runs.run import Run, RunProgress, of_bodies, points_of, states_of
-from sim.scenarios.exploration_scenario import ArenaScenario, ArenaSetting
+from sim.runs.run import MissionRun, RunProgress, of_bodies, points_of, states_of
+from sim.scenarios.exploration_scenario import ExplorationScenario, ExplorationSetup
 from sim.world.ground_truth import TrackPoint
 
 QUIET_US = 2 * S  # after the last news of the map, all replicas must be equal within this time
@@ -61,7 +61,7 @@ class InstantMapSync(MapSync):
         return 1 << 62
 
 
-class SurveyOutcome(NamedTuple):
+class ExplorationOutcome(NamedTuple):
     """What came of one exploration, from the truth about visible cells."""
 
     scenario: str
@@ -101,11 +101,11 @@ class SurveyOutcome(NamedTuple):
         return {**plain, "success": self.success}
 
 
-class SurveyCluster(Cluster):
+class ExplorationFleet(Cluster):
     """A cluster of explorers, which share maps over the wire, at once, or not at all."""
 
     def __init__(
-        self, setting: ArenaSetting, channel: str, record: Record, host: Host,
+        self, setting: ExplorationSetup, channel: str, record: Record, host: Host,
         sharing: Sharing, orders: Sequence[ExplorationOrder],
     ) -> None:  # fmt: skip
         super().__init__(setting, channel, record, host)
@@ -159,7 +159,7 @@ class SurveyCluster(Cluster):
 class SeenCells:
     """Which robot saw each cell first, and which saw it again, from the robots' own evidence."""
 
-    def __init__(self, setting: ArenaSetting) -> None:
+    def __init__(self, setting: ExplorationSetup) -> None:
         self.truth = setting.reachable
         shape = self.truth.shape
         self.first: NDArray[np.int64] = np.full(shape, -1, dtype=np.int64)
@@ -200,22 +200,22 @@ class FilmFrame(NamedTuple):
     places: Mapping[int, tuple[float, float]]
 
 
-class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
+class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationOutcome]):
     """Explores an arena until no robot sees a frontier that it could reach, or until a share is
     seen."""
 
-    kind = SurveyOutcome
+    kind = ExplorationOutcome
     look_us, compare_us = 250 * MS, 50 * MS
     quiet_us = 2 * QUIET_US
     tracks: dict[int, list[TrackPoint]]  # after the run
 
     def __init__(
-        self, scenario: ArenaScenario, sharing: Sharing = Sharing.FLEET, out: Path | None = None,
+        self, scenario: ExplorationScenario, sharing: Sharing = Sharing.FLEET, out: Path | None = None,
         orders: Sequence[ExplorationOrder] = (), until: float = 2.0,
         told: Callable[[RunProgress], None] | None = None,
     ) -> None:  # fmt: skip
         """`until`: end when this share has been seen; above 1: end when the fleet reports the end."""
-        super().__init__(ArenaSetting(scenario), out, told)
+        super().__init__(ExplorationSetup(scenario), out, told)
         self.sharing, self.until = sharing, until
         self.orders = [*(table.order for table in scenario.order), *orders]
         self.seen = SeenCells(self.setting)
@@ -228,9 +228,9 @@ class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
         self._most_s = self._overlap = np.inf  # when 95 % were seen, and the overlap then
         self._done_us = self._last_us = 0  # when the fleet was done; when the run was over
 
-    def make_fleet(self, channel: str, record: Record, host: Host) -> SurveyCluster:
+    def make_fleet(self, channel: str, record: Record, host: Host) -> ExplorationFleet:
         """Also counts the frames of maps on the wire."""
-        cluster = SurveyCluster(self.setting, channel, record, host, self.sharing, self.orders)
+        cluster = ExplorationFleet(self.setting, channel, record, host, self.sharing, self.orders)
         cluster.segment.taps.append(self._tap)
         return cluster
 
@@ -239,7 +239,7 @@ class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
             self.map_bits += worst_bits(len(frame.data))
             self.map_bytes += 8
 
-    def look(self, cluster: SurveyCluster) -> None:
+    def look(self, cluster: ExplorationFleet) -> None:
         now_us = self._last_us = cluster.host.now_us()
         for sync in cluster.at_once:
             sync.now_us = now_us
@@ -250,20 +250,20 @@ class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
         if not (cluster.finished and self._done_us):
             self._done_us = now_us
 
-    def is_over(self, cluster: SurveyCluster, scripts: Sequence[Handle]) -> bool:
+    def is_over(self, cluster: ExplorationFleet, scripts: Sequence[Handle]) -> bool:
         quiet = cluster.host.now_us() >= self._done_us + QUIET_US
         return (super().is_over(cluster, scripts) and quiet) or self.seen.share >= self.until
 
-    def is_settled(self, cluster: SurveyCluster) -> bool:
+    def is_settled(self, cluster: ExplorationFleet) -> bool:
         return cluster.maps_equal
 
-    def progress(self, cluster: SurveyCluster) -> RunProgress:
+    def progress(self, cluster: ExplorationFleet) -> RunProgress:
         """Cells seen of all visible ones."""
         share, cells = self.seen.share, self.seen.cells
         now_s = cluster.host.now_us() / S
         return RunProgress(now_s, round(share * cells), cells, share, states_of(cluster))
 
-    def _note(self, cluster: SurveyCluster, now_s: float) -> None:
+    def _note(self, cluster: ExplorationFleet, now_s: float) -> None:
         """Every two seconds, record the report of a robot, a different one each time, and the
         maps."""
         if not cluster.running or (self.reports and now_s < self.reports[-1][0] + REPORT_S):
@@ -278,7 +278,7 @@ class ExplorationRun(Run[ArenaSetting, SurveyCluster, SurveyOutcome]):
         first = self.seen.first.copy()
         self.films.append(FilmFrame(now_s, robot.slot, mission.chart.values(), first, places))
 
-    def measure(self, cluster: SurveyCluster) -> dict[str, Any]:
+    def measure(self, cluster: ExplorationFleet) -> dict[str, Any]:
         setting, now_s = self.setting, cluster.host.now_us() / S
         end_s, equal_s = self._done_us / S, now_s - self._last_us / S
         self.tracks = points_of(cluster)

@@ -3,11 +3,11 @@
 from typing import Any
 
 from agent.interface.config import S
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Cluster, Record
-from sim.runs.run import Run, RunProgress, SetupT, of_bodies, points_of, states_of
-from sim.scenarios.field_setup import Setting
+from sim.runs.run import MissionRun, RunProgress, SetupT, of_bodies, points_of, states_of
+from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
 from sim.world.implement_contacts import implement_contacts
@@ -15,10 +15,10 @@ from sim.world.implement_contacts import implement_contacts
 RASTER_M = 0.25  # of the coverage check
 
 
-class WorkRun(Run[SetupT, Cluster, Outcome]):
+class WorkRun(MissionRun[SetupT, Cluster, FieldOutcome]):
     """A run whose sections are worked, whatever the world is."""
 
-    kind = Outcome
+    kind = FieldOutcome
     look_us = 1 * S
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
@@ -42,7 +42,7 @@ class WorkRun(Run[SetupT, Cluster, Outcome]):
         }
 
 
-class FieldRun(WorkRun[Setting]):
+class FieldRun(WorkRun[FieldSetup]):
     """Works a field to its end, and measures the swept ground."""
 
     truth: Coverage | None = None

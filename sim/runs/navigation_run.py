@@ -14,8 +14,8 @@ from agent.navigation.navigation_mission import GOALS_MAX, FollowedPath, Navigat
 from sim.fleet.scheduler import Handle, Host
 from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
-from sim.runs.run import Run, RunProgress, of_bodies, states_of
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.runs.run import MissionRun, RunProgress, of_bodies, states_of
+from sim.scenarios.navigation_setup import NavigationSetup
 
 Points = tuple[tuple[float, float], ...]
 
@@ -31,7 +31,7 @@ class GoalResult(NamedTuple):
     plans: int  # joint plans with this robot
 
 
-class OutingOutcome(NamedTuple):
+class NavigationOutcome(NamedTuple):
     """What came of one run of errands, from the truth about positions."""
 
     scenario: str
@@ -74,10 +74,10 @@ class OutingOutcome(NamedTuple):
         return {**plain, "arrived_s": arrived_s, "legs": legs, "success": self.success}
 
 
-class NavigationRun(Run[ErrandSetting, Cluster, OutingOutcome]):
+class NavigationRun(MissionRun[NavigationSetup, Cluster, NavigationOutcome]):
     """Lets robots go to their goals, and records which path each one followed when."""
 
-    kind = OutingOutcome
+    kind = NavigationOutcome
     compare_us = 50 * MS
     tracks: dict[int, NDArray[np.float64]]  # after the run; (n, 4): microseconds, x, y, -
     followed: dict[int, list[FollowedPath]]

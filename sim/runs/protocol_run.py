@@ -6,10 +6,10 @@ from typing import Any
 from agent.interface.config import S
 from sim.fleet.simulated_fleet import Cluster
 from sim.runs.field_run import WorkRun
-from sim.scenarios.protocol_setup import DrillSetting
+from sim.scenarios.protocol_setup import ProtocolSetup
 
 
-class ProtocolRun(WorkRun[DrillSetting]):
+class ProtocolRun(WorkRun[ProtocolSetup]):
     """Works sections by the clock; figures about ground and motion are those of nothing."""
 
     def measure(self, cluster: Cluster) -> dict[str, Any]:

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any, ClassVar, Generic, NamedTuple, TypeVar
 
 from agent.interface.config import MS, S
-from sim.can.frame_counter import BusTally
+from sim.can.frame_counter import FrameCounter
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
@@ -39,7 +39,7 @@ class RunProgress(NamedTuple):
     note: str  # what the robots do at present
 
 
-class Run(ABC, Generic[SetupT, FleetT, OutcomeT]):
+class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
     """Make it, optionally set `told` and `attach`, and call `run` once."""
 
     kind: ClassVar[type[Any]]  # the outcome, a NamedTuple
@@ -55,7 +55,7 @@ class Run(ABC, Generic[SetupT, FleetT, OutcomeT]):
         called every `look_us`. `attach` gets the fleet before any robot is switched on."""
         self.setting, self.out, self.told, self.attach = setting, out, told, attach
         self.logs = logs
-        self.tally = BusTally()
+        self.tally = FrameCounter()
         self.recorder: Recorder | None = None  # None: a new one
         self.faults: list[tuple[float, str]] = []
         self.cluster: FleetT | None = None  # once it has begun

@@ -20,7 +20,7 @@ STEP_S = CELL_M / SPEED_M_S
 VEHICLE = Vehicle(RADIUS_M, SPEED_M_S)
 
 
-class GridSetting(FleetSetup):
+class CoverageSetup(FleetSetup):
     """A fleet on the cells of a map: where robots start, how cells are numbered, and what a turn
     costs."""
 
@@ -43,7 +43,7 @@ class GridSetting(FleetSetup):
         silence: str = "continue",
         time_limit_s: float = 3600.0,
         turn_cost: float = 0.0,
-    ) -> "GridSetting":
+    ) -> "CoverageSetup":
         """Make it without a scenario file. Robots are numbered as the instance's starts."""
         scenario = Scenario.model_validate({
             "name": instance.name[:64] or "grid",

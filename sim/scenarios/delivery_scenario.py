@@ -68,7 +68,7 @@ class WarehouseFleet(FleetTable):
     silence: Literal["stop", "slow", "continue"] = "continue"
 
 
-class WarehouseScenario(Scenario):
+class DeliveryScenario(Scenario):
     """A scenario file with `mission = "delivery"`."""
 
     mission: Literal["delivery"] = "delivery"  # type: ignore[assignment]
@@ -79,7 +79,7 @@ class WarehouseScenario(Scenario):
     battery: BatteryTable = BatteryTable()
 
 
-class _Parsed(WarehouseScenario):
+class _Parsed(DeliveryScenario):
     fleet: WarehouseFleet = WarehouseFleet()
 
 
@@ -96,7 +96,7 @@ def is_warehouse(name: str) -> bool:
         return False
 
 
-def load_warehouse(name: str) -> WarehouseScenario:
+def load_warehouse(name: str) -> DeliveryScenario:
     """Load by file, or by the name of a shipped one."""
     return load_kind(name, _Parsed, WAREHOUSES)
 

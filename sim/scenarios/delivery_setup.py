@@ -13,8 +13,8 @@ from agent.mapping.building import Floor, FloorError
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from agent.runtime.mission_parts import carrier_of, delivery_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
-from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario, random_tasks, read_tasks
-from sim.scenarios.navigation_setup import ErrandSetting, scattered
+from sim.scenarios.delivery_scenario import DeliveryScenario, TaskRow, random_tasks, read_tasks
+from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from sim.scenarios.scenario import Box, ScenarioError
 from sim.world.parcel_truth import Parcels
 
@@ -22,13 +22,13 @@ APART_M = 1.5  # minimum distance of robots at the start
 BOX_M = 0.5
 
 
-class DeliverySetting(ErrandSetting):
+class DeliverySetup(NavigationSetup):
     """A building with robots in it, the transports that are known from the start, and those that
     come later."""
 
-    scenario: WarehouseScenario
+    scenario: DeliveryScenario
 
-    def __init__(self, scenario: WarehouseScenario) -> None:
+    def __init__(self, scenario: DeliveryScenario) -> None:
         """Raises ScenarioError if the warehouse cannot be used."""
         name, table, fleet = scenario.name, scenario.warehouse, scenario.fleet
         floor = floor_of(scenario)
@@ -133,7 +133,7 @@ class DeliverySetting(ErrandSetting):
         return found
 
 
-def floor_of(scenario: WarehouseScenario) -> Floor:
+def floor_of(scenario: DeliveryScenario) -> Floor:
     """The building of a scenario, from its file or its drawing. Raises ScenarioError if it cannot
     be read."""
     table = scenario.warehouse

@@ -54,7 +54,7 @@ class OrderTable(Table):
         return Task(Kind(self.kind), tuple(self.points))
 
 
-class ArenaScenario(Scenario):
+class ExplorationScenario(Scenario):
     """A scenario file with `mission = "exploration"`."""
 
     mission: Literal["exploration"] = "exploration"  # type: ignore[assignment]
@@ -63,17 +63,17 @@ class ArenaScenario(Scenario):
     order: list[OrderTable] = Field(default=[], max_length=ORDERS_MAX)
 
 
-def load_arena(name: str) -> ArenaScenario:
+def load_arena(name: str) -> ExplorationScenario:
     """Load by file, or by the name of a shipped one."""
-    return load_kind(name, ArenaScenario, ARENAS)
+    return load_kind(name, ExplorationScenario, ARENAS)
 
 
-class ArenaSetting(FleetSetup):
+class ExplorationSetup(FleetSetup):
     """The setup of an arena; only the world knows its walls, robots do not."""
 
-    scenario: ArenaScenario
+    scenario: ExplorationScenario
 
-    def __init__(self, scenario: ArenaScenario) -> None:
+    def __init__(self, scenario: ExplorationScenario) -> None:
         super().__init__(scenario)
         table = scenario.arena
         if scenario.fleet.robots > len(table.starts):

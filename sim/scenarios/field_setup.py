@@ -36,7 +36,7 @@ FIELDS_MAX = 8  # a campaign uses one field
 _fields: dict[tuple[object, ...], Field] = {}  # by all their inputs: dividing a field takes 80 ms
 
 
-class Setting(FleetSetup):
+class FieldSetup(FleetSetup):
     """A field with its sections and swaths, and the bodies that work it."""
 
     def __init__(self, scenario: Scenario) -> None:

@@ -20,7 +20,7 @@ from shapely.ops import unary_union
 from agent.mapping.building import Floor, FloorError
 from agent.runtime.declared_values import FieldTable, Table
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
-from sim.scenarios.navigation_setup import ErrandSetting, scattered
+from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from sim.scenarios.scenario import (
     FIELD_FILES,
     SHIPPED,
@@ -63,7 +63,7 @@ class ObstacleTable(Table):
     until_s: float = Field(default=600.0, gt=0.0)
 
 
-class ErrandScenario(Scenario):
+class NavigationScenario(Scenario):
     """A scenario file with `mission = "errands"`."""
 
     mission: Literal["errands"] = "errands"  # type: ignore[assignment]
@@ -79,11 +79,11 @@ def load_mission(name: str) -> Scenario:
     if path.is_dir() or path.suffix.lower() in FIELD_FILES:
         return load(name)
     document, _ = read_document(name, SHIPPED)
-    kind = ErrandScenario if document.get("mission") == "errands" else Scenario
+    kind = NavigationScenario if document.get("mission") == "errands" else Scenario
     return load_kind(name, kind, SHIPPED)
 
 
-def setting_of(scenario: ErrandScenario) -> ErrandSetting:
+def setting_of(scenario: NavigationScenario) -> NavigationSetup:
     """Raises ScenarioError if the map or the places cannot be used."""
     name, fleet, table = scenario.name, scenario.fleet, scenario.floor
     if fleet.drive != "mecanum":
@@ -100,7 +100,7 @@ def setting_of(scenario: ErrandScenario) -> ErrandSetting:
         raise ScenarioError(f"{name}: floor.map: more than {CELLS_MAX} cells of {floor.fine_m:g} m")
     if len(floor.lattice) == 0:
         raise ScenarioError(f"{name}: floor.map: no place for a body of {fleet.radius_m} m radius")
-    return ErrandSetting(
+    return NavigationSetup(
         scenario,
         floor,
         *_places(scenario, floor),
@@ -108,7 +108,7 @@ def setting_of(scenario: ErrandScenario) -> ErrandSetting:
     )
 
 
-def _dropped(scenario: ErrandScenario, floor: Floor) -> list[TemporaryObstacle]:
+def _dropped(scenario: NavigationScenario, floor: Floor) -> list[TemporaryObstacle]:
     table = scenario.obstacles
     if table is None:
         return []
@@ -127,7 +127,7 @@ def _dropped(scenario: ErrandScenario, floor: Floor) -> list[TemporaryObstacle]:
         raise ScenarioError(f"{scenario.name}: obstacles.size_m: {problem}") from None
 
 
-def _places(scenario: ErrandScenario, floor: Floor) -> tuple[list[XY], list[list[XY]]]:
+def _places(scenario: NavigationScenario, floor: Floor) -> tuple[list[XY], list[list[XY]]]:
     name, table, robots = scenario.name, scenario.errands, scenario.fleet.robots
     if (table.starts is None) != (table.goals is None):
         raise ScenarioError(f"{name}: errands: write down both starts and goals, or neither")

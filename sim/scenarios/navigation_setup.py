@@ -1,7 +1,7 @@
 """A fleet in a building: a map of walls, the starts of the robots, and the goals of each.
 
-setting = ErrandSetting.drawn("swap", DRAWING, starts=[(0.5, 0.5)], goals=[[(9.5, 0.5)]])
-outcome = Outing(setting).run()
+setting = NavigationSetup.made("swap", floor, starts=[(0.5, 0.5)], goals=[[(9.5, 0.5)]])
+outcome = NavigationRun(setting).run()
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -23,7 +23,7 @@ from sim.world.walls import Grid
 from sim.world.world import World
 
 
-class ErrandSetting(FleetSetup):
+class NavigationSetup(FleetSetup):
     """A building with robots in it, the goals of each in their order, and boxes that come and go."""
 
     def __init__(
@@ -56,7 +56,7 @@ class ErrandSetting(FleetSetup):
         speed_m_s: float = 1.0,
         time_limit_s: float = 600.0,
         agrees: bool = True,
-    ) -> "ErrandSetting":
+    ) -> "NavigationSetup":
         """A setup without a file: `starts` and `goals` are metres, `loss` is a share of all frames
         from 0 to 1."""
         scenario = Scenario(

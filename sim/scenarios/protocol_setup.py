@@ -19,7 +19,7 @@ from sim.world.protocol_world import (
 CONFIG_HASH = 1  # equal for all peers, because there is no field
 
 
-class DrillSetting(FleetSetup):
+class ProtocolSetup(FleetSetup):
     """A fleet that works sections by the clock, in a world without physics."""
 
     def __init__(self, scenario: Scenario) -> None:

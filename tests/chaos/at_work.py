@@ -6,7 +6,7 @@ from agent.interface.effects import Effect
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Scenario
 
 Done = tuple[int, Effect]  # a robot's slot, and what it did
@@ -19,7 +19,7 @@ def at_work(scenario: Scenario, story: Story, disks: bool = False) -> None:
     seen: list[Done] = []
 
     async def main() -> None:
-        setting = Setting(scenario)
+        setting = FieldSetup(scenario)
         cluster = Cluster(
             setting, f"at work {id(story)}", lambda slot, _, effect: seen.append((slot, effect))
         )

@@ -21,7 +21,7 @@ from sim.fleet.simulated_disk import Disk, LogJournal, MemoryJournal, PowerCut
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Fault, Reset, Restart, load
 from tests.chaos.at_work import Done, Story, at_work
 
@@ -226,5 +226,5 @@ def test_what_a_robot_held_before_its_restart_is_worked_by_somebody(disk: str) -
         Reset(at_s=30.0, kind="reset"),
     ]
     scenario = load("small").model_copy(update={"fault": faults})
-    outcome = FieldRun(Setting(scenario)).run()
+    outcome = FieldRun(FieldSetup(scenario)).run()
     assert outcome.success, outcome

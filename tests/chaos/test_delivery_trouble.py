@@ -3,7 +3,7 @@
 import pytest
 
 from sim.runs.delivery_run import DeliveryRun
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.delivery_setup import DeliverySetup
 from tools.bench.delivery_trouble import bad_luck, troubled
 
 
@@ -11,7 +11,7 @@ from tools.bench.delivery_trouble import bad_luck, troubled
 def test_every_parcel_arrives(seed: int) -> None:
     """11: a node too near to a body. 18: a robot that drove on in a split and died unheard. In both,
     and in one run of three, a body that who had restarted did not know of."""
-    outcome = DeliveryRun(DeliverySetting(bad_luck(seed))).run()
+    outcome = DeliveryRun(DeliverySetup(bad_luck(seed))).run()
     print(f"seed {seed}", outcome)
     assert outcome.finished and not outcome.flawed
 

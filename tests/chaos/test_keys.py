@@ -21,7 +21,7 @@ from protocol.frames.safety_frames import (
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Estop, Reset, Restart, load
 from tests.chaos.at_work import Done, Story, at_work
 from tests.chaos.broad import broad
@@ -48,7 +48,7 @@ def press(cluster: Cluster, slot: int) -> None:
 def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:
     faults = [Estop(at_s=30.0, kind="estop", robot=2), Reset(at_s=45.0, kind="reset")]
     scenario = broad().changed(None, None, keys).model_copy(update={"fault": faults})
-    outcome = FieldRun(Setting(scenario)).run()
+    outcome = FieldRun(FieldSetup(scenario)).run()
     assert outcome.success and outcome.authenticated, outcome
     assert outcome.frames["Challenge"] >= 3 and outcome.frames["Freshness"] >= 3
 
@@ -63,7 +63,7 @@ def test_a_robot_that_was_away_for_many_stops_follows_again(keys: Path) -> None:
         Reset(at_s=45.0, kind="reset"),
     ]
     scenario = broad().changed(None, None, keys).model_copy(update={"fault": faults})
-    outcome = FieldRun(Setting(scenario)).run()
+    outcome = FieldRun(FieldSetup(scenario)).run()
     assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
 
 

@@ -9,7 +9,7 @@ from protocol.frames.frame import Frame
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from tests.chaos.broad import broad
 
 SPOKEN = [  # parameter groups that peers listen to; a stop or an operator's hold would rightly
@@ -36,7 +36,7 @@ def nonsense(rng: Random) -> Frame:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fleet_works_beside_a_device_that_talks_nonsense(seed: int) -> None:
-    setting, rng = Setting(broad().changed(None, seed)), Random(seed)
+    setting, rng = FieldSetup(broad().changed(None, seed)), Random(seed)
 
     async def main() -> Cluster:
         cluster = Cluster(setting, f"noise {seed}")

@@ -19,7 +19,7 @@ from sim.chaos.verdict import judge
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Heal, Partition, Scenario, load
 
 CUT_S, HEAL_S, END_S = 30.0, 80.0, 600.0
@@ -53,7 +53,7 @@ def split(seed: int) -> Scenario:
     return load("small").changed(4, seed).model_copy(update={"fault": faults})
 
 
-async def play(setting: Setting, watch: Watch) -> Cluster:
+async def play(setting: FieldSetup, watch: Watch) -> Cluster:
     import asyncio
 
     cluster = Cluster(setting, f"partition {setting.scenario.run.seed}")
@@ -83,7 +83,7 @@ def seemed_to_stand_on(cluster: Cluster, line: Polyline) -> bool:
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_cut_and_heal(seed: int) -> None:
-    setting, watch = Setting(split(seed)), Watch()
+    setting, watch = FieldSetup(split(seed)), Watch()
     cluster = run_virtual(play(setting, watch))
     replay = f"seed {seed}"
 

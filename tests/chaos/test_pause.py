@@ -20,7 +20,7 @@ from protocol.frames.safety_frames import Command, OperatorCommand
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Scenario, load
 from sim.world.temporary_obstacles import random_temporary_obstacle_generator, schedule
 from tests.chaos.broad import broad
@@ -35,7 +35,7 @@ def play(story: Story, scenario: Scenario) -> Cluster:
     reports: Reports = []
 
     async def main() -> Cluster:
-        cluster = Cluster(Setting(scenario), f"pause {id(story)}")
+        cluster = Cluster(FieldSetup(scenario), f"pause {id(story)}")
 
         def tap(t_us: int, frame: Frame) -> None:
             _, message = decode_once(frame)
@@ -285,7 +285,7 @@ def test_with_keys_only_an_operator_is_obeyed(tmp_path: Path) -> None:
 
 
 def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
-    outcome = FieldRun(Setting(load("bystander"))).run()
+    outcome = FieldRun(FieldSetup(load("bystander"))).run()
     assert outcome.success and outcome.frames["OperatorReport"] >= 10, outcome
 
 
@@ -294,7 +294,11 @@ def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
 def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
         boxes = random_temporary_obstacle_generator(
-            seed, Setting(cluster.scenario).field.polygon, every_s=5.0, from_s=10.0, until_s=200.0
+            seed,
+            FieldSetup(cluster.scenario).field.polygon,
+            every_s=5.0,
+            from_s=10.0,
+            until_s=200.0,
         )
         schedule(cluster.world, boxes)
         rng = Random(seed)

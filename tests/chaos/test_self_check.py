@@ -15,7 +15,7 @@ from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus, open_bus
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 
 Story = Callable[[Cluster], Awaitable[None]]
@@ -23,7 +23,7 @@ Story = Callable[[Cluster], Awaitable[None]]
 
 def play(story: Story, robots: int = 3, scenario: str = "small") -> None:
     async def main() -> None:
-        cluster = Cluster(Setting(load(scenario).changed(robots, 7)), f"self check {id(story)}")
+        cluster = Cluster(FieldSetup(load(scenario).changed(robots, 7)), f"self check {id(story)}")
         cluster.boot_all()
         try:
             await elapse(10.0)
@@ -226,7 +226,7 @@ def test_item_2_a_robot_that_hears_nobody_goes_on_only_where_its_frames_are_conf
         scenario = load("small").changed(2, 7)
         fleet = scenario.fleet.model_copy(update={"silence": policy})
         cluster = Cluster(
-            Setting(scenario.model_copy(update={"fleet": fleet})), f"alone {policy} {confirms}"
+            FieldSetup(scenario.model_copy(update={"fleet": fleet})), f"alone {policy} {confirms}"
         )
         cluster.boot_all()
         if not confirms:

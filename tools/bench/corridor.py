@@ -15,7 +15,7 @@ from typing import NamedTuple
 from agent.mapping.building import Floor
 from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.building_generator import CORRIDOR, DEAD_END, JUNCTION
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.navigation_setup import NavigationSetup
 from tools.bench import crowd
 from tools.bench.figure import Figure
 
@@ -85,7 +85,7 @@ def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
     avoidance alone."""
     drawing, starts, goals = LAYOUTS[layout](seed)
     floor = Floor.drawn(drawing, CELL_M, RADIUS_M)
-    setting = ErrandSetting.made(
+    setting = NavigationSetup.made(
         layout, floor, starts, [[goal] for goal in goals], seed=seed, loss=loss, agrees=agrees,
         time_limit_s=LIMIT_S if agrees else PLAIN_LIMIT_S,
     )  # fmt: skip

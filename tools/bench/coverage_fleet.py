@@ -16,9 +16,9 @@ from sim.files.grid_map import (
     random_walls,
     room_walls,
 )
-from sim.runs.coverage_run import CoverageRun, GridOutcome
+from sim.runs.coverage_run import CoverageOutcome, CoverageRun
 from sim.runs.planned_coverage import work
-from sim.scenarios.coverage_setup import STEP_S, GridSetting
+from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Loss, Partition
 from sim.world.plan_judge import judge
 from tools.bench.figure import Figure
@@ -36,7 +36,7 @@ class Drive(NamedTuple):
     """One run of whole peers over an instance."""
 
     instance: Instance
-    outcome: GridOutcome
+    outcome: CoverageOutcome
 
     @property
     def shared_at_once(self) -> float:
@@ -51,7 +51,7 @@ def drive(
     """Let whole peers cover an instance. `loss` is a share of all frames from 0 to 1."""
     cells = int((~instance.walls).sum())
     limit_s = 300.0 + 3.0 * cells * STEP_S / len(instance.starts)
-    setting = GridSetting.made(
+    setting = CoverageSetup.made(
         instance, seed=seed, faults=faults, loss=loss, time_limit_s=limit_s
     )  # fmt: skip
     return Drive(instance, CoverageRun(setting).run())

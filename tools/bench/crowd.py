@@ -21,7 +21,7 @@ from agent.mapf.pibt import ways
 from agent.mapping.building import Floor
 from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.building_generator import rooms
-from sim.scenarios.navigation_setup import ErrandSetting, scattered
+from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import data_folder
 
@@ -104,7 +104,7 @@ def whole(seed: int, robots: int, side: int, loss: float = 0.0) -> Iterator[Figu
     """Whole peers in a square of `side` cells of the map. `loss` is a share of all frames from 0 to
     1."""
     crowd = crowd_of(seed, robots, side)
-    setting = ErrandSetting.made(
+    setting = NavigationSetup.made(
         "crowd", crowd.floor, crowd.starts, [[goal] for goal in crowd.goals], seed=seed, loss=loss,
         time_limit_s=LIMIT_S,
     )  # fmt: skip

@@ -13,10 +13,10 @@ from random import Random
 from typing import Any
 
 from agent.interface.config import S
-from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
+from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.building_generator import warehouse
-from sim.scenarios.delivery_scenario import WarehouseScenario
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.delivery_scenario import DeliveryScenario
+from sim.scenarios.delivery_setup import DeliverySetup
 
 ROBOTS = 4
 CALM_S = 60.0  # boxes fall until then
@@ -25,7 +25,7 @@ Faults = list[dict[str, Any]]
 Draw = Callable[[Random], Faults]
 
 
-def bad_luck(seed: int) -> WarehouseScenario:
+def bad_luck(seed: int) -> DeliveryScenario:
     """Lost frames all the time; a split that heals; one robot dies for good, another comes back."""
     rng = Random(f"{seed}/delivery trouble")
     dies, returns = rng.sample(range(ROBOTS), 2)
@@ -45,7 +45,7 @@ def bad_luck(seed: int) -> WarehouseScenario:
 def scenario(
     name: str, seed: int, faults: Faults, boxes: float = 0.0, loss: float = 0.0,
     outage: Faults | None = None,
-) -> WarehouseScenario:  # fmt: skip
+) -> DeliveryScenario:  # fmt: skip
     """A small warehouse with these faults. `boxes` is a number a minute, `loss` a share of all
     frames from 0 to 1."""
     document = {
@@ -63,7 +63,7 @@ def scenario(
         },
         "run": {"seed": seed, "time_limit_s": 600.0},
     }  # fmt: skip
-    return WarehouseScenario.model_validate(document)
+    return DeliveryScenario.model_validate(document)
 
 
 def _one_way(rng: Random, heals: bool = True) -> Faults:
@@ -146,7 +146,7 @@ class CarrierDies:
     def __init__(self, at_s: float) -> None:
         self.at_us, self.killed = round(at_s * S), False
 
-    def __call__(self, cluster: HaulCluster) -> None:
+    def __call__(self, cluster: DeliveryFleet) -> None:
         if self.killed or cluster.host.now_us() < self.at_us:
             return
         aboard = [slot for slot in sorted(cluster.truth.aboard) if cluster.is_up(slot)]
@@ -158,7 +158,7 @@ class CarrierDies:
 def troubled(kind: str, seed: int) -> DeliveryRun:
     """A run with one trouble, or with all of `bad_luck`."""
     if kind == MIXED:
-        return DeliveryRun(DeliverySetting(bad_luck(seed)))
+        return DeliveryRun(DeliverySetup(bad_luck(seed)))
     rng = Random(f"{seed}/{kind}")
     outage: Faults = []
     if kind == "charger":
@@ -168,12 +168,12 @@ def troubled(kind: str, seed: int) -> DeliveryRun:
         kind, seed, TROUBLES[kind](rng), 12.0 if kind == "boxes" else 0.0, loss, outage
     )
     watch = CarrierDies(rng.uniform(2.0, 60.0)) if kind == "carrier" else None
-    run = DeliveryRun(DeliverySetting(given))
+    run = DeliveryRun(DeliverySetup(given))
     run.watch = watch
     return run
 
 
-def told(kind: str, seed: int, outcome: HaulOutcome) -> dict[str, Any]:
+def told(kind: str, seed: int, outcome: DeliveryOutcome) -> dict[str, Any]:
     """One line of the results."""
     return {
         "kind": kind, "seed": seed, "finished": outcome.finished, "flaws": dict(outcome.flaws),

@@ -62,9 +62,9 @@ def _drill(robots: int, seed: int, cpu_s: float) -> tuple[float, float, int]:
     from sim.chaos.effect_observer import EffectObserver
     from sim.fleet.event_loop import EventLoop
     from sim.fleet.simulated_fleet import Cluster
-    from sim.scenarios.protocol_setup import DrillSetting, drill
+    from sim.scenarios.protocol_setup import ProtocolSetup, drill
 
-    swarm, setting = EventLoop(), DrillSetting(drill(robots, seed))
+    swarm, setting = EventLoop(), ProtocolSetup(drill(robots, seed))
     witness = EffectObserver(robots)
     cluster = Cluster(setting, f"speed {robots}/{seed}", witness, swarm)
     checker = setting.parade.checker()

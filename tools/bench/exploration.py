@@ -7,7 +7,7 @@ import numpy as np
 
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import OBSTACLE, UNKNOWN, MergeOrder
-from sim.runs.exploration_run import ExplorationRun, Sharing, SurveyOutcome
+from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun, Sharing
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import Crash, Loss
 from tools.bench.figure import Figure
@@ -21,7 +21,7 @@ ORDERS = 100_000  # random orders of merging
 def play(
     arena: str, robots: int, seed: int, sharing: Sharing = Sharing.FLEET, until: float = 2.0,
     faults: Sequence[Loss | Crash] = (),
-) -> SurveyOutcome:  # fmt: skip
+) -> ExplorationOutcome:  # fmt: skip
     """One exploration of a shipped arena. `until` is the share of the ground after which it ends;
     above 1: not before all is seen."""
     scenario = load_arena(arena).changed(robots, seed)
@@ -55,7 +55,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
 
 
 def speed(
-    runs: dict[tuple[int, Sharing], list[SurveyOutcome]], sizes: list[int], where: str
+    runs: dict[tuple[int, Sharing], list[ExplorationOutcome]], sizes: list[int], where: str
 ) -> Iterator[Figure]:
     """Times to 95 % and speed-ups, of all arenas and seeds together."""
     total = {key: sum(run.time_95_s for run in found) for key, found in runs.items()}
@@ -73,7 +73,7 @@ def speed(
                      ">= 0.90", ours / theirs >= 0.90, AGAINST, f"{SCOPE}; {where}")  # fmt: skip
 
 
-def costs(found: list[SurveyOutcome], robots: int, where: str) -> Iterator[Figure]:
+def costs(found: list[ExplorationOutcome], robots: int, where: str) -> Iterator[Figure]:
     """Load of the bus and bytes a square metre that maps took in these runs."""
     load = max(run.map_load for run in found)
     scope = f"map frames at worst-case stuffing, 250 kbit/s, power-up to end; worst run; {where}"

@@ -18,9 +18,9 @@ import numpy as np
 
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import ObstacleMap
-from sim.runs.navigation_run import NavigationRun, OutingOutcome
+from sim.runs.navigation_run import NavigationOutcome, NavigationRun
 from sim.scenarios.building_generator import office
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.navigation_setup import NavigationSetup
 from tools.bench import whole_robots
 from tools.bench.figure import Figure
 from tools.run.path_picture import draw_paths
@@ -90,7 +90,7 @@ def batch(inflation_m: float, count: int, out: Path | None) -> Batch:
     plan_ms = 0.0
     for seed in range(count):
         starts, goals = pairs(seed, places)
-        setting = ErrandSetting.made(
+        setting = NavigationSetup.made(
             "thesis", floor, starts, [[goal] for goal in goals], seed=seed, time_limit_s=LIMIT_S
         )
         outing = NavigationRun(setting)
@@ -106,7 +106,7 @@ def batch(inflation_m: float, count: int, out: Path | None) -> Batch:
     return Batch(legs, arrived, contacts, fmean(errors_m), max(errors_m), replans, joint, plan_ms)
 
 
-def slowest_ms(floor: Floor, outing: NavigationRun, outcome: OutingOutcome) -> float:
+def slowest_ms(floor: Floor, outing: NavigationRun, outcome: NavigationOutcome) -> float:
     """Every search of the run once more, with a new grid as after a first box, by the clock."""
     worst_s = 0.0
     for followed in outing.followed.values():

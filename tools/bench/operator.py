@@ -21,7 +21,7 @@ from rich.console import Console
 
 from sim.record.recording import Recording
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.browser import browser, missing, open_page, until
 from tools.bench.figure import Figure, percentile
@@ -74,7 +74,7 @@ def map_recording(folder: Path, simulated_s: float, seconds: float, seed: int) -
     """The page at 20 robots; the cost of keeping a run; jumps to any time of it."""
     scenario = load("oxted").changed(ROBOTS, seed)
     limit = scenario.run.model_copy(update={"time_limit_s": simulated_s})
-    setting = Setting(scenario.model_copy(update={"run": limit}))
+    setting = FieldSetup(scenario.model_copy(update={"run": limit}))
     begun_s = time.process_time()
     plain = FieldRun(setting, folder).run()
     between_s = time.process_time()

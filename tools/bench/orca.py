@@ -26,7 +26,7 @@ from agent.interface.mission import MotionRequest
 from agent.interface.ports import Neighbour, Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from protocol.frames.fleet_frames import Pose
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.figure import Figure
 from tools.bench.kernels import agent_table as column
@@ -146,7 +146,7 @@ def circle(rvo: Any, steps: int) -> Iterator[Figure]:
 def whole_robot(batches: int) -> Iterator[Figure]:
     """The avoidance of a control period as `agent/peer/peer.py` asks for it, on the fences of a
     real field."""
-    setting = Setting(load("oxted"))
+    setting = FieldSetup(load("oxted"))
     motion = setting.parts(0).motion
     assert isinstance(motion, HolonomicMotion)
     rng = np.random.default_rng(SEED)

@@ -23,7 +23,7 @@ from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure
@@ -316,7 +316,7 @@ async def _worked(seed: int) -> tuple[Inspector, dict[int, tuple[int, Phase]], i
     """What a listener heard; the owner and phase of each section; the robot that was killed."""
     rng, inspector = Random(seed), Inspector()
     dead = rng.randrange(1, 3)
-    cluster = Cluster(Setting(load("small").changed(seed=seed)), f"why {seed}")
+    cluster = Cluster(FieldSetup(load("small").changed(seed=seed)), f"why {seed}")
     cluster.segment.taps.append(lambda t_us, frame: inspector.hear(t_us / 1e6, frame))
     cluster.boot_all()
     try:

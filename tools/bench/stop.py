@@ -22,7 +22,7 @@ from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, segment
 from sim.fleet.virtual_clock import run_virtual
 from sim.rigs.stop_rig import LIMIT_US, StopFleet
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure, percentile
@@ -155,7 +155,7 @@ class _Presses(Launch):
     """A launch whose watcher presses, waits for every echo, resets, starts, and presses again."""
 
     def __init__(self, count: int, out: Path) -> None:
-        setting = Setting(load("small").changed(6, 1))
+        setting = FieldSetup(load("small").changed(6, 1))
         fleet = fleet_folder(out, setting, fresh=True)
         super().__init__(setting, "small", fleet, Console(quiet=True), None)
         self.count, self.times_s = count, list[float]()

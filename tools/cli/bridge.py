@@ -92,11 +92,11 @@ def read_map(segment: int, arena: str, now_us: int) -> MapRelay | None:
     """The map of an arena that all segments explore. Raises AttachError."""
     if not arena:
         return None
-    from sim.scenarios.exploration_scenario import ArenaSetting, load_arena
+    from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
     from sim.scenarios.scenario import ScenarioError
 
     try:
-        setting = ArenaSetting(load_arena(arena))
+        setting = ExplorationSetup(load_arena(arena))
     except ScenarioError as problem:
         raise AttachError(f"--arena: {problem}") from None
     return MapRelay(segment, setting.geometry, setting.order, now_us)

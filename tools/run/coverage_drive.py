@@ -11,8 +11,8 @@ from agent.coverage.team import TURN_COST_MAX
 from agent.interface.config import PEERS_MAX
 from sim.files.grid_map import GridFileError, Instance
 from sim.files.strict_json import dumps
-from sim.runs.coverage_run import CoverageRun, GridOutcome
-from sim.scenarios.coverage_setup import STEP_S, GridSetting
+from sim.runs.coverage_run import CoverageOutcome, CoverageRun
+from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
 from tools.common.result_table import fact_table
 from tools.run.coverage_report import closed_off
@@ -70,7 +70,7 @@ def setting_of(
     loss: float,
     silence: str,
     turn_cost: float,
-) -> GridSetting:
+) -> CoverageSetup:
     """A setup from the words of the command line. `loss` is a share of all frames from 0 to 1,
     `turn_cost` steps a quarter turn. Raises GridFileError if there are more robots than
     addresses."""
@@ -84,7 +84,7 @@ def setting_of(
     last_s = max((fault.at_s for fault in faults), default=0.0)
     limit_s = min(60.0 + last_s + LIMIT_FACTOR * cells * STEP_S, 86_400.0)
     try:
-        return GridSetting.made(
+        return CoverageSetup.made(
             instance, seed=seed, faults=faults, loss=loss, silence=silence, turn_cost=turn_cost,
             time_limit_s=limit_s,
         )  # fmt: skip
@@ -95,7 +95,7 @@ def setting_of(
 
 
 def driven(
-    setting: GridSetting, out: Path | None, as_json: bool, cells_left: int = 0,
+    setting: CoverageSetup, out: Path | None, as_json: bool, cells_left: int = 0,
     reachable_only: bool = False,
 ) -> int:  # fmt: skip
     """`cells_left`: free cells that are not connected with any start."""
@@ -115,7 +115,7 @@ def driven(
     return 0 if outcome.success and not closed else 1
 
 
-def _print(outcome: GridOutcome) -> None:
+def _print(outcome: CoverageOutcome) -> None:
     rows = {
         "makespan": f"{outcome.makespan_s:.1f} s = {outcome.makespan_s / STEP_S:.0f} steps",
         "over the lower bound": f"{outcome.ratio:.3f}",

@@ -12,7 +12,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from tools.common.run_folder import (
     LATEST,
     LAUNCH,
@@ -48,7 +48,7 @@ def identity_of(setting: AnySetting) -> str:
     plain: dict[str, Any] = setting.scenario.model_dump(mode="json", exclude={"run", "folder"})
     plain.get("fleet", {}).pop("keys", None)
     seed = setting.scenario.run.seed
-    ground = setting.field.config_hash if isinstance(setting, Setting) else seed
+    ground = setting.field.config_hash if isinstance(setting, FieldSetup) else seed
     text = json.dumps([plain, ground], sort_keys=True)
     return blake2b(text.encode(), digest_size=8).hexdigest()
 

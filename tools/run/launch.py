@@ -24,7 +24,7 @@ from sim.files.recording_end import Ending
 from sim.files.strict_json import dumps
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.remote_body import BodyServer
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import implement_contacts
 from sim.world.parcel_truth import Parcels
@@ -184,7 +184,7 @@ class Launch:
 
     def _sections(self) -> frozenset[int]:
         """Of the field; work in others is none. Empty: any may be there."""
-        assert isinstance(self.setting, Setting)
+        assert isinstance(self.setting, FieldSetup)
         return frozenset(section.id for section in self.setting.field.sections)
 
     def _parcels(self) -> Parcels | None:
@@ -199,7 +199,7 @@ class Launch:
 
     def _places(self) -> str:
         """What people can name when they speak to this fleet."""
-        assert isinstance(self.setting, Setting)
+        assert isinstance(self.setting, FieldSetup)
         field = self.setting.field
         named = {"gate": field.gate, **self.setting.scenario.places}
         return Places.write(named, {section.name: section.ends[0] for section in field.sections})
@@ -316,7 +316,7 @@ class Launch:
         ]  # fmt: skip
 
     def _report(self, elapsed_s: float, finished: bool) -> None:
-        assert isinstance(self.setting, Setting)
+        assert isinstance(self.setting, FieldSetup)
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
         tracks = {slot: body.track for slot, body in self.world.robots.items()}

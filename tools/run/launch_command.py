@@ -8,7 +8,7 @@ from pathlib import Path
 from rich.console import Console
 
 from sim.files.strict_json import dumps
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError
 from tools.build.warmup import warm
 from tools.common.bus_attach import AttachError
@@ -39,7 +39,7 @@ def launch(
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         setting = setting_of(scenario, robots, seed, keys)
-        if segment and not isinstance(setting, Setting):
+        if segment and not isinstance(setting, FieldSetup):
             return _wrong(
                 f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
             )
@@ -59,8 +59,8 @@ def launch(
     if fleet.said:
         console.print(fleet.said)
     # Here once, and not in every robot at the same time.
-    warm(isinstance(setting, Setting) and setting.turn_radius_m > 0.0)
-    kind = Launch if isinstance(setting, Setting) else HaulLaunch
+    warm(isinstance(setting, FieldSetup) and setting.turn_radius_m > 0.0)
+    kind = Launch if isinstance(setting, FieldSetup) else HaulLaunch
     running = kind(setting, scenario, fleet, console, keys, page_port)
     running.operator_key = None if operator_key is None else str(operator_key.absolute())
     running.segment, running.hub_port = segment, hub_port

@@ -12,7 +12,7 @@ from protocol.frames.messages import Message
 from sim.fleet.scheduler import follow
 from sim.fleet.warehouse_floor import WarehouseFloor
 from sim.record.remote_body import BodyServer
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody, Parcels
 from tools.language.places import Places
 from tools.operate.tool_address import DeviceAddress
@@ -38,7 +38,7 @@ class HaulLaunch(Launch):
     endless = True
 
     def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
-        assert isinstance(self.setting, DeliverySetting)
+        assert isinstance(self.setting, DeliverySetup)
 
         loop = asyncio.get_running_loop()
         desk = DeviceAddress(_Desk(bus))
@@ -64,7 +64,7 @@ class HaulLaunch(Launch):
         return frozenset()
 
     def _parcels(self) -> Parcels:
-        assert isinstance(self.setting, DeliverySetting)
+        assert isinstance(self.setting, DeliverySetup)
 
         def unsaid(message: Message) -> None:
             """Nobody orders before the bus is there."""
@@ -89,7 +89,7 @@ class HaulLaunch(Launch):
         return len(truth.delivered_us), to_do, "parcels"
 
     def _places(self) -> str:
-        assert isinstance(self.setting, DeliverySetting)
+        assert isinstance(self.setting, DeliverySetup)
         bays = {f"charger {k}": place for k, place in enumerate(self.setting.house.bays)}
         return Places.write({**bays, **self.setting.scenario.places}, {})
 

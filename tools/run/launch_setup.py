@@ -5,13 +5,13 @@ from typing import Any
 
 from agent.runtime.declared_values import FieldTable, FleetTable, WarehouseTable
 from sim.scenarios.delivery_scenario import is_warehouse, load_warehouse
-from sim.scenarios.delivery_setup import DeliverySetting
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.delivery_setup import DeliverySetup
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 
 BODY = "sim.record.remote_body:WorldBody"
 
-AnySetting = Setting | DeliverySetting
+AnySetting = FieldSetup | DeliverySetup
 
 
 def setting_of(
@@ -19,8 +19,8 @@ def setting_of(
 ) -> AnySetting:
     """A field's, or a warehouse's. Raises ScenarioError."""
     if is_warehouse(scenario):
-        return DeliverySetting(load_warehouse(scenario).changed(robots, seed, keys))
-    return Setting(load(scenario).changed(robots, seed, keys))
+        return DeliverySetup(load_warehouse(scenario).changed(robots, seed, keys))
+    return FieldSetup(load(scenario).changed(robots, seed, keys))
 
 
 def robot_document(
@@ -47,14 +47,14 @@ def robot_document(
         "bus": bus,
         "body": {"factory": BODY, "options": {"socket": str(bodies)}},
     }
-    if isinstance(setting, DeliverySetting):
+    if isinstance(setting, DeliverySetup):
         return {**document, "warehouse": _warehouse(setting, slot)}
     field = scenario.field.model_dump(mode="json", include=set(FieldTable.model_fields))
     field["file"] = str(scenario.path_of(field["file"]).absolute())
     return {**document, "field": field}
 
 
-def _warehouse(setting: DeliverySetting, slot: int) -> dict[str, Any]:
+def _warehouse(setting: DeliverySetup, slot: int) -> dict[str, Any]:
     """The warehouse as one robot has it, with the tasks that are known before the start."""
     scenario, known = setting.scenario, setting.house.tasks
     table = scenario.warehouse.model_dump(mode="json", include=set(WarehouseTable.model_fields))

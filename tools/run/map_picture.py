@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.files.palette import colour_of, rgb_of
-from sim.runs.exploration_run import ExplorationRun, SurveyOutcome
+from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 
 GREYS = np.array([0.75, 1.0, 0.1])  # unknown, free, obstacle
 FRAME_MS = 250
@@ -40,7 +40,7 @@ def _extent(survey: ExplorationRun) -> tuple[float, float, float, float]:
     return west, west + columns * cell_m, south, south + rows * cell_m
 
 
-def draw_maps(survey: ExplorationRun, outcome: SurveyOutcome, out: Path) -> None:
+def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) -> None:
     """One PNG: the joined map with the paths driven, which robot saw what first, and each robot's map."""
     import matplotlib
 

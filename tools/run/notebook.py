@@ -15,17 +15,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_fleet import Cluster
 from sim.record.recorder_script import watch
 from sim.record.recording import Recording
 from sim.record.scene import scene_of
 from sim.runs.field_run import FieldRun
-from sim.runs.navigation_run import NavigationRun, OutingOutcome
+from sim.runs.navigation_run import NavigationOutcome, NavigationRun
 from sim.scenarios.delivery_scenario import is_warehouse
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
+from sim.scenarios.navigation_setup import NavigationSetup
 from sim.scenarios.scenario import Scenario, ScenarioError
 from tools.report.chapter import Chapter, chapters
 from tools.report.command import write
@@ -51,7 +51,7 @@ class Run:
     """What came of a scenario. Every field of its outcome is an attribute: `run.coverage`."""
 
     def __init__(
-        self, outcome: Outcome | OutingOutcome, recording: Recording,
+        self, outcome: FieldOutcome | NavigationOutcome, recording: Recording,
         tracks: dict[int, NDArray[np.float64]], faults: list[dict[str, Any]],
     ) -> None:  # fmt: skip
         """`tracks`: where each robot truly was, (n, 3): seconds, metres east, metres north."""
@@ -151,12 +151,12 @@ def play(
         cluster.segment.taps.append(recording.write)
         watch(cluster, [recording])
 
-    run = _errands(changed, recording, attach) if isinstance(changed, ErrandScenario) else None
+    run = _errands(changed, recording, attach) if isinstance(changed, NavigationScenario) else None
     return run or _field(changed, recording, attach)
 
 
 def _field(scenario: Scenario, recording: Recording, attach: Any) -> Run:
-    setting = Setting(scenario)
+    setting = FieldSetup(scenario)
     recording.scene = scene_of(setting)
     expedition = FieldRun(setting, attach=attach)
     outcome = expedition.run()
@@ -168,8 +168,8 @@ def _field(scenario: Scenario, recording: Recording, attach: Any) -> Run:
     return Run(outcome, recording, tracks, expedition.told_faults)
 
 
-def _errands(scenario: ErrandScenario, recording: Recording, attach: Any) -> Run:
-    setting: ErrandSetting = setting_of(scenario)
+def _errands(scenario: NavigationScenario, recording: Recording, attach: Any) -> Run:
+    setting: NavigationSetup = setting_of(scenario)
     recording.scene = scene_of(setting)
     outing = NavigationRun(setting, attach=attach)
     outcome = outing.run()

@@ -4,16 +4,16 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agent.mapping.building import Floor
-from sim.runs.navigation_run import NavigationRun, OutingOutcome
+from sim.runs.navigation_run import NavigationOutcome, NavigationRun
 
 
-def draw_paths(outing: NavigationRun, outcome: OutingOutcome, folder: Path) -> list[Path]:
+def draw_paths(outing: NavigationRun, outcome: NavigationOutcome, folder: Path) -> list[Path]:
     """`robot_N.png`: walls, the polylines that were followed, the track, and the error."""
     folder.mkdir(parents=True, exist_ok=True)
     return [_draw(outing, outcome, slot, folder) for slot in sorted(outing.tracks)]
 
 
-def _draw(outing: NavigationRun, outcome: OutingOutcome, slot: int, folder: Path) -> Path:
+def _draw(outing: NavigationRun, outcome: NavigationOutcome, slot: int, folder: Path) -> Path:
     import matplotlib
 
     matplotlib.use("Agg")

@@ -10,9 +10,9 @@ from sim.can.socketcand_server import Hub
 from sim.files.palette import colour_of
 from sim.files.strict_json import dumps
 from sim.fleet.virtual_clock import WallLoop
-from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
+from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import load_warehouse
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.delivery_setup import DeliverySetup
 from tools.common.bus_attach import CHANNEL
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
@@ -35,13 +35,13 @@ def haul(
 
     def make() -> DeliveryCommand:
         warehouse = load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
-        run = DeliveryRun(DeliverySetting(warehouse))
+        run = DeliveryRun(DeliverySetup(warehouse))
         return LiveDeliveryCommand(run, port, seconds) if live else DeliveryCommand(run)
 
     return run_mission(make, to, as_json)
 
 
-def exit_code(outcome: HaulOutcome) -> int:
+def exit_code(outcome: DeliveryOutcome) -> int:
     """3: nothing is wrong but that what is left cannot be got to."""
     if outcome.success:
         return 0
@@ -55,15 +55,15 @@ class DeliveryCommand(MissionCommand[DeliveryRun]):
 
     unit = "parcels"
 
-    def exit_code(self, outcome: HaulOutcome) -> int:
+    def exit_code(self, outcome: DeliveryOutcome) -> int:
         """0, 1, or 3 for tasks that cannot be reached."""
         return exit_code(outcome)
 
-    def draw(self, outcome: HaulOutcome, folder: Path, log_hash: str) -> list[str]:
+    def draw(self, outcome: DeliveryOutcome, folder: Path, log_hash: str) -> list[str]:
         draw_warehouse(self.run.setting, self.run, outcome, folder / "warehouse.png")
         return ["warehouse.png"]
 
-    def facts(self, outcome: HaulOutcome) -> list[Fact]:
+    def facts(self, outcome: DeliveryOutcome) -> list[Fact]:
         flaws = ", ".join(f"{n} {what}" for what, n in outcome.flaws.items())
         empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
         return [
@@ -96,11 +96,11 @@ class LiveDeliveryCommand(DeliveryCommand):
         self.run.forever = True
         self.port, self.seconds, self.interrupted = port, seconds, False
 
-    def exit_code(self, outcome: HaulOutcome) -> int:
+    def exit_code(self, outcome: DeliveryOutcome) -> int:
         """130 if a person ended the run, else as in virtual time."""
         return INTERRUPTED if self.interrupted else super().exit_code(outcome)
 
-    def play(self, console: Console, folder: Path, recorder: RunRecorder) -> HaulOutcome:
+    def play(self, console: Console, folder: Path, recorder: RunRecorder) -> DeliveryOutcome:
         try:
             with asyncio.Runner(loop_factory=WallLoop) as runner:
                 return runner.run(self._live(console, folder, recorder))
@@ -110,7 +110,7 @@ class LiveDeliveryCommand(DeliveryCommand):
     def _end(self, by_person: bool = True) -> None:
         self.interrupted, self.run.ended = by_person, True
 
-    async def _live(self, console: Console, folder: Path, recorder: RunRecorder) -> HaulOutcome:
+    async def _live(self, console: Console, folder: Path, recorder: RunRecorder) -> DeliveryOutcome:
         loop = asyncio.get_running_loop()
         hubs: list[Hub] = []
         opening: list[asyncio.Task[None]] = []
@@ -119,7 +119,7 @@ class LiveDeliveryCommand(DeliveryCommand):
         if self.seconds is not None:
             loop.call_later(self.seconds, self._end, False)
 
-        def attach(cluster: HaulCluster) -> None:
+        def attach(cluster: DeliveryFleet) -> None:
             recorder(cluster)
             hubs.append(Hub(cluster.segment, CHANNEL))
             opening.append(loop.create_task(_open(hubs[0], self.port, console, folder)))
@@ -148,7 +148,7 @@ async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
 
 
 def draw_warehouse(
-    setting: DeliverySetting, run: DeliveryRun, outcome: HaulOutcome, out: Path
+    setting: DeliverySetup, run: DeliveryRun, outcome: DeliveryOutcome, out: Path
 ) -> None:
     """One PNG: walls, bays, and where each robot drove."""
     import matplotlib

@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from sim.runs.exploration_run import ExplorationRun, SurveyOutcome
+from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from sim.scenarios.exploration_scenario import load_arena
 from tools.common.result_table import Fact
 from tools.run.map_picture import draw_maps, film
@@ -37,7 +37,7 @@ class ExplorationCommand(MissionCommand[ExplorationRun]):
         super().__init__(run)
         self.animate = animate
 
-    def draw(self, outcome: SurveyOutcome, folder: Path, log_hash: str) -> list[str]:
+    def draw(self, outcome: ExplorationOutcome, folder: Path, log_hash: str) -> list[str]:
         reports = [f"at {now_s:.1f} s\n\n{text}" for now_s, text in self.run.reports]
         (folder / "fleet.md").write_text("\n".join(reports), encoding="utf-8")
         draw_maps(self.run, outcome, folder / "maps.png")
@@ -45,7 +45,7 @@ class ExplorationCommand(MissionCommand[ExplorationRun]):
             film(self.run, folder / "maps.gif")
         return ["fleet.md", "maps.png", *(["maps.gif"] if self.animate else [])]
 
-    def facts(self, outcome: SurveyOutcome) -> list[Fact]:
+    def facts(self, outcome: ExplorationOutcome) -> list[Fact]:
         equal = "equal, bit for bit" if outcome.maps_equal else "[red]differ[/red]"
         tasks = ", ".join(f"{count} {status}" for status, count in sorted(outcome.tasks.items()))
         return [

@@ -5,12 +5,12 @@ from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.runs.field_run import FieldRun
 from sim.runs.work_geojson import write_geojson
 from sim.runs.work_record import record_of
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_scenario import ErrandScenario, load_mission
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission
 from sim.scenarios.scenario import ScenarioError
 from tools.common.result_table import NO_KEYS, Fact
 from tools.run.picture import draw_field
@@ -41,8 +41,8 @@ def run(
         changed = load_mission(scenario).changed(
             robots, seed, keys, feature, drive, time_limit_s=limit_s
         )
-        if not isinstance(changed, ErrandScenario):
-            return FieldCommand(FieldRun(Setting(changed)))
+        if not isinstance(changed, NavigationScenario):
+            return FieldCommand(FieldRun(FieldSetup(changed)))
         if page_port is not None:
             raise ScenarioError(f"{changed.name}: the map page shows fields only; leave --map out")
         return NavigationCommand.of(changed)
@@ -55,10 +55,10 @@ class FieldCommand(MissionCommand[FieldRun]):
 
     unit = "sections"
 
-    def report(self, outcome: Outcome) -> dict[str, Any]:
+    def report(self, outcome: FieldOutcome) -> dict[str, Any]:
         return {"faults": self.run.told_faults}
 
-    def draw(self, outcome: Outcome, folder: Path, log_hash: str) -> list[str]:
+    def draw(self, outcome: FieldOutcome, folder: Path, log_hash: str) -> list[str]:
         field, tracks = self.run.setting.field, self.run.tracks
         title = f"{field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
         rows = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in tracks.items()}
@@ -68,7 +68,7 @@ class FieldCommand(MissionCommand[FieldRun]):
         write_geojson(work, folder / "work.geojson", log_hash)
         return ["field.png", "work.geojson"]
 
-    def facts(self, outcome: Outcome) -> list[Fact]:
+    def facts(self, outcome: FieldOutcome) -> list[Fact]:
         sections = f"{outcome.sections} sections" + ("" if outcome.finished else ", not all done")
         overlap = f"{outcome.worked_twice:.1%} of the area overlaps"
         worst = f"{outcome.bus_load_worst_case:.1%}"
@@ -91,7 +91,7 @@ class FieldCommand(MissionCommand[FieldRun]):
         ]  # fmt: skip
 
 
-def told_reach(outcome: Outcome) -> str:
+def told_reach(outcome: FieldOutcome) -> str:
     """What these bodies can work of the field, how much of it they have, and why not the rest."""
     told = f"{outcome.reachable:.2%} of that area, of which {outcome.reached:.2%} is worked"
     left = "; ".join(f"{part.area_m2:.1f} m2 {part.why}" for part in outcome.unreached)

@@ -16,7 +16,7 @@ from agent.exploration.exploration_task import FleetFullError
 from sim.files.can_log import open_log
 from sim.files.strict_json import dumps
 from sim.record.recording import Recording
-from sim.runs.run import Run, RunProgress
+from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import FolderError, folder_for
@@ -24,7 +24,7 @@ from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, ServerError
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
-RunT = TypeVar("RunT", bound=Run[Any, Any, Any])
+RunT = TypeVar("RunT", bound=MissionRun[Any, Any, Any])
 
 
 class RunError(Exception):
@@ -119,7 +119,9 @@ def _wrong(problem: object) -> int:
 class ProgressBar(Progress):
     """How far a run is: a bar, the simulated seconds, what is done, and what the robots do."""
 
-    def __init__(self, console: Console, title: str, run: Run[Any, Any, Any], unit: str) -> None:
+    def __init__(
+        self, console: Console, title: str, run: MissionRun[Any, Any, Any], unit: str
+    ) -> None:
         super().__init__(
             TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
             TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console,

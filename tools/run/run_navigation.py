@@ -5,8 +5,8 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Self
 
-from sim.runs.navigation_run import NavigationRun, OutingOutcome
-from sim.scenarios.navigation_scenario import ErrandScenario, setting_of
+from sim.runs.navigation_run import NavigationOutcome, NavigationRun
+from sim.scenarios.navigation_scenario import NavigationScenario, setting_of
 from tools.common.result_table import NO_KEYS, Fact
 from tools.run.path_picture import draw_paths
 from tools.run.run_mission import MissionCommand
@@ -18,14 +18,14 @@ class NavigationCommand(MissionCommand[NavigationRun]):
     unit = "goals"
 
     @classmethod
-    def of(cls, scenario: ErrandScenario) -> Self:
+    def of(cls, scenario: NavigationScenario) -> Self:
         """For the scenario as it was read."""
         return cls(NavigationRun(setting_of(scenario)))
 
-    def draw(self, outcome: OutingOutcome, folder: Path, log_hash: str) -> list[str]:
+    def draw(self, outcome: NavigationOutcome, folder: Path, log_hash: str) -> list[str]:
         return [f"{len(draw_paths(self.run, outcome, folder))} pictures of paths"]
 
-    def facts(self, outcome: OutingOutcome) -> list[Fact]:
+    def facts(self, outcome: NavigationOutcome) -> list[Fact]:
         reached = [leg for leg in outcome.legs if isfinite(leg.arrived_s)]
         errors_m = [leg.rmse_m for leg in reached if isfinite(leg.rmse_m)]
         last_s = [t_s for t_s in outcome.arrived_s if isfinite(t_s)]

@@ -10,7 +10,7 @@ from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import BELIEVED_S, DynamicObstacles
 from agent.mapping.ray_evidence import LEAST
 from protocol.sync.map_sync import MapSync
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.navigation_setup import NavigationSetup
 from sim.world.world import World
 
 HALL = Floor.drawn("\n".join(["." * 16] * 5), 1.0, 0.35)
@@ -22,7 +22,7 @@ class Two:
     """One robot at each end of a hall, on a wire that loses nothing."""
 
     def __init__(self, floor: Floor = HALL, places: tuple[tuple[float, float], ...] = (AT, GOAL)):
-        setting = ErrandSetting.made("two", floor, places, [[], []])
+        setting = NavigationSetup.made("two", floor, places, [[], []])
         self.world: World = setting.world()
         self.syncs: list[MapSync] = []
         for slot in range(2):

@@ -9,8 +9,8 @@ from random import Random
 import pytest
 
 from agent.mapping.building import Floor
-from sim.runs.navigation_run import NavigationRun, OutingOutcome
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.runs.navigation_run import NavigationOutcome, NavigationRun
+from sim.scenarios.navigation_setup import NavigationSetup
 from sim.world.world import World
 
 OPEN = "\n".join(["." * 24] * 7)
@@ -23,10 +23,10 @@ AISLES = 5  # in parallel, of one cell each, joined at both ends
 
 def outing(
     boxes: list[tuple[float, float, float, float]], floor: Floor = HALL
-) -> tuple[NavigationRun, OutingOutcome]:
+) -> tuple[NavigationRun, NavigationOutcome]:
     """One robot from west to east at 1 m/s; boxes of 0.8 m: from, until (seconds), x, y."""
     y_m = START[1] if floor is HALL else 0.5
-    setting = ErrandSetting.made(
+    setting = NavigationSetup.made(
         "boxes", floor, [(START[0], y_m)], [[(GOAL[0], y_m)]], time_limit_s=120.0
     )
 
@@ -34,14 +34,14 @@ def outing(
 
 
 def _boxed(
-    setting: ErrandSetting, boxes: Sequence[tuple[float, float, float, float]], size_m: float
-) -> tuple[NavigationRun, OutingOutcome]:
+    setting: NavigationSetup, boxes: Sequence[tuple[float, float, float, float]], size_m: float
+) -> tuple[NavigationRun, NavigationOutcome]:
     def put(world: World, until_s: float, x_m: float, box_y_m: float) -> None:
         number = world.add_box(x_m, box_y_m, size_m)
         if until_s < inf:
             world.at(round(until_s * 1e6), partial(world.remove_box, number))
 
-    class Boxed(ErrandSetting):
+    class Boxed(NavigationSetup):
         def world(self) -> World:
             world = super().world()
             for from_s, until_s, x_m, box_y_m in boxes:
@@ -107,7 +107,7 @@ def test_m15_a_box_that_stays_in_an_aisle_is_driven_round_by_the_next_one(from_s
     """Its detour begins backwards: what stands behind a robot is not gone because no ray meets it."""
     wall, free = f".{'#' * 22}.", "." * 24
     floor = Floor.drawn("\n".join([free, wall, free, wall, free]), 1.0, 0.3)
-    setting = ErrandSetting.made("loop", floor, [(0.5, 2.5)], [[(23.5, 2.5)]], time_limit_s=400.0)
+    setting = NavigationSetup.made("loop", floor, [(0.5, 2.5)], [[(23.5, 2.5)]], time_limit_s=400.0)
     run, outcome = _boxed(setting, [(from_s, inf, 12.5, 2.5)], BOX_M)
     assert outcome.finished and not outcome.contacts
     assert why(run) == ["goal", "blocked"]
@@ -133,7 +133,7 @@ def test_m15_drawn_aisles_with_boxes_that_stay_are_got_through(seed: int) -> Non
         (0.5, 2 * rng.randrange(AISLES) + 0.5),
         (length - 0.5, 2 * rng.randrange(AISLES) + 0.5),
     )
-    setting = ErrandSetting.made("aisles", floor, [start], [[goal]], time_limit_s=1200.0)
+    setting = NavigationSetup.made("aisles", floor, [start], [[goal]], time_limit_s=1200.0)
     run, outcome = _boxed(setting, boxes, BOX_M)
     assert outcome.finished and not outcome.contacts, (seed, boxes, why(run))
     track = run.tracks[0]

@@ -10,7 +10,7 @@ from sim.files.log_parts import Limit, PartedLog, parts_of
 from sim.record.mcap_log import McapLog, read_frames, read_recording
 from sim.record.robot_intent import Intent
 from sim.record.scene import scene_of
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspection import frames_of
 from tools.livemap.command import recorded
@@ -18,7 +18,7 @@ from tools.livemap.command import recorded
 LIMIT = Limit(part_bytes=4096, parts=3)
 LINE_BYTES = 48
 FRAMES = 1_000
-SCENE = scene_of(Setting(load("small")))
+SCENE = scene_of(FieldSetup(load("small")))
 SPREAD = 0x9E3779B97F4A7C15  # payloads that do not compress
 
 

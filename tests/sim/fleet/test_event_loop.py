@@ -3,10 +3,10 @@
 import pytest
 
 from sim.fleet.event_loop import EventLoop, SimulatedRunner
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.fleet.scheduler import Script
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import (
     BusOff,
     Crash,
@@ -38,12 +38,12 @@ TROUBLE: list[Fault] = [
 LIMIT_S = 68.0
 
 
-def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> Outcome:
+def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> FieldOutcome:
     """Until all that goes wrong has gone wrong, and is over for a while."""
     plain = load("small").changed(robots, seed)
     run = plain.run.model_copy(update={"time_limit_s": LIMIT_S})
     scenario = plain.model_copy(update={"fault": faults, "run": run})
-    expedition = FieldRun(Setting(scenario))
+    expedition = FieldRun(FieldSetup(scenario))
     return expedition.run() if swarm else expedition.run_on_asyncio()
 
 

@@ -16,7 +16,7 @@ from protocol.sync import replica
 from sim.fleet.simulated_fleet import Cluster
 from sim.runs.field_run import FieldRun
 from sim.runs.run import RunProgress
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 
 WARM_UP_S, END_S = 200.0, 500.0  # of virtual time
@@ -94,7 +94,7 @@ def test_f_nothing_in_a_peer_grows_with_time(monkeypatch: pytest.MonkeyPatch) ->
             if len(found) == 2:
                 raise EndError
 
-    setting = Setting(load("oxted").changed(2, 1, None))
+    setting = FieldSetup(load("oxted").changed(2, 1, None))
     with pytest.raises(EndError):
         FieldRun(setting, told=look, attach=clusters.append).run()
     (before, entries), (after, entries_after) = found

@@ -4,14 +4,14 @@ import pytest
 
 from sim.fleet.settling import LOSSY_QUIET_US, QUIET_US, quiet_us
 from sim.runs.navigation_run import NavigationRun
-from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
 from sim.scenarios.scenario import BusTable
 
 
 @pytest.mark.slow
 def test_m27_the_documented_corridor_ends_with_equal_replicas() -> None:
     scenario = load_mission("corridor").changed(seed=3)
-    assert isinstance(scenario, ErrandScenario)
+    assert isinstance(scenario, NavigationScenario)
     outcome = NavigationRun(setting_of(scenario)).run()
     assert outcome.success and outcome.replicas_equal
 

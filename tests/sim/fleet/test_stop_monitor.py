@@ -10,7 +10,7 @@ from protocol.frames.safety_frames import Command, EmergencyReset, OperatorComma
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.stop_monitor import StopMonitor
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.protocol_world import ProtocolWorld
 
@@ -19,7 +19,7 @@ Story = Callable[[Cluster], Awaitable[None]]
 
 def play(story: Story) -> Cluster:
     async def main() -> Cluster:
-        cluster = Cluster(Setting(load("small").changed(3, 1)), f"watch {id(story)}")
+        cluster = Cluster(FieldSetup(load("small").changed(3, 1)), f"watch {id(story)}")
         cluster.boot_all()
         try:
             await elapse(10.0)

@@ -15,7 +15,7 @@ from sim.record import recording as recordings
 from sim.record.mcap_log import CDR, McapLog, read_frames, read_recording
 from sim.record.recording import FramesDigest, Recording
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import recorded
@@ -23,10 +23,10 @@ from tools.livemap.command import recorded
 SECONDS = 30.0
 
 
-def setting() -> Setting:
+def setting() -> FieldSetup:
     scenario = load("small").changed(3, 7)
     run = scenario.run.model_copy(update={"time_limit_s": SECONDS})
-    return Setting(scenario.model_copy(update={"run": run}))
+    return FieldSetup(scenario.model_copy(update={"run": run}))
 
 
 @pytest.fixture(scope="module")

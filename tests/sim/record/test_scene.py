@@ -7,14 +7,14 @@ import pytest
 
 from agent.mapping.building import Floor
 from sim.record.scene import scene_named, scene_of
-from sim.scenarios.exploration_scenario import ArenaSetting, load_arena
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.navigation_setup import NavigationSetup
 from sim.scenarios.scenario import ScenarioError, load
 
 
 def test_a_field_with_its_sections() -> None:
-    setting = Setting(load("small"))
+    setting = FieldSetup(load("small"))
     scene = scene_of(setting)
     assert scene["kind"] == "field" and len(scene["rings"]) == 1 + len(setting.field.holes)
     for section, told in zip(setting.field.sections, scene["sections"], strict=True):
@@ -23,7 +23,7 @@ def test_a_field_with_its_sections() -> None:
 
 
 def test_an_arena_with_its_cells() -> None:
-    setting = ArenaSetting(load_arena("arena"))
+    setting = ExplorationSetup(load_arena("arena"))
     scene = scene_of(setting)
     assert scene["kind"] == "arena"
     assert len(scene["rings"]) == 1 + len(setting.scenario.arena.solid)
@@ -34,7 +34,7 @@ def test_a_floor_with_its_walls() -> None:
     blocked = np.zeros((7, 13), dtype=np.bool_)
     blocked[3, 2:9] = True
     floor = Floor(blocked, 0.5, 0.2)
-    setting = ErrandSetting.made("floor", floor, [(0.5, 0.5)], [[(5.5, 3.0)]])
+    setting = NavigationSetup.made("floor", floor, [(0.5, 0.5)], [[(5.5, 3.0)]])
     grid = scene_of(setting)["grid"]
     shape = grid["rows"], grid["columns"]
     bits = np.unpackbits(np.frombuffer(b64decode(grid["walls"]), dtype=np.uint8))

@@ -9,9 +9,9 @@ import pytest
 from typer.testing import CliRunner
 
 from sim.files.grid_map import Instance, gate_starts, rack_walls, random_starts, random_walls
-from sim.runs.coverage_run import CoverageRun, GridOutcome
+from sim.runs.coverage_run import CoverageOutcome, CoverageRun
 from sim.runs.planned_coverage import work
-from sim.scenarios.coverage_setup import STEP_S, GridSetting
+from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import (
     BusOff,
     Crash,
@@ -34,8 +34,8 @@ def scene(side: int, robots: int, seed: int, share: float = 0.1, gate: bool = Fa
     return Instance(f"random {side}x{side} seed {seed}", walls, starts)
 
 
-def play(instance: Instance, *faults: Fault, seed: int = 1, loss: float = 0.0) -> GridOutcome:
-    setting = GridSetting.made(
+def play(instance: Instance, *faults: Fault, seed: int = 1, loss: float = 0.0) -> CoverageOutcome:
+    setting = CoverageSetup.made(
         instance, seed=seed, faults=faults, loss=loss, time_limit_s=400.0
     )  # fmt: skip
     return CoverageRun(setting).run()

@@ -12,9 +12,9 @@ from agent.interface.config import S
 from protocol.frames.codec import decode_once
 from protocol.frames.delivery_frames import PlanRow
 from sim.fleet.simulated_disk import MemoryJournal
-from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
-from sim.scenarios.delivery_scenario import Outage, TaskRow, WarehouseScenario
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
+from sim.scenarios.delivery_scenario import DeliveryScenario, Outage, TaskRow
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.scenario import Crash, Heal, Loss, Partition, Restart
 from tests.agent.planning import short_search
 from tools.inspect.inspector import Inspector
@@ -36,9 +36,9 @@ short_searches = pytest.fixture(autouse=True)(short_search)
 def scenario(
     robots: int = 3, seed: int = 1, faults: Sequence[Any] = (), battery: dict[str, float] | None = None,
     loss: float = 0.0, **table: Any,
-) -> WarehouseScenario:  # fmt: skip
+) -> DeliveryScenario:  # fmt: skip
     print(f"seed {seed}")
-    return WarehouseScenario.model_validate({
+    return DeliveryScenario.model_validate({
         "name": "test", "mission": "delivery", "fault": list(faults),
         "warehouse": {"map": MAP, "random_tasks": 6, "handle_s": 1.0, **table},
         "battery": battery or {}, "bus": {"loss": loss},
@@ -48,8 +48,8 @@ def scenario(
     })  # fmt: skip
 
 
-def play(given: WarehouseScenario, watch: Any = None) -> tuple[HaulOutcome, DeliveryRun]:
-    run = DeliveryRun(DeliverySetting(given))
+def play(given: DeliveryScenario, watch: Any = None) -> tuple[DeliveryOutcome, DeliveryRun]:
+    run = DeliveryRun(DeliverySetup(given))
     run.watch = watch
     outcome = run.run()
     print(outcome)
@@ -70,7 +70,7 @@ def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
     """What `headland inspect` shows of a fleet that is at work is what its robots mean to do."""
     inspector, checked = Inspector(), [0]
 
-    def watch(cluster: HaulCluster) -> None:
+    def watch(cluster: DeliveryFleet) -> None:
         told = {r["slot"]: r for r in inspector.to_dict()["robots"] if "itinerary" in r}
         for slot, mission in cluster.missions.items():
             if slot in told and cluster.host.now_us() > 12 * S:
@@ -82,7 +82,7 @@ def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
                 checked[0] += means == heard
 
     run = DeliveryRun(
-        DeliverySetting(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0}))
+        DeliverySetup(scenario(random_tasks=9, bays=[(0.5, 0.5)], battery={"range_m": 90.0}))
     )
     run.watch = watch
     run.attach = lambda cluster: cluster.segment.taps.append(
@@ -102,7 +102,7 @@ def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
     robot's bid kept all others out, and it did everything."""
     carried: set[int] = set()
 
-    def watch(cluster: HaulCluster) -> None:
+    def watch(cluster: DeliveryFleet) -> None:
         carried.update(cluster.truth.aboard)
 
     outcome, _ = play(scenario(random_tasks=5, random_over_s=40.0), watch)
@@ -118,7 +118,7 @@ def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
     count: int, rounds: int
 ) -> None:
     """Scenarios B and C, at the threshold; t_max is 4."""
-    setting = DeliverySetting(scenario(random_tasks=0))
+    setting = DeliverySetup(scenario(random_tasks=0))
     setting.rows = [TaskRow((2.5 + k, 0.5), (1.5 + k, 4.5), 6.0) for k in range(count)]
     outcome = DeliveryRun(setting).run()
     print(outcome)
@@ -146,7 +146,7 @@ class KillsTheCarrier:
     def __init__(self) -> None:
         self.killed: int | None = None
 
-    def __call__(self, cluster: HaulCluster) -> None:
+    def __call__(self, cluster: DeliveryFleet) -> None:
         if self.killed is None and cluster.truth.aboard:
             self.killed = min(cluster.truth.aboard)
             cluster.kill(self.killed)
@@ -163,7 +163,7 @@ def test_a_parcel_of_a_robot_that_died_is_fetched_from_where_it_died() -> None:
 
 def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
     class Restarts(KillsTheCarrier):
-        def __call__(self, cluster: HaulCluster) -> None:
+        def __call__(self, cluster: DeliveryFleet) -> None:
             was = self.killed
             super().__call__(cluster)
             if was is not None and not cluster.is_up(was):
@@ -181,7 +181,7 @@ def test_what_a_stopped_robot_has_not_picked_up_is_left_to_others() -> None:
     class LosesItsMemory:
         slot: int | None = None
 
-        def __call__(self, cluster: HaulCluster) -> None:
+        def __call__(self, cluster: DeliveryFleet) -> None:
             begun = [s for s, m in cluster.missions.items() if m.section is not None]
             if self.slot is None and begun and not cluster.truth.aboard:
                 self.slot = begun[0]
@@ -206,10 +206,10 @@ def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:
 
 def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> None:
     given = scenario(robots=4, random_tasks=8)
-    run = DeliveryRun(DeliverySetting(given))
+    run = DeliveryRun(DeliverySetup(given))
     killed: list[int] = []
 
-    def attach(cluster: HaulCluster) -> None:
+    def attach(cluster: DeliveryFleet) -> None:
         def tap(t_us: int, frame: Any) -> None:
             source, message = decode_once(frame)
             if isinstance(message, PlanRow) and not killed:
@@ -267,7 +267,7 @@ def test_a_parcel_behind_a_dead_body_is_reported_and_the_rest_is_delivered() -> 
     class Blocks:
         done = False
 
-        def __call__(self, cluster: HaulCluster) -> None:
+        def __call__(self, cluster: DeliveryFleet) -> None:
             for robot in cluster.running:
                 x_m, y_m = cluster.world.body(robot.slot).position
                 if not self.done and y_m > 2.0 and x_m < 6.5 and not cluster.truth.aboard:
@@ -275,7 +275,7 @@ def test_a_parcel_behind_a_dead_body_is_reported_and_the_rest_is_delivered() -> 
                     cluster.kill(robot.slot)
 
     given = scenario(robots=2, seed=1, map=dead_end, random_tasks=0, tasks=None)
-    setting = DeliverySetting(given)
+    setting = DeliverySetup(given)
     setting.starts = [(7.5, 2.5), (11.5, 3.5)]
     rows = [((0.5, 2.5), (9.5, 0.5)), ((10.5, 0.5), (9.5, 1.5))]
     setting.rows = [TaskRow(*row) for row in rows]
@@ -298,7 +298,7 @@ def test_tasks_that_were_added_while_running_survive_the_restart_of_everybody() 
     class Restarts:
         done = False
 
-        def __call__(self, cluster: HaulCluster) -> None:
+        def __call__(self, cluster: DeliveryFleet) -> None:
             if not self.done and cluster.host.now_us() > 12 * S and cluster.desk.numbers:
                 self.done = True
                 assert not cluster.desk.due()
@@ -317,7 +317,7 @@ def test_tasks_that_were_added_while_running_survive_the_restart_of_everybody() 
 def test_a_task_to_a_floor_that_no_way_leads_to_is_reported() -> None:
     """Found: its robot drove against the wall for ever."""
     given = scenario(robots=2, map="....#...\n....#...\n....#...\n", random_tasks=0)
-    setting = DeliverySetting(given)
+    setting = DeliverySetup(given)
     setting.starts = [(0.5, 0.5), (0.5, 2.5)]
     setting.rows = [TaskRow((1.5, 1.5), (6.5, 1.5)), TaskRow((2.5, 0.5), (3.5, 2.5))]
     orders = {k: setting.order(setting.house, row) for k, row in enumerate(setting.rows)}
@@ -367,7 +367,7 @@ def test_t13_a_burst_of_orders_makes_no_round_larger_than_a_control_period_allow
     """300 orders in 3 s: one auction of all took 7 s, in which no robot heard a stop."""
     sizes: list[tuple[int, int]] = []
 
-    def watch(cluster: HaulCluster) -> None:
+    def watch(cluster: DeliveryFleet) -> None:
         for robot in cluster.robots.values():
             mission = robot.peer.mission
             assert isinstance(mission, DeliveryMission)

@@ -8,16 +8,16 @@ import pytest
 
 from sim.chaos.fault_profiles import draw
 from sim.chaos.scenario_judge import ScenarioJudge
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.runs.delivery_run import DeliveryRun
 from sim.runs.exploration_run import ExplorationRun
 from sim.runs.field_run import FieldRun
 from sim.runs.navigation_run import NavigationRun
-from sim.scenarios.delivery_scenario import WarehouseScenario
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.scenarios.delivery_scenario import DeliveryScenario
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.exploration_scenario import load_arena
-from sim.scenarios.field_setup import Setting
-from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
 from sim.scenarios.scenario import load
 from sim.world.drive_trains import STEP_US
 from sim.world.step_engine import Engine
@@ -29,10 +29,12 @@ SAME_M = 1e-9  # in runs without contacts both engines do the same operations in
 SHORT_S = 20.0
 
 
-def played(engine: Engine, robots: int, seed: int) -> tuple[Outcome, dict[int, np.ndarray], World]:
+def played(
+    engine: Engine, robots: int, seed: int
+) -> tuple[FieldOutcome, dict[int, np.ndarray], World]:
     worlds: list[World] = []
     scenario = load("small").changed(robots, seed).with_engine(engine)
-    expedition = FieldRun(Setting(scenario), attach=lambda cluster: worlds.append(cluster.world))
+    expedition = FieldRun(FieldSetup(scenario), attach=lambda cluster: worlds.append(cluster.world))
     outcome = expedition.run()
     return outcome, {s: np.array(t) for s, t in expedition.tracks.items()}, worlds[0]
 
@@ -63,21 +65,21 @@ def test_m23_run_reports_how_many_steps_pymunk_made(tmp_path: Path) -> None:
 
 def test_m23_errands_deliveries_and_explorations_are_moved_by_pymunk() -> None:
     rooms = load_mission("rooms").changed(2, 1, time_limit_s=SHORT_S)
-    assert isinstance(rooms, ErrandScenario) and not isinstance(rooms, WarehouseScenario)
+    assert isinstance(rooms, NavigationScenario) and not isinstance(rooms, DeliveryScenario)
     haul = warehouse(2).changed(time_limit_s=SHORT_S)
-    assert isinstance(haul, WarehouseScenario)
+    assert isinstance(haul, DeliveryScenario)
     arena = load_arena("arena").changed(2, 1, time_limit_s=SHORT_S)
     outing = setting_of(rooms)
     for outcome in (
         NavigationRun(outing).run(),
-        DeliveryRun(DeliverySetting(haul)).run(),
+        DeliveryRun(DeliverySetup(haul)).run(),
         ExplorationRun(arena).run(),
     ):
         assert outcome.pymunk_steps > 500, outcome
 
 
 def test_m23_launched_worlds_are_moved_by_pymunk_and_campaigns_choose_the_other_engine() -> None:
-    world = Setting(load("small")).world()  # as `headland launch` makes it
+    world = FieldSetup(load("small")).world()  # as `headland launch` makes it
     world.advance(1_000_000)
     assert world.engine == "pymunk" and world.pymunk_steps == 100
     play = ScenarioJudge(draw(1, "body"))

@@ -5,18 +5,18 @@ from functools import cache
 import pytest
 
 from agent.exploration.exploration_task import ExplorationOrder, FleetFullError, Kind
-from sim.runs.exploration_run import ExplorationRun, Sharing, SurveyOutcome
+from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun, Sharing
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import Crash, Heal, Join, Loss, Partition, Reset, Restart, ScenarioError
 
 
-def play(robots: int, seed: int, *faults: object, name: str = "arena") -> SurveyOutcome:
+def play(robots: int, seed: int, *faults: object, name: str = "arena") -> ExplorationOutcome:
     scenario = load_arena(name).changed(robots, seed).model_copy(update={"fault": list(faults)})
     return ExplorationRun(scenario).run()
 
 
 @cache
-def undisturbed(robots: int, seed: int) -> SurveyOutcome:
+def undisturbed(robots: int, seed: int) -> ExplorationOutcome:
     """Of such a run more than one test judges something."""
     return play(robots, seed)
 

@@ -9,7 +9,7 @@ from shapely.geometry import LineString, Point
 
 from agent.motion.holonomic_motion import FENCE_M
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from tests.sim.drawn_fields import SHAPES, rectangle, scenario
 
 WEDGE = [(24.0, 31.0), (66.4, 33.9), (45.0, 38.0)]
@@ -21,7 +21,7 @@ def test_a11_a_way_keeps_the_clearance_that_avoidance_demands(
     shape: object, seed: int, tmp_path: Path
 ) -> None:
     draw = random.Random(seed)
-    setting = Setting(scenario(tmp_path, shape(draw), 1, seed))  # type: ignore[operator]
+    setting = FieldSetup(scenario(tmp_path, shape(draw), 1, seed))  # type: ignore[operator]
     kept_m = setting.scenario.fleet.radius_m + FENCE_M
     fences = setting.field.polygon.boundary
     ends = [end for section in setting.field.sections for end in section.ends]
@@ -36,19 +36,19 @@ def test_a11_a_fleet_finishes_a_field_with_inner_corners(
     shape: object, seed: int, tmp_path: Path
 ) -> None:
     draw = random.Random(seed)
-    outcome = FieldRun(Setting(scenario(tmp_path, shape(draw), 3, seed))).run()  # type: ignore[operator]
+    outcome = FieldRun(FieldSetup(scenario(tmp_path, shape(draw), 3, seed))).run()  # type: ignore[operator]
     assert outcome.success, outcome
 
 
 @pytest.mark.parametrize("seed", range(3))
 def test_a11_a_fleet_finishes_round_the_corner_of_a_hole(seed: int, tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(90.0, 60.0), 3, seed, hole=WEDGE)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
 
 
 def test_a_way_round_a_body_keeps_its_reach_at_any_grid(tmp_path: Path) -> None:
-    route = Setting(scenario(tmp_path, rectangle(60.0, 60.0), 1, 1)).plan.route
+    route = FieldSetup(scenario(tmp_path, rectangle(60.0, 60.0), 1, 1)).plan.route
     body, reach_m = (0.13, 0.21), 2.0
     for end in ((-20.0, 1.0), (-20.0, -20.0), (3.0, -20.0)):
         way = LineString(route.round([body], reach_m).path(end, (-end[0], -end[1])))
@@ -62,7 +62,7 @@ def test_m3_a_field_of_a_few_metres_is_finished(
     side_m: float, robots: int, seed: int, tmp_path: Path
 ) -> None:
     made = scenario(tmp_path, rectangle(side_m, side_m), robots, seed, time_limit_s=400.0)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
 
 
@@ -70,7 +70,7 @@ def test_m3_a_field_of_a_few_metres_is_finished(
 def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> None:
     # Implements that keep off each other make six slower than two: 90 to 210 s where two need 54.
     made = scenario(tmp_path, rectangle(20.0, 20.0), robots, 1, time_limit_s=300.0)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
 
 
@@ -80,18 +80,18 @@ def test_m26_three_tractors_finish_a_strip_in_which_they_cannot_pass(
     seed: int, tmp_path: Path
 ) -> None:
     made = scenario(tmp_path, rectangle(100.0, 9.0), 3, seed, drive="ackermann", time_limit_s=700.0)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.finished and outcome.replicas_equal, outcome
     assert outcome.reached > 0.9998, outcome  # two cells at most, in corners
 
 
 def test_m26_a_tractor_is_not_made_to_plan_again_in_its_turns(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(100.0, 9.0), 1, 1, drive="ackermann", time_limit_s=700.0)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success and outcome.makespan_s < 250.0, outcome
 
 
 def test_m4_a_field_hardly_wider_than_the_implement_is_finished(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(60.0, 60.0), 3, 1, implement_width_m=59.0)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome

@@ -10,9 +10,9 @@ import pytest
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
 from agent.navigation.path_requests import AHEAD_S
-from sim.runs.delivery_run import DeliveryRun, HaulCluster, HaulOutcome
-from sim.scenarios.delivery_scenario import TaskRow, WarehouseScenario
-from sim.scenarios.delivery_setup import DeliverySetting
+from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
+from sim.scenarios.delivery_scenario import DeliveryScenario, TaskRow
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.world import World
 
 OPEN = "\n".join(["." * 24] * 7)
@@ -21,7 +21,7 @@ NOTHING = {"twice": 0, "lost": 0, "by_two": 0, "again": 0}
 Box = tuple[float, float, float, float]  # from, until, x, y
 
 
-class Alone(DeliverySetting):
+class Alone(DeliverySetup):
     """One robot, tasks by hand, and boxes of 0.8 m that come and go."""
 
     def __init__(
@@ -29,7 +29,7 @@ class Alone(DeliverySetting):
         boxes: Sequence[Box] = (), bays: Sequence[tuple[float, float]] = (),
         battery: dict[str, float] | None = None,
     ) -> None:  # fmt: skip
-        super().__init__(WarehouseScenario.model_validate({
+        super().__init__(DeliveryScenario.model_validate({
             "name": "alone", "mission": "delivery",
             "warehouse": {"map": drawing, "handle_s": 1.0, "bays": list(bays)},
             "battery": battery or {},
@@ -53,7 +53,7 @@ class Alone(DeliverySetting):
             world.at(round(until_s * S), partial(world.remove_box, number))
 
 
-def play(setting: Alone, watch: object = None) -> tuple[DeliveryRun, HaulOutcome, list[str]]:
+def play(setting: Alone, watch: object = None) -> tuple[DeliveryRun, DeliveryOutcome, list[str]]:
     run = DeliveryRun(setting)
     if callable(watch):
         run.watch = watch
@@ -85,7 +85,7 @@ def test_a_box_that_stays_costs_a_path_or_two() -> None:
 def test_the_next_path_is_planned_ten_seconds_ahead_and_used() -> None:
     planned_s: list[float] = []
 
-    def watch(cluster: HaulCluster) -> None:
+    def watch(cluster: DeliveryFleet) -> None:
         paths = cluster.missions[0].paths
         planned_s.extend([cluster.host.now_us() / S] * (paths.planned - len(planned_s)))
 

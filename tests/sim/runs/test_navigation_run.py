@@ -15,10 +15,10 @@ from agent.mapping.building import Floor, FloorError
 from sim.runs.delivery_run import DeliveryRun
 from sim.runs.navigation_run import NavigationRun, to_polyline_m
 from sim.scenarios.building_generator import CORRIDOR, office, rooms
-from sim.scenarios.delivery_scenario import WarehouseScenario
-from sim.scenarios.delivery_setup import DeliverySetting
-from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
-from sim.scenarios.navigation_setup import ErrandSetting, scattered
+from sim.scenarios.delivery_scenario import DeliveryScenario
+from sim.scenarios.delivery_setup import DeliverySetup
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
+from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from tools.bench.corridor import trial
 
 
@@ -44,11 +44,11 @@ def test_orca_by_itself_does_not() -> None:
     assert not result.finished and result.contacts == 0
 
 
-def hall(seed: int, robots: int) -> ErrandSetting:
+def hall(seed: int, robots: int) -> NavigationSetup:
     floor = Floor.drawn(rooms(seed, 16), 1.0, 0.35)
     rng = Random(seed)
     starts, goals = (scattered(floor, robots, rng, 1.0) for _ in range(2))
-    return ErrandSetting.made("hall", floor, starts, [[goal] for goal in goals], seed=seed)
+    return NavigationSetup.made("hall", floor, starts, [[goal] for goal in goals], seed=seed)
 
 
 def test_a_hall_of_rooms_and_the_same_again() -> None:
@@ -61,7 +61,7 @@ def test_a_hall_of_rooms_and_the_same_again() -> None:
 def test_a_parked_robot_clears_a_corridor_and_returns() -> None:
     """Robot 1 has nowhere to go and stands in the only way."""
     floor = Floor.drawn(CORRIDOR, 1.0, 0.35)
-    setting = ErrandSetting.made("parked", floor, [(1.5, 2.5), (7.5, 2.5)], [[(13.5, 2.5)], []])
+    setting = NavigationSetup.made("parked", floor, [(1.5, 2.5), (7.5, 2.5)], [[(13.5, 2.5)], []])
     outing = NavigationRun(setting)
     outcome = outing.run()
     track = outing.tracks[1]
@@ -74,7 +74,7 @@ def test_a_parked_robot_clears_a_corridor_and_returns() -> None:
 def test_goals_one_after_the_other() -> None:
     floor = Floor.drawn(office(), 0.2, 0.35)
     goals = [[(7.0, 2.0), (11.0, 9.0), (1.0, 1.0)]]
-    outing = NavigationRun(ErrandSetting.made("tour", floor, [(1.0, 1.0)], goals))
+    outing = NavigationRun(NavigationSetup.made("tour", floor, [(1.0, 1.0)], goals))
     outcome = outing.run()
     assert outcome.finished and not outcome.contacts
     set_out_s = [way.t_us / 1e6 for way in outing.followed[0]]
@@ -108,7 +108,7 @@ def test_distance_to_a_polyline() -> None:
 
 def test_m19_robots_stand_before_a_person_indoors_and_ask() -> None:
     """One goes on when the way is free, the other by an operator's word; none drives round by itself."""
-    run = NavigationRun(setting_of(cast(ErrandScenario, load_mission("visitor"))))
+    run = NavigationRun(setting_of(cast(NavigationScenario, load_mission("visitor"))))
     outcome = run.run()
     assert outcome.finished and not outcome.contacts
     for slot, until_s in ((0, 23.0), (1, 40.0)):
@@ -121,7 +121,7 @@ def test_m19_robots_stand_before_a_person_indoors_and_ask() -> None:
 def test_m19_deliveries_stand_before_a_person_and_ask(tmp_path: Path) -> None:
     rows = "pickup_x_m,pickup_y_m,dropoff_x_m,dropoff_y_m\n1.5,1.5,10.5,1.5\n"
     (tmp_path / "tasks.csv").write_text(rows)
-    given = WarehouseScenario.model_validate({
+    given = DeliveryScenario.model_validate({
         "name": "test", "mission": "delivery",
         "fault": [{"kind": "box", "at_s": 2.0, "x_m": 6.0, "y_m": 1.5, "size_m": 0.5, "for_s": 30.0}],
         "warehouse": {"map": "\n".join(["." * 12] * 3), "handle_s": 1.0, "tasks": "tasks.csv"},
@@ -130,6 +130,6 @@ def test_m19_deliveries_stand_before_a_person_and_ask(tmp_path: Path) -> None:
                   "asks": True},
         "run": {"seed": 1, "time_limit_s": 200.0},
     })  # fmt: skip
-    outcome = DeliveryRun(DeliverySetting(given)).run()
+    outcome = DeliveryRun(DeliverySetup(given)).run()
     assert outcome.finished and outcome.delivered == 1 and outcome.contacts == 0
     assert outcome.simulated_s > 32.0, "it waited until the way was free"

@@ -7,17 +7,17 @@ from pathlib import Path
 
 import pytest
 
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Estop, Loss, Reset, Scenario, load
 from tests.chaos.broad import broad
 
 ROOT = Path(__file__).parents[3]
 
 
-def play(scenario: Scenario) -> Outcome:
-    return FieldRun(Setting(scenario)).run()
+def play(scenario: Scenario) -> FieldOutcome:
+    return FieldRun(FieldSetup(scenario)).run()
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -35,11 +35,11 @@ def test_one_robot_is_a_fleet() -> None:
 def test_the_same_seed_is_the_same_run_in_another_process_with_other_hashes() -> None:
     code = (
         "from sim.runs.field_run import FieldRun; from sim.scenarios.scenario import load; "
-        "from sim.scenarios.field_setup import Setting; "
+        "from sim.scenarios.field_setup import FieldSetup; "
         "plain = load('small').changed(3, 5); "
         "limit = plain.run.model_copy(update={'time_limit_s': 60}); "
         "scenario = plain.model_copy(update={'run': limit}); "
-        "print(FieldRun(Setting(scenario)).run().trace_hash)"
+        "print(FieldRun(FieldSetup(scenario)).run().trace_hash)"
     )
     hashes = {
         subprocess.run(

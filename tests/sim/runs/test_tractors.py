@@ -3,14 +3,14 @@
 import pytest
 
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, ScenarioError, load
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("drive", ["ackermann", "differential"])
 def test_m5_a_fleet_that_steers_finishes_a_field(drive: str) -> None:
-    outcome = FieldRun(Setting(load("small").changed(drive=drive))).run()
+    outcome = FieldRun(FieldSetup(load("small").changed(drive=drive))).run()
     assert outcome.success and outcome.units_twice == 0, outcome
 
 
@@ -24,16 +24,16 @@ def test_an_unknown_drive_is_one_line() -> None:
 def test_chassis_keys_reach_the_wheels() -> None:
     scenario = load("small").changed(drive="ackermann")
     fleet = scenario.fleet.model_copy(update={"wheelbase_m": 2.4, "steer_deg": 45.0})
-    setting = Setting(scenario.model_copy(update={"fleet": fleet}))
+    setting = FieldSetup(scenario.model_copy(update={"fleet": fleet}))
     assert setting.chassis.turn_radius_m == pytest.approx(2.4)
     assert setting.turn_radius_m > 2.4
-    assert Setting(load("small")).turn_radius_m == 0.0
+    assert FieldSetup(load("small")).turn_radius_m == 0.0
 
 
 @pytest.mark.slow
 def test_a_tractor_that_dies_is_gone_round() -> None:
     faults = [Crash(at_s=40.0, kind="crash", robot=1)]
     scenario = load("small").changed(drive="ackermann").model_copy(update={"fault": faults})
-    outcome = FieldRun(Setting(scenario)).run()
+    outcome = FieldRun(FieldSetup(scenario)).run()
     assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
     assert outcome.coverage > 0.95, "all but the rows it stands on"

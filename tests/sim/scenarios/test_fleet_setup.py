@@ -5,18 +5,18 @@ from pathlib import Path
 import pytest
 
 from agent.interface.identity import SilencePolicy
-from sim.scenarios.exploration_scenario import ArenaSetting, load_arena
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.protocol_setup import DrillSetting, drill
+from sim.scenarios.protocol_setup import ProtocolSetup, drill
 from sim.scenarios.scenario import ScenarioError, load
 
 
 def setups() -> list[FleetSetup]:
     return [
-        Setting(load("small").changed(robots=3)),
-        DrillSetting(drill(3, 1)),
-        ArenaSetting(load_arena("arena").changed(3)),
+        FieldSetup(load("small").changed(robots=3)),
+        ProtocolSetup(drill(3, 1)),
+        ExplorationSetup(load_arena("arena").changed(3)),
     ]
 
 
@@ -42,11 +42,11 @@ def test_places_for_bodies_are_asked_of_the_ground_where_there_is_one() -> None:
 def test_a_missing_key_file_is_said_of_every_mission(tmp_path: Path) -> None:
     none = tmp_path / "none.toml"
     with pytest.raises(ScenarioError, match=r"fleet\.keys"):
-        Setting(load("small").changed(keys=none))
+        FieldSetup(load("small").changed(keys=none))
     with pytest.raises(ScenarioError, match=r"fleet\.keys"):
-        DrillSetting(drill(2, 1).changed(keys=none))
+        ProtocolSetup(drill(2, 1).changed(keys=none))
     with pytest.raises(ScenarioError, match=r"fleet\.keys"):
-        ArenaSetting(
+        ExplorationSetup(
             load_arena("arena")
             .changed()
             .model_copy(

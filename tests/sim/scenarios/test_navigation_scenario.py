@@ -6,8 +6,8 @@ import pytest
 
 from agent.interface.lifecycle import State
 from sim.runs.navigation_run import NavigationRun
-from sim.scenarios.navigation_scenario import ErrandScenario, load_mission, setting_of
-from sim.scenarios.navigation_setup import ErrandSetting
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
+from sim.scenarios.navigation_setup import NavigationSetup
 from sim.scenarios.scenario import Scenario, ScenarioError
 
 TEXT = """
@@ -25,11 +25,11 @@ MAP = "......\n.#.#..\n......\n"
 
 def setting(
     folder: Path, text: str, drawing: str = MAP, robots: int | None = None
-) -> ErrandSetting:
+) -> NavigationSetup:
     (folder / "yard.map").write_text(drawing)
     (folder / "yard.toml").write_text(text)
     scenario = load_mission(str(folder / "yard.toml")).changed(robots)
-    assert isinstance(scenario, ErrandScenario)
+    assert isinstance(scenario, NavigationScenario)
     return setting_of(scenario)
 
 
@@ -75,7 +75,7 @@ def test_goals_are_drawn_by_the_seed(tmp_path: Path) -> None:
 
 def test_a_shipped_building_with_boxes_in_the_way(tmp_path: Path) -> None:
     scenario = load_mission("rooms").changed(robots=4, seed=3)
-    assert isinstance(scenario, ErrandScenario)
+    assert isinstance(scenario, NavigationScenario)
     made = setting_of(scenario)
     outcome = NavigationRun(made, tmp_path).run()
     print("seed", scenario.run.seed, outcome.legs)

@@ -6,9 +6,9 @@ from agent.interface.lifecycle import State
 from agent.interface.ports import Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.implement_clearance import Implement
-from sim.fleet.outcome import Outcome
+from sim.fleet.outcome import FieldOutcome
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.contact_free_steps import TRACK_US
 from sim.world.ground_truth import Track, TrackPoint
@@ -70,9 +70,11 @@ def test_m21_an_implement_goes_up_before_it_comes_into_a_body() -> None:
     )
 
 
-def played(robots: int, seed: int) -> Outcome:
+def played(robots: int, seed: int) -> FieldOutcome:
     print("seed", seed)
-    return FieldRun(Setting(load("small").changed(robots, seed).with_engine("contact_free"))).run()
+    return FieldRun(
+        FieldSetup(load("small").changed(robots, seed).with_engine("contact_free"))
+    ).run()
 
 
 @pytest.mark.parametrize(("robots", "seed"), [(3, 1), (3, 2), (3, 3), (6, 1)])

@@ -8,7 +8,7 @@ from shapely.geometry import Polygon, box
 
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.reachable_ground import Body, reachable_ground
 from tests.sim.drawn_fields import Ring, rectangle, scenario
@@ -35,7 +35,7 @@ def test_m5_bodies_that_steer_finish_without_a_flaw(
 ) -> None:
     ring, hole = FIELDS[name]
     made = scenario(tmp_path, ring, 2, seed, hole=hole, drive=drive)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
     assert outcome.reached >= COVERAGE_MIN and outcome.reachable >= 0.999, outcome
 
@@ -96,7 +96,7 @@ def test_m4_a_field_hardly_wider_than_the_implement_says_what_stays_and_why(
     seed: int, tmp_path: Path
 ) -> None:
     made = scenario(tmp_path, rectangle(60.0, 60.0), 3, seed, implement_width_m=59.0)
-    outcome = FieldRun(Setting(made)).run()
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
     (corners,) = outcome.unreached
     assert corners.area_m2 > 500.0 and "bar would cross" in corners.why

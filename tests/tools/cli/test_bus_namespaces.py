@@ -20,7 +20,7 @@ import pytest
 
 from agent.interface.config import beat_of
 from sim.record.remote_body import BodyServer
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tests.tools.launching import ENVIRONMENT, ROOT, WAIT_S
 from tests.tools.watch import STANDING_M_S, Watch
@@ -85,7 +85,7 @@ class Yard(Watch):
 
     def __init__(self) -> None:
         super().__init__(ROBOTS)
-        self.world = Setting(load(SCENARIO).changed(ROBOTS, 1, None)).world()
+        self.world = FieldSetup(load(SCENARIO).changed(ROBOTS, 1, None)).world()
 
     @property
     def places(self) -> dict[int, tuple[float, float]]:

@@ -22,7 +22,7 @@ from protocol.frames.safety_frames import ALL_IMPLEMENTS_STOP, AllImplementsStop
 from protocol.name import Name
 from sim.files.candump import read_candump
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.cli.dbc import pgn_key, to_dbc
 
@@ -42,7 +42,7 @@ def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     out = tmp_path_factory.mktemp("run")
     scenario = load("small").changed(3, 1)
     limit = scenario.run.model_copy(update={"time_limit_s": 60.0})
-    FieldRun(Setting(scenario.model_copy(update={"run": limit})), out).run()
+    FieldRun(FieldSetup(scenario.model_copy(update={"run": limit})), out).run()
     return out
 
 

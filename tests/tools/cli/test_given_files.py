@@ -17,7 +17,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Reason
 from sim.files.candump import CandumpWriter, read_candump
 from sim.files.grid_map import FREE_CELLS_MAX
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Estop, ScenarioError, load
 from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT
@@ -206,7 +206,7 @@ def test_f4_a_damaged_mcap_is_no_traceback(
     from sim.record.scene import scene_of
 
     path = tmp_path / "run.mcap"
-    log = McapLog(path, scene_of(Setting(load("small"))))
+    log = McapLog(path, scene_of(FieldSetup(load("small"))))
     for k in range(20_000):
         log.write(k * 1000, Frame(0x0CFF1080, k.to_bytes(8, "little")))
     log.close()
@@ -391,10 +391,10 @@ def test_f2_a_field_with_as_many_points_as_are_supported_is_read(tmp_path: Path)
 def test_f1_a_field_may_be_named_by_no_folder(tmp_path: Path) -> None:
     path = tmp_path / "s.toml"
     path.write_text(FIELD)
-    assert Setting(load(str(path))).field.sections  # B2: one that ships
+    assert FieldSetup(load(str(path))).field.sections  # B2: one that ships
     path.write_text(FIELD.replace("small", "nowhere"))
     with pytest.raises(ScenarioError, match="cannot be read"):
-        Setting(load(str(path)))
+        FieldSetup(load(str(path)))
 
 
 def test_a12_exported_files_are_named_and_labelled_as_others_do(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from agent.interface.config import S
 from crdt import Phase
 from protocol.frames.messages import GROUPS
 from sim.fleet.scheduler import Script
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.navigation_scenario import load_mission
 from tools.cli import doc_pages as handbook
 from tools.cli.frame_pages import frames
@@ -75,7 +75,7 @@ def test_the_tutorial_s_trouble_is_a_scenario(tmp_path: Path) -> None:
     tomllib.loads(text)
     (tmp_path / "trouble.toml").write_text(text)
     scenario = load_mission(str(tmp_path / "trouble.toml"))
-    assert len(scenario.fault) == 4 and Setting(scenario).field.sections
+    assert len(scenario.fault) == 4 and FieldSetup(scenario).field.sections
 
 
 @pytest.mark.parametrize("seed", [1, 2])

@@ -10,7 +10,7 @@ from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import TaskClaim
 from protocol.name import Name, fleet_name
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
@@ -79,7 +79,7 @@ def test_a2_a_stop_of_a_device_that_claims_nothing_is_shown() -> None:
 
 
 def test_t8_done_of_a_section_that_the_field_has_not_is_counted_and_not_added() -> None:
-    sections = frozenset(s.id for s in Setting(load("small")).field.sections)
+    sections = frozenset(s.id for s in FieldSetup(load("small")).field.sections)
     inspector = Inspector(sections)
     inspector.hear(0.0, encode(Member(0, 1, 7), 128))
     for section in (max(sections) + 1, 60_000, *sections):

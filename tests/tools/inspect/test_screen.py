@@ -16,7 +16,7 @@ from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, segment
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.frame_feed import from_bus, from_log
 from tools.inspect.inspector import Inspector
@@ -34,7 +34,7 @@ def frames() -> list[tuple[int, Frame]]:
     found: list[tuple[int, Frame]] = []
 
     async def main() -> None:
-        cluster = Cluster(Setting(load("small")), "screen")
+        cluster = Cluster(FieldSetup(load("small")), "screen")
         cluster.segment.taps.append(lambda t_us, frame: found.append((t_us, frame)))
         cluster.boot_all()
         await elapse(SHORT_S - 10.0)

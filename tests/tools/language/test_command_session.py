@@ -16,7 +16,7 @@ from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.language.command_session import CommandSession
 from tools.language.goal_queue import GoalQueue
@@ -27,7 +27,7 @@ from tools.language.places import Places
 from tools.language.question import Question
 from tools.language.question import Reason as Why
 
-SETTING = Setting(load("small"))
+SETTING = FieldSetup(load("small"))
 PLACES = Places({"gate": SETTING.field.gate, "shelf": (10.0, -5.0)})
 Story = Callable[[Cluster, CommandSession], Awaitable[None]]
 _numbers = itertools.count()

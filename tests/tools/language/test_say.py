@@ -17,7 +17,7 @@ pytest.importorskip("lark", reason="the extra `operator` is not installed")
 from sim.files.candump import CandumpWriter
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspection import inspect
 from tools.language.endpoint import ANSWER_BYTES_MAX, Endpoint, EndpointError, meant
@@ -46,7 +46,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     log = CandumpWriter(folder / "can.log")
 
     async def main() -> None:
-        cluster = Cluster(Setting(load("small")), "say")
+        cluster = Cluster(FieldSetup(load("small")), "say")
         cluster.segment.taps.append(log.write)
         cluster.boot_all()
         await elapse(20.0)

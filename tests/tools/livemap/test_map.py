@@ -22,7 +22,7 @@ import httpx
 from agent.runtime.files import key_file
 from sim.record.recording import Recording
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Estop, Heal, Partition, Reset, load
 from tools.bench.browser import browser, complaints, missing, until
 from tools.common.run_recorder import RunRecorder
@@ -54,7 +54,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Reset(at_s=RESET_S, kind="reset"),
     ]
     limit = scenario.run.model_copy(update={"time_limit_s": END_S})
-    setting = Setting(scenario.model_copy(update={"fault": faults, "run": limit}))
+    setting = FieldSetup(scenario.model_copy(update={"fault": faults, "run": limit}))
     keeping = RunRecorder(setting, out)
     FieldRun(setting, out, attach=keeping).run()
     keeping.close()

@@ -20,7 +20,7 @@ from protocol.name import fleet_name
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.common import bus_attach as attachment
 from tools.common.bus_attach import robots_of_launch
@@ -130,7 +130,7 @@ def test_t14_the_robots_of_a_launch_are_known_from_its_file(
 
 def test_t14_a_press_names_the_robot_that_is_dead() -> None:
     async def main() -> tuple[list[int], list[int]]:
-        cluster = Cluster(Setting(load("small")), "confirmations")
+        cluster = Cluster(FieldSetup(load("small")), "confirmations")
         cluster.boot_all()
         bus = CanBus(FieldBus(cluster.segment.channel))
         tool, loop = Operator(bus, None), asyncio.get_running_loop()

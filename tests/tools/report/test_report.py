@@ -19,7 +19,7 @@ from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from sim.files.candump import CandumpWriter
 from sim.record.recording import Recording
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, Restart, load
 from tools.bench.browser import browser, complaints, missing
 from tools.common.run_recorder import RunRecorder
@@ -47,7 +47,7 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
         Restart(at_s=AGAIN_S, kind="restart", robot=1, disk="kept"),
     ]
     limit = scenario.run.model_copy(update={"time_limit_s": END_S})
-    setting = Setting(scenario.model_copy(update={"fault": faults, "run": limit}))
+    setting = FieldSetup(scenario.model_copy(update={"fault": faults, "run": limit}))
     keeping = RunRecorder(setting, out)
     expedition = FieldRun(setting, out, attach=keeping)
     outcome = expedition.run()

@@ -15,7 +15,7 @@ from agent.interface.effects import Drive
 from crdt import Phase
 from protocol.frames.codec import encode
 from protocol.frames.work_frames import TaskClaim
-from sim.scenarios.field_setup import Setting
+from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
@@ -113,8 +113,8 @@ async def _mcap_has_one_clock(path: Path, begun_s: float) -> None:
     assert at_s and min(at_s) > begun_s - 60 and max(at_s) < begun_s + 600
 
 
-def _setting(robots: int = 2) -> Setting:
-    return Setting(load("small").changed(robots=robots))
+def _setting(robots: int = 2) -> FieldSetup:
+    return FieldSetup(load("small").changed(robots=robots))
 
 
 @pytest.fixture
@@ -186,7 +186,7 @@ def test_e2_the_world_goes_on_where_it_was_killed(folder: Path) -> None:
 def test_f_the_truth_of_a_launch_grows_by_megabytes_a_day(folder: Path) -> None:
     """Two looks a second of ten robots, each of which stayed, were 100 MB a day."""
     path, seconds, seed = folder / "truth.jsonl", 300, 24
-    world = Setting(load("oxted").changed(10, seed, None)).world()
+    world = FieldSetup(load("oxted").changed(10, seed, None)).world()
     for body in world.robots.values():
         body.track.straight_m = STRAIGHT_M
     memory, rng = WorldMemory(path, world), Random(seed)
@@ -205,7 +205,7 @@ def test_f_the_truth_of_a_launch_grows_by_megabytes_a_day(folder: Path) -> None:
     memory.close()
     a_day = path.stat().st_size * 86_400 / seconds
     assert a_day < 30e6, f"seed {seed}: {a_day / 1e6:.0f} MB a day"
-    again = Setting(load("oxted").changed(10, seed, None)).world()
+    again = FieldSetup(load("oxted").changed(10, seed, None)).world()
     WorldMemory(path, again).close()
     for slot, body in world.robots.items():
         assert [p[:3] for p in again.robots[slot].track] == [p[:3] for p in body.track]
@@ -232,9 +232,9 @@ def test_e2_a_world_that_is_launched_three_times_keeps_all_of_its_track(folder: 
 
 def test_e2_parcels_go_on_where_they_lay(folder: Path) -> None:
     from sim.scenarios.delivery_scenario import load_warehouse
-    from sim.scenarios.delivery_setup import DeliverySetting
+    from sim.scenarios.delivery_setup import DeliverySetup
 
-    setting = DeliverySetting(load_warehouse("warehouse"))
+    setting = DeliverySetup(load_warehouse("warehouse"))
     parcels, path = setting.parcels(), folder / "truth.jsonl"
     world = setting.world()
     memory = WorldMemory(path, world, parcels)
