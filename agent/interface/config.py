@@ -49,11 +49,14 @@ BEATS: Final = (
     BeaconTiming(50, 100 * MS, 1 * S, 500 * MS),
     BeaconTiming(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S),
 )
+# A pose is extrapolated until it is this old. By then a robot that fell silent has braked.
+GONE_QUIET_US: Final = 1 * S
 for _beat in BEATS:
     assert 5 <= _beat.silence_us / _beat.pose_us <= 6, "five or six beats may be lost before a stop"
     assert _beat.heartbeat_us % _beat.pose_us == 0, "a heartbeat rides on a beat"
     _share = _beat.peers_max * FRAME_US * (1 / _beat.pose_us + 1 / _beat.heartbeat_us)
     assert _share <= 0.45, "the beats of a full fleet leave more than half of the bus for the rest"
+    assert _beat.silence_us <= GONE_QUIET_US, "a member is silent before its pose is given up"
 assert BEATS[0].silence_us <= 300 * MS, (
     "the only bus-native figure for silence: ISO 11783-7 heartbeat"
 )

@@ -1,6 +1,8 @@
 """Where a member that fell silent while moving may stand: from its last beat to where it came to
 rest.
 
+A member that says that it does not know its place counts as silent from then on: it brakes.
+
 A process that dies sends nothing, but its body drives on while its last command is valid, and then
 over its braking distance. A robot that was cut off from the bus drives until it has noticed. At 2.5
 m/s that is three metres, more than the width of a body. To keep away from the last beat alone would
@@ -12,13 +14,18 @@ from collections.abc import Mapping
 from math import atan2, ceil, cos, floor, hypot, pi, sin
 from typing import Final
 
-from agent.interface.config import ACTUATOR_TTL_US, BEATS, CONTROL_PERIOD_US, MS, S
+from agent.interface.config import (
+    ACTUATOR_TTL_US,
+    BEATS,
+    CONTROL_PERIOD_US,
+    GONE_QUIET_US,
+    MS,
+    S,
+)
 from agent.interface.ports import Neighbour, Observation
 
 Point = tuple[float, float]
 
-# After a shorter silence every robot has braked, and its last beat is extrapolated.
-GONE_QUIET_US: Final = 1 * S
 # Time until it brakes: it detects the silence, and its last command is still in force. In fleets of
 # more than 30, which detect silence later, a robot that was cut off may stand further on. Any echo
 # that no place here explains is an obstacle (`agent/motion/obstacle_detector.py`).

@@ -15,6 +15,7 @@ from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Any
 
+from agent.interface.config import GONE_QUIET_US
 from agent.interface.effects import Trace
 from agent.interface.identity import Identity
 from agent.interface.ports import Neighbour
@@ -142,13 +143,13 @@ class Membership(Part):
     def _unplaced(self, slot: int, m: Pose, now_us: int) -> None:
         """A member that does not know its position.
 
-        It is alive, but code that keeps a distance from positions treats it like a silent one from
-        now on (`agent/motion/stopping_zone.py`)."""
+        It is alive and brakes. Its newest pose is given up, not extrapolated: it may stand anywhere
+        on its way to standstill, as a silent one (`agent/motion/stopping_zone.py`)."""
         seen = self.neighbours.get(slot)
         if seen is None or seen.pose.x_m == NOWHERE_M:
             seen = Neighbour(m._replace(speed_m_s=0.0), now_us)
         pose = seen.pose._replace(state=m.state, stopped=m.stopped, heard=m.heard)
-        self.neighbours[slot] = Neighbour(pose, seen.heard_us)
+        self.neighbours[slot] = Neighbour(pose, min(seen.heard_us, now_us - GONE_QUIET_US))
 
     def _heartbeat(self, ctx: StepContext, header: Header, m: Heartbeat) -> Outputs:
         slot = header.slot

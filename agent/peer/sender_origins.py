@@ -20,7 +20,7 @@ from agent.peer.unknown_stop_sources import AnyStop, Doubts
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US, StopController
 from protocol.frames.codec import Malformed
-from protocol.frames.fleet_frames import Pose
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
@@ -37,6 +37,7 @@ NAME_PATIENCE_US: Final = 20 * MS  # a claim in transit may arrive after a beat 
 # After this a device of ours may have taken the address of another maker's device, and we may have
 # missed its claim.
 CLAIM_OLD_US: Final = 10 * S
+SIGNS_OF_LIFE = (Pose, Heartbeat, Member)
 SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, Freshness)
 
 
@@ -96,6 +97,8 @@ class SenderOrigins(Part):
             return None  # the tag decides
         self.origins.count(origin, message)
         if origin is not Origin.UNCLAIMED:
+            if isinstance(message, SIGNS_OF_LIFE):
+                self._ask_again(source, now_us)
             return NOTHING
         self.origins.keep(source, message, now_us)
         self.name_discovery.asks.stranger(source, now_us, NAME_PATIENCE_US)
@@ -114,9 +117,8 @@ class SenderOrigins(Part):
         asks = self.name_discovery.asks
         if origin is Origin.FOREIGN:
             self.origins.count(origin, message)
-            if now_us - self._claimed_us.get(source, 0) >= CLAIM_OLD_US:
+            if self._ask_again(source, now_us):
                 self.origins.keep(source, message, now_us)
-                asks.stranger(source, now_us, 0)
             return NOTHING
         if origin is not Origin.UNCLAIMED or source in (self.joining.address, NULL_ADDRESS):
             # A robot without an address presses from the null address; no other device may do that.
@@ -131,6 +133,16 @@ class SenderOrigins(Part):
         held_us = max(UNAUTHENTICATED_HOLD_US, until_us - now_us)
         self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_us)
         return [HALT]
+
+    def _ask_again(self, source: int, now_us: int) -> bool:
+        """Ask an address of another maker for its NAME again if its claim is old; whether it is.
+
+        The address sends what only our devices send. After a cut of the bus, a device of ours may
+        have it."""
+        old = now_us - self._claimed_us.get(source, 0) >= CLAIM_OLD_US
+        if old:
+            self.name_discovery.asks.stranger(source, now_us, 0)
+        return old
 
     # ---------------------------------------------------------------- received
 

@@ -58,7 +58,7 @@ class RobotStatements:
         self.claimed_us: dict[int, int] = {}  # section -> when it sent its claim
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
         self.stopped = False
-        self.stopped_us = NEVER_US  # since when it reports it
+        self.stopped_us = NEVER_US  # since when it reports it, in a stop frame or a beat
         self.reset_us = NEVER_US  # the newest order to reset it; then the newest order to start it
         self.start_us = NEVER_US
         self.asks_start = False  # it was reset, and has not been started since
@@ -184,7 +184,8 @@ class ProtocolRules:
 
     def _pose(self, slot: int, speaker: RobotStatements, now_us: int, pose: Pose) -> None:
         if pose.stopped and not speaker.stopped:
-            speaker.stopped_us = now_us
+            if not speaker.dots:  # else it reported it in the stop frame, before this beat
+                speaker.stopped_us = now_us
         elif speaker.stopped and not pose.stopped:
             speaker.asks_start = True
             if speaker.reset_us < speaker.stopped_us:
@@ -208,6 +209,8 @@ class ProtocolRules:
             # An old stop may be repeated in the microsecond of the press, before the new one.
             speaker.unnamed = dot in speaker.dots or dot in self.cleared
             speaker.old_name = dot if speaker.unnamed else None
+        if not speaker.stopped and not speaker.dots:
+            speaker.stopped_us = now_us
         speaker.dots.add(dot)
         if stop.slot >= self.robots and stop.slot != PANEL and not self.unknown_device:
             self._add(

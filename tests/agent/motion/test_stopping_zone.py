@@ -6,14 +6,14 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.config import CONTROL_PERIOD_US, GONE_QUIET_US, S
 from agent.interface.effects import Drive
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Neighbour, Observation
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
-from agent.motion.stopping_zone import DRIVES_ON_US, GONE_QUIET_US, SPACING_M, StoppingZone
+from agent.motion.stopping_zone import DRIVES_ON_US, SPACING_M, StoppingZone
 from protocol.frames.fleet_frames import Pose
 from sim.world.drive_trains import Chassis
 from sim.world.world import World

@@ -7,13 +7,12 @@ from random import Random
 import numpy as np
 import pytest
 
-from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, GONE_QUIET_US, MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.ports import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.motion.stopping_zone import GONE_QUIET_US
 from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
 from agent.runtime.peer_factory import make_peer
@@ -188,6 +187,23 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
     peer.motion.coasting.look(peer.membership.neighbours, here, now_us)
     places = peer.motion.coasting.places(1)
     assert places is not None and max(hypot(x_m - 5.0, y_m) for x_m, y_m in places) > 1.5
+
+
+def test_a_pose_is_given_up_with_the_first_beat_without_a_place() -> None:
+    """Found by `headland chaos`, profile body, seeds 940081, 940087, 940129, 940166: for a second the
+    place of a braking robot was extrapolated as if it drove on, and a robot that passed touched it."""
+    peer = peer_in(State.WORKING, None)
+    introduce(peer, 130, 1)
+    peer.step(Heard(130, Pose(5.0, 0.0, 0.0, 2.0, State.WORKING, False, 255)), 50 * MS)
+    blind = Pose(5.1, 0.0, 0.0, PLACE_UNKNOWN_M_S, State.IDLE, False, 0)
+    peer.step(Heard(130, POSE.unpack(POSE.pack(blind))), 200 * MS)
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=200 * MS)
+    assert isinstance(peer.motion, HolonomicMotion)
+    peer.motion.coasting.look(peer.membership.neighbours, here, 200 * MS)
+    assert peer.motion.coasting.places(1) is not None
+    peer.step(Heard(130, Pose(5.6, 0.0, 0.0, 0.0, State.IDLE, False, 0)), 300 * MS)
+    peer.motion.coasting.look(peer.membership.neighbours, here, 300 * MS)
+    assert peer.motion.coasting.places(1) is None
 
 
 def test_item_3_a_peer_without_a_drive_is_not_held_by_its_senses() -> None:

@@ -3,8 +3,15 @@
 import pytest
 
 from agent.interface.config import MS, STOP_SPACING_US, S
+from agent.interface.lifecycle import State
 from crdt import Phase
-from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.safety_frames import (
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+)
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from sim.chaos.durability_rules import lost
 from sim.chaos.protocol_rules import ProtocolRules
@@ -71,6 +78,30 @@ def test_a_new_press_needs_a_new_name(names: tuple[int, ...]) -> None:
         _stop(rules, again_us, name)
     _stop(rules, again_us + 5 * MS, 1)
     assert [broken.rule for broken in rules.broken] == ([] if 2 in names else ["S8"])
+
+
+@pytest.mark.parametrize("reset_us", [1 * S - 1 * MS, 1 * S + 1 * MS])
+def test_a_reset_between_a_stop_and_the_next_beat_counts(reset_us: int) -> None:
+    """Found by `headland chaos`, profile flood, seed 940062: after a flood the stop, its clearing, the
+    reset and the start left within some milliseconds, before the next beat of the robots."""
+    rules = ProtocolRules(1)
+    beat = Pose(0.0, 0.0, 0.0, 0.0, State.WORKING, False, 255)
+    rules.said(0, 1 * S - 10 * MS, beat)
+    orders = [
+        EmergencyReset(0, 1, 1, 200),
+        OperatorCommand(Command.MANUAL_RESET, 255, 200),
+        OperatorCommand(Command.START, 255, 200),
+    ]
+    if reset_us < 1 * S:
+        for order in orders:
+            rules.ordered(order, reset_us)
+    _stop(rules, 1 * S, 1)
+    if reset_us > 1 * S:
+        for order in orders:
+            rules.ordered(order, reset_us)
+    rules.said(0, 1 * S + 40 * MS, beat._replace(stopped=True, state=State.EMERGENCY_STOP))
+    rules.said(0, 1 * S + 90 * MS, beat)
+    assert [broken.rule for broken in rules.broken] == (["S2", "S4"] if reset_us < 1 * S else [])
 
 
 def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
