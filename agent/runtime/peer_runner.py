@@ -15,15 +15,18 @@ from agent.interface.ports import Body, Bus, Confirming, Journal
 from agent.peer.inputs import BusState, DiskFailed, Input, Received, Sensed, Timer
 from agent.peer.peer import Peer
 from protocol.frames.codec import encode
-from protocol.frames.fleet_frames import Pose
+from protocol.frames.fleet_frames import LeaderElectionVote, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.messages import GROUP_OF, Message
 from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 
 log = logging.getLogger(__name__)
 
 BEAT_PGN = GROUP_OF[Pose].pgn
+# What these messages say is on the disk before it is said, and still known after a restart.
+ON_DISK_FIRST = (TaskClaim, StateSyncResponse, WorkProgress, LeaderElectionVote)
 INBOX_MAX = 4096  # frames: two seconds of a full bus; a peer that is further behind drops the rest
 
 
@@ -90,6 +93,8 @@ class PeerRunner:
             if isinstance(effect, Send):
                 if not durable and not isinstance(effect.message, EmergencyStop):
                     continue
+                if self._disk_failed and isinstance(effect.message, ON_DISK_FIRST):
+                    continue  # it may tell what the disk did not take
                 source = self.peer.address if effect.source is None else effect.source
                 if source is None and _is_press(effect.message):
                     source = NULL_ADDRESS

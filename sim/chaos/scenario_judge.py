@@ -15,6 +15,8 @@ from agent.motion.implement_clearance import LEAD_M
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
 from protocol.frames.frame import Frame
+from protocol.frames.messages import GROUP_OF
+from protocol.frames.network_frames import AddressClaimed
 from sim.chaos.durability_rules import STANDS, lost, unknown
 from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import is_link_trouble, span_of
@@ -56,6 +58,7 @@ SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
 STARTING_M = 0.5
 # Copies are lost, but no robot is cut off.
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)
+CLAIM_PRIORITY = GROUP_OF[AddressClaimed].priority
 CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
 # A robot closer than this to a line is on it; a robot on another line passes at a greater distance.
 ON_LINE_M = 0.2
@@ -63,6 +66,11 @@ ON_LINE_M = 0.2
 # (a stopping distance of 3 m, and two bodies beside it), and half an implement.
 DEAD_M = 12.0
 UNNOTICED_M = 0.3  # two control periods at full speed
+
+
+def _outranks_claims(babble: kinds.Babble) -> bool:
+    number = babble.identifier
+    return (babble.priority if number is None else number >> 26) < CLAIM_PRIORITY
 
 
 class StopEarly(Exception):
@@ -188,6 +196,9 @@ class ScenarioJudge:
                 self._at(at_us, self._interrupted)  # for any robot that was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
             case kinds.Foreign(claims=False):
+                self._at(at_us, self.witness.words.without_name)
+            case kinds.Babble() if _outranks_claims(fault):
+                # While a device outranks address claims, no other device can show its NAME.
                 self._at(at_us, self.witness.words.without_name)
             case kinds.Box():
                 self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))

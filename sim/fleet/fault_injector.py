@@ -157,9 +157,10 @@ class FaultPlan:
     def _restart(self, robot: int, disk: str) -> None:
         cluster = self.cluster
         cluster.kill(robot)
-        if disk == "lost":
-            cluster.journals[robot] = LogJournal(Disk())
         journal = cluster.journals[robot]
+        # A robot with a full disk has latched; a person gives it a new disk with the restart.
+        if disk == "lost" or (isinstance(journal, LogJournal) and journal.disk.full):
+            journal = cluster.journals[robot] = LogJournal(Disk())
         if disk == "torn" and isinstance(journal, LogJournal):
             cluster.journals[robot] = journal.after_cut(self._rng)
         if disk == "rolled_back" and isinstance(journal, LogJournal):

@@ -14,7 +14,10 @@ HISTORY_MAX = 4_000  # delayed observations: 200 s of control periods
 
 
 class Receiver:
-    """The faults of one robot's senses, in microseconds of the world."""
+    """The faults of one robot's senses, in microseconds of the world.
+
+    Of two faults of one kind that overlap, the later end and the longer delay hold.
+    """
 
     def __init__(self) -> None:
         self._blind_us = self._frozen_us = self._late_us = -1  # end of each fault
@@ -24,16 +27,17 @@ class Receiver:
 
     def blind(self, until_us: int) -> None:
         """Nothing arrives: a muted antenna, a driver that is gone."""
-        self._blind_us = until_us
+        self._blind_us = max(self._blind_us, until_us)
 
     def frozen(self, until_us: int) -> None:
         """The old position with new timestamps: a filter that hangs."""
-        self._frozen_us = until_us
+        self._frozen_us = max(self._frozen_us, until_us)
 
     def late(self, until_us: int, by_us: int) -> None:
         """The true position, delayed: a buffer that fills."""
-        self._late_us, self._by_us = until_us, by_us
-        self._way.clear()
+        if self._late_us < 0:
+            self._way.clear()
+        self._late_us, self._by_us = max(self._late_us, until_us), max(self._by_us, by_us)
 
     def tells(self, seen: Observation, world_us: int) -> Observation | None:
         """The observation that arrives when this one is sensed."""
@@ -51,6 +55,7 @@ class Receiver:
                 arrived = self._way.popleft()
             self._last = arrived
             return arrived
+        self._late_us, self._by_us = -1, 0
         return seen
 
 

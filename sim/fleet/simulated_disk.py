@@ -54,6 +54,11 @@ class Disk:
         """From now on every write fails."""
         self.fail_at = self.steps + 1
 
+    @property
+    def full(self) -> bool:
+        """Whether writes fail from now on."""
+        return self.fail_at is not None and self.steps + 1 >= self.fail_at
+
     def write(self, at: int, data: bytes) -> None:
         """Write bytes from position `at` on. They are durable only after the next sync."""
         self._step()

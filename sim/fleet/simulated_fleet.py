@@ -123,7 +123,7 @@ class Cluster:
         self.world = setting.world()
         self.stops = StopMonitor(
             self.world, self.scenario.fleet.robots, self._up, self._mute, self._hearers,
-            self.host.now_us,
+            self.host.now_us, self.setting.silence is SilencePolicy.STOP,
         )  # fmt: skip
         bus, seed = self.scenario.bus, self.scenario.run.seed
         clock = host if isinstance(host, EventLoop) else None
@@ -194,6 +194,8 @@ class Cluster:
         hung_us = self.acquaintance.hung_since_us(slot, self.host.now_us())
         if robot.running and hung_us is not None:
             self.stops.dies_hung(slot, hung_us)
+        if robot.running:
+            self.stops.dies(slot)
         if self.on_power is not None and robot.running:
             self.on_power(slot, False)
         if robot.task is not None:

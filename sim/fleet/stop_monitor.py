@@ -43,12 +43,15 @@ class StopMonitor:
         mute: Callable[[], Collection[int]] = tuple,
         hearers: Callable[[], Collection[int]] = tuple,
         now_us: Callable[[], int] = lambda: 0,
+        silence_stops: bool = True,
     ) -> None:
         """`up`: the robots that are switched on; default: all. `mute`: those of them without an
-        address. `hearers`: those that receive a device that joins the bus, if all of them do."""
+        address. `hearers`: those that receive a device that joins the bus, if all of them do.
+        `silence_stops`: whether the silence of a robot stops the others, by the fleet's policy."""
         self.checker = motions(world)
         self._up = up if up is not None else lambda: range(robots)
         self._mute, self._hearers, self._now_us = mute, hearers, now_us
+        self._silence_stops = silence_stops
         self.bound_us = beat_of(robots).silence_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
         self._pressed_us: dict[int, int] = {}
@@ -193,6 +196,17 @@ class StopMonitor:
             if pressed_us >= since_us:
                 self._know[number].discard(slot)
                 self._unheard[number] |= {slot}
+
+    def dies(self, slot: int) -> None:
+        """Its power fails. A stop of its own that was not sent is then known to no other robot, and
+        its silence stops others only by the fleet's policy."""
+        for number in [n for n in self._unsent if self._by[n] == slot]:
+            self._unsent.discard(number)
+            others = set(self._stages.get(number, ())) - {slot}
+            self._unheard[number] |= others
+            self._know[number] -= others
+            for other in () if self._silence_stops else others:
+                self._free(number, other)
 
     def doubled(self, slot: int) -> None:
         """Another machine claims to be this robot, so its silence no longer stops other robots."""

@@ -87,7 +87,7 @@ def test_a_reset_between_a_stop_and_the_next_beat_counts(reset_us: int) -> None:
     rules = ProtocolRules(1)
     beat = Pose(0.0, 0.0, 0.0, 0.0, State.WORKING, False, 255)
     rules.said(0, 1 * S - 10 * MS, beat)
-    orders = [
+    orders: list[EmergencyReset | OperatorCommand] = [
         EmergencyReset(0, 1, 1, 200),
         OperatorCommand(Command.MANUAL_RESET, 255, 200),
         OperatorCommand(Command.START, 255, 200),

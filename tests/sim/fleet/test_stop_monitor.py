@@ -172,6 +172,23 @@ def test_a_stop_that_waits_for_a_full_bus_binds_no_robot_that_restarts(sender: i
     assert bool(watch.violations) is (sender == 0)
 
 
+@pytest.mark.parametrize("silence_stops", [False, True])
+@pytest.mark.parametrize("sent", [False, True])
+def test_a_stop_that_dies_with_its_robot_binds_only_by_its_silence(
+    silence_stops: bool, sent: bool
+) -> None:
+    """Found by `headland chaos`, profile flood, seed 940321: pressed in a flood that outranks stops,
+    and without power before the flood ended; the policy of the fleet was `continue`."""
+    parade = ProtocolWorld(2, 2)
+    watch = StopMonitor(parade, 2, silence_stops=silence_stops)
+    watch.pressed(2 * S, (0, 1), by=0)
+    if sent:
+        watch.sent(0, 3 * S)
+    watch.dies(0)
+    parade.moved(1, 10 * S)
+    assert bool(watch.violations) is (sent or silence_stops)
+
+
 @pytest.mark.parametrize("since_us", [1 * S, 2 * S + 1])
 def test_what_a_hung_process_has_not_read_its_next_life_does_not_know(since_us: int) -> None:
     """Found by `headland chaos`, profile protocol, seed 1700617: the stop came while the process hung,

@@ -1,0 +1,56 @@
+"""What a runner does with effects: nothing is said that the disk did not take."""
+
+from collections.abc import Iterable, Mapping
+
+import can
+
+from agent.interface.effects import Persist, Send
+from agent.interface.lifecycle import State
+from agent.runtime.peer_runner import ON_DISK_FIRST, PeerRunner
+from crdt import Phase
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.messages import Message
+from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.work_frames import TaskClaim, WorkProgress
+from protocol.links.bus import CanBus
+from tests.agent.lone_peer import peer_in
+
+ADDRESS = 128
+
+
+class FullDisk:
+    """A journal that can be read and accepts no write."""
+
+    def load(self) -> Mapping[str, bytes]:
+        return {}
+
+    def write(self, records: Iterable[Persist]) -> None:
+        raise OSError("no space left on device")
+
+
+def test_a_robot_with_a_full_disk_says_nothing_that_would_have_to_be_on_it() -> None:
+    """Found by `headland chaos`, profile claims, seed 940435: it answered a question with units that
+    it had worked after the disk was full, and a restart forgot them."""
+    peer = peer_in(State.WORKING, None)
+    with (
+        can.Bus("full-disk", interface="virtual") as ours,
+        can.Bus("full-disk", interface="virtual") as theirs,
+    ):
+        runner = PeerRunner(peer, CanBus(ours), None, FullDisk(), clock=lambda: 0)
+        runner.perform([Persist("unit", b"1"), Send(WorkProgress(1, 0, 1))])
+        said: list[Message] = [
+            WorkProgress(1, 0, 1),
+            TaskClaim(1, 0, Phase.CLAIMED, 3, 1, 0),
+            Pose(0.0, 0.0, 0.0, 0.0, State.EMERGENCY_STOP, True, 255),
+            EmergencyStop(0, 1, 1, 1),
+        ]
+        for message in said:
+            runner.perform([Send(message, source=ADDRESS)])
+        heard = []
+        while (frame := theirs.recv(0.0)) is not None:
+            heard.append((frame.arbitration_id, bytes(frame.data)))
+        for message in said:
+            frame_of = encode(message, ADDRESS)
+            sent = (frame_of.identifier, frame_of.data) in heard
+            assert sent is not isinstance(message, ON_DISK_FIRST), message
