@@ -227,7 +227,7 @@ class FieldAllocationCRDT:
             return NotImplemented
         return self.field_hash == other.field_hash and self._keys == other._keys
 
-    __hash__ = None  # type: ignore[assignment]  # mutable
+    # It is mutable, so it has no hash: `__eq__` without `__hash__` says so.
 
     @property
     def sums(self) -> Sums:

@@ -101,7 +101,7 @@ class VectorClock:
             return NotImplemented
         return self._counts == other._counts
 
-    __hash__ = None  # type: ignore[assignment]  # mutable
+    # It is mutable, so it has no hash: `__eq__` without `__hash__` says so.
 
     def happens_before(self, other: "VectorClock") -> bool:
         """Whether the other clock has seen all that this one has, and more."""

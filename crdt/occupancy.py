@@ -289,7 +289,7 @@ class OccupancyMap:
         same = self.geometry == other.geometry and self.order is other.order
         return same and np.array_equal(self._keys, other._keys)
 
-    __hash__ = None  # type: ignore[assignment]  # mutable
+    # It is mutable, so it has no hash: `__eq__` without `__hash__` says so.
 
 
 def mix(numbers: NDArray[np.uint64]) -> NDArray[np.uint64]:

@@ -107,7 +107,7 @@ class Progress:
     def __eq__(self, other: object) -> bool:
         return isinstance(other, Progress) and self._blocks == other._blocks
 
-    __hash__ = None  # type: ignore[assignment]  # mutable
+    # It is mutable, so it has no hash: `__eq__` without `__hash__` says so.
 
     @property
     def sums(self) -> Sums:

@@ -138,7 +138,7 @@ class DotSet(Generic[D]):
             other.more > 0,
         )
 
-    __hash__ = None  # type: ignore[assignment]  # mutable
+    # It is mutable, so it has no hash: `__eq__` without `__hash__` says so.
 
     def _trim(self) -> None:
         """Forget the oldest cleared dots; an active stop is never forgotten."""

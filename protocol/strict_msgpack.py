@@ -86,7 +86,7 @@ def finite(values: Sequence[object]) -> list[float]:
     numbers, neither infinite nor NaN."""
     found = []
     for value in values:
-        if type(value) not in (int, float) or not isfinite(value):  # type: ignore[arg-type]
+        if isinstance(value, bool) or not isinstance(value, int | float) or not isfinite(value):
             raise ValueError("no number")
-        found.append(float(value))  # type: ignore[arg-type]
+        found.append(float(value))
     return found

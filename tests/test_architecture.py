@@ -256,6 +256,23 @@ def test_no_unseeded_chance_anywhere() -> None:
     assert found.stdout == ""
 
 
+IGNORES_MAX = 20
+# Of mypy, about numba's decorator and what a kernel takes and returns.
+OF_KERNELS = ("untyped-decorator", "no-untyped-def")
+
+
+def test_types_are_ignored_seldom() -> None:
+    """Benches are not in the product. A type that cannot be said is a reason to write it otherwise."""
+    found = [
+        f"{name_of(path)}:{number}"
+        for path in FILES
+        if not name_of(path).startswith("tools/bench/")
+        for number, line in enumerate(path.read_text(encoding="utf-8").splitlines(), start=1)
+        if "# type: ignore" in line and not any(kind in line for kind in OF_KERNELS)
+    ]
+    assert len(found) <= IGNORES_MAX, found
+
+
 def test_no_test_sleeps() -> None:
     """Time passes on the virtual clock (`sim.fleet.virtual_clock.elapse`), or something is waited for."""
     here = Path(__file__)

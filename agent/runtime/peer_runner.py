@@ -81,10 +81,9 @@ class PeerRunner:
         If a record could not be made durable, the effects that depend on it are not sent. After that
         only effects that stop the robot are performed.
         """
-        now_us, records, durable = self.clock(), [], True
+        now_us, records, durable = self.clock(), list[Persist](), True
         for effect in effects:
-            kind = type(effect)
-            if kind is Persist:
+            if isinstance(effect, Persist):
                 records.append(effect)
                 continue
             if records:
@@ -114,7 +113,7 @@ class PeerRunner:
         if records:
             self._persist(records)
 
-    def _persist(self, records: list[Effect]) -> bool:
+    def _persist(self, records: list[Persist]) -> bool:
         """Whether the records are durable.
 
         A disk that has failed once is not used again: after an error it is unknown which earlier
@@ -125,7 +124,7 @@ class PeerRunner:
         if self._disk_failed:
             return False
         try:
-            self.journal.write(records)  # type: ignore[arg-type]
+            self.journal.write(records)
         except OSError as problem:
             self._disk_failed = True
             log.error("robot %d: the journal failed: %s", self.peer.slot, problem)

@@ -66,8 +66,9 @@ class WorkRelay:
 
         A frame of another gateway is not sent back to where it came from."""
         section = message.section
-        progress = isinstance(message, WorkProgress)
-        change = Change(BLOCK, section, message.block) if progress else Change(REGISTER, section)  # type: ignore[union-attr]
+        change = Change(REGISTER, section)
+        if isinstance(message, WorkProgress):
+            change = Change(BLOCK, section, message.block)
         self._inject.pop(change, None)  # it was sent already
         if from_gateway:
             self._touch(change)

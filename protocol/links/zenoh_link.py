@@ -110,12 +110,12 @@ class ZenohLink:
             try:
                 self._loop.call_soon_threadsafe(self._opened, session)
             except RuntimeError:
-                session.close()  # type: ignore[no-untyped-call]
+                session.close()
             return
 
     def _opened(self, session: zenoh.Session) -> None:
         if not self._open:
-            session.close()  # type: ignore[no-untyped-call]
+            session.close()
             return
         self.session = session
         for pattern, arrived in self._patterns:
@@ -177,7 +177,7 @@ class ZenohLink:
         if self._open:
             self._open = False
             if self.session is not None:
-                self.session.close()  # type: ignore[no-untyped-call]
+                self.session.close()
 
 
 class ZenohBus:

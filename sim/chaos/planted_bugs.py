@@ -143,8 +143,9 @@ def _unsynced(right: Any) -> Any:
 
 def _regardless(right: Any) -> Any:
     def persist(self: PeerRunner, records: Any) -> bool:
+        assert self.journal is not None
         with suppress(OSError):
-            self.journal.write(records)  # type: ignore[union-attr]
+            self.journal.write(records)
         return True
 
     return persist

@@ -140,8 +140,8 @@ class ProtocolRules:
             )
             speaker.old_name = None
         kind = type(message)
-        if kind is Pose:
-            self._pose(slot, speaker, now_us, message)  # type: ignore[arg-type]
+        if isinstance(message, Pose):
+            self._pose(slot, speaker, now_us, message)
         elif isinstance(message, AllImplementsStop):
             if message.switch == Switch.STOP:
                 self.implements_stop_us = now_us

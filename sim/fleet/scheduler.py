@@ -114,7 +114,8 @@ async def follow(script: Script[T], zero_us: int = 0) -> T:
             loop.call_at((until_us + zero_us) / 1e6, _reach, due)
             await due
     except StopIteration as end:
-        return end.value  # type: ignore[no-any-return]
+        result: T = end.value
+        return result
 
 
 def _reach(due: "asyncio.Future[None]") -> None:

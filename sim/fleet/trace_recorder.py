@@ -32,13 +32,12 @@ class Recorder:
         waiting = self._waiting.get(slot)
         if waiting is None:
             waiting = self._waiting[slot] = []
-        kind = type(effect)
-        if kind is Send:
-            waiting.append(now_us.to_bytes(8, "little") + packed(effect.message))  # type: ignore[union-attr]
+        if isinstance(effect, Send):
+            waiting.append(now_us.to_bytes(8, "little") + packed(effect.message))
             if len(waiting) >= HANDFUL:
                 self._feed(slot)
-        elif kind is Drive:
-            waiting.append(self._drive(slot, effect))  # type: ignore[arg-type]
+        elif isinstance(effect, Drive):
+            waiting.append(self._drive(slot, effect))
         elif isinstance(effect, Persist):
             waiting.append(effect.key.encode() + effect.value)
         elif isinstance(effect, Trace):

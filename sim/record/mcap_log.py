@@ -148,7 +148,7 @@ class McapLog:
 
     def close(self) -> None:
         """Write the index and close the file. Without it a reader has to search the whole file."""
-        self._writer.finish()  # type: ignore[no-untyped-call]
+        self._writer.finish()
         self._file.close()
 
 

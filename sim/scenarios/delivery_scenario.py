@@ -130,11 +130,11 @@ def _row(path: Path, number: int, row: Any) -> TaskRow:
         raise ScenarioError(f"{path}: line {number}: not an object with {', '.join(TASK_KEYS)}")
     found = []
     for key in TASK_KEYS:
-        value = row.get(key)
+        value: Any = row.get(key)
         if key == "at_s" and value in (None, ""):
             value = 0.0
         try:
-            found.append(float(value))  # type: ignore[arg-type]
+            found.append(float(value))
         except (TypeError, ValueError):
             raise ScenarioError(
                 f"{path}: line {number}: {key}: a number is needed, not {value!r}"

@@ -32,7 +32,7 @@ def workers(jobs: int = 0, cluster: str = "") -> Iterator[Executor]:
         raise ClusterError("--cluster needs the package distributed: headland[backbone]") from None
     address = cluster.replace("tcp/", "tcp://", 1) if cluster.startswith("tcp/") else cluster
     try:
-        client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)  # type: ignore[no-untyped-call]
+        client: Any = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError, TimeoutError):
         raise ClusterError(
             f"no Dask scheduler answers at {cluster}: start one with 'dask scheduler', and workers "

@@ -79,10 +79,15 @@ async def work(folder: Path, interface: str, channel: str, robots: int, slots: l
         RobotFile.of(document(slot, robots, interface, channel), "tiny", folder) for slot in slots
     ]
     look()
-    async with asyncio.timeout(LIMIT_S):
-        await asyncio.gather(
-            *(run_robot(file, end, first_boot=True, started=runners.append) for file in files)
-        )
+    try:
+        async with asyncio.timeout(LIMIT_S):
+            await asyncio.gather(
+                *(run_robot(file, end, first_boot=True, started=runners.append) for file in files)
+            )
+    except TimeoutError:
+        for runner in runners:
+            print(runner.peer.slot, runner.peer.state, members, file=sys.stderr)
+        raise
     return {
         "addresses": [runner.peer.address for runner in runners],
         "members": [*members.values()],

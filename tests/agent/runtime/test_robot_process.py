@@ -10,6 +10,7 @@ import can
 import pytest
 
 from agent.runtime.robot_file import RobotError, RobotFile
+from tools.build.warmup import warm
 
 SCRIPT, LIMIT_S = Path(__file__).with_name("robots_without_simulator.py"), 150
 DEGREE_M = 111_320.0  # on the equator, where the field lies
@@ -36,7 +37,14 @@ def ended(process: "subprocess.Popen[str]") -> dict[str, Any]:
     return found
 
 
+@pytest.fixture(scope="module")
+def kernels() -> None:
+    """Real time begins with the first frame, so kernels are compiled before."""
+    warm(False)
+
+
 @pytest.mark.slow
+@pytest.mark.usefixtures("kernels")
 def test_robots_on_a_virtual_bus_work_a_field_without_the_simulator(tmp_path: Path) -> None:
     field(tmp_path)
     found = ended(begun(tmp_path, "virtual", "tiny", 3, 0, 1, 2))
@@ -65,6 +73,7 @@ def multicast() -> str:
 
 
 @pytest.mark.slow
+@pytest.mark.usefixtures("kernels")
 def test_robots_in_processes_of_their_own_work_a_field(tmp_path: Path, multicast: str) -> None:
     field(tmp_path)
     for folder in ("a", "b"):
