@@ -116,7 +116,7 @@ class AddressClaim:
 
     @property
     def deadline_us(self) -> int | None:
-        """When `tick` next has something to do, if nothing is received before; None: nothing."""
+        """When `on_tick` next has something to do, if nothing is received before; None: nothing."""
         next_us, answer_us = self._next_us, self._answer_us
         if next_us is None or answer_us is None:
             return answer_us if next_us is None else next_us
@@ -137,7 +137,7 @@ class AddressClaim:
         if self.state is WAITING:
             self._next_us = now_us
 
-    def tick(self, now_us: int) -> list[AddressMessage]:
+    def on_tick(self, now_us: int) -> list[AddressMessage]:
         """The claims to send now: answers that are due, or the next step of our own claim."""
         claims: list[AddressMessage] = []
         if self._answer_us is not None and now_us >= self._answer_us:
@@ -164,7 +164,7 @@ class AddressClaim:
         assert self._next_us is not None
         self._next_us += ANSWERS_US
 
-    def receive(self, source: int, message: AddressClaimed, now_us: int) -> list[AddressMessage]:
+    def on_message(self, source: int, message: AddressClaimed, now_us: int) -> list[AddressMessage]:
         """Handle another device's claim from the address `source`; returns the claims to send in
         reply.
 
@@ -195,7 +195,7 @@ class AddressClaim:
         self._violated_us = now_us
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
-    def asked(self, everybody: bool, now_us: int) -> list[AddressMessage]:
+    def on_request(self, everybody: bool, now_us: int) -> list[AddressMessage]:
         """Handle a request for address claimed. If all devices were asked, each answers after its
         own random delay, once for all requests in that time, because a fleet that boots together
         asks often."""

@@ -153,7 +153,7 @@ class Transport:
 
     @property
     def deadline_us(self) -> int | None:
-        """When `tick` next has something to do, if nothing is received before; None: no session is
+        """When `on_tick` next has something to do, if nothing is received before; None: no session is
         open."""
         if not self._receiving and not self._sending:
             return None
@@ -173,7 +173,7 @@ class Transport:
     ) -> Iterable[OutgoingFrame] | None:
         """Start to send a message; None if a session to that device is open, or too many are open.
 
-        Returns the first frame; `tick` returns the others. `data` has 9 to 1,785 bytes.
+        Returns the first frame; `on_tick` returns the others. `data` has 9 to 1,785 bytes.
         """
         assert SIZE_MIN <= len(data) <= SIZE_MAX and 0 <= pgn < 1 << 18
         if destination in self._sending or len(self._sending) >= SENDING_MAX:
@@ -188,7 +188,7 @@ class Transport:
         session.due_us = now_us + T3_US
         return [_manage(Control.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
 
-    def tick(self, now_us: int) -> Iterable[OutgoingFrame]:
+    def on_tick(self, now_us: int) -> Iterable[OutgoingFrame]:
         """Send packets that are due; end sessions that have timed out."""
         out: list[OutgoingFrame] = []
         for sending in list(self._sending.values()):
@@ -222,7 +222,7 @@ class Transport:
 
     # ---------------------------------------------------------------- receiving
 
-    def receive(
+    def on_message(
         self, source: int, destination: int, m: TransportManagement | TransportData, now_us: int
     ) -> tuple[Iterable[OutgoingFrame], ReceivedMessage | None]:
         """Handle a frame from the address `source` that was sent to us or to all.

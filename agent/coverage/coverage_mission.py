@@ -111,7 +111,7 @@ class GridWork(Mission):
         free = state in ABLE and now_us - self._asked_us < HELD_US
         answer = AgreementReply.GRANT if free else AgreementReply.STOPPED
         crew = FleetSnapshot(view.live, view.silent_since_us, view.progress)
-        rounds.tick(self._standing(view, free), answer, not self._told, crew, now_us)
+        rounds.on_tick(self._standing(view, free), answer, not self._told, crew, now_us)
         self._note_holding(view)
         self._wish = self._drive(view)
         self._asked = False

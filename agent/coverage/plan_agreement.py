@@ -244,7 +244,7 @@ class CoverageAgreement:
 
     # ---------------------------------------------------------------- time
 
-    def tick(
+    def on_tick(
         self, number: int, answer: AgreementReply, ready: bool, crew: FleetSnapshot, now_us: int
     ) -> None:
         """One control period: call a round, gather, or agree, whichever is due.

@@ -15,7 +15,7 @@ class AbsentOwners:
     def __init__(self) -> None:
         self._stopped_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
 
-    def look(self, view: FleetView) -> None:
+    def observe(self, view: FleetView) -> None:
         """Update from the newest beats; call it a few times a second."""
         stopped = {
             slot

@@ -94,7 +94,7 @@ class Charging:
         """We have arrived at a bay. `battery`: share of a full charge."""
         self._level, self._look_us = battery, None
 
-    def look(self, battery: float, now_us: int) -> ChargerState:
+    def observe(self, battery: float, now_us: int) -> ChargerState:
         """Once each control period at a bay: whether it charges, is done, or is dead.
 
         `battery`: share of a full charge.

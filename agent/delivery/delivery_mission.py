@@ -85,11 +85,11 @@ class DeliveryMission(NavigationMission):
 
     def on_message(self, slot: int | None, message: Message, now_us: int) -> Sequence[Record]:
         if isinstance(message, Dispatched):
-            return self.dispatch.hear(slot, message, now_us)
+            return self.dispatch.on_message(slot, message, now_us)
         return super().on_message(slot, message, now_us)
 
     def outgoing(self, now_us: int) -> Iterable[Message]:
-        return [*super().outgoing(now_us), *self.dispatch.say(now_us)]
+        return [*super().outgoing(now_us), *self.dispatch.outgoing(now_us)]
 
     # ---------------------------------------------------------------- each control period
 
@@ -97,7 +97,7 @@ class DeliveryMission(NavigationMission):
         self._load = view.here.load
         self.dispatch.left = round(view.here.battery * FULL)
         able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
-        self.dispatch.tick(view, able and not self._stranded(view))
+        self.dispatch.on_tick(view, able and not self._stranded(view))
         self.paths.work()
         super().on_control_period(view, state)
 
@@ -105,7 +105,7 @@ class DeliveryMission(NavigationMission):
         """Whether we cannot begin more tasks: updates unreachable tasks and checks our progress."""
         at, now_us = (view.here.x_m, view.here.y_m), view.now_us
         if self.cut_off.due(now_us):
-            self.cut_off.look(at, self._goals(view), now_us)
+            self.cut_off.observe(at, self._goals(view), now_us)
             self.dispatch.cut = self.cut_off.sections
         charging = self.section is not None and self.section >= TASKS_MAX and self._since_us
         busy = self.section is not None and not charging
@@ -385,7 +385,7 @@ class DeliveryMission(NavigationMission):
         return MotionRequest(0.0, 0.0, given_up=True)
 
     def _at_bay(self, section: int, view: FleetView) -> MotionRequest:
-        state = self.charging.look(view.here.battery, view.now_us)
+        state = self.charging.observe(view.here.battery, view.now_us)
         if state is ChargerState.CHARGES:
             return MotionRequest(0.0, 0.0)
         if state is ChargerState.DEAD:  # leave the bay, it needs a repair

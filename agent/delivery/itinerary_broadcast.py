@@ -46,7 +46,7 @@ class ItineraryBroadcast:
         """Whether a new announcement begins, so that `stops` must be up to date."""
         return self._at == 0 and now_us >= self._tell_us
 
-    def say(self, now_us: int, left: int) -> Iterator[Itinerary]:
+    def outgoing(self, now_us: int, left: int) -> Iterator[Itinerary]:
         """The frames of our itinerary that go with this beat, at most `FRAMES_A_BEAT`.
 
         `left`: millionths of our battery.
@@ -68,7 +68,7 @@ class ItineraryBroadcast:
 
     # ---------------------------------------------------------------- of others
 
-    def hear(self, slot: int, m: Itinerary) -> None:
+    def on_message(self, slot: int, m: Itinerary) -> None:
         """Take in one frame of another robot's itinerary."""
         old = self.told.get(slot)
         whole = () if old is None else old.whole

@@ -166,7 +166,7 @@ class PlanNegotiation:
             for slot, row in zip(self._frozen.slots, self._plan, strict=True)
         }
 
-    def tick(self, now_us: int) -> None:
+    def on_tick(self, now_us: int) -> None:
         """Each control period: search, elect, or stream, as the phase says."""
         if self.phase is SEARCH:
             self._search(now_us)
@@ -244,7 +244,7 @@ class PlanNegotiation:
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, slot: int, message: PlanOffer | PlanRow, now_us: int) -> None:
+    def on_message(self, slot: int, message: PlanOffer | PlanRow, now_us: int) -> None:
         """Take in an offer or a row of a plan from member `slot`."""
         if message.round != self.number or self.phase is REST:
             return
@@ -272,7 +272,7 @@ class PlanNegotiation:
         if digest_of(plan) == self._offers[source][1]:
             self._adopt(plan)
 
-    def say(self, now_us: int) -> Iterator[PlanOffer | PlanRow]:
+    def outgoing(self, now_us: int) -> Iterator[PlanOffer | PlanRow]:
         """The frames that are due with our beat: calls, our offer, or rows of our plan."""
         if self.phase is SEARCH and self._calls:
             self._calls -= 1

@@ -11,7 +11,7 @@ from agent.interface.config import S
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 
 Point = tuple[float, float]
-LOOK_US = 1 * S  # period of `look`
+LOOK_US = 1 * S  # period of `observe`
 # A section counts as cut off after this long: another robot may be about to fetch the parcel.
 CUT_OFF_US = 15 * S
 STANDSTILL_US = 30 * S  # without `GOT_ON_M` of progress for this long, others may take our tasks
@@ -29,10 +29,10 @@ class Reachability:
         self._stood: tuple[Point, int] = ((0.0, 0.0), 0)  # where, and since when
 
     def due(self, now_us: int) -> bool:
-        """Whether it is time to call `look`."""
+        """Whether it is time to call `observe`."""
         return now_us >= self._look_us
 
-    def look(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
+    def observe(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
         """Update `sections`, the ones that have been out of reach for `CUT_OFF_US`.
 
         `at`: our position. `goals`: for each section the places that must all be reachable; (x, y)

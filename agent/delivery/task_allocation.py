@@ -101,7 +101,7 @@ class TaskAllocation:
         self._calls: list[PlanOffer] = []  # received calls, answered in the next control period
 
     @property
-    def told(self) -> dict[int, RemoteItinerary]:
+    def remote_itineraries(self) -> dict[int, RemoteItinerary]:
         """The itineraries of other robots, by slot."""
         return self.telling.told
 
@@ -112,7 +112,7 @@ class TaskAllocation:
 
     # ---------------------------------------------------------------- what there is to do
 
-    def tick(self, view: FleetView, able: bool) -> None:
+    def on_tick(self, view: FleetView, able: bool) -> None:
         """Once each control period. `able`: this robot can work; after `RESIGN_US` without, its
         tasks are given up.
         """
@@ -122,7 +122,7 @@ class TaskAllocation:
         elif self.itinerary and now_us - self._able_us > RESIGN_US:
             self.itinerary = []
             self.telling.changed(now_us)
-        self.round.tick(now_us)
+        self.round.on_tick(now_us)
         for offer in self._calls:
             if self.round.wanted(offer):
                 self._begin_round(view, able, offer)
@@ -137,7 +137,7 @@ class TaskAllocation:
             self._plan_stops(view)
 
     def _look(self, view: FleetView, able: bool) -> None:
-        self.absence.look(view)
+        self.absence.observe(view)
         self._tidy(view)
         if not self.round.active:
             fresh, orphans = self.open(view)
@@ -190,7 +190,7 @@ class TaskAllocation:
         """
         allocation, now_us = view.allocation, view.now_us
         holder: dict[int, int] = {}
-        for slot, told in self.told.items():
+        for slot, told in self.remote_itineraries.items():
             for task in told.whole:
                 holder.setdefault(task, slot)
         own = set(self.itinerary)
@@ -211,7 +211,9 @@ class TaskAllocation:
             if owner is None:
                 fresh.append(task)
             elif owner != self.slot and self.absence.leaves(owner, task, view):
-                order = self.told[owner].whole if owner in self.told else ()
+                order = (
+                    self.remote_itineraries[owner].whole if owner in self.remote_itineraries else ()
+                )
                 orphans.append((order.index(task) if task in order else -1, task))
         return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
 
@@ -239,7 +241,7 @@ class TaskAllocation:
         """Remove from our itinerary tasks that are not free, or that a lower slot announced."""
         lower = {
             task
-            for slot, told in self.told.items()
+            for slot, told in self.remote_itineraries.items()
             if slot < self.slot and slot in view.live
             for task in told.whole
         }
@@ -253,8 +255,9 @@ class TaskAllocation:
                 continue
             kept.append(task)
         self.itinerary = kept
-        for slot in [s for s in self.told if s not in view.live and s not in view.silent_since_us]:
-            del self.told[slot]  # it left with a farewell
+        known = view.live | view.silent_since_us.keys()
+        for slot in [s for s in self.remote_itineraries if s not in known]:
+            del self.remote_itineraries[slot]  # it left with a farewell
 
     # ---------------------------------------------------------------- scenario B
 
@@ -349,7 +352,7 @@ class TaskAllocation:
         """The tasks that a robot intends to begin, in its order, as far as we know."""
         if slot == self.slot:
             return self.itinerary
-        whole = self.told[slot].whole if slot in self.told else ()
+        whole = self.remote_itineraries[slot].whole if slot in self.remote_itineraries else ()
         return [stop for stop in whole if stop in self.book]
 
     def through(self, standing: CarrierState, view: FleetView) -> CarrierState:
@@ -393,22 +396,24 @@ class TaskAllocation:
                 kept = [task for task in means[held:] if task not in planned]
                 self.itinerary = [*first, *row, *kept]
             else:
-                old = self.told.get(slot)
+                old = self.remote_itineraries.get(slot)
                 left, version = (FULL, 0) if old is None else (old.left, old.version)
-                self.told[slot] = RemoteItinerary(version, {}, 0, left, (*first, *row))
+                self.remote_itineraries[slot] = RemoteItinerary(
+                    version, {}, 0, left, (*first, *row)
+                )
         self._tidy(view)
         self.telling.changed(view.now_us)
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
+    def on_message(self, slot: int | None, message: Dispatched, now_us: int) -> Sequence[Record]:
         """Take in a frame. `slot`: of its sender; None for a device that is not a member.
 
         The returned records must be durable before the next frame is sent.
         """
         if isinstance(message, TaskOrder | TaskBookDigest):
             added = self.book.added
-            records = self.book.hear(message, now_us)
+            records = self.book.on_message(message, now_us)
             if self.book.added > added and isinstance(message, TaskOrder):
                 self.haste.known(message.task, now_us)
                 self._look_us = now_us  # so that all robots that received it bid at the same time
@@ -423,21 +428,21 @@ class TaskAllocation:
         if isinstance(message, TaskBid):
             self._heard_bid(slot, message, now_us)
         elif isinstance(message, Itinerary):
-            self.telling.hear(slot, message)
+            self.telling.on_message(slot, message)
         elif isinstance(message, PlanOffer) and self.round.wanted(message):
             self._calls.append(message)
         else:
-            self.round.hear(slot, message, now_us)
+            self.round.on_message(slot, message, now_us)
 
-    def say(self, now_us: int) -> Iterator[Dispatched]:
+    def outgoing(self, now_us: int) -> Iterator[Dispatched]:
         """The frames that are due with our beat: orders, plans, our bid, our itinerary."""
-        yield from self.book.say(now_us)
-        yield from self.round.say(now_us)
+        yield from self.book.outgoing(now_us)
+        yield from self.round.outgoing(now_us)
         auction = self._auction
         if auction is not None and auction.mine is not None:
             yield auction.mine
             self._auction = auction._replace(mine=None)
-        yield from self.telling.say(now_us, self.left)
+        yield from self.telling.outgoing(now_us, self.left)
 
 
 # ---------------------------------------------------------------- the problem of a round
@@ -449,7 +454,11 @@ def standings(dispatch: TaskAllocation, view: FleetView, able: bool) -> list[Car
     for slot in sorted(view.live - {dispatch.slot}):
         neighbour = view.neighbours.get(slot)
         if neighbour is not None and neighbour.pose.state in ABLE:
-            left = dispatch.told[slot].left if slot in dispatch.told else FULL
+            left = (
+                dispatch.remote_itineraries[slot].left
+                if slot in dispatch.remote_itineraries
+                else FULL
+            )
             at = neighbour.pose.x_m, neighbour.pose.y_m
             robots.append(dispatch.through(CarrierState(slot, at, 0, left), view))
     return sorted(robots)
@@ -463,7 +472,9 @@ def new_problem(dispatch: TaskAllocation, view: FleetView, able: bool) -> Proble
     """
     robots = standings(dispatch, view, able)
     fresh, _ = dispatch.open(view)
-    planned = {t for s, told in dispatch.told.items() if s in view.live for t in told.whole}
+    planned = {
+        t for s, told in dispatch.remote_itineraries.items() if s in view.live for t in told.whole
+    }
     wanted = sorted({*fresh, *dispatch.itinerary, *planned})
     tasks = [task for task in wanted if _plannable(dispatch, view, task)]
     del tasks[round_tasks_max(len(robots)) :]  # the others wait for a later round

@@ -74,7 +74,7 @@ class TaskRegistry:
     def __contains__(self, task: int) -> bool:
         return task in self.tasks
 
-    def hear(
+    def on_message(
         self, message: TaskOrder | TaskBookDigest, now_us: int
     ) -> tuple[tuple[str, bytes], ...]:
         """Take in an order or a digest of another peer.
@@ -122,7 +122,7 @@ class TaskRegistry:
                 found.append((k, *order))
         return bits, crc32(repr(found).encode()) & 0xFF
 
-    def say(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
+    def outgoing(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
         """The frames that are due with our beat: repeated orders, and a digest."""
         told = [task for task, due_us in self._due.items() if due_us <= now_us][:ORDERS_A_BEAT]
         for task in told:

@@ -100,8 +100,8 @@ class ExplorationMission(Mission):
         others = [
             (n.pose.x_m, n.pose.y_m, radius_m) for s, n in view.neighbours.items() if s in view.live
         ]
-        self.chart.look(here, others)
-        self.chart.tell(here, now_us)
+        self.chart.observe(here, others)
+        self.chart.share_news(here, now_us)
         if self.chart.sync is not None and now_us >= self._merge_us + REASSIGN_US:
             self._merge_us = now_us
             self.last_merge = self.chart.sync.merged(now_us)
@@ -110,7 +110,7 @@ class ExplorationMission(Mission):
         """Cells known to be free with room for the body, (rows, columns); always the cells round
         ourselves.
         """
-        self.chart.hear()
+        self.chart.take_fleet_walls()
         passable: Grid = (values == FREE) & ~self.chart.grid.tight.blocked
         if not passable[here]:
             grid = self.chart.grid

@@ -53,7 +53,7 @@ class FrontierPath:
     def plan(self, here: Observation) -> None:
         """Plan again to the same station; without a path `rest` is empty."""
         assert self.station is not None
-        self.chart.hear()
+        self.chart.take_fleet_walls()
         path = self.chart.grid.plan((here.x_m, here.y_m), self.station) or []
         self.rest = path[1:]
         rows, columns = self._along(path)

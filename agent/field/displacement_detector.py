@@ -22,7 +22,7 @@ class DisplacementDetector:
     def __init__(self) -> None:
         self._seen: tuple[float, float, int] | None = None
 
-    def noticed(self, at: Point, now_us: int, speed_m_s: float) -> bool:
+    def observe(self, at: Point, now_us: int, speed_m_s: float) -> bool:
         """Whether the robot was displaced since the last call. Call it in every control period at
         work.
 

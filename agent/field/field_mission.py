@@ -148,7 +148,7 @@ class FieldMission(Mission):
         """No work for us: stand still, but not where a robot works or will work."""
         self.heading_to = None
         before = self.parking.spot
-        self.parking.look(view)
+        self.parking.observe(view)
         spot = self.parking.spot
         if spot is None:
             self.legs, self.tracker = [], None
@@ -175,7 +175,7 @@ class FieldMission(Mission):
         if self.tracker is None and not self.legs:
             self.legs = self._legs(self.section, view)
             self.headway.again()
-        late = self.headway.look(bool(covered), self._left_m, view.now_us)
+        late = self.headway.observe(bool(covered), self._left_m, view.now_us)
         if late and self.plans_without_headway:
             self.on_stalled(view)
         if self.headway.lost:
@@ -209,7 +209,7 @@ class FieldMission(Mission):
 
     def _look_round(self, view: FleetView) -> None:
         """Update the obstructions in the field and replan if they changed."""
-        new = self.blockage.look(view)
+        new = self.blockage.observe(view)
         if new is None or (new and self.blockage.touches(self._way_left(view), new)):
             self._go_round(view)
 
@@ -237,7 +237,7 @@ class FieldMission(Mission):
         """The motion along the legs, and the units that were completed."""
         here = view.here
         covered: list[int] = []
-        if self.shove.noticed((here.x_m, here.y_m), view.now_us, self.speed_m_s):
+        if self.shove.observe((here.x_m, here.y_m), view.now_us, self.speed_m_s):
             self.on_implement_raised()
         while True:
             if self.tracker is None:

@@ -53,13 +53,13 @@ class FieldObstructions:
         self._silent: tuple[int, ...] = ()
         self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
 
-    def look(self, view: FleetView) -> frozenset[Point] | None:
+    def observe(self, view: FleetView) -> frozenset[Point] | None:
         """Once each control period: the obstacles that are new since the last call.
 
         None means that a silent body or a robot in our way came or went, so that all paths may be
         others.
         """
-        self.coasting.look(view.neighbours, view.here, view.now_us)
+        self.coasting.observe(view.neighbours, view.here, view.now_us)
         places = {slot: self.coasting.places(slot) for slot in sorted(view.silent_since_us)}
         silent = tuple(slot for slot in places if places[slot] is not None)
         bodies = tuple(place for slot in silent for place in places[slot] or ())

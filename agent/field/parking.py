@@ -68,7 +68,7 @@ class Parking:
         """Distance from the middle of a parked robot to an open line."""
         return 2 * self.radius_m + ROOM_M
 
-    def look(self, view: FleetView) -> None:
+    def observe(self, view: FleetView) -> None:
         """Look for a reason to leave, and choose the new place; sets `spot`.
 
         Call it each control period. It does something once a second, and more often if a robot

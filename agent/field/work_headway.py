@@ -40,7 +40,7 @@ class Headway:
         if self._rounds <= self.ROUNDS:
             self._left_m = float("inf")
 
-    def look(self, done: bool, left_m: float, now_us: int) -> bool:
+    def observe(self, done: bool, left_m: float, now_us: int) -> bool:
         """Once each control period at work; returns whether to replan. Other time does not count.
 
         `done`: a unit was completed. `left_m`: remaining distance of all legs.

@@ -202,7 +202,7 @@ class JointPlanAgreement:
             for slot, route in zip(self.order, self.plan.routes, strict=True)
         )
 
-    def tick(
+    def on_tick(
         self,
         at: Point,
         speed_m_s: float,
@@ -237,7 +237,7 @@ class JointPlanAgreement:
         self, at: Point, goal: Point | None, answer: AgreementReply, things: Iterable[Point]
     ) -> None:
         """Our own place in this round; it is sent until the round is over and never changes."""
-        node, detail = self.lattice.tell(at)
+        node, detail = self.lattice.encode(at)
         wants = node if goal is None or answer else self.lattice.nearest(goal)
         self._places[self.slot] = Participant(node, wants, answer, detail)
         self._see(things)
@@ -323,7 +323,7 @@ class JointPlanAgreement:
         places = [self._places[slot] for slot in order]
         body_m = 2 * self.radius_m + KEPT_M
         bodies = [
-            self.lattice.told(p.node, p.detail)
+            self.lattice.decode(p.node, p.detail)
             for p in places
             if p.answer is not AgreementReply.GRANT
         ]
@@ -378,12 +378,12 @@ def _plan_of(
         near[np.isin(near, blocked)] = -1
         near[list(blocked)] = -1
     starts = seats(
-        lattice, [lattice.told(p.node, p.detail) for p in places], [1] * len(places), blocked
+        lattice, [lattice.decode(p.node, p.detail) for p in places], [1] * len(places), blocked
     )
     if starts is None:
         return None
     wishes = [
-        lattice.told(p.node, p.detail) if p.goal == p.node else lattice.point(p.goal)
+        lattice.decode(p.node, p.detail) if p.goal == p.node else lattice.point(p.goal)
         for p in places
     ]
     # A robot with a goal elsewhere gets its own node before a robot that only stands there.

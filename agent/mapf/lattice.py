@@ -58,7 +58,7 @@ class Lattice:
         """The node with the least straight distance to a place, walls or not."""
         return int(np.argmin((self.points[:, 0] - at[0]) ** 2 + (self.points[:, 1] - at[1]) ** 2))
 
-    def tell(self, at: Point) -> tuple[int, int]:
+    def encode(self, at: Point) -> tuple[int, int]:
         """A place as an agreement frame carries it: the nearest node, and a byte for where in its
         square.
 
@@ -74,8 +74,8 @@ class Lattice:
         ]
         return node, parts[0] | parts[1] << 4
 
-    def told(self, node: int, detail: int) -> Point:
-        """The place that `tell` wrote as a node and the byte `detail`."""
+    def decode(self, node: int, detail: int) -> Point:
+        """The place that `encode` wrote as a node and the byte `detail`."""
         x_m, y_m = self.point(node)
         part_m = self.pitch_m / FINE
         return (

@@ -66,7 +66,7 @@ class DynamicObstacles:
         self._geometry = geometry_of(floor)
         self._version = 0
 
-    def look(
+    def observe(
         self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int,
         bodies: Mapping[int, XY] = NOBODY,
     ) -> None:  # fmt: skip
@@ -105,7 +105,7 @@ class DynamicObstacles:
         """A counter that differs from before if an obstacle appeared or went."""
         return 0 if self.map is None else self.map.grid.changes
 
-    def told(self) -> list[XY]:
+    def reported(self) -> list[XY]:
         """Middles of the obstacles that others report, and of silent robots."""
         if self.map is None:
             return []
@@ -254,7 +254,7 @@ class ObstacleMap(LocalAndFleetMap):
         `robots`: x, y of received robots. `told`: the fleet's map has changed since the last call.
         """
         bodies = [(x, y, self.radius_m + BODY_M) for x, y in robots]
-        self.look(here, bodies)
+        self.observe(here, bodies)
         if now_us - self._forgot_us >= FORGET_US:
             self._forgot_us = now_us
             self._forget_old()
@@ -263,7 +263,7 @@ class ObstacleMap(LocalAndFleetMap):
         self.grid.expire(now_us)
         self._no_robots(robots)
         self._no_longer()
-        self.tell(here, now_us)
+        self.share_news(here, now_us)
 
     def _forget_old(self) -> None:
         """Forget obstacles that were not observed for their time of belief: they may have gone.

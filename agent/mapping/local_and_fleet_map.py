@@ -45,7 +45,7 @@ class LocalAndFleetMap:
         self._since_us: dict[int, int] = {}  # patch -> when its first new cell was seen
         self._version = -1
 
-    def look(self, here: Observation, others: Iterable[tuple[float, float, float]]) -> None:
+    def observe(self, here: Observation, others: Iterable[tuple[float, float, float]]) -> None:
         """Take one scan into our own map.
 
         `others`: x, y and radius of robots, metres; their echoes are no obstacles.
@@ -75,13 +75,13 @@ class LocalAndFleetMap:
         inside = 0 <= row < rows and 0 <= column < columns
         return inside and not self.grid.tight.blocked[row, column]
 
-    def hear(self) -> None:
+    def take_fleet_walls(self) -> None:
         """Take walls of the fleet's map into our own, so that paths avoid them."""
         if self.fleet.version != self._version:
             self._version = self.fleet.version
             self.grid.wall((self.fleet.values() == OBSTACLE) & (self.grid.evidence >= 0))
 
-    def tell(self, here: Observation, now_us: int) -> None:
+    def share_news(self, here: Observation, now_us: int) -> None:
         """Look for news near by, and give patches that are ready to the sync."""
         if self.sync is None or now_us < self._looked_us + min(LOOK_US, self.sync.hold_us):
             return

@@ -172,7 +172,7 @@ class HolonomicMotion(MotionController):
         others: list[NearbyRobot] = []
         bodies_m = 2 * self.limits.radius_m + MARGIN_M
         keeps_off = keeps_off and self.implement.has
-        self.coasting.look(neighbours, here, now_us)
+        self.coasting.observe(neighbours, here, now_us)
         own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
         for slot, (pose, heard_us) in neighbours.items():
             pose_x_m, pose_y_m, course_rad, speed_m_s, state, stopped, _ = pose

@@ -65,7 +65,7 @@ class ObstacleDetector:
         """Way to a standstill from this speed: reaction and braking, metres."""
         return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self.deceleration_m_s2)
 
-    def look(
+    def observe(
         self,
         here: Observation,
         motions: Sequence[Point],

@@ -137,11 +137,11 @@ class ObstacleStop:
         if self.asking:
             ux, uy = self._course
             way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
-            return HALT, self._stand(self.lookout.look(here, (way,), neighbours, now_us), now_us)
+            return HALT, self._stand(self.lookout.observe(here, (way,), neighbours, now_us), now_us)
         if not may_move:
             return wanted, []  # another cause holds it
         motions = self._motions(wanted, here)
-        sighting = self.lookout.look(here, motions, neighbours, now_us)
+        sighting = self.lookout.observe(here, motions, neighbours, now_us)
         if self.things:
             self._keep_in_mind()
         if sighting is None:

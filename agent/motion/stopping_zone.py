@@ -47,7 +47,7 @@ class StoppingZone:
         self._heard_us: dict[int, int] = {}  # the beat that the places are of
         self._places: dict[int, tuple[Point, ...]] = {}
 
-    def look(self, neighbours: Mapping[int, Neighbour], here: Observation, now_us: int) -> None:
+    def observe(self, neighbours: Mapping[int, Neighbour], here: Observation, now_us: int) -> None:
         """Once each control period: begin, end and shorten zones.
 
         `neighbours`: newest poses by slot. `here`: our observation with its rays.

@@ -186,7 +186,7 @@ class NavigationMission(Mission):
     def on_control_period(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
-        self.bodies.look(view)
+        self.bodies.observe(view)
         dead, silent = self.bodies.dead, view.silent_since_us
         gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
         self._around = {
@@ -201,10 +201,10 @@ class NavigationMission(Mission):
         ):  # without a fleet, the echo of a robot would count as an obstacle
             self._alone_us = view.now_us
         if view.now_us - self._alone_us > ACQUAINTED_US:
-            self.hazards.look(here, reach_m, around, view.now_us, dead)
+            self.hazards.observe(here, reach_m, around, view.now_us, dead)
         stopped = state is State.EMERGENCY_STOP
         answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer
-        self.agreement.tick(
+        self.agreement.on_tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
             AgreementReply.STOPPED if stopped else answer,
             (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
@@ -231,11 +231,14 @@ class NavigationMission(Mission):
             if slot is not None:
                 self.agreement.on_message(slot, message, now_us)
         elif isinstance(message, SilentPosition):
-            self.bodies.hear(message, now_us)
+            self.bodies.on_message(message, now_us)
         return ()
 
     def outgoing(self, now_us: int) -> Iterable[Message]:
-        return [*self.agreement.outgoing(now_us), *self.bodies.say(self.agreement.waiting, now_us)]
+        return [
+            *self.agreement.outgoing(now_us),
+            *self.bodies.outgoing(self.agreement.waiting, now_us),
+        ]
 
     # ---------------------------------------------------------------- driving
 
@@ -271,7 +274,7 @@ class NavigationMission(Mission):
             self.replanning.forget()
             why = "lost" if tracker is not None else "after plan" if self._planned else "goal"
             return self._set_out(self._way(at, goal), why, now_us)
-        self.replanning.look(here, tracker)
+        self.replanning.observe(here, tracker)
         old = self.replanning.restored(here, now_us)
         if old is not None:
             self._tracker = old

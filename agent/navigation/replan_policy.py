@@ -45,14 +45,14 @@ class Replanning:
         self._kept: tuple[PathTracker, int, float] | None = None
         self._not_before_us = 0
 
-    def look(self, here: Observation, tracker: PathTracker) -> None:
+    def observe(self, here: Observation, tracker: PathTracker) -> None:
         """Once each control period, after `hazards.look`: what stands on the path, by our rays and
         by reports.
         """
         reach_m = self.horizon_m + self.radius_m
         self._near = self.hazards.hits + [
             (x_m, y_m)
-            for x_m, y_m in self.hazards.told()
+            for x_m, y_m in self.hazards.reported()
             if hypot(x_m - here.x_m, y_m - here.y_m) < reach_m
         ]
         self._ticks = self._ticks + 1 if self._stands_on(tracker) else 0

@@ -39,7 +39,7 @@ class SilentRobots:
         self._due_us: dict[int, int] = {}  # slot -> when we send its position next
         self._heard_us: dict[int, int] = {}  # slot -> time of the beat in our record
 
-    def look(self, view: FleetView) -> None:
+    def observe(self, view: FleetView) -> None:
         """Once each control period: update which members are silent and which are back."""
         now_us = view.now_us
         for slot, since_us in view.silent_since_us.items():
@@ -74,7 +74,7 @@ class SilentRobots:
         since_us = view.silent_since_us.get(slot)
         return since_us is None or view.now_us - since_us > DEAD_US
 
-    def hear(self, word: SilentPosition, now_us: int) -> None:
+    def on_message(self, word: SilentPosition, now_us: int) -> None:
         """Take in another robot's frame about a silent member; one about us is ignored."""
         if word.slot == self.slot:
             return
@@ -90,7 +90,7 @@ class SilentRobots:
             wait_us = 0  # the sender's knowledge is older, so answer without delay
         self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
 
-    def say(self, hurried: bool, now_us: int) -> Iterable[SilentPosition]:
+    def outgoing(self, hurried: bool, now_us: int) -> Iterable[SilentPosition]:
         """The frames that are due with our beat, at most `WORDS_A_BEAT`.
 
         `hurried`: a round of agreement waits until all robots know the same, so repeat more often.

@@ -174,7 +174,7 @@ class Announcements(Part):
             leaving=counter == LEAVING_COUNTER,
             health=share,
             operations=self.clock[self.slot] & 0xFFFF,
-            digest=self.sync.tell(),
+            digest=self.sync.outgoing_digest(),
         )
 
 

@@ -37,7 +37,7 @@ class MapExchange(Part):
         if self.chart is None or not ctx.joined:
             return NOTHING
         outputs: list[Any] = []
-        for message in self.chart.tick(ctx.now_us):
+        for message in self.chart.on_tick(ctx.now_us):
             if isinstance(message, MapPatch):
                 outputs.append(Persist(*DurableRecords.patch(self.chart.chart, message.patch)))
             outputs.append(Send(message))
@@ -45,7 +45,7 @@ class MapExchange(Part):
 
     def _map(self, ctx: StepContext, header: Header, m: Any) -> Outputs:
         if self.chart is not None and header.slot is not None:
-            self.chart.receive(header.slot, m, ctx.now_us)
+            self.chart.on_message(header.slot, m, ctx.now_us)
         return NOTHING
 
     def _members(self, ctx: StepContext, notice: notices.MembershipChanged) -> Outputs:

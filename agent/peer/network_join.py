@@ -58,7 +58,7 @@ class NetworkJoin(Part):
             self.lost_address = False
         if self.away:
             return outputs
-        claims = self._sends(self.machine.tick(ctx.now_us), ctx.now_us)
+        claims = self._sends(self.machine.on_tick(ctx.now_us), ctx.now_us)
         if self.machine.asks or (claims and self._ask_all):
             self._ask_all = self.machine.asks = False
             outputs.append(Send(Request(CLAIM_PGN), source=NULL_ADDRESS))
@@ -76,11 +76,11 @@ class NetworkJoin(Part):
     def asked(self, everybody: bool, now_us: int) -> Sequence[Effect]:
         """A request for our address claim. After a global request we receive all answers as well."""
         self._ask_all = self._ask_all and not everybody
-        return self._sends(self.machine.asked(everybody, now_us), now_us)
+        return self._sends(self.machine.on_request(everybody, now_us), now_us)
 
     def receive(self, source: int, message: AddressClaimed, now_us: int) -> Sequence[Effect]:
         """An address claim of another device, from address `source`."""
-        effects = self._sends(self.machine.receive(source, message, now_us), now_us)
+        effects = self._sends(self.machine.on_message(source, message, now_us), now_us)
         if self.joined and self.machine.address is None:
             self.joined, self.lost_address = False, True
             self._spoke_us[source] = now_us

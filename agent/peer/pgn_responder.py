@@ -85,7 +85,7 @@ class PgnResponder(Part):
         deadline_us = self.transport.deadline_us
         if not ctx.joined or deadline_us is None or ctx.now_us < deadline_us:
             return NOTHING
-        return _sends(self.transport.tick(ctx.now_us))
+        return _sends(self.transport.on_tick(ctx.now_us))
 
     def _request(self, ctx: StepContext, header: Header, m: Request) -> Outputs:
         answer = self._asked(ctx, header, m.pgn) if ctx.joined else NOTHING
@@ -105,7 +105,7 @@ class PgnResponder(Part):
             return NOTHING
         if isinstance(m, RepetitionRateRequest):
             return _refused(source, destination, m.pgn)
-        out, arrived = self.transport.receive(source, destination, m, now_us)
+        out, arrived = self.transport.on_message(source, destination, m, now_us)
         if arrived is not None:
             self.inbox.append(arrived)
             if arrived.pgn == COMPONENT_PGN and source < NULL_ADDRESS:

@@ -66,7 +66,7 @@ class StateSync(Part):
     def on_timer(self, ctx: StepContext) -> Outputs:
         if not ctx.joined:
             return NOTHING
-        outputs: list[Any] = [Send(message) for message in self.sync.tick(ctx.now_us)]
+        outputs: list[Any] = [Send(message) for message in self.sync.on_tick(ctx.now_us)]
         if self.sync.synchronizing:
             if ctx.state in (IDLE, WORKING):
                 outputs.append(notices.SyncDiffers())
@@ -81,7 +81,7 @@ class StateSync(Part):
             return self._work(ctx, header, m)
         if ctx.now_us - self._told_us >= TELL_SPACING_US:  # from an inspector
             self._told_us = ctx.now_us
-            self.sync.receive(OUTSIDER, m, ctx.now_us)
+            self.sync.on_message(OUTSIDER, m, ctx.now_us)
         return NOTHING
 
     def _work(self, ctx: StepContext, header: Header, m: Any) -> Outputs:
@@ -90,7 +90,7 @@ class StateSync(Part):
         if isinstance(m, ENTRIES) and not self.admission.admits(m, ctx.now_us):
             return NOTHING
         outputs: list[Any] = []
-        changed = self.sync.receive(slot, m, ctx.now_us)
+        changed = self.sync.on_message(slot, m, ctx.now_us)
         if changed:
             outputs.append(notices.SectionsMerged(frozenset(changed), slot))
         if isinstance(m, TOLD_OF):

@@ -93,7 +93,7 @@ class StopReception(Part):
     def on_timer(self, ctx: StepContext) -> Outputs:
         if ctx.now_us < self.safety.deadline_us:
             return NOTHING
-        effects = self.safety.tick(ctx.now_us)
+        effects = self.safety.on_tick(ctx.now_us)
         if effects:
             return [*effects, notices.Latched("a stop with a used name")]
         return [notices.CausesExpired()]

@@ -54,7 +54,7 @@ class ShortcutButtons:
     def __len__(self) -> int:
         return len(self._buttons)
 
-    def hear(
+    def on_message(
         self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int
     ) -> None:
         """Take in one frame of a button.
@@ -127,7 +127,7 @@ class OwnButton:
         self._pressed = True
         return self._stop(now_us)
 
-    def heard(self, m: AllImplementsStop, now_us: int) -> None:
+    def on_message(self, m: AllImplementsStop, now_us: int) -> None:
         """Another robot's frame: its stop is sent for the whole fleet, and its permit ends that."""
         self._heard_us = now_us if m.switch == Switch.STOP else now_us - TAKE_OVER_US
 
@@ -144,7 +144,7 @@ class OwnButton:
         """Whether there is a stop or a permit to repeat."""
         return self._stopped or self._permits > 0
 
-    def say(self, latched: bool, rank: int, now_us: int) -> AllImplementsStop | None:
+    def outgoing(self, latched: bool, rank: int, now_us: int) -> AllImplementsStop | None:
         """The frame that is due with this beat, or None.
 
         `latched`: an emergency stop holds this robot. `rank`: how many live members have a lower

@@ -452,9 +452,9 @@ class StopController:
         `source`: bus address. `name`: the NAME that this address has claimed, or None. `robot`: the
         sender is a fleet member.
         """
-        self.buttons.hear(source, name, robot, m, now_us)
+        self.buttons.on_message(source, name, robot, m, now_us)
         if robot:
-            self.button.heard(m, now_us)
+            self.button.on_message(m, now_us)
         held_us, held = self.buttons.until_us() - now_us, StopCause.IMPLEMENTS_STOP in self._causes
         if held_us <= 0:
             self.clear_cause(StopCause.IMPLEMENTS_STOP, now_us)
@@ -471,7 +471,7 @@ class StopController:
         if not latched and not self.button.speaks:
             return ()
         rank = sum(slot < self.slot for slot in live)
-        said = self.button.say(latched, rank, now_us)
+        said = self.button.outgoing(latched, rank, now_us)
         return () if said is None else [Send(said)]
 
     def accept_order(
@@ -536,7 +536,7 @@ class StopController:
 
     @property
     def deadline_us(self) -> int:
-        """The earliest time at which `tick` has something to do."""
+        """The earliest time at which `on_tick` has something to do."""
         deadline = min(self._repeat_us, self._renew_us)
         if not self._causes:  # only causes expire
             return deadline
@@ -546,7 +546,7 @@ class StopController:
             deadline = min(deadline, expires_us)
         return deadline
 
-    def tick(self, now_us: int) -> Sequence[Effect]:
+    def on_tick(self, now_us: int) -> Sequence[Effect]:
         """Whatever is due now: causes end, stops are repeated, a press that was due to us is made."""
         if now_us < self.deadline_us:
             return ()

@@ -178,7 +178,7 @@ class Gateway:
                 self.chart.hear(slot, message, now_us)
         elif isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
             before = self.sync.replica.version
-            self.sync.receive(-1 if slot is None else slot, message, now_us)
+            self.sync.on_message(-1 if slot is None else slot, message, now_us)
             if self.sync.replica.version != before:
                 self.border.heard(message, number is not None)
 
@@ -277,7 +277,7 @@ class Gateway:
         effects += [self._send(message) for message in self.stops.tick(now_us)]
         if now_us >= self._look_us:
             self._look(now_us)
-        effects += [self._send(message) for message in self.sync.tick(now_us)]
+        effects += [self._send(message) for message in self.sync.on_tick(now_us)]
         if self._tell_us is not None and now_us >= self._tell_us:
             self._tell_us, self._told_us = None, now_us
             effects += self._tell_stops()

@@ -53,7 +53,7 @@ class MapRelay:
 
     def hear(self, slot: int, message: Said, now_us: int) -> None:
         """A frame of the map from our own bus, sent by the robot or gateway `slot`."""
-        self.near.receive(slot, message, now_us)
+        self.near.on_message(slot, message, now_us)
 
     def receive(self, segment: int, entry: Entry, now_us: int) -> None:
         """An entry from another segment's gateway. One that is no frame of a map is counted in
@@ -67,7 +67,7 @@ class MapRelay:
         if message is None:
             self.refused += 1
         else:
-            self.far.receive(segment, message, now_us)
+            self.far.on_message(segment, message, now_us)
 
     @property
     def deadline_us(self) -> int:
@@ -78,8 +78,8 @@ class MapRelay:
         """The frames for our bus, as far as `limit` allows, and the entries for the backbone."""
         near: list[Said] = []
         if self.near.deadline_us <= now_us and limit.take(FRAME_US, now_us):
-            near = self.near.tick(now_us)
-        far = self.far.tick(now_us) if self.far.deadline_us <= now_us else []
+            near = self.near.on_tick(now_us)
+        far = self.far.on_tick(now_us) if self.far.deadline_us <= now_us else []
         told = [
             Entry(PATCH if isinstance(m, MapPatch) else DIGESTS, self.segment, 0, 0, 0, packed(m))
             for m in far

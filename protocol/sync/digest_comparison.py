@@ -57,12 +57,12 @@ class Divergence:
         self.suspects = set(self.live - {self.slot})
         self._told.clear()
 
-    def tell(self) -> int:
+    def outgoing_digest(self) -> int:
         """The digest for our heartbeat. From now on it determines our position in the order."""
         self._own_told = self.replica.digest
         return self._own_told
 
-    def heard(self, slot: int, digest: int, now_us: int) -> bool:
+    def on_digest(self, slot: int, digest: int, now_us: int) -> bool:
         """Process a live peer's digest; True if it is odd and confirmed."""
         self._told[slot] = digest
         moment = self.replica.when(digest)

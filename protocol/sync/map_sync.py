@@ -58,7 +58,7 @@ def decode_cells(cells: int) -> Values:
 class MapSync:
     """Keeps one robot's map equal to those of the fleet: decides what to send, and when.
 
-    It has no clock and no bus: the caller passes received frames in and sends what `tick` returns.
+    It has no clock and no bus: the caller passes received frames in and sends what `on_tick` returns.
     """
 
     hold_us = 400 * MS  # a patch waits this long for the rest of its cells before it is sent
@@ -119,7 +119,7 @@ class MapSync:
 
     # ---------------------------------------------------------------- receiving
 
-    def receive(self, slot: int, message: Said, now_us: int) -> int:
+    def on_message(self, slot: int, message: Said, now_us: int) -> int:
         """Handle any map frame of the member `slot`; returns the number of changed cells."""
         self._floor_taken(slot, now_us)
         if isinstance(message, MapPatch):
@@ -226,7 +226,7 @@ class MapSync:
 
     @property
     def deadline_us(self) -> int:
-        """When `tick` next has something to send, if nothing is received before."""
+        """When `on_tick` next has something to send, if nothing is received before."""
         deadline_us = self._beat_us
         if self._news:
             deadline_us = min(deadline_us, self._news_us)
@@ -234,7 +234,7 @@ class MapSync:
             deadline_us = min(deadline_us, self._may_us(REPAIR_GAP_US))
         return deadline_us
 
-    def tick(self, now_us: int) -> list[Said]:
+    def on_tick(self, now_us: int) -> list[Said]:
         """The frames to send now: one at most."""
         if now_us >= self._beat_us:
             alone = len(self._order) == 1

@@ -147,7 +147,7 @@ class Replica:
 
     # ---------------------------------------------------------------- frames
 
-    def hear(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> AppliedEntry:
+    def on_message(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> AppliedEntry:
         """Join the entry that a frame carries, and say what that changed."""
         if isinstance(message, WorkProgress):
             section, block, bits = message
@@ -164,7 +164,7 @@ class Replica:
             self.note(entry)
         return _tuple(AppliedEntry, (entry, changed, stale))
 
-    def say(self, entry: int) -> StateSyncResponse | WorkProgress:
+    def message_of(self, entry: int) -> StateSyncResponse | WorkProgress:
         """The frame that carries the present value of an entry."""
         kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
         if kind == REGISTERS:

@@ -78,7 +78,7 @@ class Question(NamedTuple):
 class Synchronizer:
     """One peer's part in making replicas equal: when it asks, answers and corrects.
 
-    It has no clock and no bus: the caller passes frames and digests in and sends what `tick`
+    It has no clock and no bus: the caller passes frames and digests in and sends what `on_tick`
     returns.
     """
 
@@ -113,9 +113,9 @@ class Synchronizer:
         """The 24 bits of everything that we hold now."""
         return self.replica.digest
 
-    def tell(self) -> int:
+    def outgoing_digest(self) -> int:
         """The digest for the heartbeat that is sent now."""
-        return self.divergence.tell()
+        return self.divergence.outgoing_digest()
 
     @property
     def in_step(self) -> bool:
@@ -193,7 +193,7 @@ class Synchronizer:
     def _told(self, slot: int, digest: int, now_us: int) -> bool:
         if not self.divergence.reunion:
             self._learned_us = now_us  # the patience interval starts with the reunion
-        odd = self.divergence.heard(slot, digest, now_us)
+        odd = self.divergence.on_digest(slot, digest, now_us)
         self._judge(now_us)
         return odd
 
@@ -204,7 +204,7 @@ class Synchronizer:
         turn_us = TURN_US if self._our_turn_was_last else 0
         return max(self._heard_us + GAP_US + QUIET_US + turn_us, self._asked_us + pause_us)
 
-    def receive(self, slot: int, message: object, now_us: int) -> set[int]:
+    def on_message(self, slot: int, message: object, now_us: int) -> set[int]:
         """Handle any work frame; return the sections whose register changed."""
         if isinstance(message, ENTRIES):
             return self._entry(slot, message, now_us)
@@ -217,7 +217,7 @@ class Synchronizer:
     def _entry(
         self, slot: int, message: TaskClaim | StateSyncResponse | WorkProgress, now_us: int
     ) -> set[int]:
-        heard = self.replica.hear(message)
+        heard = self.replica.on_message(message)
         entry = heard.entry
         relayed = self._is_relayed(slot, message, entry)
         if relayed:
@@ -332,7 +332,7 @@ class Synchronizer:
 
     @property
     def deadline_us(self) -> int | None:
-        """When `tick` next has something to do, if nothing is received before; None if nothing
+        """When `on_tick` next has something to do, if nothing is received before; None if nothing
         waits."""
         due_us = self._ask_us
         if (self._queue or self._digests) and (due_us is None or self._speak_us < due_us):
@@ -342,7 +342,7 @@ class Synchronizer:
             due_us = patience_us if due_us is None else min(due_us, patience_us)
         return due_us
 
-    def tick(self, now_us: int) -> Iterable[Said]:
+    def on_tick(self, now_us: int) -> Iterable[Said]:
         """The frames to send now: one at most."""
         if self.synchronizing:
             self._judge(now_us)
@@ -354,7 +354,7 @@ class Synchronizer:
             del self._queue[entry]
             self._aired_us[entry] = now_us
             self.counts["entries"] += 1
-            return [self.replica.say(entry)]
+            return [self.replica.message_of(entry)]
         if self._ask_us is not None and now_us >= self._ask_us:
             return self._ask(now_us)
         return ()

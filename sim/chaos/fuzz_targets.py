@@ -87,8 +87,8 @@ def transport(data: bytes) -> None:
         now_us += wait_ms * 10_000
         source, message = decode(Frame(identifier & 0x1FFFFFFF, body))
         if isinstance(message, TransportManagement | TransportData):
-            ours.receive(source, identifier >> 8 & 0xFF, message, now_us)
-        list(ours.tick(now_us))
+            ours.on_message(source, identifier >> 8 & 0xFF, message, now_us)
+        list(ours.on_tick(now_us))
         assert ours.sessions <= 64, ours.sessions
         if wait_ms == 7:
             ours.send(0xFEEB, body * 3, source, now_us)
@@ -106,8 +106,8 @@ def sync(data: bytes) -> None:
         if isinstance(message, Heartbeat):
             replica.heard_digest(1 + identifier % 2, message.digest, now_us)
         else:
-            replica.receive(1 + identifier % 2, message, now_us)
-        list(replica.tick(now_us))
+            replica.on_message(1 + identifier % 2, message, now_us)
+        list(replica.on_tick(now_us))
         after = allocation.entries()
         assert all(after[section] >= key for section, key in before.items())
     assert FieldAllocationCRDT.deserialize(allocation.serialize()).entries() == allocation.entries()

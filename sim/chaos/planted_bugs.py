@@ -312,13 +312,13 @@ MUTANTS: dict[str, Mutant] = {
         "a claim is work at once", claims, "CONTENTION_US", _value(0), "claims"
     ),
     "never-asks": Mutant(
-        "differences are not noticed", Divergence, "heard", _constant(False), "split"
+        "differences are not noticed", Divergence, "on_digest", _constant(False), "split"
     ),
     "never-answers": Mutant(
         "questions are not answered", Synchronizer, "_question", _constant(None), "split"
     ),
     "digest-constant": Mutant(
-        "every digest is the same", Divergence, "tell", _constant(7), "split"
+        "every digest is the same", Divergence, "outgoing_digest", _constant(7), "split"
     ),
     "progress-unannounced": Mutant(
         "progress is not told", ProgressAnnouncements, "flush", _constant([]), "split"
@@ -341,7 +341,7 @@ MUTANTS: dict[str, Mutant] = {
     "permit-of-any": Mutant(
         "the permit of one shortcut button ends the stop of all",
         ShortcutButtons,
-        "hear",
+        "on_message",
         _permits_all,
         "devices",
     ),
@@ -353,7 +353,7 @@ MUTANTS: dict[str, Mutant] = {
         "devices",
     ),
     "standard-stop-once": Mutant(
-        "the standard stop is said once", OwnButton, "say", _constant(None), "devices"
+        "the standard stop is said once", OwnButton, "outgoing", _constant(None), "devices"
     ),
     "other-makers-believed": Mutant(
         "every device is one of ours", Origins, "of", _constant(Origin.OURS), "strangers"

@@ -78,10 +78,10 @@ class MapFleet:
                 for node in delivery.receivers:
                     if node in self.nodes:
                         member = self.members[self.nodes[node]]
-                        member.receive(source - ADDRESS, message, delivery.t_us)
+                        member.on_message(source - ADDRESS, message, delivery.t_us)
             for node, slot in list(self.nodes.items()):
                 if self.members[slot].deadline_us <= self.now_us:
-                    for said in self.members[slot].tick(self.now_us):
+                    for said in self.members[slot].on_tick(self.now_us):
                         self.frames += 1
                         self.wire.submit(node, encode(said, ADDRESS + slot), self.now_us)
 

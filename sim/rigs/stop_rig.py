@@ -141,7 +141,7 @@ class StopFleet:
             wire.submit(self.nodes[slot], encode(pose, ADDRESS + slot), self.now_us)
         for slot, safety in enumerate(self.safeties):
             if safety.deadline_us <= self.now_us:
-                self._effects(slot, safety.tick(self.now_us))
+                self._effects(slot, safety.on_tick(self.now_us))
 
     def _deliver(self, delivery: Delivery) -> None:
         source, message = decode_once(delivery.frame)

@@ -137,11 +137,11 @@ class SyncFleet:
         for member in self.members.values():
             deadline_us = member.sync.deadline_us
             if deadline_us is not None and deadline_us <= self.now_us:
-                self._say(member, member.sync.tick(self.now_us))
+                self._say(member, member.sync.on_tick(self.now_us))
 
     def _beat(self, member: Member) -> None:
         member.counter = (member.counter + 1) % 251
-        digest = member.sync.tell()
+        digest = member.sync.outgoing_digest()
         beat = Heartbeat(member.counter, 1, False, False, True, False, 1.0, 0, digest)
         self.send(member, beat)
 
@@ -163,7 +163,7 @@ class SyncFleet:
             if isinstance(message, Heartbeat):
                 sync.heard_digest(slot, message.digest, delivery.t_us)
             else:
-                sync.receive(slot, message, delivery.t_us)
+                sync.on_message(slot, message, delivery.t_us)
 
     # ---------------------------------------------------------------- results
 

@@ -77,8 +77,8 @@ def play(
     for _ in range(400):
         now_us += SLICE_US
         for slot, peer in list(peers.items()):
-            peer.tick(now_us)
-            for said in list(peer.say(now_us)):
+            peer.on_tick(now_us)
+            for said in list(peer.outgoing(now_us)):
                 if dies_streaming and isinstance(said, PlanRow):
                     del peers[slot]
                     dies_streaming = False
@@ -89,7 +89,7 @@ def play(
                     if not isinstance(said, PlanRow) and other.wanted(said):
                         other.join(said, problem, now_us)
                     else:
-                        other.hear(slot, said, now_us)
+                        other.on_message(slot, said, now_us)
         if all(peer.phase is NegotiationPhase.REST for peer in peers.values()):
             break
     return list(peers.values())

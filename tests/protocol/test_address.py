@@ -56,10 +56,12 @@ class Bus:
                 _, _, sender, claim = heappop(self._flying)
                 for number, machine in enumerate(self.machines):
                     if number != sender:
-                        self.put(number, machine.receive(claim.source, claim.message, self.now_us))
+                        self.put(
+                            number, machine.on_message(claim.source, claim.message, self.now_us)
+                        )
             for number, machine in enumerate(self.machines):
                 if machine.deadline_us is not None and machine.deadline_us <= self.now_us:
-                    self.put(number, machine.tick(self.now_us))
+                    self.put(number, machine.on_tick(self.now_us))
 
 
 @pytest.mark.parametrize("seed", range(20))
@@ -89,7 +91,7 @@ def test_the_one_too_many_cannot_claim_and_says_so() -> None:
     late.names = {m.candidate: m.number for m in bus.machines[:-1]}  # it listened before it spoke
     bus.run(4 * S)
     assert late.state is ClaimState.CANNOT and late.address is None
-    (answer,) = late.asked(False, bus.now_us)
+    (answer,) = late.on_request(False, bus.now_us)
     assert answer.source == NULL_ADDRESS and answer.message.name == late.number
     assert all(m.state is ClaimState.HELD for m in bus.machines[:-1])
 
@@ -108,7 +110,7 @@ def test_a_device_that_claims_without_end_is_answered_a_few_times_a_second() -> 
     ours = bus.add(fleet_name("f", 1), 140)
     bus.run(1 * S)
     greedy = AddressMessage(ours._answer().message._replace(name=(1 << 64) - 1), 140)
-    answers = sum(len(ours.receive(140, greedy.message, 2 * S + k * 1_000)) for k in range(3000))
+    answers = sum(len(ours.on_message(140, greedy.message, 2 * S + k * 1_000)) for k in range(3000))
     assert answers <= 4 * DEFENCES_MAX and ours.refused > 2_900 and ours.address == 140
 
 
@@ -120,7 +122,7 @@ def test_everybody_asked_at_once_answers_once_each_and_spread() -> None:
     before = bus.frames
     for _ in range(10):
         for number, machine in enumerate(bus.machines):
-            bus.put(number, machine.asked(True, bus.now_us))
+            bus.put(number, machine.on_request(True, bus.now_us))
     due = {m.deadline_us for m in bus.machines}
     bus.run(2 * S)
     assert bus.frames - before == 50 and len(due) > 30

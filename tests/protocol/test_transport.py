@@ -69,14 +69,14 @@ class Channel:
                 self._deliver(source, destination, frame)
             for address, end in enumerate(self.ends):
                 if end.deadline_us is not None and end.deadline_us <= self.now_us:
-                    self.put(address, end.tick(self.now_us))
+                    self.put(address, end.on_tick(self.now_us))
 
     def _deliver(self, source: int, destination: int, frame: Frame) -> None:
         _, message = decode(frame)
         assert isinstance(message, TransportManagement | TransportData)
         for address, end in enumerate(self.ends):
             if address != source and destination in (address, GLOBAL_ADDRESS):
-                out, arrived = end.receive(source, destination, message, self.now_us)
+                out, arrived = end.on_message(source, destination, message, self.now_us)
                 self.put(address, out)
                 if arrived is not None:
                     self.arrived.append((address, arrived))
@@ -150,26 +150,26 @@ def test_made_up_frames_are_counted_and_bounded(
             message = TP_DT.unpack(raw)
         else:
             message = TP_CM.unpack(bytes((control,)) + raw[1:])
-        out, _ = end.receive(source, GLOBAL_ADDRESS if broadcast else 130, message, now_us)
+        out, _ = end.on_message(source, GLOBAL_ADDRESS if broadcast else 130, message, now_us)
         assert len(list(out)) <= 1, "one frame costs one frame at most"
-        assert len(list(end.tick(now_us))) <= RECEIVING_MAX + SENDING_MAX
+        assert len(list(end.on_tick(now_us))) <= RECEIVING_MAX + SENDING_MAX
         assert end.sessions <= RECEIVING_MAX + SENDING_MAX
     for _ in range(1000):
         now_us += T2_US
-        list(end.tick(now_us))
+        list(end.on_tick(now_us))
     assert end.sessions == 0
 
 
 def test_a_second_message_from_one_sender_is_refused_and_the_first_arrives() -> None:
     end = Transport()
     rts = TransportManagement(Control.RTS, bytes((20, 0, 3, 255)), PGN)
-    list(end.receive(5, 130, rts, 0))
-    out, _ = end.receive(5, 130, rts._replace(pgn=0xEF00), 1)
+    list(end.on_message(5, 130, rts, 0))
+    out, _ = end.on_message(5, 130, rts._replace(pgn=0xEF00), 1)
     (answer,) = out
     assert isinstance(answer.message, TransportManagement)
     assert (answer.message.control, answer.message.body[0]) == (Control.ABORT, Abort.BUSY)
     for k in (1, 2, 3):
-        _, arrived = end.receive(5, 130, TransportData(k, bytes(7)), 2)
+        _, arrived = end.on_message(5, 130, TransportData(k, bytes(7)), 2)
     assert arrived == ReceivedMessage(5, PGN, bytes(20), False)
 
 
@@ -178,8 +178,8 @@ def test_a_receiver_that_asks_for_ever_is_given_up() -> None:
     end.send(PGN, bytes(20), 5, 0)
     cts = TransportManagement(Control.CTS, bytes((1, 1, 255, 255)), PGN)
     for k in range(1000):
-        list(end.receive(5, 130, cts, k * 1000))
-        list(end.tick(k * 1000))
+        list(end.on_message(5, 130, cts, k * 1000))
+        list(end.on_tick(k * 1000))
     assert end.sessions == 0 and end.counts["given up"] == 1
 
 

@@ -77,7 +77,7 @@ class OnePeer:
                 telling.stops = own[1:]
                 telling.changed(0)
                 for _ in range(len(own)):
-                    for frame in telling.say(0, FULL):
+                    for frame in telling.outgoing(0, FULL):
                         self.mission.on_message(other, frame, 0)
         self.now_us = KNOWN_US
         for _ in range(3):

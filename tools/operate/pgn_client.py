@@ -35,7 +35,7 @@ class PgnClient:
             return
         if isinstance(message, TransportManagement | TransportData):
             now_us = round(now_s * 1e6)
-            out, arrived = self.transport.receive(source, destination, message, now_us)
+            out, arrived = self.transport.on_message(source, destination, message, now_us)
             for o in out:
                 self._send(o.message, o.destination)
             if arrived is not None:
@@ -59,7 +59,7 @@ class PgnClient:
                 if letter.pgn == pgn and (anybody or letter.source == address):
                     return letter.data.decode("latin-1").rstrip()
             await asyncio.sleep(LOOK_S)
-            for o in self.transport.tick(round(loop.time() * 1e6)):
+            for o in self.transport.on_tick(round(loop.time() * 1e6)):
                 self._send(o.message, o.destination)
         return None
 

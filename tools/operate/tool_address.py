@@ -108,18 +108,18 @@ class DeviceAddress:
         assert self.claim is not None
         source, message = decode(frame)
         if isinstance(message, AddressClaimed):
-            self._say(self.claim.receive(source, message, now_us))
+            self._say(self.claim.on_message(source, message, now_us))
         elif isinstance(message, Request) and message.pgn == CLAIM_PGN:
             destination = Identifier.unpack(frame.identifier).destination
             if destination in (GLOBAL_ADDRESS, self.claim.candidate):
-                self._say(self.claim.asked(destination == GLOBAL_ADDRESS, now_us))
+                self._say(self.claim.on_request(destination == GLOBAL_ADDRESS, now_us))
 
     def _tick(self, now_us: int) -> None:
         if self.claim is None:
             rng = Random(self.name.pack())
             self.claim = AddressClaim(self.name, PREFERRED, rng, now_us, LISTEN_US)
             self.bus.send(encode(Request(CLAIM_PGN), NULL_ADDRESS))
-        self._say(self.claim.tick(now_us))
+        self._say(self.claim.on_tick(now_us))
 
     def _say(self, claims: list[AddressMessage]) -> None:
         for message, source, destination in claims:

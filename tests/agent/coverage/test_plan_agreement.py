@@ -38,7 +38,7 @@ class Table:
             self.now_us += 50 * MS
             for slot, rounds in self.rounds.items():
                 crew = FleetSnapshot(self.live[slot], self.silent[slot], self.progress[slot])
-                rounds.tick(slot, self.answers[slot], True, crew, self.now_us)
+                rounds.on_tick(slot, self.answers[slot], True, crew, self.now_us)
                 for word in rounds.outgoing(self.now_us):
                     for other in self.live[slot] - {slot}:
                         if other in self.rounds and self.rng.random() >= self.loss:

@@ -62,7 +62,7 @@ def test_an_itinerary_names_the_charger_that_it_will_need() -> None:
     for frame in mission.outgoing(S):
         told.append(frame)
         if type(frame).__name__ == "Itinerary":
-            heard.hear(0, frame)  # type: ignore[arg-type]
+            heard.on_message(0, frame)  # type: ignore[arg-type]
     assert heard.told[0].whole == (NEAR, TASKS_MAX, FAR)
 
 

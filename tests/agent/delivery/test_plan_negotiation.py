@@ -46,7 +46,7 @@ def test_no_loss_keeps_anybody_in_a_round(seed: int) -> None:
 def test_rows_of_an_older_round_are_not_believed() -> None:
     peer = PlanNegotiation(0, 1)
     peer.call(frozen(2, 4, 1), 1_000_000, 0)
-    peer.hear(1, PlanRow((peer.number - 1) & 0xFF, 0, 0, 1, 100, 0xFFFF), 0)
+    peer.on_message(1, PlanRow((peer.number - 1) & 0xFF, 0, 0, 1, 100, 0xFFFF), 0)
     assert not peer._told
 
 
@@ -66,10 +66,10 @@ def test_task_books_become_equal_whatever_is_lost(seed: int) -> None:
     books[0].tasks[7], books[1].tasks[7] = TransportTask(1, 2), TransportTask(3, 4)
     for step in range(1_200):
         for slot, book in enumerate(books):
-            for said in list(book.say(step * 50_000)):
+            for said in list(book.outgoing(step * 50_000)):
                 for other, heard in enumerate(books):
                     if other != slot and rng.random() > 0.2:
-                        heard.hear(said, step * 50_000)
+                        heard.on_message(said, step * 50_000)
     assert all(book.tasks == books[0].tasks for book in books)
     assert len(books[0].tasks) == 60 and books[0].tasks[7] == TransportTask(3, 4)
 

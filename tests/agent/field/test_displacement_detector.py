@@ -15,13 +15,13 @@ def test_a_push_is_told_from_driving(dx_m: float, pushed: bool) -> None:
     """Found by `headland chaos`, profile body, seeds 6008 and 6095: a robot that was pushed 3.5 m along
     its row counted what lay between as worked."""
     shove = DisplacementDetector()
-    assert not shove.noticed((0.0, 0.0), 0, SPEED_M_S)
-    assert shove.noticed((dx_m, 0.0), CONTROL_PERIOD_US, SPEED_M_S) is pushed
-    assert not shove.noticed((dx_m + STEP_M, 0.0), 2 * CONTROL_PERIOD_US, SPEED_M_S)
+    assert not shove.observe((0.0, 0.0), 0, SPEED_M_S)
+    assert shove.observe((dx_m, 0.0), CONTROL_PERIOD_US, SPEED_M_S) is pushed
+    assert not shove.observe((dx_m + STEP_M, 0.0), 2 * CONTROL_PERIOD_US, SPEED_M_S)
 
 
 def test_who_was_late_may_have_driven_further() -> None:
     shove = DisplacementDetector()
-    shove.noticed((0.0, 0.0), 0, SPEED_M_S)
-    assert not shove.noticed((2.5, 0.0), 1_000_000, SPEED_M_S)
-    assert not shove.noticed((2.6, 0.0), 0, SPEED_M_S), "a clock that was set back"
+    shove.observe((0.0, 0.0), 0, SPEED_M_S)
+    assert not shove.observe((2.5, 0.0), 1_000_000, SPEED_M_S)
+    assert not shove.observe((2.6, 0.0), 0, SPEED_M_S), "a clock that was set back"

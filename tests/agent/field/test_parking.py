@@ -47,7 +47,7 @@ def test_who_stands_on_an_open_line_leaves_it_also_from_a_corner() -> None:
         for corner in ((-18.9, -12.9), (18.9, 12.9), section.swaths[0][0]):
             parking = Parking(FIELD, RADIUS_M)
             seen = view(corner, {section.id}, {})
-            parking.look(seen)
+            parking.observe(seen)
             if open_gap_m(corner, {section.id}) >= parking.room_m:
                 assert parking.spot is None, "it is in nobody's way"
             else:
@@ -59,18 +59,18 @@ def test_who_stands_on_an_open_line_leaves_it_also_from_a_corner() -> None:
 def test_two_that_rest_do_not_take_one_place() -> None:
     start = FIELD.sections[0].swaths[0][0]
     parking = Parking(FIELD, RADIUS_M)
-    parking.look(view(start, {0}, {}))
+    parking.observe(view(start, {0}, {}))
     taken = parking.spot
     assert taken is not None
     other = Parking(FIELD, RADIUS_M)
-    other.look(view(start, {0}, {1: (*taken, State.IDLE)}))
+    other.observe(view(start, {0}, {1: (*taken, State.IDLE)}))
     assert other.spot is not None
     assert hypot(other.spot[0] - taken[0], other.spot[1] - taken[1]) >= 2 * RADIUS_M
 
 
 def test_without_open_work_nobody_moves() -> None:
     parking = Parking(FIELD, RADIUS_M)
-    parking.look(view((-18.9, -12.9), set(), {}))
+    parking.observe(view((-18.9, -12.9), set(), {}))
     assert parking.spot is None
 
 
@@ -81,13 +81,13 @@ def test_who_rests_leaves_where_one_that_works_does_not_get_on() -> None:
     parking = Parking(FIELD, RADIUS_M)
     seen = view(rests, open_sections, {2: (*corner, State.WORKING)})
     for now_us in range(0, STUCK_US, LOOK_US):
-        parking.look(seen._replace(now_us=now_us))
+        parking.observe(seen._replace(now_us=now_us))
         assert parking.spot is None, "it may only be passing"
-    parking.look(seen._replace(now_us=STUCK_US))
+    parking.observe(seen._replace(now_us=STUCK_US))
     assert parking.spot is not None
     assert hypot(parking.spot[0] - corner[0], parking.spot[1] - corner[1]) > 5.0
     moved = view(rests, open_sections, {2: (corner[0] + 4.5, corner[1], State.WORKING)})
     other = Parking(FIELD, RADIUS_M)
     for now_us, look in ((0, seen), (LOOK_US, moved), (STUCK_US, moved)):
-        other.look(look._replace(now_us=now_us))
+        other.observe(look._replace(now_us=now_us))
     assert other.spot is None, "it gets on"

@@ -187,9 +187,9 @@ def test_how_silence_ends(policy: SilencePolicy) -> None:
     safety.members(everybody, frozenset(), 0)
     safety.members(everybody - {2}, frozenset({2}), 1 * S)
     assert held_by(peer) == {StopCause.MEMBER_SILENT}
-    safety.tick(3 * S - 1)
+    safety.on_tick(3 * S - 1)
     assert held_by(peer) == {StopCause.MEMBER_SILENT}, "two seconds without a change first"
-    safety.tick(3 * S)
+    safety.on_tick(3 * S)
     kept = {
         SilencePolicy.STOP: {StopCause.MEMBER_SILENT},
         SilencePolicy.SLOW: {StopCause.CREEP},
@@ -197,10 +197,10 @@ def test_how_silence_ends(policy: SilencePolicy) -> None:
     }
     assert held_by(peer) == kept[policy]
     safety.members(everybody, frozenset(), 10 * S)
-    safety.tick(12 * S - 1)
+    safety.on_tick(12 * S - 1)
     assert held_by(peer) == kept[policy]
     assert safety.deadline_us == (12 * S if kept[policy] else safety.deadline_us)
-    safety.tick(12 * S)
+    safety.on_tick(12 * S)
     assert held_by(peer) == set(), "heard again, and stable"
 
 

@@ -38,7 +38,7 @@ class Fleet:
             for slot in self.live:
                 bodies = {s: self.at[s] for s in self.dead if slot not in self.unaware}
                 own = self.agreements[slot]
-                own.tick(
+                own.on_tick(
                     self.at[slot],
                     0.0,
                     self.goals[slot],

@@ -41,9 +41,9 @@ def test_a_wall_between_nodes_parts_them() -> None:
 @given(st.floats(0.5, 14.5), st.floats(0.5, 3.5))
 def test_a_place_is_told_to_a_sixteenth(x_m: float, y_m: float) -> None:
     lattice = FLOOR.lattice
-    node, detail = lattice.tell((x_m, y_m))
+    node, detail = lattice.encode((x_m, y_m))
     if lattice.distance_m(node, (x_m, y_m)) < 0.45:
-        told = lattice.told(node, detail)
+        told = lattice.decode(node, detail)
         assert (
             abs(told[0] - x_m) <= lattice.pitch_m / FINE
             and abs(told[1] - y_m) <= lattice.pitch_m / FINE

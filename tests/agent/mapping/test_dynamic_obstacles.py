@@ -42,10 +42,10 @@ class Two:
             for slot in sorted(self.looks):
                 here = self.world.body(slot).sense(self.now_us)
                 other = self.world.body(1 - slot).position
-                self.robots[slot].look(here, 3.0, [other], self.now_us)
+                self.robots[slot].observe(here, 3.0, [other], self.now_us)
             for slot in range(2):
-                for message in self.syncs[slot].tick(self.now_us):
-                    self.syncs[1 - slot].receive(slot, message, self.now_us)
+                for message in self.syncs[slot].on_tick(self.now_us):
+                    self.syncs[1 - slot].on_message(slot, message, self.now_us)
 
     def gap_m(self, slot: int) -> float:
         """From its way to the goal of the other's place, to the middle of the box."""
@@ -76,8 +76,8 @@ def test_who_has_not_seen_it_goes_round_it_too() -> None:
         assert two.robots[slot].standing
         assert two.gap_m(slot) > 0.3 + HALL.radius_m, "clear of the box"
     far = two.robots[1]
-    assert far.told() and not far.hits
-    assert all(hypot(x - BOX[0], y - BOX[1]) < 0.7 for x, y in far.told())
+    assert far.reported() and not far.hits
+    assert all(hypot(x - BOX[0], y - BOX[1]) < 0.7 for x, y in far.reported())
     assert far.map is not None
     assert {owner for owner, _ in far.map.grid.obstacles} == {0}
 
@@ -116,9 +116,9 @@ def test_a_robot_that_is_heard_later_is_no_box() -> None:
     two = Two(places=(AT, (4.5, 2.5)))
     here = two.world.body(0).sense(0)
     for k in range(10):
-        two.robots[0].look(here, 3.0, [], k * CONTROL_PERIOD_US)
+        two.robots[0].observe(here, 3.0, [], k * CONTROL_PERIOD_US)
     assert two.robots[0].standing
-    two.robots[0].look(here, 3.0, [two.world.body(1).position], 10 * CONTROL_PERIOD_US)
+    two.robots[0].observe(here, 3.0, [two.world.body(1).position], 10 * CONTROL_PERIOD_US)
     assert not two.robots[0].standing
 
 

@@ -55,7 +55,7 @@ def test_a_body_comes_to_rest_in_one_of_the_places(
     world.advance(now_us := now_us + 4 * S)
     rest = body.sense(now_us)
     coasting = StoppingZone(RADIUS_M, LIMITS.acceleration_m_s2)
-    coasting.look({0: told}, NOBODY, now_us)
+    coasting.observe({0: told}, NOBODY, now_us)
     places = coasting.places(0)
     assert places
     off_m = min(hypot(rest.x_m - x_m, rest.y_m - y_m) for x_m, y_m in places)
@@ -65,22 +65,22 @@ def test_a_body_comes_to_rest_in_one_of_the_places(
 def test_it_is_known_until_it_is_heard_again_or_seen_through() -> None:
     silent = {4: beat_of(Observation(3.0, 0.0, 0.0, 2.0, 0.0), 0)}
     coasting = StoppingZone(RADIUS_M, 1.5)
-    coasting.look(silent, NOBODY, GONE_QUIET_US - 1)
+    coasting.observe(silent, NOBODY, GONE_QUIET_US - 1)
     assert coasting.places(4) is None  # it may only be between two beats: moved on by its age
-    coasting.look(silent, NOBODY, GONE_QUIET_US)
+    coasting.observe(silent, NOBODY, GONE_QUIET_US)
     places = coasting.places(4)
     assert places is not None and places[0] == (3.0, 0.0)
     assert places[-1][0] > 3.0 + 2.0 * 2.0 / (2 * 1.5)  # as far as it brakes, at least
     blind = NOBODY._replace(ranges_m=(inf,) * 8)  # rays further apart than a body is wide
-    coasting.look(silent, blind, GONE_QUIET_US)
+    coasting.observe(silent, blind, GONE_QUIET_US)
     assert coasting.places(4) == places
-    coasting.look(silent, NOBODY._replace(ranges_m=(inf,) * 36), GONE_QUIET_US)
+    coasting.observe(silent, NOBODY._replace(ranges_m=(inf,) * 36), GONE_QUIET_US)
     left = coasting.places(4)
     assert left is not None and len(left) < len(places)  # what lies further off cannot be told
     assert all(x_m > 3.9 for x_m, _ in left)
-    coasting.look(silent, NOBODY, 2 * GONE_QUIET_US)
+    coasting.observe(silent, NOBODY, 2 * GONE_QUIET_US)
     assert coasting.places(4) == left  # what was seen stays seen
-    coasting.look({4: silent[4]._replace(heard_us=9 * S)}, NOBODY, 9 * S)
+    coasting.observe({4: silent[4]._replace(heard_us=9 * S)}, NOBODY, 9 * S)
     assert coasting.places(4) is None
 
 

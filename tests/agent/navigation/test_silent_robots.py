@@ -35,19 +35,19 @@ def beat(x_m: float, y_m: float, heard_us: int) -> Neighbour:
 def test_who_has_restarted_is_told_where_a_silent_member_stands() -> None:
     knows, restarted = SilentRobots(0, 0), SilentRobots(1, 20 * S)
     now_us = 10 * S + DEAD_US + 1
-    knows.look(view(0, now_us, {0, 1}, {2: 10 * S}, {2: beat(3.2, 4.1, 10 * S)}))
+    knows.observe(view(0, now_us, {0, 1}, {2: 10 * S}, {2: beat(3.2, 4.1, 10 * S)}))
     assert knows.dead == {2: (3.2, 4.1)} or abs(knows.dead[2][0] - 3.2) < 1e-6
-    for word in knows.say(False, now_us + 10 * S):
-        restarted.hear(word, now_us + 10 * S)
-    restarted.look(view(1, now_us + 10 * S, {0, 1}, {}, {}))
+    for word in knows.outgoing(False, now_us + 10 * S):
+        restarted.on_message(word, now_us + 10 * S)
+    restarted.observe(view(1, now_us + 10 * S, {0, 1}, {}, {}))
     assert restarted.dead == knows.dead  # the same numbers: joint plans are made round them
 
 
 def test_a_member_that_is_heard_again_is_no_body() -> None:
     bodies = SilentRobots(0, 0)
-    bodies.look(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(3.0, 4.0, 10 * S)}))
+    bodies.observe(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(3.0, 4.0, 10 * S)}))
     assert 2 in bodies.dead
-    bodies.look(view(0, 21 * S, {0, 2}, {}, {2: beat(3.0, 4.0, 21 * S)}))
+    bodies.observe(view(0, 21 * S, {0, 2}, {}, {2: beat(3.0, 4.0, 21 * S)}))
     assert bodies.dead == {}
 
 
@@ -58,16 +58,16 @@ def test_all_come_to_know_the_latest_word_whatever_is_lost(seed: int) -> None:
     for own in fleet:  # each has heard another last beat, before or behind a split
         heard_us = rng.randrange(1 * S, 30 * S)
         poses = {9: beat(rng.uniform(0, 50), rng.uniform(0, 50), heard_us)}
-        own.look(view(own.slot, 40 * S, {0, 1, 2, 3}, {9: heard_us}, poses))
+        own.observe(view(own.slot, 40 * S, {0, 1, 2, 3}, {9: heard_us}, poses))
     now_us = 40 * S
     for _ in range(1200):
         now_us += BEAT_US
         for own in fleet:
-            for word in own.say(True, now_us):
+            for word in own.outgoing(True, now_us):
                 heard = FALLEN.unpack(FALLEN.pack(word))
                 for other in fleet:
                     if other is not own and rng.random() < 0.7:
-                        other.hear(heard, now_us)
+                        other.on_message(heard, now_us)
     assert len({own.known[9] for own in fleet}) == 1
     latest = max(own.known[9].stamp for own in fleet)
     assert all(own.known[9].stamp == latest for own in fleet)
@@ -78,11 +78,11 @@ def test_a_place_that_is_seen_to_be_free_is_told_to_be() -> None:
     bodies = SilentRobots(0, 0)
     open_floor = HERE._replace(ranges_m=(inf,) * 36)
     known = {2: beat(1.0, 0.3, 10 * S)}
-    bodies.look(view(0, 20 * S, {0}, {2: 10 * S}, known, open_floor))
+    bodies.observe(view(0, 20 * S, {0}, {2: 10 * S}, known, open_floor))
     assert bodies.dead == {}
-    (word,) = bodies.say(False, 20 * S)
+    (word,) = bodies.outgoing(False, 20 * S)
     assert word.slot == 2 and word.x_m == NOWHERE_M
-    bodies.look(view(0, 21 * S, {0}, {2: 10 * S}, known, HERE))
+    bodies.observe(view(0, 21 * S, {0}, {2: 10 * S}, known, HERE))
     assert bodies.dead == {}  # and it stays so until it is heard again
 
 

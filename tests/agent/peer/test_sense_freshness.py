@@ -184,7 +184,7 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
     assert now_us - heard_us > GONE_QUIET_US
     here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)
     assert isinstance(peer.motion, HolonomicMotion)
-    peer.motion.coasting.look(peer.membership.neighbours, here, now_us)
+    peer.motion.coasting.observe(peer.membership.neighbours, here, now_us)
     places = peer.motion.coasting.places(1)
     assert places is not None and max(hypot(x_m - 5.0, y_m) for x_m, y_m in places) > 1.5
 

@@ -46,11 +46,11 @@ def test_a11_work_without_headway_is_lost_and_time_without_leave_to_drive_does_n
     headway, now_us = Headway(), 0
     headway.begin()
     while not headway.lost:
-        headway.look(False, 50.0, now_us := now_us + CONTROL_PERIOD_US)
+        headway.observe(False, 50.0, now_us := now_us + CONTROL_PERIOD_US)
     assert abs(now_us - Headway.NONE_US) <= 2 * CONTROL_PERIOD_US
     headway.begin()
     for _ in range(PERIODS):  # each time after a stop of a minute
-        headway.look(False, 50.0, now_us := now_us + 60 * S)
+        headway.observe(False, 50.0, now_us := now_us + 60 * S)
     assert not headway.lost
 
 

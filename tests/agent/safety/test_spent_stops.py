@@ -50,7 +50,7 @@ def test_t5_a_stop_with_a_cleared_name_brakes_and_is_answered() -> None:
     (answer,) = stops_of(effects)
     assert (answer.spent, answer.echo, StopDot(*answer[:3])) == (True, True, DOT)
     assert not peer.safety.latched, "one frame may be late"
-    peer.safety.tick(S + SPENT_HOLD_US)
+    peer.safety.on_tick(S + SPENT_HOLD_US)
     assert peer.safety.may_move
 
 
@@ -89,8 +89,8 @@ def test_t5_late_repeats_within_a_moment_only_brake() -> None:
     peer = cleared_before()
     for now_us in range(S, S + AGAIN_US, STOP_REPEAT_US):
         peer.step(Heard(PANEL, PRESS), now_us)
-        peer.safety.tick(now_us)
-    peer.safety.tick(S + AGAIN_US + SPENT_HOLD_US)
+        peer.safety.on_tick(now_us)
+    peer.safety.on_tick(S + AGAIN_US + SPENT_HOLD_US)
     assert not peer.safety.latched and peer.safety.may_move
 
 
@@ -115,7 +115,7 @@ def test_t11_a_signed_stop_stops_though_its_name_was_cleared() -> None:
     safety.stops.clear(DOT)
     for now_us in range(0, 200 * MS, STOP_REPEAT_US):
         safety.receive_stop(panel.sign(PRESS), None, now_us)
-        safety.tick(now_us)
+        safety.on_tick(now_us)
         assert not safety.may_move
     assert safety.latched
     assert safety.authority.refused == 0
@@ -125,7 +125,7 @@ def test_t5_forged_words_that_a_name_was_used_hold_for_a_moment_only() -> None:
     peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
     peer.step(Heard(PANEL, PRESS._replace(echo=True, spent=True)), S)
     assert held_by(peer) == {StopCause.SPENT_STOP}
-    peer.safety.tick(S + SPENT_HOLD_US)
+    peer.safety.on_tick(S + SPENT_HOLD_US)
     assert peer.safety.may_move and not peer.safety.latched
 
 

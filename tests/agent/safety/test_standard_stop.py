@@ -60,7 +60,7 @@ def test_a1_a_silent_button_holds_for_its_time_out() -> None:
     peer.step(Heard(FIRST, AllImplementsStop(1, Switch.STOP)), 0)
     for now_us in range(0, 2 * HOLD_US, S // 2):
         peer.step(Heard(SECOND, AllImplementsStop(0, Switch.PERMIT)), now_us)
-        peer.safety.tick(now_us)
+        peer.safety.on_tick(now_us)
         assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
 
 
@@ -88,10 +88,10 @@ def test_t4_a_reset_tool_permits_for_itself_alone() -> None:
 def test_a1_more_buttons_than_addresses_only_stand_longer() -> None:
     buttons = ShortcutButtons()
     for name in range(3 * BUTTONS_MAX):
-        buttons.hear(0, name, False, AllImplementsStop(1, Switch.STOP), name)
+        buttons.on_message(0, name, False, AllImplementsStop(1, Switch.STOP), name)
     assert len(buttons) == BUTTONS_MAX
     for name in range(3 * BUTTONS_MAX):
-        buttons.hear(0, name, False, AllImplementsStop(1, Switch.PERMIT), S)
+        buttons.on_message(0, name, False, AllImplementsStop(1, Switch.PERMIT), S)
     assert buttons.until_us() > S, "those for which there was no room cannot permit"
     assert buttons.until_us() <= 3 * BUTTONS_MAX + HOLD_US
 
@@ -146,12 +146,12 @@ def test_a4_one_of_those_latched_by_a_panel_says_it_and_another_takes_over() -> 
         for rank, button in enumerate(buttons):
             if rank == 0 and now_us >= 8 * S:
                 continue  # its power has failed
-            message = button.say(True, rank, now_us)
+            message = button.outgoing(True, rank, now_us)
             if message is not None:
                 said.append((now_us, rank))
                 for other in buttons:
                     if other is not button:
-                        other.heard(message, now_us)
+                        other.on_message(message, now_us)
     assert {rank for t_us, rank in said if t_us < 8 * S} == {0}
     assert {rank for t_us, rank in said if t_us >= 8 * S} == {1}
     times_us = [t_us for t_us, _ in said]
@@ -176,7 +176,7 @@ def test_a4_a_robot_that_stays_latched_alone_brakes_the_others_once() -> None:
     peer.step(Heard(140, Member(1, 0, 1)), 0)
     for now_us in range(0, 6 * S, S):
         peer.step(Heard(140, AllImplementsStop(1, Switch.STOP)), now_us)
-        peer.safety.tick(now_us)
+        peer.safety.on_tick(now_us)
         assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) is (now_us < HOLD_US), now_us
     peer.step(Heard(140, AllImplementsStop(2, Switch.STOP)), 6 * S)
     assert StopCause.IMPLEMENTS_STOP in held_by(peer), "pressed again"

@@ -28,7 +28,7 @@ def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
     peer = peer_in(State.IDLE, None)
     said = stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 0))
     for now_us in range(0, 3 * S, STOP_REPEAT_US):
-        said += stops_of(peer.safety.tick(now_us))
+        said += stops_of(peer.safety.on_tick(now_us))
     assert len(said) == 1 + REPEATS_ALONE
     assert len(set(said)) == 1, "one stop; the repetition says the same reason"
 
@@ -99,9 +99,9 @@ def test_who_stood_before_a_press_has_to_say_that_stop(stood: bool) -> None:
     peer.step(Heard(140, pose._replace(stopped=stood)), 0)
     (stop,) = stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 0))
     peer.step(Heard(140, pose), MS)
-    assert bool(stops_of(peer.safety.tick(STOP_REPEAT_US))) is stood
+    assert bool(stops_of(peer.safety.on_tick(STOP_REPEAT_US))) is stood
     peer.step(Heard(140, stop._replace(echo=True)), STOP_REPEAT_US)
-    assert not stops_of(peer.safety.tick(2 * STOP_REPEAT_US))
+    assert not stops_of(peer.safety.on_tick(2 * STOP_REPEAT_US))
 
 
 def test_a_life_without_memory_names_its_stops_anew() -> None:

@@ -34,7 +34,7 @@ def test_of_two_devices_that_use_one_number_the_lesser_order_moves_on() -> None:
 
 def test_the_book_is_as_the_desk_believes() -> None:
     book = TaskRegistry(0, {}, 0)
-    assert book.hear(TaskOrder(3, 1, 2), 0)  # to be kept
-    assert book.hear(TaskOrder(3, 5, 6), 0)
-    assert not book.hear(TaskOrder(3, 1, 2), 0)
+    assert book.on_message(TaskOrder(3, 1, 2), 0)  # to be kept
+    assert book.on_message(TaskOrder(3, 5, 6), 0)
+    assert not book.on_message(TaskOrder(3, 1, 2), 0)
     assert book.tasks[3] == TransportTask(5, 6)
