@@ -199,10 +199,10 @@ def test_a_pose_is_given_up_with_the_first_beat_without_a_place() -> None:
     peer.step(Heard(130, POSE.unpack(POSE.pack(blind))), 200 * MS)
     here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=200 * MS)
     assert isinstance(peer.motion, HolonomicMotion)
-    peer.motion.coasting.look(peer.membership.neighbours, here, 200 * MS)
+    peer.motion.coasting.observe(peer.membership.neighbours, here, 200 * MS)
     assert peer.motion.coasting.places(1) is not None
     peer.step(Heard(130, Pose(5.6, 0.0, 0.0, 0.0, State.IDLE, False, 0)), 300 * MS)
-    peer.motion.coasting.look(peer.membership.neighbours, here, 300 * MS)
+    peer.motion.coasting.observe(peer.membership.neighbours, here, 300 * MS)
     assert peer.motion.coasting.places(1) is None
 
 
