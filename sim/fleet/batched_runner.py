@@ -6,11 +6,11 @@ robot works like this: what a robot does with each frame is `PeerRunner`, and th
 """
 
 from collections.abc import Callable, Sequence
-from typing import Any
 
 from agent.interface.effects import Effect
-from agent.interface.ports import Neighbour
+from agent.interface.ports import Body, Bus, Journal, Neighbour
 from agent.peer.inputs import Heard, Input
+from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
@@ -20,8 +20,17 @@ from sim.can.simulated_bus import BufferedBeacon, FieldBus
 class BatchedRunner(PeerRunner):
     """A runner that lets beacons wait on a shelf until its peer takes a turn for another reason."""
 
-    def __init__(self, *parts: Any) -> None:
-        super().__init__(*parts)
+    def __init__(
+        self,
+        peer: Peer,
+        bus: Bus,
+        body: Body | None,
+        journal: Journal | None,
+        on_effect: Callable[[int, Effect], None] | None = None,
+        clock: Callable[[], int] | None = None,
+    ) -> None:
+        # Not `*parts`: mypyc 2 hands them to a base class as one tuple.
+        super().__init__(peer, bus, body, journal, on_effect, clock)
         wire = self.bus.bus if isinstance(self.bus, CanBus) else None
         self._wire = wire if isinstance(wire, FieldBus) else None
         self._shelf: list[BufferedBeacon] = []  # buffered beacons, for the next turn
