@@ -59,6 +59,8 @@ def peer_in(
     motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
     peer = make_peer(identity, Random(1), 0, {}, MissionParts(Eager(), motion))
     peer.step(Sensed(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0)), 0)
+    if cause is StopCause.BUS_OFF:
+        peer.step(BusState(Health.OFF, True), 0)  # a bus can come back only after it was gone
     peer.claims.current = 0 if state is State.WORKING else None
     peer.lifecycle.machine.state = state
     if cause is not None:

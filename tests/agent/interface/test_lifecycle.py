@@ -160,7 +160,8 @@ def test_what_ends_each_cause_in_every_state(cause: StopCause) -> None:
         source = State.EMERGENCY_STOP if latches else state
         peer = peer_in(source, cause)
         act(peer)
-        ended = ENDED_BY[cause] == name
+        back = cause is StopCause.BUS_OFF and name == "time"  # here its driver reports ACTIVE
+        ended = ENDED_BY[cause] == name or back
         expected = (
             (set() if ended else {cause}) | {RAISED_BY[name]}
             if name in RAISED_BY
