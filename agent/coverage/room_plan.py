@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.coverage.approach import lay
-from agent.coverage.team_state import NONE, Grid, Numbers
+from agent.coverage.team_state import NONE, Numbers, TeamGrid
 from agent.coverage.team_step import FAR, WALL, flood
 from agent.coverage.walk import measure, measure_runs, walk
 from agent.coverage.walk_cut import cut
@@ -67,7 +67,7 @@ class _Draft(NamedTuple):
         return found
 
 
-def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Share | None:
+def cut_room(grid: TeamGrid, inside: Mask, places: Numbers, costing: Costing) -> Share | None:
     """Cut a room among its robots; None where all of it is covered.
 
     `inside`: (cells,), 1 for the cells of the room. `places`: (robots,), the cells where they
@@ -92,12 +92,14 @@ def cut_room(grid: Grid, inside: Mask, places: Numbers, costing: Costing) -> Sha
     return _share(grid, inside, places, best, costing)
 
 
-def _dry(grid: Grid) -> Costs:
+def _dry(grid: TeamGrid) -> Costs:
     """A field before it is flooded."""
     return np.where(grid.free == 1, np.int32(NONE), np.int32(WALL))
 
 
-def _orders(grid: Grid, inside: Mask, todo: Mask, places: Numbers, turns: bool) -> Iterator[Costs]:
+def _orders(
+    grid: TeamGrid, inside: Mask, todo: Mask, places: Numbers, turns: bool
+) -> Iterator[Costs]:
     """Walks to choose from: straights along rows or columns, with and without the robots' places.
 
     These are covered, and left out in the end; but as holes of one cell they spoil the straights
@@ -118,7 +120,7 @@ def _orders(grid: Grid, inside: Mask, todo: Mask, places: Numbers, turns: bool) 
 
 
 def _draft(
-    grid: Grid,
+    grid: TeamGrid,
     inside: Mask,
     todo: Mask,
     places: Numbers,
@@ -144,7 +146,7 @@ def _draft(
 
 
 def _approached(
-    grid: Grid,
+    grid: TeamGrid,
     inside: Mask,
     todo: Mask,
     places: Numbers,
@@ -171,7 +173,7 @@ def _approached(
     return _draft(grid, inside, left, places, after, laid, costing)
 
 
-def _share(grid: Grid, inside: Mask, places: Numbers, draft: _Draft, costing: Costing) -> Share:
+def _share(grid: TeamGrid, inside: Mask, places: Numbers, draft: _Draft, costing: Costing) -> Share:
     runs, orders, cuts = draft.runs(), [], [0]
     for mate in range(places.size):
         cells = runs.get(mate, np.empty(0, np.int32))

@@ -14,7 +14,7 @@ Numbers = NDArray[np.int64]
 Number = Any  # an integer: int and np.int64 are one type to numba, but not to mypy
 
 
-class Grid(NamedTuple):
+class TeamGrid(NamedTuple):
     """The state of each cell: arrays (cells,), and the width of the padded grid."""
 
     free: NDArray[np.uint8]
@@ -50,11 +50,11 @@ class Walked(NamedTuple):
     unit: int  # cost of one step
 
 
-def new_grid(free: NDArray[np.uint8], width: int) -> Grid:
+def new_grid(free: NDArray[np.uint8], width: int) -> TeamGrid:
     """A grid with no robot and nothing covered. `free`: (cells,), 1 or 0; `width`: cells of a
     padded row."""
     cells = free.size
-    return Grid(
+    return TeamGrid(
         free, width, np.zeros(cells, np.uint8), np.full(cells, NONE, np.int64),
         np.full(cells, NONE, np.int64), np.full(cells, NONE, np.int32), np.empty(cells, np.int32),
     )  # fmt: skip

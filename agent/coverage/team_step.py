@@ -21,7 +21,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from agent.coverage.team_state import NONE, Grid, Number, Numbers, Robots
+from agent.coverage.team_state import NONE, Number, Numbers, Robots, TeamGrid
 
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]
@@ -92,7 +92,7 @@ def wipe_field(width: int, field: Ints, goal: int, queue: Ints) -> None:
 
 
 @njit(cache=True)
-def _options(grid: Grid, place: int, goal: int, field: Ints, options: Numbers) -> int:
+def _options(grid: TeamGrid, place: int, goal: int, field: Ints, options: Numbers) -> int:
     """Fill `options`, (5,), with the cells to go to, best first, the own one included; returns how
     many."""
     width = grid.width
@@ -122,7 +122,7 @@ def _options(grid: Grid, place: int, goal: int, field: Ints, options: Numbers) -
 
 @njit(cache=True)
 def _choose(
-    grid: Grid, robots: Robots, first: Number, memory: tuple[Numbers, Numbers, Numbers, Numbers]
+    grid: TeamGrid, robots: Robots, first: Number, memory: tuple[Numbers, Numbers, Numbers, Numbers]
 ) -> None:
     """Choose the next cells of robot `first` and of all robots that it pushes; `memory` is scratch."""
     stack, options, tried, many = memory
@@ -163,7 +163,7 @@ def _choose(
 
 
 @njit(cache=True)
-def step(grid: Grid, robots: Robots) -> int:
+def step(grid: TeamGrid, robots: Robots) -> int:
     """Move every robot by one cell or none; returns how many cells were covered for the first time."""
     place, count = robots.place, robots.place.size
     memory = (

@@ -13,7 +13,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from agent.coverage.team_state import NONE, Grid, Number, Robots, Walked
+from agent.coverage.team_state import NONE, Number, Robots, TeamGrid, Walked
 from agent.coverage.team_step import FAR, fill_field, wipe_field
 
 Mask = NDArray[np.uint8]
@@ -84,7 +84,7 @@ def _split(walked: Walked, reach: Ints, robots: Robots, owner: int) -> tuple[Num
 
 
 @njit(cache=True)
-def _worth_asking(grid: Grid, walked: Walked, robots: Robots, robot: int) -> Number:
+def _worth_asking(grid: TeamGrid, walked: Walked, robots: Robots, robot: int) -> Number:
     """How far to look for a run worth taking from; 0 where no end is so near, walls not counted."""
     most = np.int64(0)
     order, place = walked.order, robots.place[robot]
@@ -101,7 +101,7 @@ def _worth_asking(grid: Grid, walked: Walked, robots: Robots, robot: int) -> Num
 
 
 @njit(cache=True)
-def _take_over(grid: Grid, walked: Walked, robots: Robots, robot: int) -> None:
+def _take_over(grid: TeamGrid, walked: Walked, robots: Robots, robot: int) -> None:
     """An idle robot takes the far part of the run where most is won."""
     order, low, high, reach = walked.order, robots.low, robots.high, grid.reach
     far = _worth_asking(grid, walked, robots, robot)
@@ -129,7 +129,7 @@ def _take_over(grid: Grid, walked: Walked, robots: Robots, robot: int) -> None:
 
 
 @njit(cache=True)
-def _find_way(grid: Grid, robots: Robots, robot: int) -> None:
+def _find_way(grid: TeamGrid, robots: Robots, robot: int) -> None:
     """Steps to the goal; the field of steps around the robot where the goal is not next door."""
     place, goal = robots.place[robot], robots.goal[robot]
     if abs(goal - place) == 1 or abs(goal - place) == grid.width:
@@ -148,7 +148,7 @@ def _find_way(grid: Grid, robots: Robots, robot: int) -> None:
 
 
 @njit(cache=True)
-def choose_goals(grid: Grid, walked: Walked, robots: Robots, now: int) -> None:
+def choose_goals(grid: TeamGrid, walked: Walked, robots: Robots, now: int) -> None:
     """Set each robot's next cell to cover, at the step `now`; idle robots take over from others.
 
     Changes `robots`, and scratch in `grid`.

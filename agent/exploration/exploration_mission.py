@@ -17,8 +17,8 @@ from agent.exploration.exploration_task import (
     ExplorationOrder,
     FleetFullError,
     FleetTask,
-    Kind,
     Status,
+    TaskKind,
 )
 from agent.exploration.frontier import (
     Frontier,
@@ -219,10 +219,10 @@ class ExplorationMission(Mission):
         """The number of the patch of the map that a section stands for."""
         return section
 
-    def kind_of(self, section: int) -> Kind:
+    def kind_of(self, section: int) -> TaskKind:
         """What a section asks a robot to do."""
         order = self.orders.get(section)
-        return Kind.EXPLORE_FRONTIER if order is None else order.kind
+        return TaskKind.EXPLORE_FRONTIER if order is None else order.kind
 
     def _bid(self, view: FleetView) -> int:
         """Our bid: metres to the station, in 31 steps of a geometric scale."""
@@ -336,7 +336,7 @@ class ExplorationMission(Mission):
             return Status.FAILED
         if (not self._way.rest and not self._way.arrived_us) or self._way.blocked:
             self._way.plan(view.here)
-        if self.task.kind is not Kind.EXPLORE_FRONTIER:
+        if self.task.kind is not TaskKind.EXPLORE_FRONTIER:
             return None
         due = view.now_us >= self._reassign_us
         values = self.chart.values()

@@ -17,7 +17,7 @@ class FleetFullError(ValueError):
         super().__init__(f"Fleet is full (max {limit} robots)")
 
 
-class Kind(Enum):
+class TaskKind(Enum):
     """What a task is about; the values appear in reports."""
 
     EXPLORE_FRONTIER = "explore_frontier"
@@ -38,7 +38,7 @@ class Status(Enum):
 class ExplorationOrder(NamedTuple):
     """An operator's task for any robot of the fleet: go there, or visit these points once."""
 
-    kind: Kind  # NAVIGATE_TO or PATROL
+    kind: TaskKind  # NAVIGATE_TO or PATROL
     points: tuple[XY, ...]
 
 
@@ -46,7 +46,7 @@ class FleetTask(NamedTuple):
     """A task of one robot, with its target in (x, y) metres."""
 
     section: int  # the same for all peers: a patch of the map, or an order
-    kind: Kind
+    kind: TaskKind
     target: XY
     assigned_to: int  # slot
     status: Status
@@ -73,14 +73,14 @@ def fixed(value: float) -> str:
     return str(Decimal(value).quantize(Decimal("0.1"), ROUND_HALF_UP))
 
 
-def describe(kind: Kind, target: XY) -> str:
+def describe(kind: TaskKind, target: XY) -> str:
     """A task in words, for people and language models."""
     place = f"({fixed(target[0])}, {fixed(target[1])})"
     match kind:
-        case Kind.EXPLORE_FRONTIER:
+        case TaskKind.EXPLORE_FRONTIER:
             return f"Explore frontier at {place}"
-        case Kind.NAVIGATE_TO:
+        case TaskKind.NAVIGATE_TO:
             return f"Navigate to {place}"
-        case Kind.PATROL:
+        case TaskKind.PATROL:
             return f"Patrol from {place}"
     return "Idle"

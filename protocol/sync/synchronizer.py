@@ -67,7 +67,7 @@ ENTRIES: Final = (TaskClaim, StateSyncResponse, WorkProgress)
 Said = StateSyncRequest | StateSyncResponse | WorkProgress | Digests
 
 
-class Question(NamedTuple):
+class BucketQuestion(NamedTuple):
     """A question whose bucket digests follow in later frames."""
 
     salt: int
@@ -92,7 +92,7 @@ class Synchronizer:
         self._live_since_us: dict[int, int] = {}
         self._queue: dict[int, None] = {}  # entries to send, in order
         self._digests: deque[Digests] = deque()  # bucket digests to send, before any entry
-        self._questions: dict[int, Question] = {}  # asker -> what may be sent to it
+        self._questions: dict[int, BucketQuestion] = {}  # asker -> what may be sent to it
         self._place = 0  # in the order of the present conversation
         self._speak_us = 0  # we send nothing before this time
         self._heard_us = -1  # last sync frame on the bus, ours included
@@ -291,7 +291,7 @@ class Synchronizer:
         self._place = place
         entries = self._lacking(slot, m)
         if m.scope in (BUCKETS_SINCE, ALL_BUCKETS):
-            self._questions[slot] = Question(m.round & 0xFF, place, frozenset(entries))
+            self._questions[slot] = BucketQuestion(m.round & 0xFF, place, frozenset(entries))
             return
         self._speak_us = now_us + GAP_US + place * SLOT_US
         self._queue.update(dict.fromkeys(entries))

@@ -16,7 +16,7 @@ from random import Random
 from agent.interface.effects import Persist
 from agent.runtime.sqlite_journal import Mark, SqliteJournal
 from sim.chaos.durability_rules import Batch, Tape, lost
-from sim.chaos.sqlite_vfs_recorder import Recording, Step
+from sim.chaos.sqlite_vfs_recorder import VfsCall, VfsRecording
 from sim.fleet.simulated_disk import Disk, LogJournal, PowerCut, tear
 
 CHECKPOINT_PAGES = 20  # of the recorded journal, so that a tape of a minute has many checkpoints
@@ -87,9 +87,9 @@ class Files:
 
     def __init__(self) -> None:
         self.synced: Image = {}
-        self.unsynced: list[Step] = []
+        self.unsynced: list[VfsCall] = []
 
-    def take(self, step: Step) -> None:
+    def take(self, step: VfsCall) -> None:
         """Apply one recorded step. A sync makes the writes to its file durable, and deletions that
         came before them."""
         if step.kind != "sync":
@@ -117,7 +117,7 @@ class Files:
         return image
 
 
-def _apply(image: Image, step: Step) -> None:
+def _apply(image: Image, step: VfsCall) -> None:
     data = image.setdefault(step.file, bytearray())
     if step.kind == "write":
         data.extend(bytes(max(0, step.at - len(data))))
@@ -131,29 +131,29 @@ def _apply(image: Image, step: Step) -> None:
 class RecordedMark(Mark):
     """Records its steps in order among those of sqlite."""
 
-    def __init__(self, path: Path, steps: list[Step]) -> None:
+    def __init__(self, path: Path, steps: list[VfsCall]) -> None:
         super().__init__(path)
         self.steps = steps
 
     def _put(self, at: int, data: bytes) -> None:
         super()._put(at, data)
-        self.steps.append(Step(self.path.name, "write", at, data))
+        self.steps.append(VfsCall(self.path.name, "write", at, data))
 
     def _sync(self) -> None:
         super()._sync()
-        self.steps.append(Step(self.path.name, "sync"))
+        self.steps.append(VfsCall(self.path.name, "sync"))
 
 
-def record_sqlite(tape: Tape, synchronous: str = "FULL") -> list[Step]:
+def record_sqlite(tape: Tape, synchronous: str = "FULL") -> list[VfsCall]:
     """Every step that sqlite takes to write a tape; NORMAL is the planted bug, which does not
     sync."""
-    with tempfile.TemporaryDirectory() as folder, Recording() as recording:
+    with tempfile.TemporaryDirectory() as folder, VfsRecording() as recording:
         journal = SqliteJournal(Path(folder) / "journal")
         journal.mark = RecordedMark(journal.mark.path, recording.steps)
         journal._database.execute(f"PRAGMA wal_autocheckpoint={CHECKPOINT_PAGES}")
         journal._database.execute(f"PRAGMA synchronous={synchronous}")
         for number, batch in enumerate(batches(tape), start=1):
-            recording.steps.append(Step("", "begin", number))
+            recording.steps.append(VfsCall("", "begin", number))
             journal.write(batch)
             recording.acknowledge(number)
         steps = list(recording.steps)
@@ -161,7 +161,7 @@ def record_sqlite(tape: Tape, synchronous: str = "FULL") -> list[Step]:
     return steps
 
 
-def sqlite_states(tape: Tape, steps: list[Step], states: int, rng: Random) -> Iterator[str]:
+def sqlite_states(tape: Tape, steps: list[VfsCall], states: int, rng: Random) -> Iterator[str]:
     """Cut the real journal between any two steps of sqlite, and open the remains with sqlite."""
     known = memories(tape)
     cuts = sorted(rng.randrange(len(steps)) for _ in range(states))

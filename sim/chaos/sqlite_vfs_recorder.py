@@ -36,7 +36,7 @@ class _Vfs(Structure):
     )  # fmt: skip
 
 
-class Step(NamedTuple):
+class VfsCall(NamedTuple):
     """One call of sqlite on one file."""
 
     file: str  # name without folder
@@ -65,11 +65,11 @@ def _library() -> Any:
     return library
 
 
-class Recording:
+class VfsRecording:
     """While entered, every sqlite file opened in this process is recorded."""
 
     def __init__(self) -> None:
-        self.steps: list[Step] = []
+        self.steps: list[VfsCall] = []
         self._library = _library()
         self._names: dict[int, str] = {}
         self._tables: dict[int, _Methods] = {}  # by file; sqlite keeps pointers into them
@@ -82,7 +82,7 @@ class Recording:
         self._delete = Delete(self._original.contents.delete)
         self._vfs.delete = self._keep(Delete, self._deleted)
 
-    def __enter__(self) -> "Recording":
+    def __enter__(self) -> "VfsRecording":
         self._library.sqlite3_vfs_register(ctypes.byref(self._vfs), 1)
         return self
 
@@ -92,7 +92,7 @@ class Recording:
 
     def acknowledge(self, number: int) -> None:
         """The journal has just returned from write `number`."""
-        self.steps.append(Step("", "ack", number))
+        self.steps.append(VfsCall("", "ack", number))
 
     def _keep(self, kind: Callable[[Any], Any], call: Callable[..., int]) -> int:
         wrapped = kind(call)
@@ -109,7 +109,7 @@ class Recording:
         return int(code)
 
     def _deleted(self, vfs: int, name: int, durably: int) -> int:
-        self.steps.append(Step(Path(ctypes.string_at(name).decode()).name, "delete", durably))
+        self.steps.append(VfsCall(Path(ctypes.string_at(name).decode()).name, "delete", durably))
         return int(self._delete(ctypes.addressof(self._original.contents), name, durably))
 
     def _watched(self, original: _Methods) -> _Methods:
@@ -135,4 +135,4 @@ class Recording:
         return table
 
     def _note(self, file: int, kind: str, at: int = 0, data: bytes = b"") -> None:
-        self.steps.append(Step(self._names[file], kind, at, data))
+        self.steps.append(VfsCall(self._names[file], kind, at, data))

@@ -24,7 +24,7 @@ ROUNDS_MAX = 10_000
 Call = Callable[[], object]
 
 
-class Timer:
+class ScheduledCall:
     """A call that is due later."""
 
     __slots__ = ("call", "cancelled")
@@ -194,7 +194,7 @@ class EventLoop:
     def __init__(self) -> None:
         self.time_us = 0
         self._order = 0
-        self._timers: list[tuple[int, int, Timer]] = []
+        self._timers: list[tuple[int, int, ScheduledCall]] = []
         self._ready: list[Call] = []
 
     def now_us(self) -> int:
@@ -205,11 +205,11 @@ class EventLoop:
         """Make a call in this instant, after those that wait already."""
         self._ready.append(call)
 
-    def at(self, t_us: int, call: Call) -> Timer:
+    def at(self, t_us: int, call: Call) -> ScheduledCall:
         """Make a call at `t_us`. Of calls at one instant the one that was asked for first comes
         first."""
         self._order += 1
-        timer = Timer(call)
+        timer = ScheduledCall(call)
         heappush(self._timers, (t_us, self._order, timer))
         return timer
 

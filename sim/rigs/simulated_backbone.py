@@ -19,15 +19,15 @@ class SimulatedBackbone:
 
     def __init__(self, swarm: EventLoop, seed: int | str) -> None:
         self.swarm = swarm
-        self.nodes: list[Node] = []
+        self.nodes: list[BackboneNode] = []
         self.deaf: set[tuple[int, int]] = set()  # (from segment, to segment): nothing arrives
         self.loss = self.duplicate = 0.0
         self.messages = self.bytes = 0
         self._rng = Random(f"{seed}/backbone")
 
-    def attach(self, segment: int) -> "Node":
+    def attach(self, segment: int) -> "BackboneNode":
         """Connect another gateway of a segment."""
-        node = Node(self, segment)
+        node = BackboneNode(self, segment)
         self.nodes.append(node)
         return node
 
@@ -43,7 +43,7 @@ class SimulatedBackbone:
         """Undo every cut and every one-way link."""
         self.deaf = set()
 
-    def carry(self, sender: "Node", message: Publish) -> None:
+    def carry(self, sender: "BackboneNode", message: Publish) -> None:
         """Deliver a message to every other open node that it is meant for, unless a fault takes it."""
         for node in self.nodes:
             if node is sender or not node.open or message.target not in (0, node.segment):
@@ -58,14 +58,14 @@ class SimulatedBackbone:
     def _chance(self, rate: float) -> bool:
         return rate > 0.0 and self._rng.random() < rate
 
-    def _deliver(self, sender: "Node", node: "Node", message: Publish) -> None:
+    def _deliver(self, sender: "BackboneNode", node: "BackboneNode", message: Publish) -> None:
         at_us = self.swarm.now_us() + self._rng.randint(*DELAY_US)
         lane = id(sender), message.kind in URGENT
         at_us = node.last_us[lane] = max(at_us, node.last_us.get(lane, 0))
         self.swarm.at(at_us, lambda: node.hear(message.data))
 
 
-class Node:
+class BackboneNode:
     """One gateway's end of the backbone."""
 
     def __init__(self, backbone: SimulatedBackbone, segment: int) -> None:

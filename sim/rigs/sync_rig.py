@@ -25,7 +25,7 @@ ADDRESS = 128
 SILENCE_US = 300_000  # a cut or healed link is detected this much later
 
 
-class Member:
+class SyncMember:
     """One replica and its sync."""
 
     def __init__(self, slot: int, node: int) -> None:
@@ -42,7 +42,7 @@ class SyncFleet:
         self.rng = Random(f"{seed}/sync fleet")
         self.wire = Wire(seed)
         self.heartbeat_us = heartbeat_us or beat_of(size).heartbeat_us
-        self.members: dict[int, Member] = {}
+        self.members: dict[int, SyncMember] = {}
         self.islands: list[set[int]] = [set()]
         self.now_us = 0
         self.sent: Counter[str] = Counter()  # sync frames sent by members, by kind
@@ -54,9 +54,9 @@ class SyncFleet:
 
     # ---------------------------------------------------------------- members and links
 
-    def boot(self, slot: int) -> Member:
+    def boot(self, slot: int) -> SyncMember:
         """Start a member with an empty memory; others receive it from its next heartbeat on."""
-        member = Member(slot, self.wire.attach())
+        member = SyncMember(slot, self.wire.attach())
         self.members[slot] = member
         self.islands[0].add(slot)
         heappush(self._due, (self.now_us + self.rng.randrange(self.heartbeat_us), slot))
@@ -107,7 +107,7 @@ class SyncFleet:
             member.sync.changed_here(section, block, self.now_us)
             self.send(member, WorkProgress(section, block, bits))
 
-    def send(self, member: Member, message: Message) -> None:
+    def send(self, member: SyncMember, message: Message) -> None:
         """Queue a message of a member on the wire."""
         self.wire.submit(member.node, encode(message, ADDRESS + member.slot), self.now_us)
 
@@ -139,13 +139,13 @@ class SyncFleet:
             if deadline_us is not None and deadline_us <= self.now_us:
                 self._say(member, member.sync.on_tick(self.now_us))
 
-    def _beat(self, member: Member) -> None:
+    def _beat(self, member: SyncMember) -> None:
         member.counter = (member.counter + 1) % 251
         digest = member.sync.outgoing_digest()
         beat = Heartbeat(member.counter, 1, False, False, True, False, 1.0, 0, digest)
         self.send(member, beat)
 
-    def _say(self, member: Member, messages: Iterable[Said]) -> None:
+    def _say(self, member: SyncMember, messages: Iterable[Said]) -> None:
         for message in messages:
             frame = encode(message, ADDRESS + member.slot)
             self.sent[type(message).__name__] += 1

@@ -10,7 +10,7 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, Kind
+from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, TaskKind
 from agent.exploration.exploration_task import ExplorationOrder as Task
 from agent.runtime.declared_values import FieldTable, Table
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
@@ -51,7 +51,7 @@ class OrderTable(Table):
     @property
     def order(self) -> Task:
         """As the mission takes it."""
-        return Task(Kind(self.kind), tuple(self.points))
+        return Task(TaskKind(self.kind), tuple(self.points))
 
 
 class ExplorationScenario(Scenario):

@@ -25,7 +25,7 @@ from sim.scenarios.time_limit import time_limit_s
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.raster import Raster
-from sim.world.reachable_ground import Body, Ground, reachable_ground
+from sim.world.reachable_ground import Ground, WorkingBody, reachable_ground
 from sim.world.world import World
 
 DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
@@ -110,7 +110,7 @@ class FieldSetup(FleetSetup):
         """Which part of the area asked for these bodies can work. `raster`: see
         `sim/world/coverage_truth.py`."""
         field, radius_m = self.field, self.scenario.fleet.radius_m
-        body = Body(field.implement_width_m, field.overlap_m, radius_m, self.turn_radius_m)
+        body = WorkingBody(field.implement_width_m, field.overlap_m, radius_m, self.turn_radius_m)
         return reachable_ground(field.polygon, raster, body, self.starts)
 
     @property

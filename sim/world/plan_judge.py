@@ -13,7 +13,7 @@ from sim.files.coverage_plan_file import STEPS, Plan
 from sim.files.grid_map import Cell, Walls
 
 
-class Verdict(NamedTuple):
+class PlanScore(NamedTuple):
     """How a plan scores, by its actions alone."""
 
     makespan: int  # the first step after which everything reachable is covered, else the plan's end
@@ -60,7 +60,7 @@ def steps_from(walls: list[list[bool]], sources: list[Cell]) -> dict[Cell, int]:
     return steps
 
 
-def judge(plan: Plan) -> Verdict:
+def judge(plan: Plan) -> PlanScore:
     """Play a plan to its end and score it."""
     court = PlanJudge(plan)
     while not court.over:
@@ -122,12 +122,12 @@ class PlanJudge:
         live = [cell for robot, cell in self.at.items() if robot not in self.wrecks]
         return {cell for cell in steps_from(self.walls, live) if self.plan.dirt[cell]}
 
-    def verdict(self) -> Verdict:
+    def verdict(self) -> PlanScore:
         """The score of the steps that were played so far."""
         plan, wanted = self.plan, self.wanted()
         missing = wanted - self.covered.keys()
         last = max((self.covered[cell] for cell in wanted - missing), default=0)
-        return Verdict(
+        return PlanScore(
             plan.makespan if missing else last, self.collisions, self.swaps, self.wall_entries,
             len(missing), len(wanted), self.moves, self.turns[0], self.turns[1], self.repeats,
             tuple(self.last), tuple(self.quarters_then),

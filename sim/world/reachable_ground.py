@@ -45,7 +45,7 @@ EDGES_MAX: Final = 64  # of the outline, near a cell; if there are more, the nea
 NEGLIGIBLE_M2: Final = 0.05  # less than a cell: not worth reporting
 
 
-class Body(NamedTuple):
+class WorkingBody(NamedTuple):
     """The dimensions of a robot and its implement that decide where they can work; metres."""
 
     width_m: float  # of the implement
@@ -80,7 +80,7 @@ class Ground(NamedTuple):
 
 
 def reachable_ground(
-    polygon: Polygon, raster: Raster, body: Body, starts: Sequence[tuple[float, float]]
+    polygon: Polygon, raster: Raster, body: WorkingBody, starts: Sequence[tuple[float, float]]
 ) -> Ground:
     """Which cells of `raster` such bodies can work, and how much is left for which reason.
 
@@ -107,7 +107,7 @@ def reachable_ground(
 
 
 def _joined(
-    polygon: Polygon, raster: Raster, body: Body, starts: Sequence[tuple[float, float]]
+    polygon: Polygon, raster: Raster, body: WorkingBody, starts: Sequence[tuple[float, float]]
 ) -> Flags:
     """Cells that a bar reaches if its middle can come from a start."""
     free = shapely.get_parts(polygon.buffer(-body.keep_m))
@@ -123,7 +123,7 @@ def _joined(
     return cells
 
 
-def _by_strokes(polygon: Polygon, raster: Raster, joined: Flags, body: Body) -> Flags:
+def _by_strokes(polygon: Polygon, raster: Raster, joined: Flags, body: WorkingBody) -> Flags:
     """Those of the cells that a stroke passes."""
     free = polygon.buffer(-body.keep_m)
     if free.is_empty:

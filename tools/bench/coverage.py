@@ -21,7 +21,7 @@ from sim.files.grid_map import (
     read_map,
 )
 from sim.runs.planned_coverage import Arrival, Death, work
-from sim.world.plan_judge import Verdict, judge, lower_bound
+from sim.world.plan_judge import PlanScore, judge, lower_bound
 from tools.bench import coverage_fleet
 from tools.bench.figure import Figure
 from tools.bench.voronoi_coverage import baseline
@@ -43,7 +43,7 @@ class Run(NamedTuple):
     """A planned instance with its score and the bound that no plan can beat."""
 
     instance: Instance
-    verdict: Verdict
+    verdict: PlanScore
     bound: int
 
     @property

@@ -28,7 +28,7 @@ from sim.scenarios.scenario import load
 from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure
 from tools.inspect.inspector import Inspector
-from tools.language.authorize import Verdict, weigh
+from tools.language.authorize import Authorization, weigh
 from tools.language.command_session import CommandSession
 from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 from tools.language.goal_queue import GoalQueue
@@ -74,7 +74,7 @@ def phrases() -> Phrases:
     return Phrases(known, unseen, fleet, Places(document["places"], document["sections"]))
 
 
-def given(verdict: Verdict) -> list[str]:
+def given(verdict: Authorization) -> list[str]:
     """What would be done, as the file writes it."""
     told = [_order(o.slot, o.what, o.place) for o in verdict.orders]
     told += [f"queued {goal.name}" for goal in verdict.waiting]

@@ -108,7 +108,7 @@ def _world() -> None:
     from agent.interface.effects import Drive
     from sim.world.coverage_truth import coverage, sample_points
     from sim.world.drive_trains import Chassis
-    from sim.world.reachable_ground import Body, reachable_ground
+    from sim.world.reachable_ground import WorkingBody, reachable_ground
     from sim.world.world import World
 
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
@@ -120,7 +120,7 @@ def _world() -> None:
     world.advance(1_100_000)
     raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
     coverage(raster, {0: world.body(0).track}, 2.0)
-    reachable_ground(box(0, 0, 20, 20), raster, Body(2.0, 0.2, 0.5, 1.5), [(5.0, 5.0)])
+    reachable_ground(box(0, 0, 20, 20), raster, WorkingBody(2.0, 0.2, 0.5, 1.5), [(5.0, 5.0)])
 
 
 def _fleets() -> None:

@@ -20,7 +20,7 @@ from tools.language.intent import (
     Target,
 )
 from tools.language.places import Places
-from tools.language.question import Question, Reason
+from tools.language.question import Question, QuestionReason
 
 ROOM_M = (
     2.0  # between the places of two robots: a body is up to 1.6 m wide, and ORCA keeps them apart
@@ -43,7 +43,7 @@ class Waiting(NamedTuple):
     name: str
 
 
-class Verdict(NamedTuple):
+class Authorization(NamedTuple):
     """What is done about the intents of one phrase, if none of them is refused."""
 
     orders: tuple[AuthorizedOrder, ...] = ()
@@ -58,11 +58,13 @@ class Verdict(NamedTuple):
 class Refused(Exception):
     """Raised inside of `weigh` where one intent cannot be obeyed; carries what is asked back."""
 
-    def __init__(self, reason: Reason, text: str, *instead: str) -> None:
+    def __init__(self, reason: QuestionReason, text: str, *instead: str) -> None:
         self.question = Question(reason, text, instead)
 
 
-def weigh(intents: Sequence[AnyIntent], fleet: FleetNow, places: Places) -> Verdict | Question:
+def weigh(
+    intents: Sequence[AnyIntent], fleet: FleetNow, places: Places
+) -> Authorization | Question:
     """Turn intents into orders, goals that wait and questions to answer; or ask back, if one of
     them cannot be obeyed."""
     scales = _Scales(fleet, places)
@@ -71,7 +73,7 @@ def weigh(intents: Sequence[AnyIntent], fleet: FleetNow, places: Places) -> Verd
             scales.add(intent)
     except Refused as problem:
         return problem.question
-    return Verdict(
+    return Authorization(
         tuple(scales.orders), tuple(scales.waiting), tuple(scales.queries), scales.stop_all,
         scales.emergency_stop, scales.clear_queue, tuple(scales.first_ask),
     )  # fmt: skip
@@ -105,12 +107,13 @@ class _Scales:
         match goal.robot:
             case "unnamed":
                 raise Refused(
-                    Reason.AMBIGUOUS, f"which robot? heard: {self.fleet.heard}",
+                    QuestionReason.AMBIGUOUS, f"which robot? heard: {self.fleet.heard}",
                     f"send the nearest robot to {name}",
                 )  # fmt: skip
             case "all" | "several":
                 raise Refused(
-                    Reason.UNSAFE, "one place has room for one robot: send one, or each to its own"
+                    QuestionReason.UNSAFE,
+                    "one place has room for one robot: send one, or each to its own",
                 )
             case "nearest":
                 self._nearest(place, name)
@@ -122,7 +125,7 @@ class _Scales:
 
     def _nearest(self, place: Point, name: str) -> None:
         if not self.fleet.live:
-            raise Refused(Reason.UNKNOWN_ROBOT, "no robot is heard on this bus")
+            raise Refused(QuestionReason.UNKNOWN_ROBOT, "no robot is heard on this bus")
         sent = frozenset(order.slot for order in self.orders)
         robot = self.fleet.nearest(place, sent)
         self._room(place, None if robot is None else robot.slot)
@@ -137,14 +140,15 @@ class _Scales:
                 return target.x_m, target.y_m
             case Beside():
                 raise Refused(
-                    Reason.UNSAFE, f"where robot {target.robot} stands is no room: say a free place"
+                    QuestionReason.UNSAFE,
+                    f"where robot {target.robot} stands is no room: say a free place",
                 )
             case name:
                 point = self.places.points.get(name)
                 if point is None:
                     like = self.places.like(name)
                     hint = f"; did you mean {', '.join(like)}?" if like else ""
-                    raise Refused(Reason.UNKNOWN_PLACE, f"no place {name!r}{hint}")
+                    raise Refused(QuestionReason.UNKNOWN_PLACE, f"no place {name!r}{hint}")
                 return point
 
     def _room(self, place: Point, mover: int | None) -> None:
@@ -155,28 +159,36 @@ class _Scales:
             stands = other.goal is not None or other.state != "WORKING"
             if stands and hypot(there[0] - place[0], there[1] - place[1]) < ROOM_M:
                 how = "stands" if other.goal is None else "is sent"
-                raise Refused(Reason.UNSAFE, f"robot {other.slot} {how} there: say a free place")
+                raise Refused(
+                    QuestionReason.UNSAFE, f"robot {other.slot} {how} there: say a free place"
+                )
         taken = [o.place for o in self.orders if o.place is not None]
         taken += [w.place for w in self.waiting]
         if any(hypot(x - place[0], y - place[1]) < ROOM_M for x, y in taken):
-            raise Refused(Reason.UNSAFE, f"two robots within {ROOM_M:g} m of one place")
+            raise Refused(QuestionReason.UNSAFE, f"two robots within {ROOM_M:g} m of one place")
 
     def _able(self, slot: int) -> RobotNow:
         """A robot that could move if it is ordered to."""
         robot = self._known(slot)
         if robot.stopped or robot.state == "EMERGENCY_STOP":
             raise Refused(
-                Reason.NOT_NOW, f"robot {slot} stands in emergency stop", "headland reset --start"
+                QuestionReason.NOT_NOW,
+                f"robot {slot} stands in emergency stop",
+                "headland reset --start",
             )
         if not robot.started:
-            raise Refused(Reason.NOT_NOW, f"robot {slot} was not started", f"start robot {slot}")
+            raise Refused(
+                QuestionReason.NOT_NOW, f"robot {slot} was not started", f"start robot {slot}"
+            )
         return robot
 
     def _known(self, slot: int) -> RobotNow:
         robot = self.fleet.robots.get(slot)
         if robot is None or robot.silent:
             was = "is silent" if robot is not None else "is not heard"
-            raise Refused(Reason.UNKNOWN_ROBOT, f"robot {slot} {was}; heard: {self.fleet.heard}")
+            raise Refused(
+                QuestionReason.UNKNOWN_ROBOT, f"robot {slot} {was}; heard: {self.fleet.heard}"
+            )
         return robot
 
     # ---------------------------------------------------------------- control
@@ -191,7 +203,7 @@ class _Scales:
             self._answer(control)
         elif control.robots == "unnamed":
             raise Refused(
-                Reason.AMBIGUOUS, f"which robot? heard: {self.fleet.heard}",
+                QuestionReason.AMBIGUOUS, f"which robot? heard: {self.fleet.heard}",
                 f"robot 2 {action.replace('_', ' ')}",
             )  # fmt: skip
         else:
@@ -208,7 +220,9 @@ class _Scales:
             self._able(slot)
         elif (robot := self._known(slot)).stopped or robot.state == "EMERGENCY_STOP":
             raise Refused(
-                Reason.NOT_NOW, f"robot {slot} stands in emergency stop", "headland reset --start"
+                QuestionReason.NOT_NOW,
+                f"robot {slot} stands in emergency stop",
+                "headland reset --start",
             )
 
     def _stop(self, control: Control) -> None:
@@ -218,7 +232,7 @@ class _Scales:
         for slot in control.robots:
             if slot not in self.fleet.robots:
                 raise Refused(
-                    Reason.UNKNOWN_ROBOT,
+                    QuestionReason.UNKNOWN_ROBOT,
                     f"robot {slot} is not heard; heard: {self.fleet.heard}",
                     "stop all",
                 )
@@ -229,14 +243,17 @@ class _Scales:
         asking = [r.slot for r in self.fleet.live if r.asking]
         if control.robots == "all" and len(asking) > 1:
             raise Refused(
-                Reason.UNSAFE, f"robots {asking} ask about different things: answer each by name"
+                QuestionReason.UNSAFE,
+                f"robots {asking} ask about different things: answer each by name",
             )
         if isinstance(control.robots, str):
             if len(asking) != 1:
                 who = (
                     f"{len(asking)} robots are asking: {asking}" if asking else "no robot is asking"
                 )
-                raise Refused(Reason.AMBIGUOUS, f"{who}; say which", f"robot 2 {control.action}")
+                raise Refused(
+                    QuestionReason.AMBIGUOUS, f"{who}; say which", f"robot 2 {control.action}"
+                )
             self.orders.append(AuthorizedOrder(asking[0], control.action))
             return
         for slot in control.robots:
@@ -244,7 +261,7 @@ class _Scales:
             # A robot that does not work may be on an errand from before we listened; then it refuses.
             away = robot.state != "WORKING" and control.action != "wait"
             if not robot.asking and not away:
-                raise Refused(Reason.NOT_NOW, f"robot {slot} is not asking anything")
+                raise Refused(QuestionReason.NOT_NOW, f"robot {slot} is not asking anything")
             self.orders.append(AuthorizedOrder(slot, control.action))
 
     # ---------------------------------------------------------------- questions
@@ -258,6 +275,7 @@ class _Scales:
         for slot in slots:
             if slot not in self.fleet.robots:
                 raise Refused(
-                    Reason.UNKNOWN_ROBOT, f"robot {slot} is not heard; heard: {self.fleet.heard}"
+                    QuestionReason.UNKNOWN_ROBOT,
+                    f"robot {slot} is not heard; heard: {self.fleet.heard}",
                 )
         self.queries.append(query)

@@ -18,7 +18,7 @@ from tools.inspect.inspector import Inspector
 from tools.language import view
 from tools.language.alarm import may_be_alarm
 from tools.language.answer import answer
-from tools.language.authorize import AuthorizedOrder, Verdict, weigh
+from tools.language.authorize import Authorization, AuthorizedOrder, weigh
 from tools.language.fleet_state import FleetNow
 from tools.language.goal_queue import GoalQueue, Queued
 from tools.language.intent import AnyIntent, Control
@@ -26,9 +26,9 @@ from tools.language.outcome import Outcome
 from tools.language.parse import read
 from tools.language.places import Places
 from tools.language.question import Question
-from tools.language.question import Reason as Why
+from tools.language.question import QuestionReason as Why
 from tools.operate.estop import press
-from tools.operate.operator_device import Operator, Robot
+from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.order import LISTEN_S, convey
 from tools.operate.pgn_client import PgnClient
 
@@ -107,7 +107,7 @@ class CommandSession:
         return outcome
 
     async def _obey(
-        self, outcome: Outcome, intents: tuple[AnyIntent, ...], verdict: Verdict
+        self, outcome: Outcome, intents: tuple[AnyIntent, ...], verdict: Authorization
     ) -> None:
         if verdict.stop_all or verdict.emergency_stop:
             await self._stop_all(outcome, intents)
@@ -171,7 +171,7 @@ class CommandSession:
         outcome.held = sorted(robot.slot for robot in operator.live if robot not in free)
         outcome.not_stopped = sorted(set(operator.robots) - set(outcome.held))
 
-    async def _all_late(self) -> list[Robot] | None:
+    async def _all_late(self) -> list[KnownRobot] | None:
         """An ordinary stop; robots that have not confirmed it in time. None: no robot is heard."""
         loop, operator = asyncio.get_running_loop(), self.operator
         end_s = loop.time() + PLAIN_STOP_S
@@ -245,7 +245,7 @@ def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
     return stop.action == "emergency_stop" or (stop.action == "stop" and all_of_them)
 
 
-def _stands(robot: Robot) -> bool:
+def _stands(robot: KnownRobot) -> bool:
     said = robot.report is not None and robot.report.matter is ReportKind.STOPPED
     return said or robot.stopped
 

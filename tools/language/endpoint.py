@@ -16,7 +16,7 @@ from pydantic import ValidationError
 from tools.language.intent import INTENTS, AnyIntent
 from tools.language.parse import together
 from tools.language.places import Places
-from tools.language.question import Question, Reason
+from tools.language.question import Question, QuestionReason
 
 URL_VARIABLE, KEY_VARIABLE = "HEADLAND_LLM_URL", "HEADLAND_LLM_KEY"
 TIMEOUT_S = 20.0  # longest wait for an answer: a person does not wait longer
@@ -71,7 +71,7 @@ class Endpoint:
             TypeError,
         ) as problem:
             why = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
-            return Question(Reason.NOT_UNDERSTOOD, f"the endpoint did not help: {why}")
+            return Question(QuestionReason.NOT_UNDERSTOOD, f"the endpoint did not help: {why}")
         return meant(content)
 
     def _request(self, phrase: str, places: Places) -> dict[str, Any]:
@@ -87,7 +87,7 @@ class Endpoint:
 
 def meant(content: object) -> tuple[AnyIntent, ...] | Question:
     """What a model answered: intents of the schema, or a question."""
-    vague = Question(Reason.NOT_UNDERSTOOD, "the model gave no intents, nothing was done")
+    vague = Question(QuestionReason.NOT_UNDERSTOOD, "the model gave no intents, nothing was done")
     if not isinstance(content, str) or len(content) > ANSWER_BYTES_MAX:
         return vague
     try:
@@ -97,7 +97,7 @@ def meant(content: object) -> tuple[AnyIntent, ...] | Question:
     if not isinstance(answer, dict) or len(answer) != 1:
         return vague
     if isinstance(answer.get("question"), str):
-        return Question(Reason.AMBIGUOUS, " ".join(answer["question"].split())[:200])
+        return Question(QuestionReason.AMBIGUOUS, " ".join(answer["question"].split())[:200])
     try:
         return together(INTENTS.validate_json(json.dumps(answer.get("intents"))))
     except ValidationError:

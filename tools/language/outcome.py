@@ -6,7 +6,7 @@ from typing import Any
 from tools.language.answer import Answer
 from tools.language.authorize import AuthorizedOrder
 from tools.language.intent import AnyIntent, plain
-from tools.language.question import Question, Reason
+from tools.language.question import Question, QuestionReason
 
 DONE, NOT_OBEYED, ASKED_BACK = 0, 1, 3
 
@@ -61,7 +61,7 @@ class Outcome:
         """Sentences for a person, one a line: stops first, then orders, waiting goals and answers."""
         if self.question is not None:
             kind = self.question.reason
-            plain_text = kind is Reason.NOT_UNDERSTOOD
+            plain_text = kind is QuestionReason.NOT_UNDERSTOOD
             asked = str(self.question) if plain_text else f"{kind}: {self.question}"
             return [*self._held_lines(), asked]
         lines = [_order_line(order, word) for order, word in self.orders]

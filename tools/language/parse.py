@@ -11,7 +11,7 @@ from tools.language.alarm import letters_apart
 from tools.language.grammar import NotANumber, UnknownPlace, Unnamed, Unreadable, derivations
 from tools.language.intent import INTENTS_MAX, AnyIntent, Control, Goal
 from tools.language.places import Places
-from tools.language.question import Question, Reason
+from tools.language.question import Question, QuestionReason
 from tools.language.vocabulary import (
     DOUBTFUL,
     KNOWN_WORDS,
@@ -37,14 +37,14 @@ def read(text: str, places: Places) -> tuple[AnyIntent, ...] | Question:
     """The one meaning of a phrase; whatever has none, or two, is a question."""
     if len(text) > PHRASE_MAX:
         return Question(
-            Reason.NOT_UNDERSTOOD, f"more than {PHRASE_MAX} characters: say less at once"
+            QuestionReason.NOT_UNDERSTOOD, f"more than {PHRASE_MAX} characters: say less at once"
         )
     words = words_of(text)
     tokens = tokens_of(words, places.groups)
     if not tokens:
-        return Question(Reason.NOT_UNDERSTOOD, "nothing was said", EXAMPLES)
+        return Question(QuestionReason.NOT_UNDERSTOOD, "nothing was said", EXAMPLES)
     if len(tokens) > TOKENS_MAX:
-        return Question(Reason.NOT_UNDERSTOOD, "that is too much at once: say one order")
+        return Question(QuestionReason.NOT_UNDERSTOOD, "that is too much at once: say one order")
     try:
         meanings = derivations(tokens)
     except UnknownPlace as problem:
@@ -52,22 +52,25 @@ def read(text: str, places: Places) -> tuple[AnyIntent, ...] | Question:
     except Unreadable:
         return _unread(words, places) or _not_understood(words, places)
     except Unnamed:
-        return Question(Reason.AMBIGUOUS, "which robot?", ("status of robot 2", "status"))
+        return Question(QuestionReason.AMBIGUOUS, "which robot?", ("status of robot 2", "status"))
     except NotANumber as problem:
         return Question(
-            Reason.UNKNOWN_ROBOT, f"{problem}: robots and sections have whole numbers from 0"
+            QuestionReason.UNKNOWN_ROBOT,
+            f"{problem}: robots and sections have whole numbers from 0",
         )
     except ValidationError as problem:
         return _out_of_range(problem)
     if len(meanings) > 1:
-        return Question(Reason.AMBIGUOUS, "that can be read in two ways: say it in shorter orders")
+        return Question(
+            QuestionReason.AMBIGUOUS, "that can be read in two ways: say it in shorter orders"
+        )
     return together(meanings[0])
 
 
 def together(intents: tuple[AnyIntent, ...]) -> tuple[AnyIntent, ...] | Question:
     """Orders of one phrase must not contradict each other, nor depend on their order."""
     if len(intents) > INTENTS_MAX:
-        return Question(Reason.NOT_UNDERSTOOD, f"more than {INTENTS_MAX} orders at once")
+        return Question(QuestionReason.NOT_UNDERSTOOD, f"more than {INTENTS_MAX} orders at once")
     told: Counter[object] = Counter()
     for intent in intents:
         if isinstance(intent, Goal):
@@ -79,7 +82,7 @@ def together(intents: tuple[AnyIntent, ...]) -> tuple[AnyIntent, ...] | Question
         n > 1 and who != "nearest" for who, n in told.items()
     ):
         return Question(
-            Reason.AMBIGUOUS, "two orders for one robot in one phrase: which of them?",
+            QuestionReason.AMBIGUOUS, "two orders for one robot in one phrase: which of them?",
             (STOP_NOW, "one order at a time"),
         )  # fmt: skip
     return intents
@@ -87,7 +90,11 @@ def together(intents: tuple[AnyIntent, ...]) -> tuple[AnyIntent, ...] | Question
 
 def _out_of_range(problem: ValidationError) -> Question:
     error = problem.errors()[0]
-    reason = Reason.UNKNOWN_PLACE if error["loc"][-1] in ("x_m", "y_m") else Reason.UNKNOWN_ROBOT
+    reason = (
+        QuestionReason.UNKNOWN_PLACE
+        if error["loc"][-1] in ("x_m", "y_m")
+        else QuestionReason.UNKNOWN_ROBOT
+    )
     return Question(reason, f"{error['input']}: {error['msg'][0].lower()}{error['msg'][1:]}")
 
 
@@ -95,7 +102,7 @@ def _no_place(name: str, places: Places) -> Question:
     like = places.like(name)
     known = ", ".join(places.named[:8]) or "none are named; say metres east, north"
     text = f"no place {name!r}" + (f"; did you mean {', '.join(like)}?" if like else f": {known}")
-    return Question(Reason.UNKNOWN_PLACE, text)
+    return Question(QuestionReason.UNKNOWN_PLACE, text)
 
 
 def _unread(words: list[str], places: Places) -> Question | None:
@@ -104,22 +111,23 @@ def _unread(words: list[str], places: Places) -> Question | None:
     stops = said & {"stop", "halt", "freeze", "brake"}
     if found := said & NEGATIONS:
         return Question(
-            Reason.AMBIGUOUS, f"{_first(found, words)!r}: say what shall be done, not what shall not",
+            QuestionReason.AMBIGUOUS,
+            f"{_first(found, words)!r}: say what shall be done, not what shall not",
             (STOP_NOW,) if stops else (),
         )  # fmt: skip
     if found := said & DOUBTFUL.keys():
         word = _first(found, words)
-        return Question(Reason.AMBIGUOUS, f"{word!r} can mean two things", DOUBTFUL[word])
+        return Question(QuestionReason.AMBIGUOUS, f"{word!r} can mean two things", DOUBTFUL[word])
     if found := said & UNSAFE:
         instead = ("headland reset, with the operator's key",) if "reset" in found else (STOP_NOW,)
         return Question(
-            Reason.UNSAFE,
+            QuestionReason.UNSAFE,
             f"{_first(found, words)!r}: nothing that weakens safety is obeyed",
             instead,
         )
     if found := said & SEQUENCES:
         return Question(
-            Reason.AMBIGUOUS, f"{_first(found, words)!r}: no conditions, choices or sequences; "
+            QuestionReason.AMBIGUOUS, f"{_first(found, words)!r}: no conditions, choices or sequences; "
             "say one thing, and the next when it is done", (STOP_NOW,) if stops else (),
         )  # fmt: skip
     return None
@@ -129,11 +137,11 @@ def _not_understood(words: list[str], places: Places) -> Question:
     """What was probably meant is offered, never done."""
     known = [*KNOWN_WORDS, *{w for group in places.groups for w in group}]
     if set(words) & {"stop", "halt", "freeze", "brake"}:
-        return Question(Reason.NOT_UNDERSTOOD, "not understood", (STOP_NOW, "stop robot 2"))
+        return Question(QuestionReason.NOT_UNDERSTOOD, "not understood", (STOP_NOW, "stop robot 2"))
     meant = [_meant(word, known) for word in words]
     offered = " ".join(meant)
     instead = (offered,) if meant != words and _readable(offered, places) else EXAMPLES
-    return Question(Reason.NOT_UNDERSTOOD, "not understood", instead)
+    return Question(QuestionReason.NOT_UNDERSTOOD, "not understood", instead)
 
 
 def _meant(word: str, known: Collection[str]) -> str:

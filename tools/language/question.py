@@ -4,7 +4,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 
-class Reason(StrEnum):
+class QuestionReason(StrEnum):
     """Why a phrase is not obeyed."""
 
     NOT_UNDERSTOOD = "not understood"
@@ -18,7 +18,7 @@ class Reason(StrEnum):
 class Question(NamedTuple):
     """One line for the person, and what could be said instead."""
 
-    reason: Reason
+    reason: QuestionReason
     text: str
     instead: tuple[str, ...] = ()
 

@@ -20,7 +20,7 @@ from tools.language.goal_queue import GoalQueue, QueueError
 from tools.language.intent import AnyIntent
 from tools.language.outcome import Outcome
 from tools.language.places import Places, PlacesError
-from tools.language.question import Question, Reason
+from tools.language.question import Question, QuestionReason
 from tools.operate.order import Attached
 from tools.operate.reset import operator_keyring
 
@@ -29,7 +29,9 @@ if TYPE_CHECKING:
 
 WRONG = 2
 PROMPT = "> "
-QUESTIONS_ONLY = Question(Reason.NOT_NOW, "a recorded run takes no orders; ask it something")
+QUESTIONS_ONLY = Question(
+    QuestionReason.NOT_NOW, "a recorded run takes no orders; ask it something"
+)
 
 
 class Options(NamedTuple):
@@ -131,7 +133,7 @@ class _Conversation:
         from tools.language.parse import read
 
         reading = read(phrase, self.places)
-        vague = isinstance(reading, Question) and reading.reason is Reason.NOT_UNDERSTOOD
+        vague = isinstance(reading, Question) and reading.reason is QuestionReason.NOT_UNDERSTOOD
         if vague and self.endpoint is not None:
             return await self.endpoint.read(phrase, self.places), True
         return reading, False

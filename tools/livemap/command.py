@@ -63,7 +63,7 @@ def show_map(
         with contextlib.closing(listen(page_port)) as listener:
             if source is None or launch is not None:
                 where = (interface, channel, bitrate, host, port)
-                own = Keys(keys, operator_key)
+                own = KeyFiles(keys, operator_key)
                 return _live(scene, launch, where, own, listener, console, as_json)
             with console.status(f"reading {source}"):
                 recording = recorded(source, scene)
@@ -216,7 +216,7 @@ def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any]
         return None
 
 
-class Keys(NamedTuple):
+class KeyFiles(NamedTuple):
     """Files of the person who starts the map; None: the fleet has no keys, or it may only be stopped."""
 
     panel: Path | None  # --keys
@@ -225,7 +225,7 @@ class Keys(NamedTuple):
 
 def _live(
     scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
-    keys: Keys, listener: socket.socket, console: Console, as_json: bool,
+    keys: KeyFiles, listener: socket.socket, console: Console, as_json: bool,
 ) -> int:  # fmt: skip
     keyring = keyring_of(keys.panel)
     check_operator_key(keys.operator)

@@ -10,7 +10,7 @@ from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
-from tools.operate.operator_device import Operator, Robot
+from tools.operate.operator_device import KnownRobot, Operator
 
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # ten beats: a robot that was not heard by then is absent
@@ -84,7 +84,7 @@ def listen_to(bus: CanBus, operator: Operator) -> None:
     bus.subscribe(lambda frame: operator.hear(loop.time(), frame))
 
 
-async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Robot]:
+async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[KnownRobot]:
     """Repeat until every member has confirmed; returns those that have not, silent ones among them."""
     loop = asyncio.get_running_loop()
     operator.begin_press()
@@ -120,7 +120,7 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Ro
             operator.ask_who()
 
 
-def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) -> int:
+def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: bool) -> int:
     live = operator.live
     confirmed = [r for r in operator.members if r not in late]
     if as_json:
@@ -143,7 +143,7 @@ def _tell(operator: Operator, late: list[Robot], as_json: bool, signed: bool) ->
     return 0 if live and not late and not operator.unknown else NOT_ALL
 
 
-def _word(operator: Operator, robot: Robot, late: list[Robot]) -> str:
+def _word(operator: Operator, robot: KnownRobot, late: list[KnownRobot]) -> str:
     if robot not in late:
         return "stopped"
     if robot not in operator.live:

@@ -49,7 +49,7 @@ ASK_S = 0.25
 
 
 @dataclass
-class Robot:
+class KnownRobot:
     """What an operator has heard of one robot."""
 
     slot: int
@@ -80,7 +80,7 @@ class Operator:
         self.device = DeviceAddress(bus) if device is None else device
         self._own_device = device is None
         self.slot = OPERATOR_SLOT if keyring is None else keyring.sender
-        self.robots: dict[int, Robot] = {}
+        self.robots: dict[int, KnownRobot] = {}
         self.slot_of: dict[int, int] = {}
         self.names: dict[int, int] = {}  # address -> NAME, as claimed
         self.unknown: dict[int, float] = {}  # addresses with beats whose slot is not known yet
@@ -115,7 +115,7 @@ class Operator:
             self.unknown.pop(source, None)
             if message.slot not in self.robots and not self.makers.knows(source):
                 self.doubtful[source] = message.slot
-                self.robots[message.slot] = Robot(message.slot, source, now_s)
+                self.robots[message.slot] = KnownRobot(message.slot, source, now_s)
             elif self.doubtful.get(source) != message.slot:
                 self.expect((message.slot,))
             self.robots[message.slot].address = source
@@ -166,7 +166,7 @@ class Operator:
             self.slot_of.pop(source, None)
             del self.robots[slot]
 
-    def _verify(self, robot: Robot, echo: EmergencyStop) -> None:
+    def _verify(self, robot: KnownRobot, echo: EmergencyStop) -> None:
         """An echo of a dot that we drew just now cannot be old, whatever the robot's counter is."""
         if self.keyring is None or robot.signed or echo[:3] not in self.pressed:
             return
@@ -177,7 +177,7 @@ class Operator:
     def expect(self, slots: Iterable[int]) -> None:
         """Robots that are or were there, heard or not: they count until they have confirmed."""
         for slot in slots:
-            self.robots.setdefault(slot, Robot(slot, NULL_ADDRESS, NOT_HEARD_S))
+            self.robots.setdefault(slot, KnownRobot(slot, NULL_ADDRESS, NOT_HEARD_S))
             self.doubtful = {a: s for a, s in self.doubtful.items() if s != slot}
 
     @property
@@ -192,7 +192,7 @@ class Operator:
             robot.echoed = robot.signed = False
             robot.tried = 0
 
-    def confirmed(self, robot: Robot) -> bool:
+    def confirmed(self, robot: KnownRobot) -> bool:
         """It stands stopped: by its signed echo where that can be verified, else by its own word."""
         return robot.signed if self.signs else robot.stopped or robot.echoed
 
@@ -204,22 +204,22 @@ class Operator:
         if proof is not None:
             self.device.send(proof, source)
 
-    def left(self, robot: Robot) -> bool:
+    def left(self, robot: KnownRobot) -> bool:
         """It said that it leaves, and has not beaten since."""
         return robot.leaves_s is not None and self.now_s - robot.leaves_s >= LEFT_S
 
     @property
-    def members(self) -> list[Robot]:
+    def members(self) -> list[KnownRobot]:
         """All that are or were there and have not left."""
         return [r for _, r in sorted(self.robots.items()) if not self.left(r)]
 
     @property
-    def live(self) -> list[Robot]:
+    def live(self) -> list[KnownRobot]:
         """The members that were heard recently."""
         return [r for r in self.members if self.now_s - r.heard_s < LIVE_S]
 
     @property
-    def silent(self) -> list[Robot]:
+    def silent(self) -> list[KnownRobot]:
         """Members that are not heard now."""
         return [r for r in self.members if self.now_s - r.heard_s >= LIVE_S]
 

@@ -9,7 +9,7 @@ from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
-from tools.operate.operator_device import Operator, Robot
+from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.reset import NOT_SIGNED, operator_keyring
 
 LISTEN_S = 1.3  # an open question is said again every second
@@ -81,7 +81,11 @@ async def _order(
 
 
 async def convey(
-    operator: Operator, robot: Robot, what: str, goal: tuple[float, float] | None, timeout_s: float
+    operator: Operator,
+    robot: KnownRobot,
+    what: str,
+    goal: tuple[float, float] | None,
+    timeout_s: float,
 ) -> bool:
     """Repeat an order until the robot says that it obeys (True), or that it cannot, or the time is
     over. `goal`: metres east and north."""
@@ -104,7 +108,9 @@ async def convey(
     return False
 
 
-def _tell(robot: Robot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool) -> None:
+def _tell(
+    robot: KnownRobot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool
+) -> None:
     report = robot.report
     if as_json:
         print(dumps({

@@ -12,7 +12,7 @@ from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
-from tools.operate.operator_device import Operator, Robot
+from tools.operate.operator_device import KnownRobot, Operator
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 CAUSE_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
@@ -98,16 +98,16 @@ async def hear_causes(operator: Operator) -> None:
         await operator.listen(STEP_S)
 
 
-def _untold(operator: Operator, robot: Robot) -> bool:
+def _untold(operator: Operator, robot: KnownRobot) -> bool:
     return robot.causes.missing(round(operator.now_s * 1e6)) > 0
 
 
-def stands(operator: Operator, robot: Robot) -> list[str]:
+def stands(operator: Operator, robot: KnownRobot) -> list[str]:
     """The causes that it has reported lately, and what a person can do about each."""
     return robot.causes.sentences(round(operator.now_s * 1e6))
 
 
-def word(operator: Operator, robot: Robot, start: bool) -> str:
+def word(operator: Operator, robot: KnownRobot, start: bool) -> str:
     """What a robot is doing now, or what holds it and what a person can do about it."""
     if robot not in operator.live:
         return "NOT HEARD: nobody knows what it does; see that it stands, is switched on and on this bus"

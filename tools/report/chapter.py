@@ -7,8 +7,8 @@ from typing import Any, NamedTuple
 
 from sim.record.scene import Scene
 from tools.report import figures as drawing
-from tools.report.run_data import Evidence
-from tools.report.timeline import SILENT, Event, History, Stop
+from tools.report.run_data import RunEvidence
+from tools.report.timeline import SILENT, History, Stop, TimelineEvent
 from tools.report.tracking_error import Following, followed
 
 ROWS_MAX = 40  # most rows of a table on the page; the CSV has them all
@@ -27,7 +27,7 @@ class Chapter(NamedTuple):
     missing: str = ""  # why there is nothing to see
 
 
-def chapters(evidence: Evidence) -> Iterator[Chapter]:
+def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
     """Every chapter that this evidence has something for, in the order of the page."""
     recording = evidence.recording
     if recording is None:
@@ -53,13 +53,15 @@ def chapters(evidence: Evidence) -> Iterator[Chapter]:
     yield _events(evidence, faults, history)
 
 
-def _faults(evidence: Evidence) -> list[Event]:
+def _faults(evidence: RunEvidence) -> list[TimelineEvent]:
     found = []
     for fault in evidence.faults or []:
         rest = {k: v for k, v in fault.items() if k not in ("t_s", "kind", "robot")}
         who = f"robot {fault['robot']}" if "robot" in fault else ""
         what = ", ".join(f"{key} {value}" for key, value in rest.items())
-        found.append(Event(float(fault["t_s"]), f"fault: {fault.get('kind', '?')}", who, what))
+        found.append(
+            TimelineEvent(float(fault["t_s"]), f"fault: {fault.get('kind', '?')}", who, what)
+        )
     return found
 
 
@@ -134,7 +136,7 @@ def _said(value: float | None) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def _sections(history: History, marks: Sequence[Event]) -> Chapter:
+def _sections(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
     title = "Sections by owner and phase"
     about = (
         "A row for each section (goals of errands and frontiers of a map are sections, too), in the "
@@ -159,7 +161,7 @@ def _sections(history: History, marks: Sequence[Event]) -> Chapter:
                    (("section", "phase", "owner", "from_s", "until_s"), rows))  # fmt: skip
 
 
-def _load(history: History, bitrate: int, marks: Sequence[Event]) -> Chapter:
+def _load(history: History, bitrate: int, marks: Sequence[TimelineEvent]) -> Chapter:
     width_s, bins = history.bins(drawing.BINS)
     about = (
         f"At worst-case stuffing, of {bitrate} bit/s, {width_s} s a step, by kind of frame. "
@@ -178,7 +180,7 @@ def _load(history: History, bitrate: int, marks: Sequence[Event]) -> Chapter:
                    (("t_s", *kinds, "all"), rows))  # fmt: skip
 
 
-def _states(history: History, marks: Sequence[Event]) -> Chapter:
+def _states(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
     about = "As each robot's beat said it. Grey: nothing was heard of it for more than a second."
     if not history.states:
         return Chapter("states", "States", about, missing="No robot has said its state.")
@@ -231,7 +233,7 @@ def _last(stop: Stop, times_s: dict[int, float]) -> str:
     return f"{max(times_s.values()) * 1e3:.1f}" + (f" (without {lacks})" if lacks else "")
 
 
-def _events(evidence: Evidence, faults: Sequence[Event], history: History) -> Chapter:
+def _events(evidence: RunEvidence, faults: Sequence[TimelineEvent], history: History) -> Chapter:
     told = sorted([*faults, *history.seen], key=lambda event: event.t_s)
     rows = [(round(e.t_s, 3), e.kind, e.who, e.what) for e in told]
     table = [(f"{t_s:.3f}", *rest) for t_s, *rest in rows]
@@ -254,7 +256,7 @@ def _events(evidence: Evidence, faults: Sequence[Event], history: History) -> Ch
                    values=(("t_s", "kind", "who", "what"), rows))  # fmt: skip
 
 
-def _campaign(evidence: Evidence) -> Chapter:
+def _campaign(evidence: RunEvidence) -> Chapter:
     told = evidence.campaign
     broken = [b for b in told.get("broken", []) if isinstance(b, dict)]
     rows = [tuple(b.get(key, "") for key in ("seed", "rule", "t_s", "what")) for b in broken]

@@ -13,7 +13,7 @@ from sim.record.mcap_log import McapMissing
 from tools.inspect.inspection import SourceError
 from tools.report.chapter import Chapter, chapters
 from tools.report.page import page
-from tools.report.run_data import Evidence, gather
+from tools.report.run_data import RunEvidence, gather
 
 WRONG = 2
 PAGE = "report.html"
@@ -61,7 +61,7 @@ def _place(source: Path) -> Path:
     return source / PAGE if source.is_dir() else source.with_suffix(".html")
 
 
-def write(out: Path, evidence: Evidence, found: Sequence[Chapter]) -> None:
+def write(out: Path, evidence: RunEvidence, found: Sequence[Chapter]) -> None:
     """The page, and the folder of its name beside it. OSError."""
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)

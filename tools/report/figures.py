@@ -10,7 +10,7 @@ from agent.interface.lifecycle import State
 from crdt import Phase
 from sim.files import palette
 from sim.record.scene import Scene
-from tools.report.timeline import SILENT, BusAddress, Event, Span, Stop
+from tools.report.timeline import SILENT, BusAddress, Stop, TimelineEvent, TimelineSpan
 from tools.report.tracking_error import Following
 
 Figure = Any  # matplotlib has no types
@@ -136,7 +136,7 @@ def _runs(robot: Following) -> list[list[Any]]:
     return found
 
 
-def gantt(held: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figure:
+def gantt(held: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Figure:
     """A row for each section, in the order in which they were first claimed."""
     order = list(dict.fromkeys(span.who for span in held))[:ROWS_MAX]
     row_of = {section: row for row, section in enumerate(order)}
@@ -159,7 +159,7 @@ def gantt(held: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figur
     return figure
 
 
-def states(spans: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Figure:
+def states(spans: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Figure:
     """For each robot a bar of its states over time, with lines for stops and resets."""
     from matplotlib.patches import Patch
 
@@ -180,7 +180,10 @@ def states(spans: Sequence[Span], until_s: float, marks: Sequence[Event]) -> Fig
 
 
 def load(
-    width_s: int, bins: Sequence[tuple[int, Counter[str]]], bitrate: int, marks: Sequence[Event]
+    width_s: int,
+    bins: Sequence[tuple[int, Counter[str]]],
+    bitrate: int,
+    marks: Sequence[TimelineEvent],
 ) -> Figure:
     """Stacked by kind, the most frequent at the bottom."""
     total: Counter[str] = sum((bits for _, bits in bins), Counter())
@@ -231,7 +234,7 @@ LATENCIES: tuple[tuple[str, str, str, Latencies], ...] = (
 )
 
 
-def _time(axes: Any, until_s: float, marks: Iterable[Event]) -> None:
+def _time(axes: Any, until_s: float, marks: Iterable[TimelineEvent]) -> None:
     for event in marks:
         if isfinite(event.t_s):
             axes.axvline(event.t_s, color=FAULT_COLOUR, linewidth=0.8, alpha=0.6)

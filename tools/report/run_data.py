@@ -11,7 +11,7 @@ from tools.livemap.command import recorded
 REPORT, CAMPAIGN = "report.json", "chaos.json"
 
 
-class Evidence(NamedTuple):
+class RunEvidence(NamedTuple):
     """All that a run, a launch, a log or a campaign left behind."""
 
     source: Path
@@ -38,20 +38,20 @@ class Evidence(NamedTuple):
         return [f for f in faults if isinstance(f, dict) and isinstance(f.get("t_s"), int | float)]
 
 
-def gather(source: Path) -> Evidence:
+def gather(source: Path) -> RunEvidence:
     """Of a run folder or a log. Raises SourceError and McapMissing."""
     folder = source if source.is_dir() else source.parent
     figures = _plain(folder / REPORT)
     campaign = _plain(source / CAMPAIGN) if source.is_dir() else {}
     logs = ("can.log", "run.mcap")
     if campaign and not any((source / log).is_file() for log in logs):
-        return Evidence(source, None, figures, campaign, 0)
+        return RunEvidence(source, None, figures, campaign, 0)
     recording = recorded(source, None)
     if not recording.count:
         raise SourceError(f"{source}: there is no frame in it: not a CAN log, or nothing was said")
     # Virtual time begins at 0; a launch or a real bus has the clock of its computer.
     zero_us = 0 if "trace_hash" in figures else recording.from_us
-    return Evidence(source, recording, figures, campaign, zero_us)
+    return RunEvidence(source, recording, figures, campaign, zero_us)
 
 
 def _plain(path: Path) -> dict[str, Any]:

@@ -24,7 +24,7 @@ SILENT = "SILENT"
 STANDS_M_S = 0.05  # one step of a POSE; a speed of 0.0 there is at most half of it
 
 
-class Span(NamedTuple):
+class TimelineSpan(NamedTuple):
     """A robot in a state, or a section in the hands of an owner."""
 
     who: int  # robot or section
@@ -34,7 +34,7 @@ class Span(NamedTuple):
     until_s: float
 
 
-class Event(NamedTuple):
+class TimelineEvent(NamedTuple):
     """Something that happened at one instant: a fault, a stop, a silence, a command."""
 
     t_s: float
@@ -76,10 +76,10 @@ class History(Inspector):
         super().__init__()
         self.zero_s = zero_us / 1e6
         self.places: dict[int, list[BusAddress]] = {}
-        self.states: list[Span] = []
-        self.held: list[Span] = []  # sections
+        self.states: list[TimelineSpan] = []
+        self.held: list[TimelineSpan] = []  # sections
         self.pressed: list[Stop] = []
-        self.seen: list[Event] = []
+        self.seen: list[TimelineEvent] = []
         self.loads: dict[int, Counter[str]] = {}  # worst-case bits by kind, by second
         self._since: dict[int, tuple[str, float]] = {}
         self._holding: dict[int, tuple[str, int | None, float]] = {}
@@ -123,7 +123,7 @@ class History(Inspector):
         known = self.robots.get(message.slot)
         if known is not None and known.incarnation != message.incarnation:
             what = f"incarnation {message.incarnation}: it has lost its memory"
-            self.seen.append(Event(t_s, "restart", f"robot {message.slot}", what))
+            self.seen.append(TimelineEvent(t_s, "restart", f"robot {message.slot}", what))
         super()._member(t_s, source, message)
 
     def _silent(self, slot: int, last_s: float, until_s: float | None) -> None:
@@ -131,7 +131,7 @@ class History(Inspector):
             self._end_state(slot, last_s)
             self._since[slot] = (SILENT, last_s)
             how = "until the end" if until_s is None else f"for {until_s - last_s:.1f} s"
-            self.seen.append(Event(last_s, "silence", f"robot {slot}", how))
+            self.seen.append(TimelineEvent(last_s, "silence", f"robot {slot}", how))
         if until_s is not None:
             self._end_state(slot, until_s)
             self.robots[slot].state = "?"  # so that its next frame begins a state
@@ -146,7 +146,7 @@ class History(Inspector):
     def _end_state(self, slot: int, t_s: float) -> None:
         name, from_s = self._since.pop(slot, ("", t_s))
         if t_s > from_s:
-            self.states.append(Span(slot, name, None, from_s, t_s))
+            self.states.append(TimelineSpan(slot, name, None, from_s, t_s))
 
     # ---------------------------------------------------------------- places, sections, stops
 
@@ -168,7 +168,7 @@ class History(Inspector):
                         stop.echo_s.setdefault(robot.slot, t_s - stop.t_s)
             case OperatorReport(matter=ReportKind.ASKING):
                 where = f"at {message.x_m:.1f}, {message.y_m:.1f}"
-                self.seen.append(Event(t_s, "question", f"robot {robot.slot}", where))
+                self.seen.append(TimelineEvent(t_s, "question", f"robot {robot.slot}", where))
 
     def _section(self, t_s: float, section: int) -> None:
         phase, owner = self.allocation.phase_of(section), self.allocation.owner_of(section)
@@ -180,7 +180,7 @@ class History(Inspector):
     def _end_section(self, section: int, t_s: float) -> None:
         phase, owner, from_s = self._holding.pop(section, (Phase.FREE.name, None, t_s))
         if phase != Phase.FREE.name:
-            self.held.append(Span(section, phase, owner, from_s, t_s))
+            self.held.append(TimelineSpan(section, phase, owner, from_s, t_s))
 
     def _press(self, t_s: float, frame: Frame) -> None:
         _, message = decode(frame)
@@ -194,7 +194,7 @@ class History(Inspector):
             if slot != dot[0] and not robot.left and t_s - robot.last_s <= SILENT_S
         )  # fmt: skip
         self.pressed.append(Stop(dot, reason, by, t_s, present))
-        self.seen.append(Event(t_s, "stop", by, reason))
+        self.seen.append(TimelineEvent(t_s, "stop", by, reason))
 
     def _stands(self, t_s: float, slot: int, still: bool) -> None:
         for stop in self.pressed:
@@ -207,13 +207,15 @@ class History(Inspector):
         for stop in self.pressed:
             if stop.cleared_s is None and stop.dot in self.cleared:
                 stop.cleared_s = t_s
-                self.seen.append(Event(t_s, "reset", "an operator", f"clears {_dotted(stop.dot)}"))
+                self.seen.append(
+                    TimelineEvent(t_s, "reset", "an operator", f"clears {_dotted(stop.dot)}")
+                )
 
     def _command(self, t_s: float, frame: Frame) -> None:
         _, message = decode(frame)
         if isinstance(message, OperatorCommand):
             target = "all" if message.target == 255 else f"robot {message.target}"
-            event = Event(t_s, "command", target, Command(message.command).name)
+            event = TimelineEvent(t_s, "command", target, Command(message.command).name)
             recent = (e for e in reversed(self.seen) if t_s - e.t_s < AGAIN_S)
             if all(e[1:] != event[1:] for e in recent):  # a command is said several times
                 self.seen.append(event)

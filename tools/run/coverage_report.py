@@ -13,7 +13,7 @@ from sim.files.coverage_plan_file import Plan, write_plan
 from sim.files.grid_map import Cell, Instance, Walls
 from sim.files.strict_json import dumps
 from sim.runs.planned_coverage import Arrival, Death, work
-from sim.world.plan_judge import PlanJudge, Verdict, judge, lower_bound, steps_from
+from sim.world.plan_judge import PlanJudge, PlanScore, judge, lower_bound, steps_from
 from tools.common.result_table import fact_table
 
 WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
@@ -82,7 +82,7 @@ def replayed(
     return 0 if verdict.ok else 1
 
 
-def figures(plan: Plan, verdict: Verdict, turn_cost: float) -> dict[str, Any]:
+def figures(plan: Plan, verdict: PlanScore, turn_cost: float) -> dict[str, Any]:
     """The score of a plan as plain values. `turn_cost`: steps a quarter turn."""
     rows, columns = plan.walls.shape
     return {

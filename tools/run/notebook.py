@@ -30,7 +30,7 @@ from sim.scenarios.scenario import Scenario, ScenarioError
 from tools.report.chapter import Chapter, chapters
 from tools.report.command import write
 from tools.report.page import table_of
-from tools.report.run_data import Evidence
+from tools.report.run_data import RunEvidence
 
 
 class Picture:
@@ -75,8 +75,8 @@ class Run:
         return {chapter.name: chapter for chapter in chapters(self._evidence)}
 
     @property
-    def _evidence(self) -> Evidence:
-        return Evidence(Path(), self.recording, self.figures, {}, 0)
+    def _evidence(self) -> RunEvidence:
+        return RunEvidence(Path(), self.recording, self.figures, {}, 0)
 
     @property
     def rmse_m(self) -> dict[int, float]:

@@ -1,7 +1,7 @@
 """The mission's markdown, letter by letter."""
 
 from agent.exploration.exploration_report import FleetMember, FleetStatus, serialize_for_llm
-from agent.exploration.exploration_task import FleetTask, Kind, Status
+from agent.exploration.exploration_task import FleetTask, Status, TaskKind
 from crdt.occupancy import MergeResult
 
 SAMPLE = """\
@@ -17,8 +17,8 @@ SAMPLE = """\
 
 
 def status() -> FleetStatus:
-    first = FleetTask(1, Kind.EXPLORE_FRONTIER, (1.2, -0.5), 1, Status.ACTIVE, 0)
-    second = FleetTask(2, Kind.EXPLORE_FRONTIER, (-1.5, 1.2), 2, Status.ACTIVE, 0)
+    first = FleetTask(1, TaskKind.EXPLORE_FRONTIER, (1.2, -0.5), 1, Status.ACTIVE, 0)
+    second = FleetTask(2, TaskKind.EXPLORE_FRONTIER, (-1.5, 1.2), 2, Status.ACTIVE, 0)
     members = (
         FleetMember(1, 0.5, -0.3, 0.0, first, 9_000_000, True),
         FleetMember(2, -1.0, 0.8, 0.0, second, 8_900_000, True),

@@ -4,7 +4,7 @@ from functools import cache
 
 import pytest
 
-from agent.exploration.exploration_task import ExplorationOrder, FleetFullError, Kind
+from agent.exploration.exploration_task import ExplorationOrder, FleetFullError, TaskKind
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun, Sharing
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import Crash, Heal, Join, Loss, Partition, Reset, Restart, ScenarioError
@@ -75,8 +75,8 @@ def test_a_fifth_of_all_frames_lost_and_one_robot_killed(seed: int) -> None:
 
 def test_orders_are_carried_out_by_somebody() -> None:
     orders = [
-        ExplorationOrder(Kind.NAVIGATE_TO, ((2.0, -2.0),)),
-        ExplorationOrder(Kind.PATROL, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0))),
+        ExplorationOrder(TaskKind.NAVIGATE_TO, ((2.0, -2.0),)),
+        ExplorationOrder(TaskKind.PATROL, ((-2.0, -2.0), (-2.0, 2.0), (2.0, 2.0))),
     ]
     survey = ExplorationRun(load_arena("arena").changed(2, 1), orders=orders)
     outcome = survey.run()

@@ -10,7 +10,7 @@ from sim.fleet.outcome import COVERAGE_MIN
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import coverage, sample_points
-from sim.world.reachable_ground import Body, reachable_ground
+from sim.world.reachable_ground import WorkingBody, reachable_ground
 from tests.sim.drawn_fields import Ring, rectangle, scenario
 from tools.run.run_field import told_reach
 
@@ -21,7 +21,7 @@ FIELDS: dict[str, tuple[Ring, Ring]] = {
     "letter U": (LETTER_U, ()),
     "island": (rectangle(44.0, 38.0), ISLAND),
 }
-TRACTOR = Body(width_m=4.0, overlap_m=0.2, radius_m=0.8, turn_radius_m=1.72)
+TRACTOR = WorkingBody(width_m=4.0, overlap_m=0.2, radius_m=0.8, turn_radius_m=1.72)
 PIVOT = TRACTOR._replace(turn_radius_m=0.6)
 SIDEWAYS = TRACTOR._replace(turn_radius_m=0.0)
 
@@ -57,7 +57,7 @@ def _passes(polygon: Polygon, without: tuple[float, float] | None = None) -> np.
 @pytest.mark.parametrize("body", (TRACTOR, PIVOT, SIDEWAYS), ids=("tractor", "pivot", "sideways"))
 @pytest.mark.parametrize("strip", ((20.0, 20.5), (0.0, 0.4), (39.5, 40.0)))
 def test_m5_a_strip_that_can_be_reached_and_is_left_is_a_flaw(
-    body: Body, strip: tuple[float, float]
+    body: WorkingBody, strip: tuple[float, float]
 ) -> None:
     field = box(0, 0, 60, 40)
     raster = sample_points(field, body.width_m, body.overlap_m)

@@ -25,7 +25,7 @@ from tools.language.outcome import Outcome
 from tools.language.parse import read
 from tools.language.places import Places
 from tools.language.question import Question
-from tools.language.question import Reason as Why
+from tools.language.question import QuestionReason as Why
 
 SETTING = FieldSetup(load("small"))
 PLACES = Places({"gate": SETTING.field.gate, "shelf": (10.0, -5.0)})

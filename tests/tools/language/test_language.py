@@ -11,12 +11,12 @@ pytest.importorskip("lark", reason="the extra `operator` is not installed")
 
 from tools.bench.phrases import Case, misspelt, phrases, understood
 from tools.language.alarm import may_be_alarm
-from tools.language.authorize import Verdict, weigh
+from tools.language.authorize import Authorization, weigh
 from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.intent import INTENTS, INTENTS_MAX, At, Control, Goal, Query, plain
 from tools.language.parse import read, together
 from tools.language.places import Places, PlacesError
-from tools.language.question import Question, Reason
+from tools.language.question import Question, QuestionReason
 from tools.language.vocabulary import TABLE
 
 FILE = phrases()
@@ -42,7 +42,7 @@ def test_a_phrase_of_the_file(case: Case) -> None:
 def test_the_file_has_a_hundred_and_dangerous_ones() -> None:
     assert len(FILE.known) >= 100 and len({case.say for case in FILE.known}) == len(FILE.known)
     asked = [case.asks for case in FILE.known if case.asks]
-    assert {reason.name for reason in Reason} == set(asked) and asked.count("UNSAFE") >= 10
+    assert {reason.name for reason in QuestionReason} == set(asked) and asked.count("UNSAFE") >= 10
 
 
 def test_the_document_counts_as_the_file_does() -> None:
@@ -103,14 +103,14 @@ def test_any_words_of_the_language_are_an_answer_or_a_question(words: list[str])
             assert (
                 "2" in words or any(word in ("one", "two") for word in words) or intent.robot == 2
             )
-    assert isinstance(weigh(result, FILE.fleet, FILE.places), Verdict | Question)
+    assert isinstance(weigh(result, FILE.fleet, FILE.places), Authorization | Question)
 
 
 def test_nobody_idle_is_a_queue_and_not_a_refusal() -> None:
     reading = read("send the nearest robot to the shelf", FILE.places)
     assert not isinstance(reading, Question)
     verdict = weigh(reading, WORKING, FILE.places)
-    assert isinstance(verdict, Verdict)
+    assert isinstance(verdict, Authorization)
     assert verdict.orders == () and [goal.name for goal in verdict.waiting] == ["shelf"]
 
 
@@ -139,12 +139,16 @@ def test_two_goals_for_the_nearest_go_to_two_robots() -> None:
 def test_a_stop_is_never_made_smaller() -> None:
     for robots in ("all", "unnamed"):
         verdict = weigh((Control(action="stop", robots=robots),), WORKING, FILE.places)
-        assert isinstance(verdict, Verdict) and verdict.stop_all
+        assert isinstance(verdict, Authorization) and verdict.stop_all
 
 
 def test_starting_all_asks_first() -> None:
     verdict = weigh((Control(action="start", robots="all"),), WORKING, FILE.places)
-    assert isinstance(verdict, Verdict) and len(verdict.first_ask) == 1 and len(verdict.orders) == 3
+    assert (
+        isinstance(verdict, Authorization)
+        and len(verdict.first_ask) == 1
+        and len(verdict.orders) == 3
+    )
 
 
 def test_orders_of_one_phrase_do_not_contradict_each_other() -> None:
@@ -155,7 +159,7 @@ def test_orders_of_one_phrase_do_not_contradict_each_other() -> None:
         Control(action="go_home", robots="all"),
     ):
         result = together((there, other))
-        assert isinstance(result, Question) and result.reason is Reason.AMBIGUOUS
+        assert isinstance(result, Question) and result.reason is QuestionReason.AMBIGUOUS
     assert isinstance(together((there,) * (INTENTS_MAX + 1)), Question)
     assert together((there, Query(ask="status"))) == (there, Query(ask="status"))
 
