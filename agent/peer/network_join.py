@@ -26,7 +26,7 @@ class NetworkJoin(Part):
         self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
         self.joined = False
         self.lost_address = False
-        self.away = False  # we left on purpose: claim nothing before `rejoin`
+        self.away = False  # we left on purpose: claim nothing before we rejoin
         self._spoke_us: dict[int, int] = {}  # address -> when we last claimed it, or lost it
         self._ask_all = True  # request all address claims before we claim one
 
