@@ -15,10 +15,12 @@ from tools.common.fingerprint import ROOT
 
 RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5)]
 FEW = RUNS[:2]  # of a small core: these go through all of its modules
-SMALL = {
+SMALL = {  # a minute to compile
     "crdt": "digest progress clock",
-    "protocol": "frames.fleet_frames",
-}  # half a minute to compile
+    "protocol": "frames.codec",
+    "agent": "runtime.peer_runner",
+    "sim": "fleet.batched_runner fleet.event_loop",
+}
 PLAY = """
 import json, sys
 from pathlib import Path
