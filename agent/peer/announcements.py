@@ -13,6 +13,7 @@ from agent.interface.effects import Effect, Send, Trace
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import EMERGENCY_STOP
 from agent.peer import notices
+from agent.peer.member_conflicts import Conflicts
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 from agent.peer.self_health import POOR, Reading, SelfKnowledge, Source, health, readings
@@ -48,6 +49,7 @@ class Announcements(Part):
         beat: BeaconTiming,
         safety: StopController,
         joining: NetworkJoin,
+        conflicts: Conflicts,
         senses: Senses,
         knowledge: SelfKnowledge,
         clock: VectorClock,
@@ -56,7 +58,7 @@ class Announcements(Part):
     ) -> None:
         self.slot, self.beat, self.members = identity.slot, beat, len(identity.members)
         self.safety, self.joining, self.senses, self.knowledge = safety, joining, senses, knowledge
-        self.clock, self.sync = clock, sync
+        self.conflicts, self.clock, self.sync = conflicts, clock, sync
         self.next_us = now_us + phase_us(identity, beat)
         self.beats_a_heartbeat = beat.heartbeat_us // beat.pose_us
         self.beats = self.slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
@@ -87,7 +89,8 @@ class Announcements(Part):
         if not ctx.joined:
             return NOTHING
         pose = self.pose(ctx)
-        outputs: list[Any] = [notices.BeatSent(pose), Send(pose)]
+        self.conflicts.say(pose)
+        outputs: list[Any] = [Send(pose)]
         self.beats += 1
         if self.beats % self.beats_a_heartbeat == 0:
             outputs += self.heartbeat(ctx)
@@ -98,7 +101,7 @@ class Announcements(Part):
         if not ctx.joined:
             return NOTHING
         share = health(self.knowledge.known(ctx.now_us))
-        return [Send(self._beat(ctx, LEAVING_COUNTER, share), source=ctx.address)]
+        return [Send(self._beat(ctx, LEAVING_COUNTER, share), source=self.joining.address)]
 
     def pose(self, ctx: StepContext) -> Pose:
         """Our beacon now."""
@@ -127,7 +130,8 @@ class Announcements(Part):
         self.heartbeats += 1
         found = readings(self.knowledge.known(ctx.now_us))
         beat = self._beat(ctx, self.counter, found[0].share)
-        outputs: list[Any] = [notices.BeatSent(beat), Send(beat), *self._tell_poor(found)]
+        self.conflicts.say(beat)
+        outputs: list[Any] = [Send(beat), *self._tell_poor(found)]
         self.counter = 0 if self.counter >= LAST_COUNTER else self.counter + 1
         if not self.safety.free and self.heartbeats % self.heartbeats_a_standstill == 0:
             outputs.append(Send(self._standstill()))

@@ -45,7 +45,6 @@ class Conflicts(Part):
             notices.FieldDiffers: self._field_differs,
             notices.IdentityDoubled: lambda ctx, n: self.claims_our_name(n.address, ctx.now_us),
             notices.ConflictSettled: self._settled,
-            notices.BeatSent: self._said_beat,
         }
 
     def _field_differs(self, ctx: StepContext, notice: notices.FieldDiffers) -> Outputs:
@@ -54,10 +53,6 @@ class Conflicts(Part):
 
     def _settled(self, ctx: StepContext, notice: notices.ConflictSettled) -> Outputs:
         self.settled(notice.address, ctx.now_us)
-        return NOTHING
-
-    def _said_beat(self, ctx: StepContext, notice: notices.BeatSent) -> Outputs:
-        self._said.append(notice.beat)
         return NOTHING
 
     # ---------------------------------------------------------------- others
@@ -84,6 +79,10 @@ class Conflicts(Part):
             self.safety.clear_cause(cause, now_us)
 
     # ---------------------------------------------------------------- ourselves
+
+    def say(self, beat: Pose | Heartbeat) -> None:
+        """Remember our own beacon or heartbeat as it is sent."""
+        self._said.append(beat)
 
     def claims_our_name(self, address: int, now_us: int) -> Sequence[Effect]:
         """A claim of our NAME, or a MEMBER frame with our slot, from an address that is not ours."""

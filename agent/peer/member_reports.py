@@ -7,7 +7,7 @@ from agent.peer import notices
 from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.told_causes import ToldCauses
 from crdt import VectorClock
-from protocol.frames.fleet_frames import Standstill, VectorSlice
+from protocol.frames.fleet_frames import Heartbeat, Standstill, VectorSlice
 
 
 class MemberReports(Part):
@@ -32,12 +32,15 @@ class MemberReports(Part):
         return [] if told is None else told.sentences(now_us)
 
     def _heartbeat(self, ctx: StepContext, notice: notices.HeartbeatHeard) -> Outputs:
-        slot, m = notice
+        self.heard(notice.slot, notice.heartbeat)
+        return NOTHING
+
+    def heard(self, slot: int, m: Heartbeat) -> None:
+        """A member's heartbeat."""
         self.clock.witness(slot, m.operations)
         self.healths[slot] = m.health
         if not (m.held or m.stopped) and slot in self.standstills:
             self.standstills[slot].moves()
-        return NOTHING
 
     def _standstill(self, ctx: StepContext, header: Header, m: Standstill) -> Outputs:
         assert header.slot is not None

@@ -97,11 +97,11 @@ class Membership(Part):
 
     @property
     def direct(self) -> Mapping[type[Any], DirectHandler]:
-        return {Pose: self.on_pose}
+        return {Pose: self.on_pose, Heartbeat: self._heartbeat}
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
-        return {Heartbeat: self._heartbeat, Member: self._member}
+        return {Member: self._member}
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
@@ -151,12 +151,11 @@ class Membership(Part):
         pose = seen.pose._replace(state=m.state, stopped=m.stopped, heard=m.heard)
         self.neighbours[slot] = Neighbour(pose, min(seen.heard_us, now_us - GONE_QUIET_US))
 
-    def _heartbeat(self, ctx: StepContext, header: Header, m: Heartbeat) -> Outputs:
-        slot = header.slot
+    def _heartbeat(self, source: int, slot: int | None, m: Heartbeat, now_us: int) -> Outputs:
         if slot is None:
-            return NOTHING if m.leaving else [notices.StrangerHeard(header.source)]
+            return NOTHING if m.leaving else [notices.StrangerHeard(source)]
         if m.leaving:
-            self.leave(slot, ctx.now_us)
+            self.leave(slot, now_us)
             return self.changed()
         return [notices.HeartbeatHeard(slot, m)]
 

@@ -30,7 +30,7 @@ class NameDiscovery(Part):
         if self.joining.away:
             return NOTHING
         asked = self.asks.tick(ctx.now_us)
-        return asked if ctx.address is not None else [*map(_unclaimed, asked)]
+        return asked if self.joining.address is not None else [*map(_unclaimed, asked)]
 
     def _overheard(self, ctx: StepContext, notice: notices.RequestOverheard) -> Outputs:
         if notice.data == CLAIM_REQUEST:

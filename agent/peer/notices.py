@@ -5,7 +5,7 @@ A notice says what happened. Its sender does not know which parts listen to it.
 
 from typing import NamedTuple
 
-from protocol.frames.fleet_frames import Heartbeat, Pose
+from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.messages import Message
 
 # ---------------------------------------------------------------- this robot and its bus
@@ -57,12 +57,6 @@ class Left(NamedTuple):
 
 class BeatDue(NamedTuple):
     """Our beacon is sent in this step: what is sent with beacons goes after it."""
-
-
-class BeatSent(NamedTuple):
-    """Our own beacon or heartbeat, as it is sent."""
-
-    beat: Pose | Heartbeat
 
 
 class ControlDue(NamedTuple):

@@ -26,11 +26,9 @@ class StepContext(NamedTuple):
     now_us: int
     state: State
     may_move: bool  # no stop cause holds the robot
-    latched: bool  # an emergency stop holds it until a person resets this machine
     here: Observation | None  # the newest reading of our own sensors
     live: frozenset[int]  # members that are received, with ourselves
-    address: int | None
-    joined: bool  # the address is announced, so the others know who we are
+    joined: bool  # we have an address and it is announced, so the others know who we are
 
 
 class Header(NamedTuple):

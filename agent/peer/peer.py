@@ -38,6 +38,8 @@ from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.segment_frames import gateway_slot
 
 REQUEST_PF = 0xEA
+URGENT, DEVICE, GATEWAY = Senders.URGENT, Senders.DEVICE, Senders.GATEWAY
+MEMBER, MEMBER_ONLY = Senders.MEMBER, Senders.MEMBER_ONLY
 EFFECTS = frozenset((Send, Drive, Persist, Trace))
 
 
@@ -109,7 +111,11 @@ class Peer:
             outputs = [HALT, notices.WorkGivenBack(), notices.Leaving(), notices.Left()]
         else:
             outputs = [fact]
-        return self._settled(outputs, now_us) if outputs else NOTHING
+        if not outputs:
+            return NOTHING
+        effects: list[Effect] = []
+        self._settle(outputs, effects, now_us)
+        return effects
 
     @property
     def deadline_us(self) -> int:
@@ -148,7 +154,7 @@ class Peer:
         kind = type(message)
         route = self._routes.get(kind)
         slot = self._slot_of.get(source)
-        if route is not None and route.senders is Senders.URGENT:
+        if route is not None and route.senders is URGENT:
             # First, in every state, before anything that may fail or be slow.
             return route.direct(source, slot, message, now_us)  # type: ignore[misc]
         if self._carried and slot is None and kind is not AddressClaimed:
@@ -163,7 +169,10 @@ class Peer:
             returned = self._settled(membership.changed(), now_us)
         if route is None:
             return returned
-        outputs = self._routed(route, source, slot, destination, message, now_us)
+        if slot is not None and route.direct is not None:
+            outputs = route.direct(source, slot, message, now_us)
+        else:
+            outputs = self._routed(route, source, slot, destination, message, now_us)
         if self._overhears:
             overhear = self._overhears.get(kind)
             if overhear is not None:
@@ -180,15 +189,15 @@ class Peer:
         now_us: int,
     ) -> Outputs:
         senders = route.senders
-        if slot is None and senders is not Senders.DEVICE:
-            if senders is Senders.GATEWAY:
+        if slot is None and senders is not DEVICE:
+            if senders is GATEWAY:
                 return NOTHING
             refused = self.senders.refused(source, message, now_us)
             if refused is not None:
                 return refused
-            if senders is Senders.MEMBER:
+            if senders is MEMBER:
                 return [notices.StrangerHeard(source)]
-            if senders is Senders.MEMBER_ONLY:
+            if senders is MEMBER_ONLY:
                 return NOTHING
         if route.direct is not None:
             return route.direct(source, slot, message, now_us)
@@ -209,11 +218,11 @@ class Peer:
         if route is None or route.handler is None:
             return NOTHING
         senders = route.senders
-        if senders is not Senders.DEVICE:
+        if senders is not DEVICE:
             refused = self.senders.foreign_group(source, message, now_us)
             if refused is not None:
                 return refused
-            if senders is not Senders.GATEWAY and kind not in self._carried:
+            if senders is not GATEWAY and kind not in self._carried:
                 return NOTHING
         header = Header(source, number, destination, True)
         return route.handler(self.context(now_us), header, message)
@@ -222,12 +231,14 @@ class Peer:
 
     def _timer(self, now_us: int) -> Sequence[Effect]:
         effects: list[Effect] = []
-        ctx = self.context(now_us)
+        ctx: StepContext | None = None
         for part in self._timed:
+            if ctx is None:
+                ctx = self.context(now_us)
             outputs = part.on_timer(ctx)
             if outputs:
                 self._settle(outputs, effects, now_us)
-                ctx = self.context(now_us)
+                ctx = None  # it may be out of date
         return effects
 
     # ---------------------------------------------------------------- notices
@@ -252,17 +263,24 @@ class Peer:
                 self._deliver(output, effects, now_us)
 
     def _deliver(self, notice: Output, effects: list[Effect], now_us: int) -> None:
-        for listener in self._listeners.get(type(notice), NOTHING):
-            outputs = listener(self.context(now_us), notice)
+        listeners = self._listeners.get(type(notice))
+        if listeners is None:
+            return
+        ctx: StepContext | None = None
+        for listener in listeners:
+            if ctx is None:
+                ctx = self.context(now_us)
+            outputs = listener(ctx, notice)
             if outputs:
                 self._settle(outputs, effects, now_us)
+                ctx = None  # it may be out of date
 
     def context(self, now_us: int) -> StepContext:
         """The snapshot that parts get in a step at this time."""
-        safety, joining = self.safety, self.joining
+        safety = self.safety
         return StepContext(
-            self.slot, now_us, self.lifecycle.state, safety.may_move, safety.latched,
-            self.senses.here, self.membership.live, joining.address, joining.joined,
+            self.slot, now_us, self.lifecycle.machine.state, safety.free or safety.may_move,
+            self.senses.here, self.membership.live, self.joining.joined,
         )  # fmt: skip
 
     # ---------------------------------------------------------------- for those who look at it

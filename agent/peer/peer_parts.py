@@ -143,8 +143,8 @@ class PeerParts:
             self.directive, self.obstacle, self.senses, self.views, self._may_choose,
         )  # fmt: skip
         self.voice = Announcements(
-            identity, beat, self.safety, self.joining, self.senses, self.knowledge, self.clock,
-            self.sync, now_us,
+            identity, beat, self.safety, self.joining, self.conflicts, self.senses, self.knowledge,
+            self.clock, self.sync, now_us,
         )  # fmt: skip
         self._boot(now_us, recalled)
 

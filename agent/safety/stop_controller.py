@@ -123,7 +123,8 @@ class StopController:
     @property
     def latched(self) -> bool:
         """Whether a cause is active that only a person at this machine ends."""
-        return any(cause.severity is WORST for cause in self._causes)
+        causes = self._causes
+        return bool(causes) and any(cause.severity is WORST for cause in causes)
 
     @property
     def severity(self) -> Severity:
@@ -159,7 +160,8 @@ class StopController:
     @property
     def may_move(self) -> bool:
         """Whether no active cause is worse than SLOW."""
-        return all(cause.severity is LEAST for cause in self._causes)
+        causes = self._causes
+        return not causes or all(cause.severity is LEAST for cause in causes)
 
     def echoed(self, dot: StopDot) -> frozenset[int]:
         """The slots that have sent or echoed this dot."""

@@ -12,6 +12,7 @@ from agent.interface.ports import Body, Bus, Journal, Neighbour
 from agent.peer.inputs import Heard, Input
 from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner
+from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import BufferedBeacon, FieldBus
@@ -81,14 +82,16 @@ class BatchedRunner(PeerRunner):
                 self.perform(effects)
 
     def _take(self, beacons: Sequence[BufferedBeacon]) -> list[Effect]:
-        """What the peer does with a pose of a live member (`Membership.on_pose`), without the call.
+        """What the peer does with beacons of live members while no stop holds it, without the calls.
 
-        Everything else goes in by the door."""
+        A pose is `Membership.on_pose`, a heartbeat what listens to `HeartbeatHeard`. Everything else
+        goes in by the door."""
         peer, local, effects = self.peer, self._local, list[Effect]()
+        reports, sync, safety = peer.reports, peer.sync, peer.safety
         membership, own = peer.membership, peer.slot
         slot_of, signs, neighbours = membership.slot_of, membership.signs_us, membership.neighbours
         for beacon in beacons:
-            source, seen = beacon.source, beacon.seen
+            source, message, bus_us, seen = beacon
             slot = slot_of.get(source)
             if local is not None and seen is not None:
                 seen = Neighbour(seen.pose, local(seen.heard_us))
@@ -97,6 +100,11 @@ class BatchedRunner(PeerRunner):
                 if seen.pose.heard == own:
                     membership.reflected_us = seen.heard_us
             else:
-                t_us = beacon.t_us if local is None else local(beacon.t_us)
-                effects += peer.step(Heard(source, beacon.message), t_us)
+                t_us = bus_us if local is None else local(bus_us)
+                if slot in signs and type(message) is Heartbeat and not safety.latched:
+                    signs[slot] = t_us
+                    reports.heard(slot, message)
+                    sync.heard_digest(slot, message.digest, t_us)
+                else:
+                    effects += peer.step(Heard(source, message), t_us)
         return effects
