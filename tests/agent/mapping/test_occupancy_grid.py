@@ -295,7 +295,7 @@ def test_a_damaged_file_is_refused(noise: bytes, where: int, value: int) -> None
         except ValueError:
             continue
         assert grid.solid.size <= 1 << 24
-    with pytest.raises(ValueError, match="not a map"):
+    with pytest.raises(ValueError, match="not a saved map"):
         OccupancyGrid.from_bytes(b"", 0)
 
 
