@@ -109,7 +109,14 @@ class Origins:
         if len(self._kept) > KEPT_MAX:
             del self._kept[next(iter(self._kept))]
 
-    def kept(self, address: int, now_us: int) -> list[Message]:
-        """Take the kept frames of this address that are not too old, in order of reception."""
+    def kept(self, address: int, now_us: int, stopped_at_us: int) -> list[Message]:
+        """Take the kept frames of this address that are not too old, in order of reception.
+
+        A reset or a start that was received before the newest stop, at `stopped_at_us`, is void."""
         words = self._kept.pop(address, {})
-        return [message for message, heard_us in words.items() if now_us - heard_us <= KEPT_US]
+        return [
+            message
+            for message, heard_us in words.items()
+            if now_us - heard_us <= KEPT_US
+            and not (isinstance(message, OperatorCommand) and heard_us <= stopped_at_us)
+        ]

@@ -171,7 +171,7 @@ class SenderOrigins(Part):
             notices.HeardAgain(source, stop, at_us) for at_us, stop in self.doubts.end(source)
         ]
         # Now that its NAME is known, as if these messages arrived now.
-        kept = self.origins.kept(source, now_us)
+        kept = self.origins.kept(source, now_us, self.safety.stopped_at_us)
         return [*outputs, *(notices.HeardAgain(source, message, now_us) for message in kept)]
 
     def _count_malformed(self, ctx: StepContext, header: Header, m: Malformed) -> Outputs:

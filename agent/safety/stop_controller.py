@@ -85,6 +85,7 @@ class StopController:
         self._live: frozenset[int] = frozenset({slot})
         self._silent: frozenset[int] = frozenset()
         self._stable_us = now_us
+        self.stopped_at_us = -STOP_SPACING_US  # when the newest stop was pressed or received
         self.last_stop: tuple[int, Reason] | None = None  # slot of the presser, and the reason
         self._reasons: dict[StopDot, Reason] = {}  # reasons of our own presses still being repeated
         self._echoes: dict[StopDot, set[int]] = {}
@@ -202,7 +203,7 @@ class StopController:
         return self._press(reason, now_us)
 
     def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
-        self._pressed_us = now_us
+        self._pressed_us = self.stopped_at_us = now_us
         dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
         self.stops.press_own(dot)
         self._renew_us = FOREVER
@@ -245,6 +246,7 @@ class StopController:
         if self.stops.full:
             return self._hold_more(m.echo, now_us)
         self.stops.press(dot)
+        self.stopped_at_us = now_us
         reason = Reason(min(m.reason, max(Reason)))
         self.last_stop = m.slot, reason
         self._renew_us = FOREVER
@@ -346,6 +348,7 @@ class StopController:
             return self._hold_more(True, now_us)
         if not self.stops.press(dot):
             return ()
+        self.stopped_at_us = now_us
         self._renew_us = FOREVER
         self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [

@@ -189,6 +189,10 @@ class StopMonitor:
             if pressed_us > since_us or number in self._unsent:
                 self._unheard[number] |= self._know[number] - {self._by[number]}
                 self._know[number] &= {self._by[number]}
+            if number in self._unsent and not self._silence_stops:
+                # The pressed robot may be the one that is cut off, and its silence stops nobody.
+                for other in set(self._stages.get(number, ())) - {self._by[number]}:
+                    self._free(number, other)
 
     def dies_hung(self, slot: int, since_us: int) -> None:
         """Its process has hung since then, so it has never read stops pressed meanwhile."""

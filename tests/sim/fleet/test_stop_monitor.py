@@ -174,17 +174,21 @@ def test_a_stop_that_waits_for_a_full_bus_binds_no_robot_that_restarts(sender: i
 
 @pytest.mark.parametrize("silence_stops", [False, True])
 @pytest.mark.parametrize("sent", [False, True])
-def test_a_stop_that_dies_with_its_robot_binds_only_by_its_silence(
-    silence_stops: bool, sent: bool
+@pytest.mark.parametrize("how", ["dies", "is cut off"])
+def test_a_stop_that_is_lost_with_its_robot_binds_only_by_its_silence(
+    silence_stops: bool, sent: bool, how: str
 ) -> None:
-    """Found by `headland chaos`, profile flood, seed 940321: pressed in a flood that outranks stops,
-    and without power before the flood ended; the policy of the fleet was `continue`."""
+    """Found by `headland chaos`, profile flood, seeds 940321 and 950225: pressed in a flood that
+    outranks stops, and without power or bus before it ended; the policy was `continue`."""
     parade = ProtocolWorld(2, 2)
     watch = StopMonitor(parade, 2, silence_stops=silence_stops)
     watch.pressed(2 * S, (0, 1), by=0)
     if sent:
         watch.sent(0, 3 * S)
-    watch.dies(0)
+    if how == "dies":
+        watch.dies(0)
+    else:
+        watch.interrupted(5 * S)
     parade.moved(1, 10 * S)
     assert bool(watch.violations) is (sent or silence_stops)
 
