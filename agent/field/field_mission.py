@@ -18,7 +18,6 @@ from agent.field.section_partition import Point
 from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
-from agent.interface.ports import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
@@ -27,11 +26,6 @@ ASTRAY_M: Final = 4.0  # further from its line than this swath width, a robot re
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
 
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
-
-# On its line: what is left of the distance to it tilts the bar by less than a degree.
-ALIGNED_M: Final = 0.03
-ALIGN_GAIN_1_S: Final = 4.0  # control at 20 Hz is stable below about 10
-ALIGN_M_S: Final = 0.3  # forward, while it aligns: half of the lead-in in half a second
 
 
 class FieldMission(Mission):
@@ -67,8 +61,6 @@ class FieldMission(Mission):
         self.leg = WorkLeg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
-        self.half_m = field.implement_width_m / 2
-        self.aligned = True  # on the line of the leg, without a drift sideways
         self.lifted = False  # the implement was up since the last check
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector()
@@ -248,7 +240,6 @@ class FieldMission(Mission):
                     list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
                 )
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
-                self.aligned = not (self.leg.units and self.turns_on_the_spot)
             self.tracker.locate(here.x_m, here.y_m)
             covered += self._passed(view)
             if not self.tracker.arrived:
@@ -257,38 +248,13 @@ class FieldMission(Mission):
         if self.tracker.gap_m > ASTRAY_M:  # pushed, or giving way to others: another way back
             self._go_astray(view)
             return STILL, covered
-        vx_m_s, vy_m_s = self._velocity(here)
+        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
         # Not sooner: the ground before the leg may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
-        tool_on = bool(self.leg.units) and on_line and self.aligned
+        tool_on = bool(self.leg.units) and on_line
         return _wish(
             MotionRequest, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
         ), covered
-
-    def _velocity(self, here: Observation) -> Point:
-        """The velocity along the leg, (x, y) metres a second; first onto the line of a working leg.
-
-        The bar stands at right angles to the motion. If the robot still drifts sideways at the
-        first unit, the leading end of its bar begins that unit too late.
-        """
-        assert self.tracker is not None
-        if self.aligned or self.tracker.gap_m > LEAD_M:
-            return self.tracker.velocity(here.x_m, here.y_m)
-        (ax, ay), (bx, by) = self.tracker.points[:2]
-        length_m = max(hypot(bx - ax, by - ay), 1e-9)
-        ux, uy = (bx - ax) / length_m, (by - ay) / length_m
-        off_m = self.tracker.off_m
-        ahead_m_s = here.vx_m_s * ux + here.vy_m_s * uy
-        aside_m_s = abs(here.vy_m_s * ux - here.vx_m_s * uy)
-        # The leading end of the bar is half its width times the tilt ahead of the robot.
-        left_m = LEAD_M - self.tracker.along_m
-        tilted = self.half_m * aside_m_s > left_m * max(ahead_m_s, ALIGN_M_S)
-        if (abs(off_m) <= ALIGNED_M and not tilted) or left_m < LEAD_M / 2:
-            self.aligned = True
-            self.worst_m = 0.0 if self.unit == 0 else self.worst_m  # lowered before the first unit
-            return self.tracker.velocity(here.x_m, here.y_m)
-        close_m_s = -ALIGN_GAIN_1_S * off_m
-        return ux * ALIGN_M_S - uy * close_m_s, uy * ALIGN_M_S + ux * close_m_s
 
     def _go_astray(self, view: FleetView) -> None:
         """Replan the rest of the work from our current position."""

@@ -80,7 +80,7 @@ class Claim(NamedTuple):
     takeover: bool = False
 
 
-class Release(NamedTuple):
+class ReleaseSection(NamedTuple):
     """Give this section back, unfinished."""
 
     section: int
@@ -118,7 +118,7 @@ class EndRelease(NamedTuple):
 
 
 OperatorCall = (
-    Press | ManualReset | Start | Hold | Claim | Release | Finish | Cover | Leave | ReleaseStops
+    Press | ManualReset | Start | Hold | Claim | ReleaseSection | Finish | Cover | Leave | ReleaseStops
     | EndRelease
 )  # fmt: skip
 Input = Received | Heard | Sensed | Timer | BusState | DiskFailed | OperatorCall

@@ -35,7 +35,7 @@ from agent.peer.inputs import (
     Leave,
     ManualReset,
     Press,
-    Release,
+    ReleaseSection,
     ReleaseStops,
     Sensed,
     Start,
@@ -217,7 +217,7 @@ class FleetCoordinationEngine:
             won = await self._claim_section(section_id)
         except TimeoutError:  # it is not allowed to start its claimed section
             section = self.sections.number(section_id)
-            self._operate(Release(section))
+            self._operate(ReleaseSection(section))
             self.refusal = "; ".join(self.stands) or f"in state {self.get_current_state()}"
             return False
         if not won and not self.refusal:
@@ -249,7 +249,7 @@ class FleetCoordinationEngine:
         if self._peer.claims.current == section:
             self._operate(Finish(section))
         else:
-            self._operate(Release(section))
+            self._operate(ReleaseSection(section))
 
     # ---------------------------------------------------------------- emergency
 

@@ -115,10 +115,8 @@ def test_quick_commands_answer_in_json(tmp_path: Path, words: str) -> None:
 
 
 FIGURES = (
-    "run/run_field",
-    "run/run_navigation",
+    "run/run_mission",
     "run/run_delivery",
-    "run/run_exploration",
     "run/launch",
     "chaos/chaos",
     "chaos/planted_bug_hunt",

@@ -46,7 +46,7 @@ def test_the_file_has_a_hundred_and_dangerous_ones() -> None:
 
 
 def test_the_document_counts_as_the_file_does() -> None:
-    text = (Path(__file__).parents[3] / "docs" / "use" / "language.md").read_text()
+    text = (Path(__file__).parents[3] / "docs" / "measured" / "operator.md").read_text()
     asked = sum(case.asks is not None for case in FILE.known)
     meant = sum(bool(case.gives) for case in FILE.unseen)
     assert f"| {len(FILE.known)} phrases obeyed" in text and f"{asked} of them to be asked" in text
