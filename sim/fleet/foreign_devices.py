@@ -131,6 +131,7 @@ def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[No
             yield now_us
             if now_us >= latched_us and not latched:
                 latched, bound = True, cluster.stops.obey(level)
-                if bound:
+                # What robots press instead may have been cleared before this time.
+                if bound and cluster.stops.cleared_at_us < press_us:
                     cluster.stops.pressed(now_us, bound)
         cluster.stops.end_level(level)

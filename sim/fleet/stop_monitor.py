@@ -63,6 +63,7 @@ class StopMonitor:
         self._levels: dict[int, set[int]] = {}
         self._disturbed_us = 0  # until then not all robots receive each other
         self.disturbances = 0
+        self.cleared_at_us = 0  # when an operator last cleared stops
         self._unsaid: set[int] = set()  # presses of robots that had no address to send them from
         self._unsent: set[int] = set()  # presses whose stop frame has not been on the wire
 
@@ -148,6 +149,7 @@ class StopMonitor:
     def ordered(self, order: object) -> None:
         """Handle a frame that an operator sends."""
         if isinstance(order, EmergencyReset):
+            self.cleared_at_us = self._now_us()
             self._never_said()
             self._advance(EVERYBODY, Stage.PRESSED)
         elif isinstance(order, OperatorCommand) and order.command == Command.MANUAL_RESET:
