@@ -181,7 +181,7 @@ class Membership(Part):
     # ---------------------------------------------------------------- told by other parts
 
     def _gained(self, ctx: StepContext, notice: notices.AddressGained) -> Outputs:
-        self.unbind(notice.address)  # whoever had it before: it is ours now
+        self.unbind(notice.address)  # an earlier binding no longer holds: it is ours now
         return NOTHING
 
     def _taken(self, ctx: StepContext, notice: notices.AddressTaken) -> Outputs:

@@ -28,7 +28,7 @@ class StepContext(NamedTuple):
     may_move: bool  # no stop cause holds the robot
     here: Observation | None  # the newest reading of our own sensors
     live: frozenset[int]  # members that are received, with ourselves
-    joined: bool  # we have an address and it is announced, so the others know who we are
+    joined: bool  # we have an address and it is announced, so the others know our slot
 
 
 class Header(NamedTuple):
@@ -46,7 +46,7 @@ class Senders(Enum):
     URGENT = "anyone, before all checks"
     DEVICE = "any device, also of other makers"
     ANYONE = "anyone"
-    MEMBER = "a member; another sender is asked who it is"
+    MEMBER = "a member; another sender is asked for its slot"
     MEMBER_ONLY = "a member; of another sender it is ignored"
     GATEWAY = "a gateway to other segments"
 

@@ -101,7 +101,7 @@ class CommandAuthority:
     def answer(self, source: int, m: Challenge, now_us: int) -> Sequence[Effect]:
         """The proofs of our counters to a robot that has challenged us.
 
-        There are up to two: for the keys of this robot, and for those of an operator who works at
+        There are up to two: for the keys of this robot, and for those of an operator at
         this machine. `source`: bus address of the asker, to which the proof is sent.
         """
         proofs = [

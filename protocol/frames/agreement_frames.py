@@ -1,4 +1,4 @@
-"""Frames by which robots agree on who goes where. One use is robots in each other's way
+"""Frames by which robots agree on which robot goes where. One use is robots in each other's way
 (`agent/mapf/joint_plan_agreement.py`), the other a grid that robots cover together
 (`agent/coverage/plan_agreement.py`). A fleet has one of the two uses."""
 

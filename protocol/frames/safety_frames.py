@@ -54,7 +54,7 @@ class Switch(IntEnum):
     NOT_AVAILABLE = 3
 
 
-PRESSER = "who pressed: robot slot, or 128 to 254 for a panel or an operator device"
+PRESSER = "the presser: robot slot, or 128 to 254 for a panel or an operator device"
 OPERATOR = "operator device (192 to 254 in a fleet with keys)"
 OPERATOR_PROOF = (
     integer("freshness", 8, "low byte of the operator's freshness counter"),

@@ -10,7 +10,7 @@ from tools.bench.delivery_trouble import bad_luck, troubled
 @pytest.mark.parametrize("seed", [11, 18])
 def test_every_parcel_arrives(seed: int) -> None:
     """11: a node too near to a body. 18: a robot that drove on in a split and died unheard. In both,
-    and in one run of three, a body that who had restarted did not know of."""
+    and in one run of three, a body that a restarted robot did not know of."""
     outcome = DeliveryRun(DeliverySetup(bad_luck(seed))).run()
     print(f"seed {seed}", outcome)
     assert outcome.finished and not outcome.flawed

@@ -160,7 +160,7 @@ def test_ancestor_rule_itself_gives_three_owners_in_six_orders() -> None:
 
 
 def test_ancestor_a_late_claim_does_not_rob_started_work() -> None:
-    """In the ancestor the last claim won, whoever was working."""
+    """In the ancestor the last claim won, even against a robot at work."""
     worker, late = FieldAllocationCRDT(), FieldAllocationCRDT()
     worker.claim(7, 1, bid=20)
     worker.start(7, 1)

@@ -55,7 +55,7 @@ MACHINES = (
     ),
     Machine(
         "states_joint_plan.svg", "Agreement on a joint plan",
-        "How robots in each other's way agree on who goes where.",
+        "How robots in each other's way agree on which robot goes where.",
         "agent/mapf/joint_plan_agreement.py", joint_plan_agreement.JOINT_PLAN_TABLE,
         joint_plan_agreement.FREE,
     ),

@@ -27,15 +27,15 @@ class PageUpdates:
         self.told += 1
         player, watcher = self.player, self.player.watcher
         now_s = player.head_us / 1e6
-        anew = player.jumps != self._jumps
-        if anew:
+        jumped = player.jumps != self._jumps
+        if jumped:
             self._jumps = player.jumps
             self._paths.clear()
             self._things = None
             watcher.all_changed()
         recording = player.recording
         told: dict[str, Any] = {
-            "kind": "now", "anew": anew, "t": round(now_s, 3),
+            "kind": "now", "jumped": jumped, "t": round(now_s, 3),
             "from": player.index.from_us / 1e6, "until": round(recording.until_us / 1e6, 3),
             "ended": recording.ended, "playing": player.playing, "speed": player.speed,
             "follow": player.follow, "quiet": round(recording.quiet_us / 1e6, 1),

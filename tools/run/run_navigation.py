@@ -34,7 +34,7 @@ class NavigationCommand(MissionCommand[NavigationRun]):
             if last_s
             else ""
         )
-        planned = f"{sum(leg.replans for leg in outcome.legs)} paths planned anew on the way"
+        planned = f"{sum(leg.replans for leg in outcome.legs)} paths planned again on the way"
         return [
             ("goals", f"{len(reached)} of {len(outcome.legs)} reached{ends}"),
             ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),

@@ -1,5 +1,5 @@
-"""Key files: one for the robots and stop panels of a fleet, and one for an operator who may release
-it.
+"""Key files: one for the robots and stop panels of a fleet, one for an operator with the right to
+release it.
 
 They are JSON that only the owner can read. An operator's counter must never go back, so it is
 stored beside its key file and reserved in blocks: one durable write covers many frames.

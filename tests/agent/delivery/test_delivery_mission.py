@@ -46,7 +46,8 @@ def test_a_short_task_waits_for_the_new_plan_and_a_long_one_goes_on(
     assert (choice is not None) is proceeds
     assert (mission.waited_us > 0) is not proceeds
     after = mission.choose(view(now_us + 60 * S))
-    assert after is not None or mission.dispatch.round.active  # whoever waits waits for the plan
+    # a robot that waits, waits for the plan
+    assert after is not None or mission.dispatch.round.active
 
 
 def test_an_itinerary_names_the_charger_that_it_will_need() -> None:

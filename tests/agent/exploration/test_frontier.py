@@ -1,4 +1,4 @@
-"""Frontiers: found, named and ranked alike by whoever has the same map."""
+"""Frontiers: robots with the same map find, name and rank them alike."""
 
 import numpy as np
 import pytest

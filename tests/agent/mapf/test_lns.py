@@ -1,4 +1,4 @@
-"""Robots put back together: plans stay plans, and whoever is at its goal lets others pass."""
+"""Robots put back together: plans stay plans, and a robot at its goal lets others pass."""
 
 from random import Random
 from statistics import median

@@ -1,4 +1,4 @@
-"""Where silent members stand: all come to know the same, whoever was away."""
+"""Where silent members stand: all robots come to know the same, also those that were away."""
 
 from math import inf, pi
 from random import Random

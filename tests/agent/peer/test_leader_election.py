@@ -71,8 +71,8 @@ def test_who_has_lost_its_memory_does_not_wait_for_ever_to_be_told_of_a_term() -
 
 
 def test_what_is_said_again_keeps_no_new_vote_waiting() -> None:
-    """Found by `headland chaos`, profile protocol, seed 20094: who had said its vote again for long
-    without a leader kept its vote of a new term to itself for half a minute."""
+    """Found by `headland chaos`, profile protocol, seed 20094: a robot that had repeated its vote for
+    long without a leader kept its vote of a new term to itself for half a minute."""
     alone = Election(1, 1, 0, term=2)
     alone._say(alone.call(BOTH))
     now_us = 0

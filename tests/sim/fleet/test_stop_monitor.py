@@ -126,8 +126,8 @@ def test_a_stop_that_nobody_remembers_needs_no_clearing(forgetful: tuple[int, ..
 
 @pytest.mark.parametrize("memory", ["lost", "boots", "kept"])
 def test_who_has_not_heard_a_stop_is_held_by_a_silence_alone(memory: str) -> None:
-    """Found by `headland chaos`, profile protocol, seeds 100335 (who was pressed lost its memory), 52125
-    (who had not heard it was switched on again): S1 asked for what nobody could know."""
+    """Found by `headland chaos`, profile protocol, seeds 100335 (the pressed robot lost its memory),
+    52125 (a robot that had not heard it was switched on again): S1 asked for what nobody could know."""
     parade = ProtocolWorld(2, 2)
     watch = StopMonitor(parade, 2)
     watch.pressed(0, (0, 1), unheard=(1,))

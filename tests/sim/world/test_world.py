@@ -1,4 +1,4 @@
-"""The world: one history whoever asks, commands that expire, contacts seen, faults applied."""
+"""The world: one history for every caller, commands that expire, contacts seen, faults applied."""
 
 from functools import partial
 from math import cos, hypot, inf, pi, sin

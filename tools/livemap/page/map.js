@@ -46,8 +46,8 @@ function hear(message) {
     if (message.slot === field.chosen) side.showOne(message, told?.robots.find((r) => r.s === message.slot));
     return;
   }
-  if (message.anew) { field.forget(); side.forget(); }
-  const paths = new Map((message.anew ? [] : told?.robots ?? []).map((robot) => [robot.s, robot.path]));
+  if (message.jumped) { field.forget(); side.forget(); }
+  const paths = new Map((message.jumped ? [] : told?.robots ?? []).map((robot) => [robot.s, robot.path]));
   for (const robot of message.robots) robot.path ??= paths.get(robot.s);
   told = message;
   if (message.events) events = message.events;
