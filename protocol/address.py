@@ -115,12 +115,12 @@ class AddressClaim:
         return self.candidate if self._machine.state is HELD else None
 
     @property
-    def deadline_us(self) -> int | None:
+    def due_at_us(self) -> int | None:
         """When `on_tick` next has something to do, if nothing is received before; None: nothing."""
-        next_us, answer_us = self._next_us, self._answer_us
-        if next_us is None or answer_us is None:
-            return answer_us if next_us is None else next_us
-        return min(next_us, answer_us)
+        next_at_us, answer_us = self._next_us, self._answer_us
+        if next_at_us is None or answer_us is None:
+            return answer_us if next_at_us is None else next_at_us
+        return min(next_at_us, answer_us)
 
     def restart(self, now_us: int) -> None:
         """Start claiming, after power-up or after a return to the bus."""

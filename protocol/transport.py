@@ -118,7 +118,7 @@ class _Receiving:
         self.expected = 1
         self.granted_to = 0  # last packet that we have requested
         self.retries = 0
-        self.due_us = 0
+        self.due_at_us = 0
 
 
 class _Sending:
@@ -132,7 +132,7 @@ class _Sending:
         # A broadcast is answered by nobody.
         start = SENDING if destination == GLOBAL_ADDRESS else AWAITING
         self.machine = StateMachine("transport session", SENDING_TABLE, start)
-        self.due_us = 0  # of the next packet; while `AWAITING`, of the answer
+        self.due_at_us = 0  # of the next packet; while `AWAITING`, of the answer
 
     def packet(self, sequence: int) -> TransportData:
         body = self.data[PACKET * (sequence - 1) : PACKET * sequence]
@@ -152,13 +152,13 @@ class Transport:
         self._sending: dict[int, _Sending] = {}  # destination
 
     @property
-    def deadline_us(self) -> int | None:
+    def due_at_us(self) -> int | None:
         """When `on_tick` next has something to do, if nothing is received before; None: no session is
         open."""
         if not self._receiving and not self._sending:
             return None
-        due = [session.due_us for session in self._receiving.values()]
-        due += [session.due_us for session in self._sending.values()]
+        due = [session.due_at_us for session in self._receiving.values()]
+        due += [session.due_at_us for session in self._sending.values()]
         return min(due, default=None)
 
     @property
@@ -182,20 +182,20 @@ class Transport:
         session = self._sending[destination] = _Sending(pgn, data, destination)
         head = len(data).to_bytes(2, "little") + bytes((session.packets,))
         if destination == GLOBAL_ADDRESS:
-            session.due_us = now_us + BAM_GAP_US
+            session.due_at_us = now_us + BAM_GAP_US
             session.queue.extend(range(1, session.packets + 1))
             return [_manage(Control.BAM, head + b"\xff", pgn, GLOBAL_ADDRESS)]
-        session.due_us = now_us + T3_US
+        session.due_at_us = now_us + T3_US
         return [_manage(Control.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
 
     def on_tick(self, now_us: int) -> Iterable[OutgoingFrame]:
         """Send packets that are due; end sessions that have timed out."""
         out: list[OutgoingFrame] = []
         for sending in list(self._sending.values()):
-            if now_us >= sending.due_us:
+            if now_us >= sending.due_at_us:
                 out += self._send_on(sending, now_us)
         for key, receiving in list(self._receiving.items()):
-            if now_us >= receiving.due_us:
+            if now_us >= receiving.due_at_us:
                 out += self._overdue(key, receiving, now_us)
         return out
 
@@ -205,12 +205,12 @@ class Transport:
             return [_abort(Abort.TIMEOUT, session.pgn, session.destination)]
         out = [OutgoingFrame(session.packet(session.queue.popleft()), session.destination)]
         broadcast = session.destination == GLOBAL_ADDRESS
-        session.due_us = now_us + (BAM_GAP_US if broadcast else DATA_GAP_US)
+        session.due_at_us = now_us + (BAM_GAP_US if broadcast else DATA_GAP_US)
         if not session.queue and broadcast:
             self._fire(session, SendingEvent.DELIVERED)
         elif not session.queue:
             self._fire(session, SendingEvent.GRANT_SENT)
-            session.due_us = now_us + T3_US
+            session.due_at_us = now_us + T3_US
         return out
 
     def _fire(self, session: _Sending, event: SendingEvent) -> None:
@@ -267,7 +267,7 @@ class Transport:
         if running is not None:
             self.counts["begun again"] += 1
         if broadcast:
-            session.granted_to, session.due_us = packets, now_us + T1_US
+            session.granted_to, session.due_at_us = packets, now_us + T1_US
             return ()
         return [self._grant(session, source, now_us)]
 
@@ -276,7 +276,7 @@ class Transport:
         session.granted_to = session.expected + count - 1
         # Request again before the sender's T3 ends the session. The last request gets the time of
         # the standard.
-        session.due_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
+        session.due_at_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
         body = bytes((count, session.expected, 0xFF, 0xFF))
         return _manage(Control.CTS, body, session.pgn, source)
 
@@ -298,7 +298,7 @@ class Transport:
         if m.sequence == session.expected:
             session.data += m.body
             session.expected += 1
-            session.due_us = now_us + T1_US
+            session.due_at_us = now_us + T1_US
         # else: a packet was lost; the rest of the grant passes, then the packet is requested again
         if session.expected > session.packets:
             return self._complete(key, session)
@@ -360,14 +360,14 @@ class Transport:
         if count == 0:  # hold
             session.queue.clear()
             self._fire(session, SendingEvent.ON_HOLD)
-            session.due_us = now_us + T4_US
+            session.due_at_us = now_us + T4_US
             return ()
         if not 1 <= first <= session.packets:
             return self._give_up(session, Abort.SEQUENCE)
         last = min(first + count - 1, session.packets)
         session.queue = deque(range(first, last + 1))
         self._fire(session, SendingEvent.GRANTED)
-        session.due_us = now_us
+        session.due_at_us = now_us
         return ()
 
     def _give_up(self, session: _Sending, reason: Abort) -> Iterable[OutgoingFrame]:

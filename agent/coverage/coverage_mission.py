@@ -110,7 +110,7 @@ class GridWork(Mission):
         self._at_once = gathering
         free = state in ABLE and now_us - self._asked_us < HELD_US
         answer = AgreementReply.GRANT if free else AgreementReply.STOPPED
-        crew = FleetSnapshot(view.live, view.silent_since_us, view.progress)
+        crew = FleetSnapshot(view.live, view.fell_silent_at_us, view.progress)
         rounds.on_tick(self._standing(view, free), answer, not self._told, crew, now_us)
         self._note_holding(view)
         self._wish = self._drive(view)
@@ -163,7 +163,7 @@ class GridWork(Mission):
         rank = sum(slot < self.slot for slot in view.live)
         if view.now_us < self.agreement.begun_us + rank * TELL_US or self.agreement.course is None:
             return
-        for slot in view.silent_since_us:
+        for slot in view.fell_silent_at_us:
             for number in self.agreement.passed(slot):
                 self._tell(number, view)
             if slot in self.agreement.course.slots and slot in view.neighbours:
@@ -177,7 +177,7 @@ class GridWork(Mission):
     def _meet_wreck(self, view: FleetView) -> None:
         """Mark the cells of the one robot that fell silent: it stands where its last command
         expired."""
-        owing = self.agreement.owing(view.progress, view.silent_since_us)
+        owing = self.agreement.owing(view.progress, view.fell_silent_at_us)
         if len(owing) != 1 or owing[0] not in view.neighbours:
             return
         pose = view.neighbours[owing[0]].pose

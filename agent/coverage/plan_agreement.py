@@ -90,7 +90,7 @@ class FleetSnapshot(NamedTuple):
     """What a peer knows about the others now."""
 
     live: frozenset[int]
-    silent_since_us: Mapping[int, int]
+    fell_silent_at_us: Mapping[int, int]
     progress: Progress
 
 
@@ -293,7 +293,7 @@ class CoverageAgreement:
         step = self._reached.get(self.slot, 0)
         if self.course.reaches(step + 1):
             return False
-        since_us = max(crew.silent_since_us.values(), default=0)
+        since_us = max(crew.fell_silent_at_us.values(), default=0)
         if self.kept and now_us - since_us > LEASE_US and self._done(crew.progress):
             return True
         return any(body.until_us <= now_us for body in self.bodies.values())
@@ -376,7 +376,7 @@ class CoverageAgreement:
 
     def _kept(self, covered: NDArray[np.bool_], crew: FleetSnapshot) -> NDArray[np.bool_]:
         """Cells that silent robots are believed to be working on."""
-        owing = self.owing(crew.progress, crew.silent_since_us)
+        owing = self.owing(crew.progress, crew.fell_silent_at_us)
         if self._plain or len(owing) < 2:
             return np.zeros_like(covered)
         theirs: NDArray[np.bool_] = np.isin(self.owner, owing) & ~covered

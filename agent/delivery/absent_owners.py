@@ -31,7 +31,7 @@ class AbsentOwners:
         `LEASE_US` and has not picked the parcel up.
         """
         if owner not in view.live:
-            return view.now_us - view.silent_since_us.get(owner, -LEASE_US) >= LEASE_US
+            return view.now_us - view.fell_silent_at_us.get(owner, -LEASE_US) >= LEASE_US
         picked_up = bool(view.progress.bits(task, 0) & 1)
         stopped_us = self._stopped_us.get(owner, view.now_us)
         return not picked_up and view.now_us - stopped_us >= LEASE_US

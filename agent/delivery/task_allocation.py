@@ -148,16 +148,16 @@ class TaskAllocation:
         now_us = view.now_us
         if len(fresh) <= self.house.t_max:
             self._many_us = now_us
-        whole = len(view.live) >= len(view.live | view.silent_since_us.keys()) > 1
+        whole = len(view.live) >= len(view.live | view.fell_silent_at_us.keys()) > 1
         if now_us - self._born_us < BOOT_US and not (whole and now_us - self._born_us > S):
             return  # not all robots are here yet
-        due_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
+        due_at_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
         planned = sum(len(self.means(slot)) for slot in view.live)
         room = round_tasks_max(len(view.live)) - planned
         if len(fresh) > self.house.t_max and room < min(len(fresh), planned):
             fresh = []  # a backlog: wait until planned tasks have begun
         if len(fresh) > self.house.t_max and now_us >= self._round_us:
-            if now_us >= due_us:
+            if now_us >= due_at_us:
                 self._round_us = now_us + AGAIN_US
                 tasks = min(len(fresh), room)
                 replan_us = min(
@@ -255,7 +255,7 @@ class TaskAllocation:
                 continue
             kept.append(task)
         self.itinerary = kept
-        known = view.live | view.silent_since_us.keys()
+        known = view.live | view.fell_silent_at_us.keys()
         for slot in [s for s in self.remote_itineraries if s not in known]:
             del self.remote_itineraries[slot]  # it left with a farewell
 

@@ -124,7 +124,9 @@ class TaskRegistry:
 
     def outgoing(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
         """The frames that are due with our beat: repeated orders, and a digest."""
-        told = [task for task, due_us in self._due.items() if due_us <= now_us][:ORDERS_A_BEAT]
+        told = [task for task, due_at_us in self._due.items() if due_at_us <= now_us][
+            :ORDERS_A_BEAT
+        ]
         for task in told:
             del self._due[task]
             self._heard_us[task] = now_us

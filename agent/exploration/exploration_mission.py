@@ -179,7 +179,7 @@ class ExplorationMission(Mission):
             return False
         if owner is None or owner == view.slot:
             return True
-        since_us = view.silent_since_us.get(owner)
+        since_us = view.fell_silent_at_us.get(owner)
         return since_us is not None and view.now_us - since_us >= LEASE_US
 
     def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[OtherExplorer]:

@@ -57,10 +57,10 @@ def fleet_status(view: FleetView, mission: ExplorationMission) -> FleetStatus:
                 FleetMember(slot, here.x_m, here.y_m, here.heading_rad, task, view.now_us, True)
             )
             continue
-        pose, heard_us = view.neighbours[slot]
+        pose, heard_at_us = view.neighbours[slot]
         members.append(
             FleetMember(
-                slot, pose.x_m, pose.y_m, pose.course_rad, task, heard_us, slot in view.live
+                slot, pose.x_m, pose.y_m, pose.course_rad, task, heard_at_us, slot in view.live
             )
         )
     return FleetStatus(
@@ -86,14 +86,14 @@ def _tasks(view: FleetView, mission: ExplorationMission) -> Sequence[FleetTask]:
 
 def serialize_for_llm(status: FleetStatus, ages: bool = False) -> str:
     """The status as Markdown. `ages`: add to each line how long ago its robot was received."""
-    heard_us = {member.slot: member.last_sync_us for member in status.members}
+    heard_at_us = {member.slot: member.last_sync_us for member in status.members}
 
     def age(slot: int) -> str:
         if not ages:
             return ""
-        if slot not in heard_us:
+        if slot not in heard_at_us:
             return " (never heard)"
-        return f" ({fixed((status.now_us - heard_us[slot]) / S)} s ago)"
+        return f" ({fixed((status.now_us - heard_at_us[slot]) / S)} s ago)"
 
     lines = [f"## Fleet Status ({len(status.members)} robots)"]
     for m in status.members:

@@ -60,7 +60,7 @@ class FieldObstructions:
         others.
         """
         self.coasting.observe(view.neighbours, view.here, view.now_us)
-        places = {slot: self.coasting.places(slot) for slot in sorted(view.silent_since_us)}
+        places = {slot: self.coasting.places(slot) for slot in sorted(view.fell_silent_at_us)}
         silent = tuple(slot for slot in places if places[slot] is not None)
         bodies = tuple(place for slot in silent for place in places[slot] or ())
         left = self._leave(view)
@@ -75,9 +75,9 @@ class FieldObstructions:
 
     def stand_before(self, view: FleetView) -> None:
         """We make no progress: paths go round robots that stand near by, until those move."""
-        for slot, (pose, heard_us) in view.neighbours.items():
+        for slot, (pose, heard_at_us) in view.neighbours.items():
             gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
-            fresh = view.now_us - heard_us < FRESH_US
+            fresh = view.now_us - heard_at_us < FRESH_US
             if fresh and pose.speed_m_s < STANDS_M_S and gap_m < self.body_m + NEAR_M:
                 self.standing[slot] = (pose.x_m, pose.y_m), view.now_us
         self._plan()
@@ -111,9 +111,9 @@ class FieldObstructions:
         way = self.way.path(start, goal)
         stand = [
             (pose.x_m, pose.y_m)
-            for slot, (pose, heard_us) in sorted(view.neighbours.items())
+            for slot, (pose, heard_at_us) in sorted(view.neighbours.items())
             if pose.state != State.WORKING and pose.speed_m_s < STANDS_M_S
-            if slot not in self.standing and view.now_us - heard_us < FRESH_US
+            if slot not in self.standing and view.now_us - heard_at_us < FRESH_US
         ]
         if not stand:
             return way

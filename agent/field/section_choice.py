@@ -113,7 +113,7 @@ class SectionChooser:
 
     def _reserve(self, view: FleetView) -> None:
         """Keep a silent member's run for it; forget reservations of those that are back."""
-        silent = view.silent_since_us
+        silent = view.fell_silent_at_us
         for slot in [s for s in self.reserved if s not in silent]:
             del self.reserved[slot]
         for slot in silent:
@@ -124,8 +124,8 @@ class SectionChooser:
         """A section of a silent or standing member, if only sections that such members own or
         planned are left.
         """
-        for slot in sorted(view.silent_since_us, key=lambda s: view.silent_since_us[s]):
-            if view.now_us - view.silent_since_us[slot] < LEASE_US:
+        for slot in sorted(view.fell_silent_at_us, key=lambda s: view.fell_silent_at_us[s]):
+            if view.now_us - view.fell_silent_at_us[slot] < LEASE_US:
                 continue
             for section in reversed(self.reserved.get(slot, [])):
                 if view.allocation.phase_of(section) is Phase.FREE:

@@ -36,9 +36,9 @@ class BeaconTiming(NamedTuple):
     """How often a peer sends, and how long silence is tolerated, for one size of fleet."""
 
     peers_max: int
-    pose_us: int  # period of POSE, the beat
-    heartbeat_us: int
-    silence_us: int  # a member silent for longer, without leaving, causes a protective stop
+    pose_period_us: int  # period of POSE, the beat
+    heartbeat_period_us: int
+    silence_for_us: int  # a member silent for longer, without leaving, causes a protective stop
 
 
 # Faster beats would not fit the bus. At these periods and worst-case stuffing, 20 peers take 28 %,
@@ -52,12 +52,14 @@ BEATS: Final = (
 # A pose is extrapolated until it is this old. By then a robot that fell silent has braked.
 GONE_QUIET_US: Final = 1 * S
 for _beat in BEATS:
-    assert 5 <= _beat.silence_us / _beat.pose_us <= 6, "five or six beats may be lost before a stop"
-    assert _beat.heartbeat_us % _beat.pose_us == 0, "a heartbeat rides on a beat"
-    _share = _beat.peers_max * FRAME_US * (1 / _beat.pose_us + 1 / _beat.heartbeat_us)
+    assert 5 <= _beat.silence_for_us / _beat.pose_period_us <= 6, (
+        "five or six beats may be lost before a stop"
+    )
+    assert _beat.heartbeat_period_us % _beat.pose_period_us == 0, "a heartbeat rides on a beat"
+    _share = _beat.peers_max * FRAME_US * (1 / _beat.pose_period_us + 1 / _beat.heartbeat_period_us)
     assert _share <= 0.45, "the beats of a full fleet leave more than half of the bus for the rest"
-    assert _beat.silence_us <= GONE_QUIET_US, "a member is silent before its pose is given up"
-assert BEATS[0].silence_us <= 300 * MS, (
+    assert _beat.silence_for_us <= GONE_QUIET_US, "a member is silent before its pose is given up"
+assert BEATS[0].silence_for_us <= 300 * MS, (
     "the only bus-native figure for silence: ISO 11783-7 heartbeat"
 )
 
@@ -67,7 +69,7 @@ def beat_of(peers: int) -> BeaconTiming:
 
     Raises StopIteration for more than `PEERS_MAX`.
 
-    >>> beat_of(6).pose_us
+    >>> beat_of(6).pose_period_us
     50000
     """
     return next(beat for beat in BEATS if peers <= beat.peers_max)

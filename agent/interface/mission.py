@@ -27,7 +27,7 @@ class FleetView(NamedTuple):
     allocation: FieldAllocationCRDT
     progress: Progress
     live: frozenset[int]  # includes ourselves
-    silent_since_us: Mapping[int, int]  # members that fell silent and are not back
+    fell_silent_at_us: Mapping[int, int]  # members that fell silent and are not back
     neighbours: Mapping[int, Neighbour]
     # Places to go round by an operator's order, (x, y) metres.
     things: frozenset[tuple[float, float]] = frozenset()

@@ -16,7 +16,7 @@ class Neighbour(NamedTuple):
     """The newest pose of another member, and when it was received, microseconds."""
 
     pose: Pose
-    heard_us: int
+    heard_at_us: int
 
 
 class VisibleParcel(NamedTuple):

@@ -174,13 +174,13 @@ class HolonomicMotion(MotionController):
         keeps_off = keeps_off and self.implement.has
         self.coasting.observe(neighbours, here, now_us)
         own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
-        for slot, (pose, heard_us) in neighbours.items():
+        for slot, (pose, heard_at_us) in neighbours.items():
             pose_x_m, pose_y_m, course_rad, speed_m_s, state, stopped, _ = pose
             dx_m, dy_m = pose_x_m - own_x_m, pose_y_m - own_y_m
             if abs(dx_m) > reach_m or abs(dy_m) > reach_m:
                 continue
             share, vx_m_s, vy_m_s, moved_on_s = 1.0, 0.0, 0.0, 0.0
-            age_us = now_us - heard_us
+            age_us = now_us - heard_at_us
             if self.sensed is not None and age_us > UNHEARD_US:
                 continue  # it may be anywhere by now, but the range sensors see it
             places = self.coasting.places(slot)

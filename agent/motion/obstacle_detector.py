@@ -165,7 +165,7 @@ class ObstacleDetector:
         """The echoes that neither a robot nor a fence explains."""
         left = echoes
         near_m = self.radius_m + ROBOT_TOLERANCE_M
-        for slot, (pose, heard_us) in neighbours.items():
+        for slot, (pose, heard_at_us) in neighbours.items():
             if not left:
                 return []
             if max(abs(pose.x_m - here.x_m), abs(pose.y_m - here.y_m)) > 2 * WATCH_M:
@@ -174,7 +174,7 @@ class ObstacleDetector:
             if places is not None:
                 left = [e for e in left if all(dist(e, place) > near_m for place in places)]
                 continue
-            age_s = (now_us - heard_us) / S
+            age_s = (now_us - heard_at_us) / S
             way_m = pose.speed_m_s * age_s
             course = cos(pose.course_rad), sin(pose.course_rad)
             left = [e for e in left if _gap_m(e, (pose.x_m, pose.y_m), course, way_m) > near_m]

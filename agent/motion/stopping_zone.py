@@ -29,7 +29,7 @@ Point = tuple[float, float]
 # Time until it brakes: it detects the silence, and its last command is still in force. In fleets of
 # more than 30, which detect silence later, a robot that was cut off may stand further on. Any echo
 # that no place here explains is an obstacle (`agent/motion/obstacle_detector.py`).
-DRIVES_ON_US = BEATS[0].silence_us + CONTROL_PERIOD_US + ACTUATOR_TTL_US
+DRIVES_ON_US = BEATS[0].silence_for_us + CONTROL_PERIOD_US + ACTUATOR_TTL_US
 SPACING_M: Final = 0.5  # of places: a row of discs of 1.6 m is 2 cm narrower between two of them
 SURE_M: Final = 4.0  # rays prove nothing about places further away
 BEYOND_M: Final = 0.4  # a ray that reaches this much further than a place has passed it
@@ -53,13 +53,13 @@ class StoppingZone:
         `neighbours`: newest poses by slot. `here`: our observation with its rays.
         """
         for slot, neighbour in neighbours.items():
-            _, heard_us = neighbour
-            if now_us - heard_us < GONE_QUIET_US:
+            _, heard_at_us = neighbour
+            if now_us - heard_at_us < GONE_QUIET_US:
                 if slot in self._places:
                     del self._places[slot], self._heard_us[slot]
                 continue
-            if self._heard_us.get(slot) != heard_us:
-                self._heard_us[slot] = heard_us
+            if self._heard_us.get(slot) != heard_at_us:
+                self._heard_us[slot] = heard_at_us
                 self._places[slot] = self._way(neighbour)
             places = self._places[slot]
             left = tuple(place for place in places if not self._passed(here, place))

@@ -187,7 +187,7 @@ class NavigationMission(Mission):
         """Each control period, in every state: our part in a round."""
         here = view.here
         self.bodies.observe(view)
-        dead, silent = self.bodies.dead, view.silent_since_us
+        dead, silent = self.bodies.dead, view.fell_silent_at_us
         gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
         self._around = {
             s: _now_at(n, view.now_us)
@@ -216,10 +216,10 @@ class NavigationMission(Mission):
         """
         if not gone:
             return False
-        for pose, heard_us in view.neighbours.values():
-            self._vouched_us[pose.heard] = max(self._vouched_us.get(pose.heard, 0), heard_us)
+        for pose, heard_at_us in view.neighbours.values():
+            self._vouched_us[pose.heard] = max(self._vouched_us.get(pose.heard, 0), heard_at_us)
         return any(
-            self._vouched_us.get(s, 0) > view.silent_since_us[s] + DEAD_US
+            self._vouched_us.get(s, 0) > view.fell_silent_at_us[s] + DEAD_US
             and view.now_us - self._vouched_us[s] < VOUCHED_US
             for s in gone
         )
@@ -426,8 +426,8 @@ HOLD = STILL._replace(hold=True)
 
 def _now_at(neighbour: Neighbour, now_us: int) -> Point:
     """The position of a robot extrapolated from its last beat."""
-    pose, heard_us = neighbour
-    way_m = pose.speed_m_s * min(now_us - heard_us, AGE_MAX_US) / S
+    pose, heard_at_us = neighbour
+    way_m = pose.speed_m_s * min(now_us - heard_at_us, AGE_MAX_US) / S
     return pose.x_m + way_m * cos(pose.course_rad), pose.y_m + way_m * sin(pose.course_rad)
 
 

@@ -42,13 +42,13 @@ class SilentRobots:
     def observe(self, view: FleetView) -> None:
         """Once each control period: update which members are silent and which are back."""
         now_us = view.now_us
-        for slot, since_us in view.silent_since_us.items():
+        for slot, since_us in view.fell_silent_at_us.items():
             neighbour = view.neighbours.get(slot)
             if neighbour is None or now_us - since_us <= DEAD_US:
                 continue
-            if self._heard_us.get(slot) != neighbour.heard_us:
-                self._heard_us[slot] = neighbour.heard_us
-                stamp = self.clock.read(neighbour.heard_us)
+            if self._heard_us.get(slot) != neighbour.heard_at_us:
+                self._heard_us[slot] = neighbour.heard_at_us
+                stamp = self.clock.read(neighbour.heard_at_us)
                 word = SilentPosition(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
                 # Pack and unpack, so that we store the same rounded numbers that we send.
                 self._join(FALLEN.unpack(FALLEN.pack(word)), now_us)
@@ -71,7 +71,7 @@ class SilentRobots:
 
         A member that we never received is known only from others' frames, and counts as silent.
         """
-        since_us = view.silent_since_us.get(slot)
+        since_us = view.fell_silent_at_us.get(slot)
         return since_us is None or view.now_us - since_us > DEAD_US
 
     def on_message(self, word: SilentPosition, now_us: int) -> None:
@@ -96,7 +96,7 @@ class SilentRobots:
         `hurried`: a round of agreement waits until all robots know the same, so repeat more often.
         """
         soon_us = TOLD_US - HURRY_US if hurried else 0
-        due = [s for s, due_us in self._due_us.items() if due_us - soon_us <= now_us]
+        due = [s for s, due_at_us in self._due_us.items() if due_at_us - soon_us <= now_us]
         for slot in due[:WORDS_A_BEAT]:
             self._due_us[slot] = now_us + TOLD_US + self.slot * SPACED_US
             yield self.known[slot]

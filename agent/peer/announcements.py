@@ -59,11 +59,11 @@ class Announcements(Part):
         self.slot, self.beat, self.members = identity.slot, beat, len(identity.members)
         self.safety, self.joining, self.senses, self.knowledge = safety, joining, senses, knowledge
         self.conflicts, self.clock, self.sync = conflicts, clock, sync
-        self.next_us = now_us + phase_us(identity, beat)
-        self.beats_a_heartbeat = beat.heartbeat_us // beat.pose_us
+        self.next_at_us = now_us + phase_us(identity, beat)
+        self.beats_a_heartbeat = beat.heartbeat_period_us // beat.pose_period_us
         self.beats = self.slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
         self.heartbeats = 0
-        self.heartbeats_a_standstill = max(1, STANDSTILL_US // beat.heartbeat_us)
+        self.heartbeats_a_standstill = max(1, STANDSTILL_US // beat.heartbeat_period_us)
         self._cause = 0  # index of the cause reported next
         self.counter = FIRST_COUNTER
         self._poor: frozenset[Source] = frozenset()  # poor sources at our last heartbeat
@@ -75,17 +75,17 @@ class Announcements(Part):
         return {notices.Leaving: self._farewell}
 
     @property
-    def deadline_us(self) -> int:
-        return self.next_us
+    def due_at_us(self) -> int:
+        return self.next_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """The beacon and what is sent with it.
 
         Without an address the beacon keeps its rhythm but sends nothing."""
-        late_us = ctx.now_us - self.next_us
-        if late_us < 0:
+        late_for_us = ctx.now_us - self.next_at_us
+        if late_for_us < 0:
             return NOTHING
-        self.next_us += (late_us // self.beat.pose_us + 1) * self.beat.pose_us
+        self.next_at_us += (late_for_us // self.beat.pose_period_us + 1) * self.beat.pose_period_us
         if not ctx.joined:
             return NOTHING
         pose = self.pose(ctx)
@@ -184,4 +184,4 @@ class Announcements(Part):
 
 def phase_us(identity: Identity, beat: BeaconTiming) -> int:
     """When the first beacon of this slot is sent after its boot, so that beacons are spread."""
-    return beat.pose_us * identity.slot // max(len(identity.members), identity.slot + 1)
+    return beat.pose_period_us * identity.slot // max(len(identity.members), identity.slot + 1)

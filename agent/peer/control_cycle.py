@@ -27,7 +27,7 @@ class ControlCycle(Part):
 
     def __init__(
         self,
-        first_us: int,
+        first_at_us: int,
         mission: Mission | None,
         motion: MotionController | None,
         work: SectionWork,
@@ -37,41 +37,41 @@ class ControlCycle(Part):
         views: FleetViews,
         may_choose: Callable[[int], bool],
     ) -> None:
-        """`first_us`: the first control period. `may_choose`: whether the state of the fleet is
+        """`first_at_us`: the first control period. `may_choose`: whether the state of the fleet is
         known well enough at this time to choose a section."""
         self.mission, self.motion, self.work, self.views = mission, motion, work, views
         self.directive, self.obstacle, self.senses = directive, obstacle, senses
         self.safety, self.lifecycle, self.progress = work.safety, work.lifecycle, work.progress
         self.may_choose = may_choose
-        self.next_us = first_us
+        self.next_at_us = first_at_us
         self.wish: MotionRequest = STILL  # of the mission, before right of way and the gate
         self.stall = Stall()
-        self._drove_us = 0  # time of the newest command to the actuator
+        self._drove_at_us = 0  # time of the newest command to the actuator
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
         return {notices.ControlDue: self._control}
 
     @property
-    def deadline_us(self) -> int:
-        return self.next_us
+    def due_at_us(self) -> int:
+        return self.next_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        late_us = ctx.now_us - self.next_us
-        if late_us < 0:
+        late_for_us = ctx.now_us - self.next_at_us
+        if late_for_us < 0:
             return NOTHING
-        self.next_us += (late_us // CONTROL_PERIOD_US + 1) * CONTROL_PERIOD_US
-        return [notices.ControlDue(late_us)]
+        self.next_at_us += (late_for_us // CONTROL_PERIOD_US + 1) * CONTROL_PERIOD_US
+        return [notices.ControlDue(late_for_us)]
 
     def _control(self, ctx: StepContext, notice: notices.ControlDue) -> Outputs:
         """From observation to drive, once a control period. The gate is the last step."""
         mission, motion, here, now_us = self.mission, self.motion, ctx.here, ctx.now_us
         if mission is None or motion is None or here is None:
             return NOTHING
-        if now_us > self._drove_us + ACTUATOR_TTL_US:
+        if now_us > self._drove_at_us + ACTUATOR_TTL_US:
             # We were late, so the command has expired and the implement is raised.
             mission.on_implement_raised()
-        self._drove_us = now_us
+        self._drove_at_us = now_us
         outputs: list[Any] = []
         view = self.views.view(now_us)
         mission.on_control_period(view, self.lifecycle.state)

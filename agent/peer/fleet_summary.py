@@ -63,11 +63,11 @@ def compose(
     for slot in sorted({ctx.slot, *membership.neighbours}):
         sections = tuple(held.get(slot, ()))
         if slot != ctx.slot:
-            pose, heard_us = membership.neighbours[slot]
+            pose, heard_at_us = membership.neighbours[slot]
             lines.append(
                 MemberRow(
                     slot, State(pose.state), membership.standing[slot].name, pose.x_m, pose.y_m,
-                    pose.speed_m_s, sections, (ctx.now_us - heard_us) / S,
+                    pose.speed_m_s, sections, (ctx.now_us - heard_at_us) / S,
                 )
             )  # fmt: skip
         elif (here := ctx.here) is not None:

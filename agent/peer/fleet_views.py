@@ -30,6 +30,6 @@ class FleetViews:
         things, leave_out = self.obstacle.round
         return FleetView(
             members.slot, now_us, here, self.allocation, self.progress,
-            members.live, members.silent_since_us, members.neighbours, things, leave_out,
+            members.live, members.fell_silent_at_us, members.neighbours, things, leave_out,
             self.safety.may_move,
         )  # fmt: skip

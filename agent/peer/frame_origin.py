@@ -116,7 +116,7 @@ class Origins:
         words = self._kept.pop(address, {})
         return [
             message
-            for message, heard_us in words.items()
-            if now_us - heard_us <= KEPT_US
-            and not (isinstance(message, OperatorCommand) and heard_us <= stopped_at_us)
+            for message, heard_at_us in words.items()
+            if now_us - heard_at_us <= KEPT_US
+            and not (isinstance(message, OperatorCommand) and heard_at_us <= stopped_at_us)
         ]

@@ -47,31 +47,31 @@ class Election:
         self.votes: dict[int, int] = {}  # voter -> candidate, in this term
         self.leader: Leader | None = None
         self._live: frozenset[int] = frozenset({slot})
-        self._call_us: int | None = None
+        self._call_at_us: int | None = None
         self._vote_to_say: LeaderElectionVote | None = None
-        self._say_us = 0  # earliest time of our next vote
-        self._again_us = 0
-        self._spacing_us = SPACING_US
+        self._say_at_us = 0  # earliest time of our next vote
+        self._again_at_us = 0
+        self._spaced_for_us = SPACING_US
 
     # ---------------------------------------------------------------- when
 
     @property
-    def deadline_us(self) -> int | None:
+    def due_at_us(self) -> int | None:
         """When `tick` has something to do; None: not before the live view changes."""
-        return self._call_us
+        return self._call_at_us
 
     def see(self, now_us: int) -> None:
         """The live view changed. No robot votes before it has settled.
 
         The view of a fleet that is switched on changes with every robot, and each change would cost
         a vote of every member."""
-        self._call_us = now_us + SETTLE_US
+        self._call_at_us = now_us + SETTLE_US
 
     def tick(self, live: frozenset[int], now_us: int) -> None:
         """Vote, if the live view has settled. `live`: slots of the live members."""
-        if self._call_us is None or now_us < self._call_us:
+        if self._call_at_us is None or now_us < self._call_at_us:
             return
-        self._call_us = None
+        self._call_at_us = None
         if self._patience:
             self._patience -= 1
             if self.term == 0 and self._patience:  # no vote was received
@@ -92,17 +92,17 @@ class Election:
         """The vote to send with this beat. The spacing doubles while terms have no leader."""
         vote = self._vote_to_say
         if vote is None:
-            if now_us < self._again_us or self.slot not in self.votes:
+            if now_us < self._again_at_us or self.slot not in self.votes:
                 return None
-            self._again_us, self._say_us = now_us + AGAIN_US, now_us + SPACING_US
+            self._again_at_us, self._say_at_us = now_us + AGAIN_US, now_us + SPACING_US
             return self._own
-        if now_us < self._say_us:
+        if now_us < self._say_at_us:
             return None
-        self._vote_to_say, self._again_us = None, now_us + AGAIN_US
+        self._vote_to_say, self._again_at_us = None, now_us + AGAIN_US
         if self.leader is not None:
-            self._spacing_us = SPACING_US
-        self._say_us = now_us + self._spacing_us
-        self._spacing_us = min(2 * self._spacing_us, SPACING_US_MAX)
+            self._spaced_for_us = SPACING_US
+        self._say_at_us = now_us + self._spaced_for_us
+        self._spaced_for_us = min(2 * self._spaced_for_us, SPACING_US_MAX)
         return vote
 
     def fence(self, term: int, now_us: int) -> None:

@@ -28,9 +28,9 @@ class MapExchange(Part):
         return {notices.MembershipChanged: self._members}
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         joined = self.joining.joined
-        return FOREVER if self.chart is None or not joined else self.chart.deadline_us
+        return FOREVER if self.chart is None or not joined else self.chart.due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """Announce patches, persisted first so that our observations survive a restart."""

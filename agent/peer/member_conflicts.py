@@ -34,10 +34,12 @@ class Conflicts(Part):
 
     def __init__(self, safety: StopController, joining: NetworkJoin) -> None:
         self.safety, self.joining = safety, joining
-        self._at: dict[int, StopCause] = {}  # address of the other machine
+        self._cause_of: dict[int, StopCause] = {}  # address of the other machine
         self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
-        self._doubled_us: int | None = None  # since when another machine sends from our address
-        self._doubled_last_us = -GONE_US
+        self._doubled_first_at_us: int | None = (
+            None  # since when another machine sends from our address
+        )
+        self._doubled_last_at_us = -GONE_US
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
@@ -59,23 +61,23 @@ class Conflicts(Part):
 
     def found(self, cause: StopCause, address: int, why: str, now_us: int) -> Sequence[Effect]:
         """That machine cannot work with us: stand still while it sends frames."""
-        new = self._at.get(address) is not cause
-        self._at[address] = cause
+        new = self._cause_of.get(address) is not cause
+        self._cause_of[address] = cause
         self.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
         told = [Trace("safety", "", cause.name, "PROTECTIVE", f"address {address}")] if new else []
         return [HALT, *told]
 
     def heard(self, address: int, now_us: int) -> None:
         """A frame of that address: a known conflict still exists, so extend its stop."""
-        cause = self._at.get(address)
+        cause = self._cause_of.get(address)
         if cause is not None:
             detail = dict(self.safety.causes).get(cause, f"address {address}")
             self.safety.raise_cause(cause, now_us, detail, GONE_US)
 
     def settled(self, address: int, now_us: int) -> None:
         """End the conflict: the machine agrees, or another device has its address."""
-        cause = self._at.pop(address, None)
-        if cause is not None and cause not in self._at.values():
+        cause = self._cause_of.pop(address, None)
+        if cause is not None and cause not in self._cause_of.values():
             self.safety.clear_cause(cause, now_us)
 
     # ---------------------------------------------------------------- ourselves
@@ -86,7 +88,7 @@ class Conflicts(Part):
 
     def claims_our_name(self, address: int, now_us: int) -> Sequence[Effect]:
         """A claim of our NAME, or a MEMBER frame with our slot, from an address that is not ours."""
-        if self.joining.spoke_at(address, now_us - OURS_US):
+        if self.joining.spoke_from(address, now_us - OURS_US):
             return ()
         return self.found(StopCause.DUPLICATE_ID, address, "it has our identity", now_us)
 
@@ -97,10 +99,10 @@ class Conflicts(Part):
         data = packed(message)
         if any(type(said) is type(message) and packed(said) == data for said in self._said):
             return ()
-        if self._doubled_us is None or now_us - self._doubled_last_us > GONE_US:
-            self._doubled_us = now_us
-        self._doubled_last_us = now_us
-        if now_us - self._doubled_us < TOLD_APART_US:
+        if self._doubled_first_at_us is None or now_us - self._doubled_last_at_us > GONE_US:
+            self._doubled_first_at_us = now_us
+        self._doubled_last_at_us = now_us
+        if now_us - self._doubled_first_at_us < TOLD_APART_US:
             return ()
         address = self.joining.address
         assert address is not None

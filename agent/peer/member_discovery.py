@@ -34,25 +34,25 @@ class MemberDiscovery:
         self.slot, self.pgn = slot, pgn
         self.answer_due = False  # announce our slot with the next beat
         self._everybody_asked = False  # a global request was received since we joined the bus
-        self._ask_us: dict[int, int] = {}  # stranger's address -> when it is our turn to ask it
+        self._ask_at_us: dict[int, int] = {}  # stranger's address -> when it is our turn to ask it
         self._asked: dict[int, int] = {}  # stranger's address -> times any robot asked it
         self._urgent: set[int] = set()  # asked every `ASK_US`, because a stop came from there
 
     @property
-    def deadline_us(self) -> int | None:
+    def due_at_us(self) -> int | None:
         """When the next request is due; None: no address is unknown."""
-        return min(self._ask_us.values()) if self._ask_us else None
+        return min(self._ask_at_us.values()) if self._ask_at_us else None
 
     @property
     def wonders(self) -> bool:
         """Whether an unknown address may be a member at work, in a section that we do not know of."""
         asked = self._asked
-        return any(asked.get(address, 0) < ASKED_ENOUGH for address in self._ask_us)
+        return any(asked.get(address, 0) < ASKED_ENOUGH for address in self._ask_at_us)
 
     def power_up(self) -> None:
         """Forget everything: we join the bus again."""
         self.answer_due = self._everybody_asked = False
-        self._ask_us.clear()
+        self._ask_at_us.clear()
         self._asked.clear()
         self._urgent.clear()
 
@@ -67,23 +67,23 @@ class MemberDiscovery:
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         """Send at most one request."""
-        for address, due_us in self._ask_us.items():
-            if now_us >= due_us:
+        for address, due_at_us in self._ask_at_us.items():
+            if now_us >= due_at_us:
                 self.overheard(address, now_us)
                 return [Send(Request(self.pgn), address)]
         return ()
 
-    def stranger(self, address: int, now_us: int, patience_us: int = PATIENCE_US) -> None:
+    def stranger(self, address: int, now_us: int, wait_for_us: int = PATIENCE_US) -> None:
         """A robot's frame from an address that has not announced its member slot."""
-        if address < NULL_ADDRESS and address not in self._ask_us:
-            self._ask_us[address] = now_us + patience_us + self.slot * SLOT_US
-            assert len(self._ask_us) <= STRANGERS_MAX
+        if address < NULL_ADDRESS and address not in self._ask_at_us:
+            self._ask_at_us[address] = now_us + wait_for_us + self.slot * SLOT_US
+            assert len(self._ask_at_us) <= STRANGERS_MAX
 
     def urge(self, address: int, now_us: int) -> None:
         """A stop came from this address: ask it immediately, and again soon."""
         if address < NULL_ADDRESS and address not in self._urgent:
             self._urgent.add(address)
-            self._ask_us.pop(address, None)
+            self._ask_at_us.pop(address, None)
             self.stranger(address, now_us, 0)
 
     def calm(self, address: int) -> None:
@@ -94,7 +94,7 @@ class MemberDiscovery:
         """The address has announced itself; returns whether it was unknown before."""
         self._urgent.discard(address)
         self._asked.pop(address, None)
-        return self._ask_us.pop(address, None) is not None
+        return self._ask_at_us.pop(address, None) is not None
 
     def asked(self, everybody: bool) -> None:
         """A device requests our slot or NAME."""
@@ -103,10 +103,10 @@ class MemberDiscovery:
 
     def overheard(self, address: int, now_us: int) -> None:
         """A robot asked that address, so no robot asks it again soon."""
-        if address == GLOBAL_ADDRESS or address not in self._ask_us:
+        if address == GLOBAL_ADDRESS or address not in self._ask_at_us:
             return
         times = self._asked[address] = self._asked.get(address, 0) + 1
-        pause_us = AGAIN_US << min(times - 1, DOUBLINGS_MAX)
+        wait_for_us = AGAIN_US << min(times - 1, DOUBLINGS_MAX)
         if address in self._urgent:
-            pause_us = ASK_US
-        self._ask_us[address] = now_us + pause_us + self.slot * SLOT_US
+            wait_for_us = ASK_US
+        self._ask_at_us[address] = now_us + wait_for_us + self.slot * SLOT_US

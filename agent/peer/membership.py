@@ -2,7 +2,7 @@
 
 Any frame of a member is a sign of life, except an address claim of a member that may move. Such a
 member has been off the bus and can send nothing else for a quarter of a second, not even that it was
-stopped. A member that stops sending without a farewell is *silent* after `beat.silence_us`. The
+stopped. A member that stops sending without a farewell is *silent* after `beat.silence_for_us`. The
 reaction to silence is decided elsewhere (safety brakes, allocation waits for the lease). There is no
 suspicion level and no vote: on one bus segment every node receives every other, so a second opinion
 would carry no information.
@@ -67,33 +67,35 @@ class Membership(Part):
     def __init__(
         self,
         identity: Identity,
-        silence_us: int,
+        silence_for_us: int,
         safety: StopController,
         origins: Origins,
         now_us: int,
     ) -> None:
-        """`silence_us`: a member that is not received for longer is silent."""
+        """`silence_for_us`: a member that is not received for longer is silent."""
         slot = self.slot = identity.slot
         assert slot in identity.members
-        self.silence_us, self.safety, self.origins = silence_us, safety, origins
+        self.silence_for_us, self.safety, self.origins = silence_for_us, safety, origins
         self.field_hash = identity.field_hash
         self.standing = {
             member: MemberStatus.ABSENT for member in sorted(identity.members) if member != slot
         }
-        self.reflected_us = NEVER_US  # when a member last named us as received
+        self.reflected_at_us = NEVER_US  # when a member last named us as received
         self.incarnation: dict[int, int] = {}
         self.neighbours: dict[int, Neighbour] = {}
-        self.silent_since_us: dict[int, int] = {}
-        self.changed_us = now_us  # when live or silent last changed
+        self.fell_silent_at_us: dict[int, int] = {}
+        self.changed_at_us = now_us  # when live or silent last changed
         self.live: frozenset[int] = frozenset({slot})
         self.silent: frozenset[int] = frozenset()
         self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
         self.strangers = 0  # frames of addresses that have not announced a member slot
-        self.signs_us: dict[int, int] = {}  # live others -> last sign of life, except newer poses
+        self.last_sign_at_us: dict[
+            int, int
+        ] = {}  # live others -> last sign of life, except newer poses
         self.void_farewells = 0  # farewells of members that kept sending
-        self._left_us: dict[int, int] = {}
-        self._void_us: dict[int, int] = {}
-        self._oldest_us = now_us  # no sign of life in `signs_us` is older
+        self._left_at_us: dict[int, int] = {}
+        self._void_at_us: dict[int, int] = {}
+        self._oldest_sign_at_us = now_us  # no sign of life in `last_sign_at_us` is older
 
     @property
     def direct(self) -> Mapping[type[Any], DirectHandler]:
@@ -135,7 +137,7 @@ class Membership(Part):
         else:
             self.neighbours[slot] = Neighbour(m, now_us)
         if m.heard == self.slot:
-            self.reflected_us = now_us
+            self.reflected_at_us = now_us
         if m.stopped or safety.latched:
             return safety.beat(slot, m.stopped, now_us)
         return NOTHING
@@ -149,7 +151,7 @@ class Membership(Part):
         if seen is None or seen.pose.x_m == NOWHERE_M:
             seen = Neighbour(m._replace(speed_m_s=0.0), now_us)
         pose = seen.pose._replace(state=m.state, stopped=m.stopped, heard=m.heard)
-        self.neighbours[slot] = Neighbour(pose, min(seen.heard_us, now_us - GONE_QUIET_US))
+        self.neighbours[slot] = Neighbour(pose, min(seen.heard_at_us, now_us - GONE_QUIET_US))
 
     def _heartbeat(self, source: int, slot: int | None, m: Heartbeat, now_us: int) -> Outputs:
         if slot is None:
@@ -227,7 +229,7 @@ class Membership(Part):
 
     def forget_reflection(self) -> None:
         """Nobody can have received us yet: only later beacons count."""
-        self.reflected_us = NEVER_US
+        self.reflected_at_us = NEVER_US
 
     def stands(self, slot: int) -> bool:
         """Whether its newest pose reports that it is stopped."""
@@ -236,17 +238,17 @@ class Membership(Part):
 
     def heard(self, slot: int, now_us: int) -> bool:
         """A sign of life. True when this changed the membership."""
-        heard = self.signs_us
+        heard = self.last_sign_at_us
         if slot in heard:
             heard[slot] = now_us
             return False
         if self.standing[slot] is MemberStatus.LEFT:
-            if now_us - self._left_us[slot] <= FAREWELL_US:
+            if now_us - self._left_at_us[slot] <= FAREWELL_US:
                 return False  # sent before the farewell; only a new MEMBER frame brings it back
             self.void_farewells += 1
-            self._void_us[slot] = now_us
+            self._void_at_us[slot] = now_us
         if not heard:
-            self._oldest_us = now_us
+            self._oldest_sign_at_us = now_us
         heard[slot] = now_us
         self._stand(slot, MemberStatus.LIVE, now_us)
         return True
@@ -259,12 +261,12 @@ class Membership(Part):
 
     def leave(self, slot: int, now_us: int) -> None:
         """A farewell. It is void if the member keeps sending: then another device has sent it."""
-        if now_us - self._void_us.get(slot, now_us - DISBELIEVED_US) < DISBELIEVED_US:
+        if now_us - self._void_at_us.get(slot, now_us - DISBELIEVED_US) < DISBELIEVED_US:
             return
         if self.standing[slot] is MemberStatus.LEFT:
             return  # a repetition; the time counts from the first farewell
-        self._left_us[slot] = now_us
-        self.signs_us.pop(slot, None)
+        self._left_at_us[slot] = now_us
+        self.last_sign_at_us.pop(slot, None)
         self.neighbours.pop(slot, None)
         self._stand(slot, MemberStatus.LEFT, now_us)
 
@@ -276,29 +278,29 @@ class Membership(Part):
         return True
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When the oldest sign of life may become silence; `tick` moves this on in good time."""
-        return self._oldest_us + self.silence_us if self.signs_us else FOREVER
+        return self._oldest_sign_at_us + self.silence_for_us if self.last_sign_at_us else FOREVER
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self.changed() if self.tick(ctx.now_us) else NOTHING
 
     def tick(self, now_us: int) -> list[int]:
         """The members that have just fallen silent."""
-        signs, silent_us = self.signs_us, now_us - self.silence_us
-        if not signs or self._oldest_us > now_us - self.silence_us // 2:
+        signs, heard_before_at_us = self.last_sign_at_us, now_us - self.silence_for_us
+        if not signs or self._oldest_sign_at_us > now_us - self.silence_for_us // 2:
             return []
-        neighbours, oldest_us = self.neighbours, now_us
+        neighbours, oldest_at_us = self.neighbours, now_us
         fallen: list[tuple[int, int]] = []
         for slot, us in signs.items():
             seen = neighbours.get(slot)
-            if seen is not None and seen.heard_us > us:
-                us = seen.heard_us
-            if us <= silent_us:
+            if seen is not None and seen.heard_at_us > us:
+                us = seen.heard_at_us
+            if us <= heard_before_at_us:
                 fallen.append((us, slot))
-            elif us < oldest_us:
-                oldest_us = us
-        self._oldest_us = oldest_us
+            elif us < oldest_at_us:
+                oldest_at_us = us
+        self._oldest_sign_at_us = oldest_at_us
         for _, slot in sorted(fallen):
             del signs[slot]
             self._stand(slot, MemberStatus.SILENT, now_us)
@@ -306,17 +308,17 @@ class Membership(Part):
 
     def forget_all(self, now_us: int) -> None:
         """We left the fleet ourselves, so the silence of members no longer matters."""
-        self.signs_us.clear()
+        self.last_sign_at_us.clear()
         for slot in self.standing:
             self._stand(slot, MemberStatus.ABSENT, now_us)
 
     def _stand(self, slot: int, standing: MemberStatus, now_us: int) -> None:
         self.standing[slot] = standing
-        self.changed_us = now_us
+        self.changed_at_us = now_us
         if standing is MemberStatus.SILENT:
-            self.silent_since_us[slot] = now_us
+            self.fell_silent_at_us[slot] = now_us
         elif standing is not MemberStatus.WAIVED:
-            self.silent_since_us.pop(slot, None)
+            self.fell_silent_at_us.pop(slot, None)
         states = self.standing.items()
         self.live = frozenset({self.slot, *(s for s, st in states if st is MemberStatus.LIVE)})
         self.silent = frozenset(s for s, st in states if st is MemberStatus.SILENT)

@@ -22,9 +22,9 @@ class NameDiscovery(Part):
         return {notices.RequestOverheard: self._overheard, notices.Rejoining: self._power_up}
 
     @property
-    def deadline_us(self) -> int:
-        due_us = None if self.joining.away else self.asks.deadline_us
-        return FOREVER if due_us is None else due_us
+    def due_at_us(self) -> int:
+        due_at_us = None if self.joining.away else self.asks.due_at_us
+        return FOREVER if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.joining.away:

@@ -27,7 +27,7 @@ class NetworkJoin(Part):
         self.joined = False
         self.lost_address = False
         self.away = False  # we left on purpose: claim nothing before we rejoin
-        self._spoke_us: dict[int, int] = {}  # address -> when we last claimed it, or lost it
+        self._spoke_at_us: dict[int, int] = {}  # address -> when we last claimed it, or lost it
         self._ask_all = True  # request all address claims before we claim one
 
     @property
@@ -45,12 +45,12 @@ class NetworkJoin(Part):
         }
 
     @property
-    def deadline_us(self) -> int:
-        due_us = None if self.away else self.machine.deadline_us
-        return FOREVER if due_us is None else due_us
+    def due_at_us(self) -> int:
+        due_at_us = None if self.away else self.machine.due_at_us
+        return FOREVER if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        if self.joined and not self.lost_address and ctx.now_us < self.deadline_us:
+        if self.joined and not self.lost_address and ctx.now_us < self.due_at_us:
             return NOTHING
         outputs: list[Any] = []
         if self.lost_address:  # tell this first: we may get a new address in this turn
@@ -83,7 +83,7 @@ class NetworkJoin(Part):
         effects = self._sends(self.machine.on_message(source, message, now_us), now_us)
         if self.joined and self.machine.address is None:
             self.joined, self.lost_address = False, True
-            self._spoke_us[source] = now_us
+            self._spoke_at_us[source] = now_us
         return effects
 
     def violated(self, now_us: int) -> Sequence[Effect]:
@@ -118,11 +118,11 @@ class NetworkJoin(Part):
         """The frame that binds our slot and incarnation to our address."""
         return Member(self.identity.slot, self.incarnation, self.identity.field_hash)
 
-    def spoke_at(self, address: int, since_us: int) -> bool:
+    def spoke_from(self, address: int, start_at_us: int) -> bool:
         """Whether we had that address, or claimed it, at that time or later."""
-        return self._spoke_us.get(address, since_us - 1) >= since_us
+        return self._spoke_at_us.get(address, start_at_us - 1) >= start_at_us
 
     def _sends(self, claims: list[AddressMessage], now_us: int) -> list[Effect]:
         for claim in claims:
-            self._spoke_us[claim.source] = now_us
+            self._spoke_at_us[claim.source] = now_us
         return [Send(c.message, c.destination, c.source) for c in claims]

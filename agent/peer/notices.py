@@ -62,7 +62,7 @@ class BeatDue(NamedTuple):
 class ControlDue(NamedTuple):
     """A control period begins, this long after its due time."""
 
-    late_us: int
+    late_for_us: int
 
 
 # ---------------------------------------------------------------- stops and causes

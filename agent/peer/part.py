@@ -63,7 +63,7 @@ class Part:
     """Defaults: a part that handles nothing, listens to nothing and has no deadline."""
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When `on_timer` next has something to do if nothing else happens; FOREVER: never."""
         return FOREVER
 

@@ -91,14 +91,14 @@ class Peer:
             for kind, listener in part.listens.items():
                 self._listeners.setdefault(kind, []).append(listener)
         self._timed = [p for p in self.parts if type(p).on_timer is not Part.on_timer]
-        self._due = [p for p in self.parts if type(p).deadline_us is not Part.deadline_us]
+        self._due = [p for p in self.parts if type(p).due_at_us is not Part.due_at_us]
 
     # ---------------------------------------------------------------- the entrance
 
     def step(self, fact: Input, now_us: int) -> Sequence[Effect]:
         """Everything that this fact causes, in the order in which it must be performed.
 
-        An empty result of a received beacon guarantees that `deadline_us` is not earlier now."""
+        An empty result of a received beacon guarantees that `due_at_us` is not earlier now."""
         kind = type(fact)
         if kind is Received:
             outputs = self._received(fact.frame, now_us)  # type: ignore[union-attr]
@@ -118,18 +118,18 @@ class Peer:
         return effects
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When the next `Timer` has something to do if no other input comes before."""
-        due_us = FOREVER
+        due_at_us = FOREVER
         for part in self._due:
-            part_us = part.deadline_us
-            if part_us < due_us:
-                due_us = part_us
-        return due_us
+            part_us = part.due_at_us
+            if part_us < due_at_us:
+                due_at_us = part_us
+        return due_at_us
 
     def wants_observation(self, now_us: int) -> bool:
         """Whether a control period is due, so that `Sensed` must come before the `Timer`."""
-        return now_us >= self.named.control.next_us
+        return now_us >= self.named.control.next_at_us
 
     # ---------------------------------------------------------------- messages
 

@@ -94,7 +94,9 @@ class PeerParts:
         self.lifecycle = PeerLifecycle(self.safety)
         self.joining = NetworkJoin(identity, incarnation, rng, now_us)
         self.origins = Origins(identity.name)
-        self.membership = Membership(identity, beat.silence_us, self.safety, self.origins, now_us)
+        self.membership = Membership(
+            identity, beat.silence_for_us, self.safety, self.origins, now_us
+        )
         self.names = NameDiscovery(slot, self.joining)
         self.slots = SlotDiscovery(slot, self.joining, self.origins)
         self.conflicts = Conflicts(self.safety, self.joining)
@@ -117,7 +119,9 @@ class PeerParts:
             lambda ctx: write(compose(ctx, self.membership, self.allocation)),
             lambda: self.votes.leader == slot,
         )
-        self.state_sync = StateSync(self.sync, self.admission, self.joining, beat.heartbeat_us)
+        self.state_sync = StateSync(
+            self.sync, self.admission, self.joining, beat.heartbeat_period_us
+        )
         self.map_exchange = MapExchange(chart, self.joining)
 
         # This robot: what it senses, decides and does.

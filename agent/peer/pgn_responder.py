@@ -73,17 +73,17 @@ class PgnResponder(Part):
             self._speaks[pgn] = speaks
 
     @property
-    def deadline_us(self) -> int:
-        due_us = self.transport.deadline_us if self.joining.joined else None
-        return FOREVER if due_us is None else due_us
+    def due_at_us(self) -> int:
+        due_at_us = self.transport.due_at_us if self.joining.joined else None
+        return FOREVER if due_at_us is None else due_at_us
 
     def note(self, now_us: int, trace: Trace) -> None:
         """Keep a trace for later requests."""
         self._lines.append(f"{now_us / 1e6:.3f} {' '.join(part for part in trace if part)}")
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        deadline_us = self.transport.deadline_us
-        if not ctx.joined or deadline_us is None or ctx.now_us < deadline_us:
+        due_at_us = self.transport.due_at_us
+        if not ctx.joined or due_at_us is None or ctx.now_us < due_at_us:
             return NOTHING
         return _sends(self.transport.on_tick(ctx.now_us))
 

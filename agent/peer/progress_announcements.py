@@ -29,8 +29,8 @@ class ProgressAnnouncements(Part):
     ) -> None:
         self.progress, self.sync = progress, sync
         # A large fleet announces progress less often, because all robots share the bus.
-        self.period_us = PROGRESS_PERIOD_US * beat.pose_us // BEATS[0].pose_us
-        self.next_us = now_us + self.period_us
+        self.period_us = PROGRESS_PERIOD_US * beat.pose_period_us // BEATS[0].pose_period_us
+        self.next_at_us = now_us + self.period_us
         self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
         self.redone = 0  # units that another robot had announced before us
 
@@ -39,7 +39,7 @@ class ProgressAnnouncements(Part):
         return {notices.BeatDue: self._beat, inputs.Cover: self._cover}
 
     def _beat(self, ctx: StepContext, notice: notices.BeatDue) -> Outputs:
-        if not self.pending or ctx.now_us < self.next_us:
+        if not self.pending or ctx.now_us < self.next_at_us:
             return NOTHING
         return self.flush(ctx.now_us)
 
@@ -51,7 +51,7 @@ class ProgressAnnouncements(Part):
         for unit in units:
             block, bit = divmod(unit, BLOCK_UNITS)
             self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
-        return self.flush(now_us) if now_us >= self.next_us else []
+        return self.flush(now_us) if now_us >= self.next_at_us else []
 
     def sweep(self, swept: CoveredUnits, now_us: int) -> list[Effect]:
         """Units of any section were covered."""
@@ -74,5 +74,5 @@ class ProgressAnnouncements(Part):
             effects.append(Persist(*DurableRecords.progress(section, block, bits)))
             effects.append(Send(WorkProgress(section, block, bits)))
         self.pending.clear()
-        self.next_us = now_us + self.period_us
+        self.next_at_us = now_us + self.period_us
         return effects

@@ -17,19 +17,19 @@ class SectionClaims:
 
     def __init__(self, slot: int, allocation: FieldAllocationCRDT) -> None:
         self.slot, self.allocation = slot, allocation
-        self.contested_until_us: dict[int, int] = {}  # in the order in which they will be worked
+        self.contest_ends_at_us: dict[int, int] = {}  # in the order in which they will be worked
         self.current: int | None = None  # the section being worked
         self.lost = 0  # claims and sections lost to a better claim
 
     @property
     def room(self) -> bool:
         """Whether another section may be claimed now."""
-        return len(self.contested_until_us) < (CLAIM_AHEAD if self.current is not None else 1)
+        return len(self.contest_ends_at_us) < (CLAIM_AHEAD if self.current is not None else 1)
 
     @property
     def next(self) -> int | None:
         """The section that is worked next; None if none is claimed."""
-        return next(iter(self.contested_until_us), None)
+        return next(iter(self.contest_ends_at_us), None)
 
     def claim(self, choice: ClaimRequest, now_us: int) -> int | None:
         """The register key to announce, or None if the section is not available."""
@@ -39,21 +39,21 @@ class SectionClaims:
         else:
             key = self.allocation.claim(section, self.slot, choice.bid)
         if key is not None:
-            self.contested_until_us[section] = now_us + CONTENTION_US
+            self.contest_ends_at_us[section] = now_us + CONTENTION_US
         return key
 
     def start_due(self, now_us: int) -> int | None:
         """The section whose contention window has passed while our claim is still the best."""
-        if self.current is not None or not self.contested_until_us:
+        if self.current is not None or not self.contest_ends_at_us:
             return None
         section = self.next
         assert section is not None
-        return section if self.contested_until_us[section] <= now_us else None
+        return section if self.contest_ends_at_us[section] <= now_us else None
 
     def start(self, section: int) -> int | None:
         """Start a section whose contention window has passed; None if the claim was lost."""
         key = self.allocation.start(section, self.slot)
-        del self.contested_until_us[section]
+        del self.contest_ends_at_us[section]
         if key is not None:
             self.current = section
         return key
@@ -66,7 +66,7 @@ class SectionClaims:
 
     def drop(self, section: int) -> int | None:
         """Give a section back, unfinished."""
-        self.contested_until_us.pop(section, None)
+        self.contest_ends_at_us.pop(section, None)
         if self.current == section:
             self.current = None
         return self.allocation.release(section, self.slot)
@@ -75,10 +75,10 @@ class SectionClaims:
         """After a merge: which of these sections we have lost."""
         lost = []
         for section in sorted(sections):
-            ours = section in self.contested_until_us or section == self.current
+            ours = section in self.contest_ends_at_us or section == self.current
             done = self.allocation.phase_of(section) is Phase.DONE
             if ours and (done or self.allocation.owner_of(section) != self.slot):
-                self.contested_until_us.pop(section, None)
+                self.contest_ends_at_us.pop(section, None)
                 if self.current == section:
                     self.current = None
                 self.lost += 1
@@ -86,8 +86,8 @@ class SectionClaims:
         return lost
 
     @property
-    def deadline_us(self) -> int | None:
+    def due_at_us(self) -> int | None:
         """When the contention window of the next section ends; None if nothing waits."""
-        if self.current is not None or not self.contested_until_us:
+        if self.current is not None or not self.contest_ends_at_us:
             return None
-        return next(iter(self.contested_until_us.values()))
+        return next(iter(self.contest_ends_at_us.values()))

@@ -56,11 +56,11 @@ class SectionWork(Part):
         }
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         if self.lifecycle.state is not IDLE or not self.safety.may_move:
             return FOREVER  # the claim waits
-        due_us = self.claims.deadline_us
-        return FOREVER if due_us is None else due_us
+        due_at_us = self.claims.due_at_us
+        return FOREVER if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """A claim whose contention window has passed becomes work."""
@@ -108,7 +108,7 @@ class SectionWork(Part):
 
     def give_back_all(self, now_us: int) -> Outputs:
         """Release every claimed, unfinished section, after announcing its covered units."""
-        held = [*self.claims.contested_until_us]
+        held = [*self.claims.contest_ends_at_us]
         if self.claims.current is not None:
             held.append(self.claims.current)
         outputs: list[Any] = list(self.progress.flush(now_us)) if held else []

@@ -56,36 +56,38 @@ class SelfCheck(Part):
         self.beat = beat
         self.clogged = False  # our frames are not sent: do not add to the queue
         self._health = ACTIVE
-        self._passive_us: int | None = None  # since when it is error passive; None: it is not
-        self._refused_us: int | None = None
+        self._passive_at_us: int | None = None  # since when it is error passive; None: it is not
+        self._refused_at_us: int | None = None
         self._sent: int | None = None  # frames sent; None: the interface does not report it
-        self._left_us = NEVER_US  # the newest confirmed frame was sent at this time or later
-        self._looked_us = now_us  # when the driver was asked last
-        self._well_us: int | None = None  # since when we are received again, while UNHEARD holds
-        self._probed_us = now_us
-        self._fresh_us = now_us  # before this, missing confirmations mean nothing: we just joined
+        self._sent_at_us = NEVER_US  # the newest confirmed frame was sent at this time or later
+        self._looked_at_us = now_us  # when the driver was asked last
+        self._well_at_us: int | None = None  # since when we are received again, while UNHEARD holds
+        self._probed_at_us = now_us
+        self._confirms_at_us = (
+            now_us  # before this, missing confirmations mean nothing: we just joined
+        )
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
         return {
             inputs.BusState: self._bus,
-            notices.ControlDue: lambda ctx, n: self.look(n.late_us, ctx.now_us),
+            notices.ControlDue: lambda ctx, n: self.look(n.late_for_us, ctx.now_us),
         }
 
     def _bus(self, ctx: StepContext, fact: inputs.BusState) -> Outputs:
         """The driver's report."""
         (health, taken, sent), now_us = fact, ctx.now_us
         was, self._health = self._health, health
-        self._refused_us = None if taken else _first(self._refused_us, now_us)
-        self._passive_us = _first(self._passive_us, now_us) if health is PASSIVE else None
+        self._refused_at_us = None if taken else _first(self._refused_at_us, now_us)
+        self._passive_at_us = _first(self._passive_at_us, now_us) if health is PASSIVE else None
         if sent != self._sent:
             if sent is not None and self._sent is not None:
-                self._left_us = self._looked_us  # at that time or after it
+                self._sent_at_us = self._looked_at_us  # at that time or after it
             self._sent = sent
-        self._looked_us = now_us
+        self._looked_at_us = now_us
         if not self.joining.joined:
-            self._fresh_us = now_us + self.beat.silence_us
-        self.clogged = sent is not None and now_us >= max(self._stall_us, self._fresh_us)
+            self._confirms_at_us = now_us + self.beat.silence_for_us
+        self.clogged = sent is not None and now_us >= max(self._stall_at_us, self._confirms_at_us)
         if health is OFF and was is not OFF:
             return [HALT, notices.BusLost()]
         if was is OFF and health is not OFF:
@@ -101,40 +103,40 @@ class SelfCheck(Part):
         """Whether this frame is queued although none of our frames is being sent."""
         if frame.identifier >> 26 <= URGENT:
             return True
-        if now_us - self._probed_us < PROBE_US:
+        if now_us - self._probed_at_us < PROBE_US:
             return False
-        self._probed_us = now_us
+        self._probed_at_us = now_us
         return True
 
     @property
-    def _stall_us(self) -> int:
+    def _stall_at_us(self) -> int:
         """The time at which no frame of ours was sent for a silence timeout."""
-        return self._left_us + self.beat.silence_us
+        return self._sent_at_us + self.beat.silence_for_us
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When our frames may be stuck for a silence timeout; later checks run each control period."""
         if self._sent is None or not self.joining.joined:
             return FOREVER
-        stall_us = self._stall_us
-        return FOREVER if stall_us <= self._looked_us else stall_us
+        stall_at_us = self._stall_at_us
+        return FOREVER if stall_at_us <= self._looked_at_us else stall_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        stuck = self._sent is not None and ctx.now_us >= self._stall_us
+        stuck = self._sent is not None and ctx.now_us >= self._stall_at_us
         if not stuck or self.safety.holds(StopCause.UNHEARD):
             return NOTHING
         return self.look(0, ctx.now_us)
 
-    def look(self, late_us: int, now_us: int) -> Outputs:
-        """Called once a control period, `late_us` after its due time, and when frames are stuck."""
+    def look(self, late_for_us: int, now_us: int) -> Outputs:
+        """Called once a control period, `late_for_us` after its due time, and when frames are stuck."""
         outputs: list[Any] = []
-        passive = self._passive_us is not None and now_us - self._passive_us >= PASSIVE_US
+        passive = self._passive_at_us is not None and now_us - self._passive_at_us >= PASSIVE_US
         why = self._unheard(now_us)
         if passive or why or not self.safety.free:
             outputs += self._set(StopCause.ERROR_PASSIVE, passive, "", now_us)
             outputs += self._set(StopCause.UNHEARD, self._holds_on(why, now_us), why, now_us)
-        if late_us > ACTUATOR_TTL_US:
-            why = f"{late_us / 1000:.0f} ms late"
+        if late_for_us > ACTUATOR_TTL_US:
+            why = f"{late_for_us / 1000:.0f} ms late"
             self.safety.raise_cause(StopCause.LATE_TICK, now_us, why, LATE_HOLD_US)
             outputs += [HALT, Trace("safety", "", "LATE_TICK", "PROTECTIVE", why)]
         return outputs
@@ -142,30 +144,30 @@ class SelfCheck(Part):
     def _holds_on(self, why: str, now_us: int) -> bool:
         """Hold UNHEARD a silence timeout longer, so that stops queued with our frames arrive first."""
         if why or not self.safety.holds(StopCause.UNHEARD):
-            self._well_us = None
+            self._well_at_us = None
             return bool(why)
-        self._well_us = _first(self._well_us, now_us)
-        return now_us - self._well_us < self.beat.silence_us
+        self._well_at_us = _first(self._well_at_us, now_us)
+        return now_us - self._well_at_us < self.beat.silence_for_us
 
     def _unheard(self, now_us: int) -> str:
         """Why our frames do not arrive, as far as we know; empty if they do."""
         membership = self.membership
         if not self.joining.joined:
             membership.forget_reflection()  # we have sent nothing yet
-            self._left_us = NEVER_US
+            self._sent_at_us = NEVER_US
             return ""
-        silence_us, others = self.beat.silence_us, len(membership.live) - 1
-        if self._refused_us is not None and now_us - self._refused_us >= silence_us:
+        silence_for_us, others = self.beat.silence_for_us, len(membership.live) - 1
+        if self._refused_at_us is not None and now_us - self._refused_at_us >= silence_for_us:
             return "the bus takes no frame"
-        if self._sent is not None and now_us >= self._stall_us:
+        if self._sent is not None and now_us >= self._stall_at_us:
             return "none of our frames leaves"
         if not others:
             return "" if self._sent is not None else "nobody is heard, and no frame is confirmed"
-        limit_us = silence_us + min(others, ROUND_MAX) * self.beat.pose_us
-        since_us = membership.reflected_us
+        limit_for_us = silence_for_us + min(others, ROUND_MAX) * self.beat.pose_period_us
+        start_at_us = membership.reflected_at_us
         if self._sent is not None:  # frames are sent; a new member needs time to name us
-            since_us = max(since_us, membership.changed_us)
-        return "" if now_us - since_us <= limit_us else f"none of {others} members hears us"
+            start_at_us = max(start_at_us, membership.changed_at_us)
+        return "" if now_us - start_at_us <= limit_for_us else f"none of {others} members hears us"
 
     def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> Outputs:
         safety = self.safety
@@ -179,5 +181,5 @@ class SelfCheck(Part):
         return [notices.ReceivedAgain(), gone] if cause is StopCause.UNHEARD else [gone]
 
 
-def _first(since_us: int | None, now_us: int) -> int:
-    return now_us if since_us is None else since_us
+def _first(start_at_us: int | None, now_us: int) -> int:
+    return now_us if start_at_us is None else start_at_us

@@ -56,15 +56,15 @@ class SenderOrigins(Part):
         self.conflicts, self.name_discovery = conflicts, name_discovery
         self.doubts = Doubts()
         self.malformed: Counter[str] = Counter()  # reason -> frames
-        self._claimed_us: dict[int, int] = {}  # address -> when its newest claim was received
+        self._claimed_at_us: dict[int, int] = {}  # address -> when its newest claim was received
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
         return {AddressClaimed: self._address_claimed, Malformed: self._count_malformed}
 
     @property
-    def deadline_us(self) -> int:
-        return self.doubts.deadline_us
+    def due_at_us(self) -> int:
+        return self.doubts.due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """Accept the stops of addresses that did not claim in time, with their reception times."""
@@ -128,10 +128,10 @@ class SenderOrigins(Part):
             return None
         asks.urge(source, now_us)
         self.origins.count(origin, message)
-        until_us = self.doubts.hold(source, message, now_us)
+        end_at_us = self.doubts.hold(source, message, now_us)
         why = f"a stop from address {source}, which nobody has claimed"
-        held_us = max(UNAUTHENTICATED_HOLD_US, until_us - now_us)
-        self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_us)
+        held_for_us = max(UNAUTHENTICATED_HOLD_US, end_at_us - now_us)
+        self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_for_us)
         return [HALT]
 
     def _ask_again(self, source: int, now_us: int) -> bool:
@@ -139,7 +139,7 @@ class SenderOrigins(Part):
 
         The address sends what only our devices send. After a cut of the bus, a device of ours may
         have it."""
-        old = now_us - self._claimed_us.get(source, 0) >= CLAIM_OLD_US
+        old = now_us - self._claimed_at_us.get(source, 0) >= CLAIM_OLD_US
         if old:
             self.name_discovery.asks.stranger(source, now_us, 0)
         return old
@@ -164,7 +164,7 @@ class SenderOrigins(Part):
             outputs.append(notices.ConflictSettled(source))
         wondered = self.name_discovery.asks.known(source)
         self.origins.claimed(source, m.name)
-        self._claimed_us[source] = now_us
+        self._claimed_at_us[source] = now_us
         if wondered:  # it has sent frames: it may be a member that is not known yet
             outputs.append(notices.RobotNamed(source))
         outputs += [

@@ -45,14 +45,14 @@ class Senses(Part):
         self.safety, self.motion, self.drives = safety, motion, drives
         self.here: Observation | None = None  # the newest observation
         self.current = False  # whether the sensed place is our current place
-        self._sensed_us: int | None = None  # time of the newest observation
-        self._compared_us: int | None = (
+        self._sensed_at_us: int | None = None  # time of the newest observation
+        self._compared_at_us: int | None = (
             None  # time of the observation last compared with the wheels
         )
-        self._late_us = 0  # when the senses were last old
+        self._late_at_us = 0  # when the senses were last old
         self._drive: Drive = HALT  # the command in force since the last period
         self._anchor: Observation | None = None  # the last observation at which the place changed
-        self._anchor_us = 0
+        self._anchor_at_us = 0
         self._periods = 0  # observations since the anchor
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
@@ -69,17 +69,17 @@ class Senses(Part):
         """The current observation, or None."""
         if fact.observation is not None:
             self.here = fact.observation
-            self._sensed_us = fact.observation.sensed_at_us
+            self._sensed_at_us = fact.observation.sensed_at_us
         return NOTHING
 
     def age_us(self, now_us: int) -> int | None:
         """Age of the newest observation; None if there never was one."""
-        return None if self._sensed_us is None else now_us - self._sensed_us
+        return None if self._sensed_at_us is None else now_us - self._sensed_at_us
 
     @property
     def expected(self) -> bool:
         """Whether the robot needs its senses to drive, or has sensed before."""
-        return self.drives or self._sensed_us is not None
+        return self.drives or self._sensed_at_us is not None
 
     def drove(self, drive: Drive) -> None:
         """The command that the wheels were given."""
@@ -97,15 +97,19 @@ class Senses(Part):
             return []
         old = self._old(now_us)
         if old:
-            self._late_us = now_us
+            self._late_at_us = now_us
         safety = self.safety
-        steady = safety.holds(StopCause.SENSES_OLD) and now_us - self._late_us < STEADY_US
+        steady = safety.holds(StopCause.SENSES_OLD) and now_us - self._late_at_us < STEADY_US
         effects = self._set(StopCause.SENSES_OLD, bool(old) or steady, old, now_us)
         self._changed = False
         frozen = ""
-        if self._sensed_us is not None and self._sensed_us != self._compared_us and not old:
-            frozen = self._frozen(self._sensed_us)
-            self._compared_us = self._sensed_us
+        if (
+            self._sensed_at_us is not None
+            and self._sensed_at_us != self._compared_at_us
+            and not old
+        ):
+            frozen = self._frozen(self._sensed_at_us)
+            self._compared_at_us = self._sensed_at_us
         if frozen or self._changed:
             effects += self._set(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
         self.current = not (old or safety.holds(StopCause.PLACE_FROZEN))
@@ -113,14 +117,14 @@ class Senses(Part):
 
     def _old(self, now_us: int) -> str:
         """Why the senses are not current; empty if they are."""
-        if self._sensed_us is None:
+        if self._sensed_at_us is None:
             return "nothing is sensed"
-        age_us = now_us - self._sensed_us
+        age_us = now_us - self._sensed_at_us
         if 0 <= age_us <= AGE_MAX_US:
             return ""
         return f"sensed {age_us / 1000:.0f} ms ago" if age_us > 0 else "sensed in the future"
 
-    def _frozen(self, sensed_us: int) -> str:
+    def _frozen(self, sensed_at_us: int) -> str:
         """Why the place does not follow the wheels; empty if it does or need not."""
         here, anchor = self.here, self._anchor
         assert here is not None
@@ -129,18 +133,18 @@ class Senses(Part):
             away_m = hypot(here.x_m - anchor.x_m, here.y_m - anchor.y_m)
         self._changed = away_m > STAYS_M
         if anchor is None or self._changed:
-            passed_us = sensed_us - self._anchor_us
-            self._expected_m_s = away_m * S / passed_us if passed_us > 0 else 0.0
-            self._anchor, self._anchor_us = here, sensed_us
+            passed_for_us = sensed_at_us - self._anchor_at_us
+            self._expected_m_s = away_m * S / passed_for_us if passed_for_us > 0 else 0.0
+            self._anchor, self._anchor_at_us = here, sensed_at_us
             self._periods, self._expected_m = 0, 0.0
             return ""
-        since_us = sensed_us if self._compared_us is None else self._compared_us
+        start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         # After the lifetime of the command it is void.
-        passed_s = min(max(sensed_us - since_us, 0), ACTUATOR_TTL_US) / S
+        passed_for_s = min(max(sensed_at_us - start_at_us, 0), ACTUATOR_TTL_US) / S
         told_m_s = self._told_m_s(here, anchor)
-        faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_s
+        faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_for_s
         self._expected_m_s = min(told_m_s, faster_m_s)
-        self._expected_m += self._expected_m_s * passed_s
+        self._expected_m += self._expected_m_s * passed_for_s
         self._periods += 1
         if self._expected_m < FROZEN_M or self._periods < 2:
             return ""

@@ -31,9 +31,9 @@ class SlotDiscovery(Part):
         }
 
     @property
-    def deadline_us(self) -> int:
-        due_us = self.asks.deadline_us if self.joining.joined else None
-        return FOREVER if due_us is None else due_us
+    def due_at_us(self) -> int:
+        due_at_us = self.asks.due_at_us if self.joining.joined else None
+        return FOREVER if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self.asks.tick(ctx.now_us) if ctx.joined else NOTHING

@@ -36,7 +36,7 @@ class Stall:
         self.plans = 0  # replans since it last made progress
         self.seen = 0  # total number of stalls
         self._anchor: Point = (0.0, 0.0)
-        self._since_us = self._asked_us = 0
+        self._anchor_at_us = self._asked_at_us = 0
 
     def look(self, at: Point, wants_m_s: float, crowded: bool, now_us: int) -> Advice | None:
         """What to do now; None if the robot is not stalled.
@@ -44,17 +44,17 @@ class Stall:
         Call it in each control period in which the robot may drive. `at`: its position, (x, y)
         metres. `crowded`: another robot is near.
         """
-        lapsed = now_us - self._asked_us > FORGET_US
-        self._asked_us = now_us
+        lapsed = now_us - self._asked_at_us > FORGET_US
+        self._asked_at_us = now_us
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
         if moved_m > GOT_ON_M or wants_m_s < WANTS_M_S or lapsed:
-            self._anchor, self._since_us = at, now_us
+            self._anchor, self._anchor_at_us = at, now_us
             if moved_m > GOT_ON_M:
                 self.plans = 0
             return None
-        if now_us - self._since_us < (CROWDED_US if crowded else ALONE_US):
+        if now_us - self._anchor_at_us < (CROWDED_US if crowded else ALONE_US):
             return None
-        self._since_us = now_us
+        self._anchor_at_us = now_us
         self.seen += self.plans == 0
         self.plans += 1
         return Advice.TELL if self.plans % TOLD_AFTER == 0 else Advice.REPLAN

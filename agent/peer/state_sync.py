@@ -33,11 +33,15 @@ class StateSync(Part):
     """The part that merges work frames of others and takes part in anti-entropy."""
 
     def __init__(
-        self, sync: Synchronizer, admission: Admission, joining: NetworkJoin, heartbeat_us: int
+        self,
+        sync: Synchronizer,
+        admission: Admission,
+        joining: NetworkJoin,
+        heartbeat_period_us: int,
     ) -> None:
         self.sync, self.admission, self.joining = sync, admission, joining
-        self.heartbeat_us = heartbeat_us
-        self._told_us = -TELL_SPACING_US  # when a device that is no member was last answered
+        self.heartbeat_period_us = heartbeat_period_us
+        self._told_at_us = -TELL_SPACING_US  # when a device that is no member was last answered
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
@@ -59,9 +63,9 @@ class StateSync(Part):
         }
 
     @property
-    def deadline_us(self) -> int:
-        due_us = self.sync.deadline_us if self.joining.joined else None
-        return FOREVER if due_us is None else due_us
+    def due_at_us(self) -> int:
+        due_at_us = self.sync.due_at_us if self.joining.joined else None
+        return FOREVER if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if not ctx.joined:
@@ -79,8 +83,8 @@ class StateSync(Part):
             return [notices.StopsAsked(m.cut | m.digest << 24, header.from_gateway)]
         if header.slot is not None:
             return self._work(ctx, header, m)
-        if ctx.now_us - self._told_us >= TELL_SPACING_US:  # from an inspector
-            self._told_us = ctx.now_us
+        if ctx.now_us - self._told_at_us >= TELL_SPACING_US:  # from an inspector
+            self._told_at_us = ctx.now_us
             self.sync.on_message(OUTSIDER, m, ctx.now_us)
         return NOTHING
 
@@ -102,7 +106,7 @@ class StateSync(Part):
         return NOTHING
 
     def _joined(self, ctx: StepContext, notice: notices.AddressGained) -> Outputs:
-        self.sync.joined(ctx.now_us, self.heartbeat_us)
+        self.sync.joined(ctx.now_us, self.heartbeat_period_us)
         return NOTHING
 
     def _heartbeat(self, ctx: StepContext, notice: notices.HeartbeatHeard) -> Outputs:

@@ -87,11 +87,11 @@ class StopReception(Part):
     # ---------------------------------------------------------------- time
 
     @property
-    def deadline_us(self) -> int:
-        return self.safety.deadline_us
+    def due_at_us(self) -> int:
+        return self.safety.due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        if ctx.now_us < self.safety.deadline_us:
+        if ctx.now_us < self.safety.due_at_us:
             return NOTHING
         effects = self.safety.on_tick(ctx.now_us)
         if effects:

@@ -40,8 +40,10 @@ class ToldCauses:
 
     def fresh(self, now_us: int) -> list[Standstill]:
         """The newest frame of each cause that it still reports, worst first."""
-        limit_us = FORGET_US * max(1, len(self._told), self._number)
-        known = [m for m, heard_us in self._told.values() if now_us - heard_us <= limit_us]
+        known_for_us = FORGET_US * max(1, len(self._told), self._number)
+        known = [
+            m for m, heard_at_us in self._told.values() if now_us - heard_at_us <= known_for_us
+        ]
         return sorted(known, key=lambda m: m.place)
 
     def missing(self, now_us: int) -> int:

@@ -24,18 +24,18 @@ AnyStop = EmergencyStop | FleetStop
 class Doubted(NamedTuple):
     """When a stop was received first and last, microseconds."""
 
-    first_us: int
-    last_us: int
+    first_at_us: int
+    last_at_us: int
 
 
 class Doubts:
     """The stops that are in doubt, by the address that they came from."""
 
     def __init__(self) -> None:
-        self._since_us: dict[int, int] = {}  # address -> first stop
+        self._first_at_us: dict[int, int] = {}  # address -> first stop
         self._stops: dict[int, dict[AnyStop, Doubted]] = {}
         self._believed: set[int] = set()  # addresses that have not answered in time
-        self.deadline_us = FOREVER
+        self.due_at_us = FOREVER
 
     def believes(self, address: int) -> bool:
         """Whether it was asked without an answer, so that its stops are accepted."""
@@ -43,16 +43,16 @@ class Doubts:
 
     def hold(self, address: int, stop: AnyStop, now_us: int) -> int:
         """Keep a stop until its sender is known; returns the latest time for that."""
-        since_us = self._since_us.setdefault(address, now_us)
-        if since_us > now_us:  # our clock was set back
-            since_us = self._since_us[address] = now_us
-        self.deadline_us = min(self.deadline_us, since_us + DOUBT_US)
+        begin_at_us = self._first_at_us.setdefault(address, now_us)
+        if begin_at_us > now_us:  # our clock was set back
+            begin_at_us = self._first_at_us[address] = now_us
+        self.due_at_us = min(self.due_at_us, begin_at_us + DOUBT_US)
         stops = self._stops.setdefault(address, {})
         if stop in stops:
-            stops[stop] = stops[stop]._replace(last_us=now_us)
+            stops[stop] = stops[stop]._replace(last_at_us=now_us)
         elif len(stops) < STOPS_MAX:
             stops[stop] = Doubted(now_us, now_us)
-        return since_us + DOUBT_US
+        return begin_at_us + DOUBT_US
 
     def end(self, address: int) -> list[tuple[int, AnyStop]]:
         """Its NAME is known: its stops, each with the times of first and last reception."""
@@ -61,16 +61,18 @@ class Doubts:
 
     def overdue(self, now_us: int) -> list[tuple[int, int, AnyStop]]:
         """Stops of addresses that did not answer in time: address, time of reception, stop."""
-        if now_us < self.deadline_us:
+        if now_us < self.due_at_us:
             return []
-        late = [a for a, since_us in self._since_us.items() if now_us >= since_us + DOUBT_US]
+        late = [
+            a for a, begin_at_us in self._first_at_us.items() if now_us >= begin_at_us + DOUBT_US
+        ]
         self._believed.update(late)
         return [(address, t_us, stop) for address in late for t_us, stop in self._end(address)]
 
     def _end(self, address: int) -> list[tuple[int, AnyStop]]:
-        if self._since_us.pop(address, None) is None:
+        if self._first_at_us.pop(address, None) is None:
             return []
-        self.deadline_us = min((t + DOUBT_US for t in self._since_us.values()), default=FOREVER)
+        self.due_at_us = min((t + DOUBT_US for t in self._first_at_us.values()), default=FOREVER)
         stops = self._stops.pop(address)
         heard = {(t_us, stop) for stop, times in stops.items() for t_us in times}
         return sorted(heard, key=lambda said: said[0])

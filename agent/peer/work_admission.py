@@ -32,7 +32,7 @@ class Admission:
         """`sections`: those of the field; empty: any. `owners`: slots that may hold a section."""
         self.sections, self.owners = sections, owners
         self.refused: Counter[str] = Counter()  # why -> frames
-        self._boot_us = now_us
+        self._boot_at_us = now_us
         self._put_off: dict[int, tuple[int, int, int]] = {}  # section: epoch, first and last told
 
     def admits(self, message: Work, now_us: int) -> bool:
@@ -48,7 +48,7 @@ class Admission:
         if message.epoch > message.lamport:  # each hand-over was an operation
             self.refused["epoch"] += 1
             return False
-        explained = EPOCH_BURST + (now_us - self._boot_us) // EPOCH_EVERY_US
+        explained = EPOCH_BURST + (now_us - self._boot_at_us) // EPOCH_EVERY_US
         explained = min(explained, EPOCH_EXPLAINED_MAX)
         if message.epoch <= explained or self._persists(message.section, message.epoch, now_us):
             return True
@@ -56,12 +56,12 @@ class Admission:
         return False
 
     def _persists(self, section: int, epoch: int, now_us: int) -> bool:
-        known, first_us, last_us = self._put_off.pop(section, (epoch, now_us, now_us))
-        if known != epoch or now_us - last_us > FORGOTTEN_US:
-            first_us = now_us
-        if now_us - first_us >= PERSISTS_US:
+        known, first_at_us, last_at_us = self._put_off.pop(section, (epoch, now_us, now_us))
+        if known != epoch or now_us - last_at_us > FORGOTTEN_US:
+            first_at_us = now_us
+        if now_us - first_at_us >= PERSISTS_US:
             return True
-        self._put_off[section] = epoch, first_us, now_us
+        self._put_off[section] = epoch, first_at_us, now_us
         if len(self._put_off) > PUT_OFF_MAX:
             del self._put_off[next(iter(self._put_off))]
         return False

@@ -235,7 +235,7 @@ class FleetCoordinationEngine:
             return False
         settled_s = 2.0 * CONTENTION_US / S
         if peer.claims.current is None:
-            await self._wait(lambda: section not in peer.claims.contested_until_us, settled_s + 1.0)
+            await self._wait(lambda: section not in peer.claims.contest_ends_at_us, settled_s + 1.0)
         else:  # claimed ahead, so it is held but not yet started
             await asyncio.sleep(CONTENTION_US / S)
         return peer.allocation.owner_of(section) == self.slot
@@ -336,7 +336,7 @@ class FleetCoordinationEngine:
                 "position": _position(pose),
                 "speed_m_s": pose.speed_m_s,
                 "health": peer.reports.healths.get(slot),
-                "age_s": (now_us - neighbour.heard_us) / 1e6,
+                "age_s": (now_us - neighbour.heard_at_us) / 1e6,
                 "stands": peer.reports.told_standing(slot, now_us),
                 "operations": peer.clock[slot],
                 "sections": [

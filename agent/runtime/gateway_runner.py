@@ -106,10 +106,10 @@ class GatewayShell:
         self._arm()
 
     def _arm(self) -> None:
-        due_us = self.gateway.deadline_us
+        due_at_us = self.gateway.due_at_us
         if self._timer is not None:
-            if self._timer_us <= due_us:
+            if self._timer_us <= due_at_us:
                 return  # the timer fires earlier, finds nothing due, and is set again
             self._timer.cancel()
-        self._timer_us = due_us
-        self._timer = self._at(due_us, self._due)
+        self._timer_us = due_at_us
+        self._timer = self._at(due_at_us, self._due)

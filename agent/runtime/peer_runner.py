@@ -62,13 +62,13 @@ class PeerRunner:
         self.clock = self.now_us if clock is None else clock  # microseconds
         self._listening = False
         self._wake: asyncio.Future[None] | None = None
-        self._armed_us = 0  # when the timer fires
+        self._armed_at_us = 0  # when the timer fires
         self._failure: Exception | None = None
         self._disk_failed = False
         self._taken = True  # whether the bus accepted the last frame
         self._confirming = bus if isinstance(bus, Confirming) else None
         self.withheld = 0  # frames not queued because earlier frames are not being sent
-        self._frozen_until_us = 0  # 0: not frozen
+        self._freeze_ends_at_us = 0  # 0: not frozen
 
     @staticmethod
     def now_us() -> int:
@@ -141,7 +141,7 @@ class PeerRunner:
         """A frame, on the thread of the loop: processed immediately, unless this process is
         frozen.
         """
-        if self._frozen_until_us or not self._listening:
+        if self._freeze_ends_at_us or not self._listening:
             if len(self._inbox) >= INBOX_MAX:
                 self.dropped += 1
             else:
@@ -162,13 +162,13 @@ class PeerRunner:
             self.perform(effects)
         elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
             return False  # nine frames in ten; it had no effects, so the deadline is unchanged
-        if self.peer.deadline_us < self._armed_us:
+        if self.peer.due_at_us < self._armed_at_us:
             self._nudge()
         return True
 
     def freeze(self, for_s: float) -> None:
         """Fault injection: this process stands still for `for_s` seconds and then continues."""
-        self._frozen_until_us = self.clock() + round(for_s * 1e6)
+        self._freeze_ends_at_us = self.clock() + round(for_s * 1e6)
         self._nudge()
 
     def _nudge(self) -> None:
@@ -180,30 +180,30 @@ class PeerRunner:
         loop, peer = asyncio.get_running_loop(), self.peer
         self.bus.subscribe(self._arrive)
         while True:
-            self._armed_us = peer.deadline_us
+            self._armed_at_us = peer.due_at_us
             self._wake, self._listening = loop.create_future(), True
-            timer = loop.call_at(self._armed_us / 1e6, self._nudge)
+            timer = loop.call_at(self._armed_at_us / 1e6, self._nudge)
             try:
                 await self._wake
             finally:
                 timer.cancel()
             if self._failure is not None:
                 raise self._failure
-            if self._frozen_until_us:
-                await asyncio.sleep(max(0, self._frozen_until_us - self.clock()) / 1e6)
+            if self._freeze_ends_at_us:
+                await asyncio.sleep(max(0, self._freeze_ends_at_us - self.clock()) / 1e6)
                 self.thaw()
             self.turn()
 
     def thaw(self) -> None:
         """End the freeze and process the waiting frames."""
-        self._frozen_until_us = 0
+        self._freeze_ends_at_us = 0
         while self._inbox:
             self._hear(self._inbox.popleft())
 
     def turn(self) -> None:
         """Give the peer the state of the bus, an observation and the time, if it is due."""
         now_us, peer = self.clock(), self.peer
-        if now_us >= self._armed_us or now_us >= peer.deadline_us:
+        if now_us >= self._armed_at_us or now_us >= peer.due_at_us:
             sent = None if self._confirming is None else self._confirming.sent
             effects = peer.step(BusState(self.bus.health, self._taken, sent), now_us)
             if effects:

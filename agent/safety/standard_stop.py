@@ -154,11 +154,11 @@ class OwnButton:
             return self._permit(now_us)
         if self._latched_us is None:
             self._latched_us = now_us
-        due_us = self._said_us + SAY_US
+        due_at_us = self._said_us + SAY_US
         if not self._pressed:
             turn_us = max(self._latched_us, self._heard_us + TAKE_OVER_US) + rank * RANK_US
-            due_us = max(due_us, turn_us)
-        return self._stop(now_us) if now_us >= due_us else None
+            due_at_us = max(due_at_us, turn_us)
+        return self._stop(now_us) if now_us >= due_at_us else None
 
     def _permit(self, now_us: int) -> AllImplementsStop | None:
         if self._stopped:

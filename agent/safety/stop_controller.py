@@ -540,7 +540,7 @@ class StopController:
         return ()
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """The earliest time at which `on_tick` has something to do."""
         deadline = min(self._repeat_us, self._renew_us)
         if not self._causes:  # only causes expire
@@ -553,7 +553,7 @@ class StopController:
 
     def on_tick(self, now_us: int) -> Sequence[Effect]:
         """Whatever is due now: causes end, stops are repeated, a press that was due to us is made."""
-        if now_us < self.deadline_us:
+        if now_us < self.due_at_us:
             return ()
         for cause in [c for c, expires_us in self._expires_us.items() if expires_us <= now_us]:
             self.clear_cause(cause, now_us)

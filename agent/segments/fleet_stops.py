@@ -134,20 +134,20 @@ class FleetStops(Part):
         return self.safety.stops.active is not self._pressed
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         if not self._stop_due_us and not self._reset_due_us:
             return FOREVER
         return min((*self._stop_due_us.values(), *self._reset_due_us.values()))
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         """The stops and resets that are due now, for all segments."""
-        if now_us < self.deadline_us:
+        if now_us < self.due_at_us:
             return ()
         effects: list[Effect] = []
-        for dot in [d for d, due_us in self._stop_due_us.items() if due_us <= now_us]:
+        for dot in [d for d, due_at_us in self._stop_due_us.items() if due_at_us <= now_us]:
             del self._stop_due_us[dot]
             effects.append(Send(self.say_stop(self._everywhere(dot))))
-        for far in [d for d, due_us in self._reset_due_us.items() if due_us <= now_us]:
+        for far in [d for d, due_at_us in self._reset_due_us.items() if due_at_us <= now_us]:
             del self._reset_due_us[far]
             effects += [Send(half) for half in self.say_reset(far)]
         return effects

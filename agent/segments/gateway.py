@@ -73,7 +73,7 @@ class Gateway:
     """One gateway candidate of a segment.
 
     `receive` takes frames of its own bus, `hear` takes messages of the backbone, and `tick` is
-    called at `deadline_us`. All return effects in order. Times are microseconds on one clock of
+    called at `due_at_us`. All return effects in order. Times are microseconds on one clock of
     this gateway.
     """
 
@@ -239,12 +239,12 @@ class Gateway:
     # ---------------------------------------------------------------- time
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When `tick` has something to do next."""
-        times = [self.candidacy.deadline_us]
+        times = [self.candidacy.due_at_us]
         if self.candidacy.address is not None:
-            times += [self.stops.deadline_us, self._look_us]
-            sync_us = self.sync.deadline_us
+            times += [self.stops.due_at_us, self._look_us]
+            sync_us = self.sync.due_at_us
             if sync_us is not None:
                 times.append(sync_us)
             if self._tell_us is not None:
@@ -252,7 +252,7 @@ class Gateway:
             if self.leads:
                 times += [self._summary_us, self._rotate_us]
                 if self.chart is not None:
-                    times.append(max(self.chart.deadline_us, self._map_us))
+                    times.append(max(self.chart.due_at_us, self._map_us))
                 if self.border.waiting:
                     times.append(self._flush_us)
                 if self.border.to_say:
@@ -263,7 +263,7 @@ class Gateway:
     _say_us = 0  # when the rate limit lets the next frame of work pass
 
     def tick(self, now_us: int) -> Sequence[Out]:
-        """Everything that is due now; call it at `deadline_us`."""
+        """Everything that is due now; call it at `due_at_us`."""
         candidacy = self.candidacy
         effects: list[Out] = [
             *candidacy.tick(len(self.reach.reached(now_us)), self.reach.ever, now_us)
@@ -294,7 +294,9 @@ class Gateway:
 
     def _look(self, now_us: int) -> None:
         self._look_us = now_us + LOOK_US
-        live = frozenset(s for s, heard_us in self._heard_us.items() if now_us - heard_us < LIVE_US)
+        live = frozenset(
+            s for s, heard_at_us in self._heard_us.items() if now_us - heard_at_us < LIVE_US
+        )
         if live != self._live:
             assert self.candidacy.number is not None
             self._live = live
@@ -316,7 +318,7 @@ class Gateway:
             self._rotate_us = now_us + ROTATION_US
             if self._limit.take(FRAME_US, now_us):
                 effects += self._rotate(now_us)
-        if self.chart is not None and now_us >= max(self.chart.deadline_us, self._map_us):
+        if self.chart is not None and now_us >= max(self.chart.due_at_us, self._map_us):
             near, far = self.chart.tick(self._limit, now_us)
             self._map_us = now_us + MAP_STEP_US
             effects += [self._send(message) for message in near]

@@ -93,7 +93,7 @@ class GatewayElection:
         return self.election.term
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When `tick` has something to do next."""
         return self._beat_us
 
@@ -155,7 +155,9 @@ class GatewayElection:
 
     def _choose(self, now_us: int) -> None:
         """Take the lowest number that is free."""
-        taken = {n for n, (heard_us, _) in self._heard.items() if now_us - heard_us < SILENT_US}
+        taken = {
+            n for n, (heard_at_us, _) in self._heard.items() if now_us - heard_at_us < SILENT_US
+        }
         free = [number for number in NUMBERS if number not in taken]
         self.machine.fire(CandidateEvent.NUMBER_FREE if free else CandidateEvent.NONE_FREE)
         if not free:
@@ -167,7 +169,9 @@ class GatewayElection:
     def _look(self, now_us: int) -> None:
         """Check which candidates are live; a change causes a vote."""
         assert self.number is not None
-        heard = {n for n, (heard_us, _) in self._heard.items() if now_us - heard_us < SILENT_US}
+        heard = {
+            n for n, (heard_at_us, _) in self._heard.items() if now_us - heard_at_us < SILENT_US
+        }
         live = frozenset(heard | {self.number})
         if live != self._live:
             self._live = live

@@ -70,16 +70,16 @@ class MapRelay:
             self.far.on_message(segment, message, now_us)
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When `tick` has something to do next."""
-        return min(self.near.deadline_us, self.far.deadline_us)
+        return min(self.near.due_at_us, self.far.due_at_us)
 
     def tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
         """The frames for our bus, as far as `limit` allows, and the entries for the backbone."""
         near: list[Said] = []
-        if self.near.deadline_us <= now_us and limit.take(FRAME_US, now_us):
+        if self.near.due_at_us <= now_us and limit.take(FRAME_US, now_us):
             near = self.near.on_tick(now_us)
-        far = self.far.on_tick(now_us) if self.far.deadline_us <= now_us else []
+        far = self.far.on_tick(now_us) if self.far.due_at_us <= now_us else []
         told = [
             Entry(PATCH if isinstance(m, MapPatch) else DIGESTS, self.segment, 0, 0, 0, packed(m))
             for m in far

@@ -27,7 +27,7 @@ class Heard(NamedTuple):
     """The newest summary of a segment, and when it was received, microseconds."""
 
     summary: SegmentSummary
-    heard_us: int
+    heard_at_us: int
 
 
 class RemoteSegments(Part):
@@ -50,7 +50,7 @@ class RemoteSegments(Part):
         return {GatewayBeat: self._gateway, SegmentSummary: self._gateway}
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         return FOREVER if self.alone else self._reached_us + ALONE_US
 
     def on_timer(self, ctx: StepContext) -> Outputs:

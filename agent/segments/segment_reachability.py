@@ -19,7 +19,7 @@ class RemoteSegment:
     """Another segment, as its leading gateway reports it."""
 
     term: int = 0
-    heard_us: int = -GONE_US
+    heard_at_us: int = -GONE_US
     hears_us: bool = False
     summary: Summary | None = None
     last: dict[int, tuple[int, int]] = field(default_factory=dict)  # candidate -> boot, sequence
@@ -49,7 +49,7 @@ class SegmentReachability:
                 self.counts["too many"] += 1
                 return False
             remote = self.remotes[header.segment] = RemoteSegment()
-        if header.term < remote.term and now_us - remote.heard_us < GONE_US:
+        if header.term < remote.term and now_us - remote.heard_at_us < GONE_US:
             self.counts["fenced"] += 1
             return False
         boot, sequence = remote.last.get(header.candidate, (-1, -1))
@@ -64,13 +64,13 @@ class SegmentReachability:
         """Take in the summary of another segment; call it after `accepts`."""
         remote = self.remotes[header.segment]
         kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept
-        remote.summary, remote.heard_us = kept, now_us
+        remote.summary, remote.heard_at_us = kept, now_us
         remote.hears_us = self.segment in summary.heard
         self.ever |= remote.hears_us
 
     def heard(self, now_us: int) -> dict[int, int]:
         """Segments that are received now, with the terms of their gateways."""
-        return {s: r.term for s, r in self.remotes.items() if now_us - r.heard_us < GONE_US}
+        return {s: r.term for s, r in self.remotes.items() if now_us - r.heard_at_us < GONE_US}
 
     def reached(self, now_us: int) -> list[int]:
         """Segments that we receive and that receive us."""

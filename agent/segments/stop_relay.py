@@ -41,7 +41,7 @@ class Said(NamedTuple):
     """A dot that is being sent: remaining repeats, and time of the next."""
 
     left: int
-    next_us: int
+    next_at_us: int
     told: bool  # a repetition, not a new press
 
 
@@ -95,7 +95,7 @@ class StopRelay:
 
     def halted(self, now_us: int) -> tuple[int, int]:
         """How many robots were received lately, and how many of them are stopped."""
-        lately = [s for heard_us, s in self._robots.values() if now_us - heard_us < LIVE_US]
+        lately = [s for heard_at_us, s in self._robots.values() if now_us - heard_at_us < LIVE_US]
         return len(lately), sum(lately)
 
     def hear_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
@@ -168,8 +168,8 @@ class StopRelay:
         self._trim()
 
     def _say(self, dot: RemoteStopDot, told: bool, now_us: int) -> None:
-        next_us = now_us if self.leads else now_us + STANDBY_US
-        self._saying[dot] = Said(REPEATS_MAX, next_us, told)
+        next_at_us = now_us if self.leads else now_us + STANDBY_US
+        self._saying[dot] = Said(REPEATS_MAX, next_at_us, told)
 
     def _keep(self, dot: RemoteStopDot, stop: FleetStop) -> bool:
         self.stops[dot] = stop._replace(told=False)
@@ -196,22 +196,22 @@ class StopRelay:
     # ---------------------------------------------------------------- on our segment
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When `tick` has something to send next."""
         if self._to_reset:
             return self._next_us
-        due_us = min((said.next_us for said in self._saying.values()), default=FOREVER)
-        return max(due_us, self._next_us) if due_us < FOREVER else FOREVER
+        due_at_us = min((said.next_at_us for said in self._saying.values()), default=FOREVER)
+        return max(due_at_us, self._next_us) if due_at_us < FOREVER else FOREVER
 
     def tick(self, now_us: int) -> list[FleetStop | FleetReset]:
         """The frames to send now: at most one stop, or the halves of one reset, twice in case one
         is missed.
         """
-        if now_us < self.deadline_us:
+        if now_us < self.due_at_us:
             return []
         self._next_us = now_us + STOP_REPEAT_US
-        for dot, said in sorted(self._saying.items(), key=lambda item: item[1].next_us):
-            if said.next_us > now_us:
+        for dot, said in sorted(self._saying.items(), key=lambda item: item[1].next_at_us):
+            if said.next_at_us > now_us:
                 break
             enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
             if said.left <= 0 or enough or self._leader_said(dot):

@@ -20,7 +20,7 @@ class DigestMismatch(NamedTuple):
     """A peer's digest that is none of ours, present or past."""
 
     digest: int
-    heard_us: int
+    heard_at_us: int
     confirmed: bool
 
 
@@ -110,7 +110,7 @@ class Divergence:
                 self.odd.pop(slot)
                 self._agreed[slot] = max(moment, self._agreed.get(slot, NEVER))
         self._end_of_reunion()
-        return any(odd.confirmed and odd.heard_us > since_us for odd in self.odd.values())
+        return any(odd.confirmed and odd.heard_at_us > since_us for odd in self.odd.values())
 
     # ---------------------------------------------------------------- how far we agree
 

@@ -183,8 +183,8 @@ class MapSync:
                 self._queue(FIRST_NODES[size - 1] + child, m.salt, now_us)
 
     def _settled(self, square: int, width: int, now_us: int) -> bool:
-        changed_us = self._changed_us[square * width : (square + 1) * width]
-        return int(changed_us.max()) <= now_us - SETTLE_US
+        changed_at_us = self._changed_us[square * width : (square + 1) * width]
+        return int(changed_at_us.max()) <= now_us - SETTLE_US
 
     def _queue(self, node: int, salt: int, now_us: int) -> None:
         """Queue our digests of a square, rarely: they change while records are being sent."""
@@ -225,14 +225,14 @@ class MapSync:
         return min(self._may_us(NEWS_GAP_US), turn_us)
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         """When `on_tick` next has something to send, if nothing is received before."""
-        deadline_us = self._beat_us
+        due_at_us = self._beat_us
         if self._news:
-            deadline_us = min(deadline_us, self._news_us)
+            due_at_us = min(due_at_us, self._news_us)
         if self._digests or self._repairs:
-            deadline_us = min(deadline_us, self._may_us(REPAIR_GAP_US))
-        return deadline_us
+            due_at_us = min(due_at_us, self._may_us(REPAIR_GAP_US))
+        return due_at_us
 
     def on_tick(self, now_us: int) -> list[Said]:
         """The frames to send now: one at most."""

@@ -131,9 +131,9 @@ class Synchronizer:
         """Questions, answers begun, entries sent, corrections, given up; since the start."""
         return dict(self.counts)
 
-    def joined(self, now_us: int, heartbeat_us: int) -> None:
+    def joined(self, now_us: int, heartbeat_period_us: int) -> None:
         """We have joined the bus: ready once every member has had time to contradict."""
-        self._ready_us = now_us + heartbeat_us + GRACE_US
+        self._ready_us = now_us + heartbeat_period_us + GRACE_US
         self._learned_us = now_us
         self.divergence.expect()
 
@@ -331,16 +331,16 @@ class Synchronizer:
     # ---------------------------------------------------------------- saying
 
     @property
-    def deadline_us(self) -> int | None:
+    def due_at_us(self) -> int | None:
         """When `on_tick` next has something to do, if nothing is received before; None if nothing
         waits."""
-        due_us = self._ask_us
-        if (self._queue or self._digests) and (due_us is None or self._speak_us < due_us):
-            due_us = self._speak_us
+        due_at_us = self._ask_us
+        if (self._queue or self._digests) and (due_at_us is None or self._speak_us < due_at_us):
+            due_at_us = self._speak_us
         if self.synchronizing:
             patience_us = self._learned_us + PATIENCE_US
-            due_us = patience_us if due_us is None else min(due_us, patience_us)
-        return due_us
+            due_at_us = patience_us if due_at_us is None else min(due_at_us, patience_us)
+        return due_at_us
 
     def on_tick(self, now_us: int) -> Iterable[Said]:
         """The frames to send now: one at most."""

@@ -53,7 +53,7 @@ class Node:
     queue: list[tuple[int, int, Frame]] = field(default_factory=list)
     tec: int = 0  # transmit error counter
     rec: int = 0  # receive error counter
-    off_until_us: int | None = None  # bus-off until that time
+    off_ends_at_us: int | None = None  # bus-off until that time
     ready_us: int = 0  # an error passive node must not send before this time, after its own frame
     refused: int = 0  # frames rejected because the queue was full or the node off the bus
     sent: int = 0  # frames sent and acknowledged; its driver can report the number
@@ -87,7 +87,7 @@ class Island:
         self.train_us = 0  # length of each frame in a train of equal frames; 0: no train
 
     @property
-    def next_us(self) -> int:
+    def next_at_us(self) -> int:
         """When the next event occurs here, or `NEVER_US`. A train needs no events."""
         if self.train_us:
             return NEVER_US
@@ -216,7 +216,7 @@ class Wire:
         node = self.nodes.get(number)
         if node is None:
             return False
-        if node.off_until_us is not None:
+        if node.off_ends_at_us is not None:
             node.refused += 1
             return False
         if len(node.queue) >= QUEUE_MAX:
@@ -279,26 +279,26 @@ class Wire:
         island.start_us, island.end_us = island.begun_us, NEVER_US
 
     @property
-    def next_us(self) -> int | None:
+    def next_at_us(self) -> int | None:
         """When the next event occurs by itself."""
         if self._next_known:
             return self._next_us
-        next_us = NEVER_US
+        next_at_us = NEVER_US
         for island in self._islands:
-            due_us = island.next_us
-            if due_us != NEVER_US and (next_us == NEVER_US or due_us < next_us):
-                next_us = due_us
+            due_at_us = island.next_at_us
+            if due_at_us != NEVER_US and (next_at_us == NEVER_US or due_at_us < next_at_us):
+                next_at_us = due_at_us
         if self._off:
             back_us = min(self._off.values())
-            next_us = back_us if next_us == NEVER_US else min(next_us, back_us)
-        self._next_us, self._next_known = (None if next_us == NEVER_US else next_us), True
+            next_at_us = back_us if next_at_us == NEVER_US else min(next_at_us, back_us)
+        self._next_us, self._next_known = (None if next_at_us == NEVER_US else next_at_us), True
         return self._next_us
 
     def advance(self, now_us: int) -> list[Delivery]:
         """Process everything that ends until now, in order."""
         deliveries: list[Delivery] = []
         self._now_us = max(self._now_us, now_us)
-        while (t_us := self.next_us) is not None and t_us <= now_us:
+        while (t_us := self.next_at_us) is not None and t_us <= now_us:
             self._next_known = False
             for island in self._islands:
                 if NEVER_US < island.end_us <= t_us:
@@ -315,7 +315,7 @@ class Wire:
         for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
             del self._off[number]
             node = self.nodes[number]
-            node.off_until_us, node.tec, node.rec = None, 0, 0
+            node.off_ends_at_us, node.tec, node.rec = None, 0, 0
 
     def _arbitrate(self, island: Island, t_us: int) -> None:
         island.start_us = NEVER_US
@@ -427,7 +427,7 @@ class Wire:
         """Force a node off the bus."""
         self._settle_all(self._now_us)
         node = self.nodes[number]
-        node.tec, node.off_until_us, node.flood = BUS_OFF_TEC, until_us, None
+        node.tec, node.off_ends_at_us, node.flood = BUS_OFF_TEC, until_us, None
         self._off[number] = until_us
         self._next_known = False
         node.queue.clear()

@@ -143,20 +143,20 @@ class Segment:
                 loop = asyncio.get_running_loop()
             except RuntimeError:
                 return
-        next_us = self.wire.next_us
-        if next_us is None:
+        next_at_us = self.wire.next_at_us
+        if next_at_us is None:
             return
         if self._loop is not loop:
             self._loop, self._timer = loop, None
         if self._timer is not None:
-            if self._timer_us <= next_us:
+            if self._timer_us <= next_at_us:
                 return
             self._timer.cancel()
-        self._timer_us = next_us
+        self._timer_us = next_at_us
         if loop is not None:
-            self._timer = loop.call_at(next_us / 1_000_000, self._fire)
+            self._timer = loop.call_at(next_at_us / 1_000_000, self._fire)
         elif self._at is not None:
-            self._timer = self._at(next_us, self._fires)
+            self._timer = self._at(next_at_us, self._fires)
 
     def _fire(self) -> None:
         self._timer = None
@@ -347,7 +347,7 @@ class FieldBus(BusABC):
     def state(self) -> can.BusState:
         """Of the controller: ACTIVE, PASSIVE with an error counter above its limit, or off the bus."""
         node = self.segment.wire.nodes.get(self.node)
-        if node is None or node.off_until_us is not None:
+        if node is None or node.off_ends_at_us is not None:
             return OFF
         quiet = node.tec <= PASSIVE and node.rec <= PASSIVE
         return ACTIVE if quiet else SHAKEN

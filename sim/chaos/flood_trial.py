@@ -99,7 +99,7 @@ class Trial:
         scenario = scenario.with_engine("contact_free")
         setting = FieldSetup(scenario.model_copy(update={"fleet": fleet}))
         self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
-        self.cluster.stops.bound_us = beat_of(flood.robots).silence_us + REACTION_US
+        self.cluster.stops.bound_us = beat_of(flood.robots).silence_for_us + REACTION_US
 
     def run(self) -> Result:
         """Play the trial to its end."""

@@ -117,7 +117,7 @@ def peer(data: bytes) -> None:
     """Frames to a whole peer, stopped first if the first byte is odd: only a reset releases it."""
     ours, now_us, resets = _peer({}), 0, 0
     for _ in range(4):  # ticks until the peer has joined
-        now_us = max(now_us, ours.deadline_us)
+        now_us = max(now_us, ours.due_at_us)
         ours.step(Timer(), now_us)
     if data[:1] and data[0] & 1:
         ours.step(Press(Reason.PERSON_IN_FIELD), now_us)
@@ -127,7 +127,7 @@ def peer(data: bytes) -> None:
         arrived = Frame(identifier & 0x1FFFFFFF, body)
         resets += isinstance(decode(arrived)[1], OperatorCommand)
         ours.step(Received(arrived), now_us)
-        if now_us >= ours.deadline_us:
+        if now_us >= ours.due_at_us:
             ours.step(Timer(), now_us)
         if stopped and not resets:
             assert ours.state is State.EMERGENCY_STOP
@@ -153,7 +153,7 @@ def memory(data: bytes) -> None:
     ours = _peer(recalled)
     if recalled.get(STOPS_KEY) and not ours.safety.latched:
         assert not StopSet.deserialize(recalled[STOPS_KEY]).latched
-    ours.step(Timer(), ours.deadline_us)
+    ours.step(Timer(), ours.due_at_us)
 
 
 def stop_set(data: bytes) -> None:

@@ -179,14 +179,14 @@ def _never_expires_body(right: Any) -> Any:
 def _ten_times(right: Any) -> Any:
     def init(self: Membership, *args: Any) -> None:
         right(self, *args)
-        self.silence_us *= 10
+        self.silence_for_us *= 10
 
     return init
 
 
 def _unnoticed(right: Any) -> Any:
     def tick(self: Membership, now_us: int) -> list[int]:
-        self._oldest_us = now_us
+        self._oldest_sign_at_us = now_us
         return []
 
     return tick
@@ -212,7 +212,7 @@ def _deaf(right: Any) -> Any:
 def _goes_on_unheard(right: Any) -> Any:
     def unheard(self: SelfCheck, now_us: int) -> str:
         alone = len(self.membership.live) == 1
-        return "" if alone or self._left_us != NEVER_US else str(right(self, now_us))
+        return "" if alone or self._sent_at_us != NEVER_US else str(right(self, now_us))
 
     return unheard
 

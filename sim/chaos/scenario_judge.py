@@ -352,7 +352,7 @@ class ScenarioJudge:
         """Whether all robots that are switched on are on one working bus."""
         wire = self.cluster.segment.wire
         nodes = [wire.nodes[robot.bus.node] for robot in self.cluster.running]
-        off = any(node.off_until_us is not None or node.tec for node in nodes)
+        off = any(node.off_ends_at_us is not None or node.tec for node in nodes)
         return not wire.faults.deaf and not off and len({node.island for node in nodes}) == 1
 
     def _all_told(self) -> bool:
@@ -364,7 +364,7 @@ class ScenarioJudge:
 
     @property
     def _bound_us(self) -> int:
-        return beat_of(self.scenario.fleet.robots).silence_us + SLACK_US
+        return beat_of(self.scenario.fleet.robots).silence_for_us + SLACK_US
 
     def _dies(self, slot: int) -> None:
         """S6: if links are without trouble, all robots that have met it must stand until it is

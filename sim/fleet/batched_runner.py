@@ -67,7 +67,7 @@ class BatchedRunner(PeerRunner):
 
     def _attend(self) -> None:
         """Buffer beacons, unless we are stopped: then each is an echo or needs an answer."""
-        wait = self._listening and not self._frozen_until_us and not self.peer.safety.latched
+        wait = self._listening and not self._freeze_ends_at_us and not self.peer.safety.latched
         if wait is not self._shelved:
             self._shelved = wait
             if self._wire is not None:
@@ -89,18 +89,22 @@ class BatchedRunner(PeerRunner):
         peer, local, effects = self.peer, self._local, list[Effect]()
         reports, sync, safety = peer.reports, peer.sync, peer.safety
         membership, own = peer.membership, peer.slot
-        slot_of, signs, neighbours = membership.slot_of, membership.signs_us, membership.neighbours
+        slot_of, signs, neighbours = (
+            membership.slot_of,
+            membership.last_sign_at_us,
+            membership.neighbours,
+        )
         for beacon in beacons:
-            source, message, bus_us, seen = beacon
+            source, message, bus_at_us, seen = beacon
             slot = slot_of.get(source)
             if local is not None and seen is not None:
-                seen = Neighbour(seen.pose, local(seen.heard_us))
+                seen = Neighbour(seen.pose, local(seen.heard_at_us))
             if seen is not None and slot in signs:
                 neighbours[slot] = seen  # this counts as a sign of life too
                 if seen.pose.heard == own:
-                    membership.reflected_us = seen.heard_us
+                    membership.reflected_at_us = seen.heard_at_us
             else:
-                t_us = bus_us if local is None else local(bus_us)
+                t_us = bus_at_us if local is None else local(bus_at_us)
                 if slot in signs and type(message) is Heartbeat and not safety.latched:
                     signs[slot] = t_us
                     reports.heard(slot, message)

@@ -43,8 +43,8 @@ class SimulatedRunner(BatchedRunner):
     swarm: "EventLoop"
     _over = False
     _nudged = False
-    _base_us = 0
-    _since_us = 0
+    _base_at_us = 0
+    _rate_set_at_us = 0
     _rate = 1.0
 
     def begin(self) -> None:
@@ -59,43 +59,46 @@ class SimulatedRunner(BatchedRunner):
     def drift(self, ppm: float) -> None:
         """From now on this robot's clock runs faster by this many parts per million."""
         self._catch_up()
-        self._base_us, self._since_us = self.local_us(), self.swarm.now_us()
+        self._base_at_us, self._rate_set_at_us = self.local_now_us(), self.swarm.now_us()
         self._rate = 1.0 + ppm * 1e-6
         self._nudge()
 
     def jump(self, by_s: float) -> None:
         """From now on this robot's clock shows this much more."""
         self._catch_up()
-        self._base_us, self._since_us = self.local_us() + round(by_s * 1e6), self.swarm.now_us()
+        self._base_at_us, self._rate_set_at_us = (
+            self.local_now_us() + round(by_s * 1e6),
+            self.swarm.now_us(),
+        )
         self._nudge()
 
-    def local_us(self) -> int:
+    def local_now_us(self) -> int:
         """The time on this robot's clock."""
-        return self._shown_at(self.swarm.time_us)
+        return self._shown_at(self.swarm.reached_at_us)
 
     def _shown_at(self, t_us: int) -> int:
         if self._rate == 1.0:
-            return self._base_us + t_us - self._since_us
-        return self._base_us + int((t_us - self._since_us) * self._rate)
+            return self._base_at_us + t_us - self._rate_set_at_us
+        return self._base_at_us + int((t_us - self._rate_set_at_us) * self._rate)
 
     @property
     def _local(self) -> Callable[[int], int] | None:
-        same = self._rate == 1.0 and self._base_us == self._since_us
+        same = self._rate == 1.0 and self._base_at_us == self._rate_set_at_us
         return None if same else self._shown_at
 
-    def _at(self, local_us: int) -> int:
+    def _at(self, local_now_us: int) -> int:
         """The time at which its clock will show that value."""
         if self._rate == 1.0:
-            return local_us - self._base_us + self._since_us
-        t_us = self._since_us + ceil((local_us - self._base_us) / self._rate)
+            return local_now_us - self._base_at_us + self._rate_set_at_us
+        t_us = self._rate_set_at_us + ceil((local_now_us - self._base_at_us) / self._rate)
         # Rounding may make this one microsecond too early; then the robot would be woken again and
         # again.
-        return t_us if self._shown_at(t_us) >= local_us else t_us + 1
+        return t_us if self._shown_at(t_us) >= local_now_us else t_us + 1
 
     def _arm(self) -> None:
-        self._armed_us = self.peer.deadline_us
+        self._armed_at_us = self.peer.due_at_us
         self._listening = True
-        self._timer = self.swarm.at(self._at(self._armed_us), self._nudge)
+        self._timer = self.swarm.at(self._at(self._armed_at_us), self._nudge)
 
     def _nudge(self) -> None:
         if self._listening and not self._nudged:
@@ -108,12 +111,12 @@ class SimulatedRunner(BatchedRunner):
             return
         if self._failure is not None:
             raise self._failure
-        if self._frozen_until_us:
-            until_us = self._at(self._frozen_until_us)
-            if until_us <= self.swarm.now_us():
+        if self._freeze_ends_at_us:
+            wake_at_us = self._at(self._freeze_ends_at_us)
+            if wake_at_us <= self.swarm.now_us():
                 self.swarm.soon(self._thawed)
             else:
-                self.swarm.at(until_us, lambda: self.swarm.soon(self._thawed))
+                self.swarm.at(wake_at_us, lambda: self.swarm.soon(self._thawed))
             return
         self._turn_over()
 
@@ -165,13 +168,13 @@ class ScriptHandle:
         if self._done:
             return
         try:
-            until_us = next(self.script)
-            while until_us <= self.swarm.now_us():
-                until_us = next(self.script)
+            wake_at_us = next(self.script)
+            while wake_at_us <= self.swarm.now_us():
+                wake_at_us = next(self.script)
         except StopIteration as end:
             self._done, self.value = True, end.value
             return
-        self.swarm.at(until_us, lambda: self.swarm.soon(self._step))
+        self.swarm.at(wake_at_us, lambda: self.swarm.soon(self._step))
 
     def cancel(self) -> None:
         """Close the script where it waits."""
@@ -192,14 +195,14 @@ class EventLoop:
     their order."""
 
     def __init__(self) -> None:
-        self.time_us = 0
+        self.reached_at_us = 0
         self._order = 0
         self._timers: list[tuple[int, int, ScheduledCall]] = []
         self._ready: list[Call] = []
 
     def now_us(self) -> int:
         """The present virtual time."""
-        return self.time_us
+        return self.reached_at_us
 
     def soon(self, call: Call) -> None:
         """Make a call in this instant, after those that wait already."""
@@ -217,7 +220,7 @@ class EventLoop:
         """A runner of a peer, from the arguments of `PeerRunner`, which takes its time from this
         loop."""
         shell = SimulatedRunner(*parts)
-        shell.swarm, shell.clock = self, shell.local_us
+        shell.swarm, shell.clock = self, shell.local_now_us
         return shell
 
     def start(self, shell: PeerRunner) -> ShellHandle:
@@ -234,17 +237,17 @@ class EventLoop:
     def run(self, main: Script[T]) -> T:
         """Run until the script ends. Time begins at 0."""
         handle = self.spawn(main)
-        timers, rounds, instant_us = self._timers, 0, 0
+        timers, rounds, round_at_us = self._timers, 0, 0
         while not handle.done():
             if not self._ready:
                 while timers[0][2].cancelled:
                     heappop(timers)
-                self.time_us = max(self.time_us, timers[0][0])
-            if self.time_us != instant_us:
-                rounds, instant_us = 0, self.time_us
+                self.reached_at_us = max(self.reached_at_us, timers[0][0])
+            if self.reached_at_us != round_at_us:
+                rounds, round_at_us = 0, self.reached_at_us
             rounds += 1
-            assert rounds < ROUNDS_MAX, f"time stands still at {instant_us} us"
-            while timers and timers[0][0] <= self.time_us:
+            assert rounds < ROUNDS_MAX, f"time stands still at {round_at_us} us"
+            while timers and timers[0][0] <= self.reached_at_us:
                 timer = heappop(timers)[2]
                 if not timer.cancelled:
                     self._ready.append(timer.call)

@@ -177,9 +177,9 @@ class FaultPlan:
                 self._restart(robot, "lost")
 
     def _crash_working(self, robot: int, for_s: float, disk: str) -> Script[None]:
-        until_us = self._now_us() + WAIT_US
+        end_at_us = self._now_us() + WAIT_US
         while not (self.cluster.is_up(robot) and self.cluster.world.body(robot).tool_on):
-            if self._now_us() >= until_us:
+            if self._now_us() >= end_at_us:
                 return
             yield self._now_us() + LOOK_US
         self.cluster.kill(robot)
@@ -211,17 +211,17 @@ class FaultPlan:
         return self.cluster.setting.free_space(radius_m)
 
     def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
-        until_us = self._now_us() + round(for_s * S)
+        end_at_us = self._now_us() + round(for_s * S)
         box = self.cluster.world.add_box(x_m, y_m, size_m)
-        yield until_us
+        yield end_at_us
         self._now_us()
         self.cluster.world.remove_box(box)
 
     def _babble(self, identifier: int, for_s: float) -> Script[None]:
         bus = FieldBus(self.cluster.channel)
         bus.subscribe(lambda frame: None)
-        until_us = self._now_us() + round(for_s * S)
-        while self._now_us() < until_us:
+        end_at_us = self._now_us() + round(for_s * S)
+        while self._now_us() < end_at_us:
             frame = Frame(identifier, self._rng.randbytes(8))
             for _ in range(BABBLE_FRAMES):
                 bus.submit(frame)

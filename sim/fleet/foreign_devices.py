@@ -78,32 +78,42 @@ def device(
 def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Script[None]:
     """All send "permit" once a second; one is pressed, and released. Each `lot` has other
     devices."""
-    first, begin_us = FIRST_ADDRESS + BUTTONS_MAX * (lot % LOTS), cluster.host.now_us()
-    press_us = begin_us + BEFORE_US
-    release_us = press_us + round(fault.for_s * S)
-    over_us, count = release_us + AFTER_US, rng.randrange(250)
-    stops = [] if fault.unheard else [*range(press_us, release_us, CYCLE_US * (1 + fault.lost))]
-    permits = [*range(begin_us, press_us, CYCLE_US), *range(release_us, over_us, CYCLE_US)]
+    first, begin_at_us = FIRST_ADDRESS + BUTTONS_MAX * (lot % LOTS), cluster.host.now_us()
+    press_at_us = begin_at_us + BEFORE_US
+    release_at_us = press_at_us + round(fault.for_s * S)
+    end_at_us, count = release_at_us + AFTER_US, rng.randrange(250)
+    stops = (
+        [] if fault.unheard else [*range(press_at_us, release_at_us, CYCLE_US * (1 + fault.lost))]
+    )
+    permits = [
+        *range(begin_at_us, press_at_us, CYCLE_US),
+        *range(release_at_us, end_at_us, CYCLE_US),
+    ]
     said = [(t_us, first, count + 1, Switch.STOP) for t_us in stops]
-    said += [(t_us, first, count + (t_us >= release_us), Switch.PERMIT) for t_us in permits]
+    said += [(t_us, first, count + (t_us >= release_at_us), Switch.PERMIT) for t_us in permits]
     for k in range(1, fault.buttons):
-        phase_us = begin_us + rng.randrange(CYCLE_US)
-        said += [(t_us, first + k, 0, Switch.PERMIT) for t_us in range(phase_us, over_us, CYCLE_US)]
+        first_at_us = begin_at_us + rng.randrange(CYCLE_US)
+        said += [
+            (t_us, first + k, 0, Switch.PERMIT) for t_us in range(first_at_us, end_at_us, CYCLE_US)
+        ]
     before = cluster.stops.disturbances if cluster.stops.calm else NEVER
-    level, stands_us = None, release_us + UNHEARD_HOLD_US if fault.unheard else release_us
+    level, latch_ends_at_us = (
+        None,
+        release_at_us + UNHEARD_HOLD_US if fault.unheard else release_at_us,
+    )
     names = {
         first + k: OTHER_MAKER._replace(identity=BUTTONS_MAX * lot + k)
         for k in range(fault.buttons)
     }
     with device(cluster, names) as bus:
-        for due_us, address, counted, switch in sorted(said):
-            if level is not None and due_us >= stands_us:
-                yield stands_us
+        for due_at_us, address, counted, switch in sorted(said):
+            if level is not None and due_at_us >= latch_ends_at_us:
+                yield latch_ends_at_us
                 cluster.stops.end_level(level)
-            yield due_us
+            yield due_at_us
             # A robot that missed the earlier counts has no way to detect that the button was
             # pressed.
-            missed = fault.unheard and due_us == release_us
+            missed = fault.unheard and due_at_us == release_at_us
             stopping = switch is Switch.STOP or (missed and cluster.stops.disturbances == before)
             if stopping and address == first and level is None:
                 level = cluster.stops.level(HEARD_US)
@@ -117,21 +127,21 @@ def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[No
     incarnation = rng.randrange(256)
     for counter in range(fault.names):
         cluster.inject(EmergencyReset(PANEL, incarnation, counter, OPERATOR))
-    press_us = cluster.host.now_us() + NAMED_US
-    every_us, over_us = round(fault.every_s * S), press_us + round(fault.for_s * S)
-    latched_us, latched = press_us + LATCHED_US + 2 * every_us, False
+    press_at_us = cluster.host.now_us() + NAMED_US
+    period_us, end_at_us = round(fault.every_s * S), press_at_us + round(fault.for_s * S)
+    latched_at_us, latched = press_at_us + LATCHED_US + 2 * period_us, False
     word = encode(EmergencyStop(PANEL, incarnation, 0, Reason.PERSON_IN_FIELD), PANEL_ADDRESS)
     with device(cluster, {PANEL_ADDRESS: tool_name(PANEL_ADDRESS)}) as bus:
-        yield press_us
+        yield press_at_us
         level = cluster.stops.level(HEARD_US)
-        now_us = press_us
-        while now_us <= over_us:
+        now_us = press_at_us
+        while now_us <= end_at_us:
             bus.submit(word)
-            now_us += every_us
+            now_us += period_us
             yield now_us
-            if now_us >= latched_us and not latched:
+            if now_us >= latched_at_us and not latched:
                 latched, bound = True, cluster.stops.obey(level)
                 # What robots press instead may have been cleared before this time.
-                if bound and cluster.stops.cleared_at_us < press_us:
+                if bound and cluster.stops.cleared_at_us < press_at_us:
                     cluster.stops.pressed(now_us, bound)
         cluster.stops.end_level(level)

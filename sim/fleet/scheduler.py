@@ -102,16 +102,16 @@ class LoopHost:
         await asyncio.gather(*tasks, return_exceptions=True)
 
 
-async def follow(script: Script[T], zero_us: int = 0) -> T:
-    """Run a script on the running loop's clock, or on a clock that was 0 at its `zero_us`."""
+async def follow(script: Script[T], zero_at_us: int = 0) -> T:
+    """Run a script on the running loop's clock, or on a clock that was 0 at its `zero_at_us`."""
     loop = asyncio.get_running_loop()
     try:
         while True:
-            until_us = next(script)
-            while until_us + zero_us <= round(loop.time() * 1e6):
-                until_us = next(script)
+            wake_at_us = next(script)
+            while wake_at_us + zero_at_us <= round(loop.time() * 1e6):
+                wake_at_us = next(script)
             due = loop.create_future()
-            loop.call_at((until_us + zero_us) / 1e6, _reach, due)
+            loop.call_at((wake_at_us + zero_at_us) / 1e6, _reach, due)
             await due
     except StopIteration as end:
         result: T = end.value

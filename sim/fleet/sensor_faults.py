@@ -20,42 +20,47 @@ class Receiver:
     """
 
     def __init__(self) -> None:
-        self._blind_us = self._frozen_us = self._late_us = -1  # end of each fault
-        self._by_us = 0  # delay
+        self._blind_ends_at_us = self._frozen_ends_at_us = (
+            self._late_ends_at_us
+        ) = -1  # end of each fault
+        self._late_for_us = 0  # delay
         self._last: Observation | None = None  # sensed before the fault
         self._way: deque[Observation] = deque(maxlen=HISTORY_MAX)
 
-    def blind(self, until_us: int) -> None:
+    def blind(self, end_at_us: int) -> None:
         """Nothing arrives: a muted antenna, a driver that is gone."""
-        self._blind_us = max(self._blind_us, until_us)
+        self._blind_ends_at_us = max(self._blind_ends_at_us, end_at_us)
 
-    def frozen(self, until_us: int) -> None:
+    def frozen(self, end_at_us: int) -> None:
         """The old position with new timestamps: a filter that hangs."""
-        self._frozen_us = max(self._frozen_us, until_us)
+        self._frozen_ends_at_us = max(self._frozen_ends_at_us, end_at_us)
 
-    def late(self, until_us: int, by_us: int) -> None:
+    def late(self, end_at_us: int, late_for_us: int) -> None:
         """The true position, delayed: a buffer that fills."""
-        if self._late_us < 0:
+        if self._late_ends_at_us < 0:
             self._way.clear()
-        self._late_us, self._by_us = max(self._late_us, until_us), max(self._by_us, by_us)
+        self._late_ends_at_us, self._late_for_us = (
+            max(self._late_ends_at_us, end_at_us),
+            max(self._late_for_us, late_for_us),
+        )
 
-    def tells(self, seen: Observation, world_us: int) -> Observation | None:
+    def tells(self, seen: Observation, world_now_us: int) -> Observation | None:
         """The observation that arrives when this one is sensed."""
         last, self._last = self._last, seen
-        if world_us < self._frozen_us:
+        if world_now_us < self._frozen_ends_at_us:
             self._last = seen if last is None else last
-            return self._last._replace(sensed_at_us=world_us)
-        if world_us < self._blind_us:
+            return self._last._replace(sensed_at_us=world_now_us)
+        if world_now_us < self._blind_ends_at_us:
             self._last = last
             return last
-        if world_us < self._late_us:
+        if world_now_us < self._late_ends_at_us:
             self._way.append(seen)
             arrived = last
-            while self._way and self._way[0].sensed_at_us <= world_us - self._by_us:
+            while self._way and self._way[0].sensed_at_us <= world_now_us - self._late_for_us:
                 arrived = self._way.popleft()
             self._last = arrived
             return arrived
-        self._late_us, self._by_us = -1, 0
+        self._late_ends_at_us, self._late_for_us = -1, 0
         return seen
 
 
@@ -69,12 +74,12 @@ class ReceivedBody:
     def sense(self, now_us: int) -> Observation | None:
         """What the receiver passes on now, with its time by the robot's clock; None if nothing
         arrives."""
-        world_us = self._now_us()
-        sensed = self._sense(world_us)
-        seen = None if sensed is None else self.receiver.tells(sensed, world_us)
-        if seen is None or now_us == world_us:
+        world_now_us = self._now_us()
+        sensed = self._sense(world_now_us)
+        seen = None if sensed is None else self.receiver.tells(sensed, world_now_us)
+        if seen is None or now_us == world_now_us:
             return seen
-        return seen._replace(sensed_at_us=now_us - (world_us - seen.sensed_at_us))
+        return seen._replace(sensed_at_us=now_us - (world_now_us - seen.sensed_at_us))
 
     def drive(self, command: GatedDrive, now_us: int) -> None:
         """Pass the command on at the world's time."""

@@ -191,9 +191,9 @@ class Cluster:
         """Power off without a message. The body stays where it is and its commands expire."""
         self.look()
         robot = self.robots[slot]
-        hung_us = self.acquaintance.hung_since_us(slot, self.host.now_us())
-        if robot.running and hung_us is not None:
-            self.stops.dies_hung(slot, hung_us)
+        hung_at_us = self.acquaintance.hang_began_at_us(slot, self.host.now_us())
+        if robot.running and hung_at_us is not None:
+            self.stops.dies_hung(slot, hung_at_us)
         if robot.running:
             self.stops.dies(slot)
         if self.on_power is not None and robot.running:
@@ -214,7 +214,7 @@ class Cluster:
         wire, nodes = self.segment.wire, [self.node_of(slot) for slot in self._up()]
         faults, here = wire.faults, [wire.nodes[node] for node in nodes]
         lossy = faults.loss or faults.omission or faults.error or faults.deaf
-        cut = any(node.island != 0 or node.off_until_us is not None for node in here)
+        cut = any(node.island != 0 or node.off_ends_at_us is not None for node in here)
         self.world.advance(self.host.now_us())
         return set() if lossy or cut else self._up()
 

@@ -52,16 +52,16 @@ class StopMonitor:
         self._up = up if up is not None else lambda: range(robots)
         self._mute, self._hearers, self._now_us = mute, hearers, now_us
         self._silence_stops = silence_stops
-        self.bound_us = beat_of(robots).silence_us + REACTION_US
+        self.bound_us = beat_of(robots).silence_for_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
-        self._pressed_us: dict[int, int] = {}
+        self._pressed_at_us: dict[int, int] = {}
         self._by: dict[int, int] = {}  # press -> the robot that was pressed
         # Press -> robots that received it and have kept their memory since.
         self._know: dict[int, set[int]] = {}
         self._unheard: dict[int, frozenset[int]] = {}  # press -> robots that have not received it
         # Stops of devices that bind while they are being sent.
         self._levels: dict[int, set[int]] = {}
-        self._disturbed_us = 0  # until then not all robots receive each other
+        self._disturbed_ends_at_us = 0  # until then not all robots receive each other
         self.disturbances = 0
         self.cleared_at_us = 0  # when an operator last cleared stops
         self._unsaid: set[int] = set()  # presses of robots that had no address to send them from
@@ -78,7 +78,7 @@ class StopMonitor:
         """A stop that all these robots have to obey. `unheard`: robots that must obey only because
         the pressed robot, `by`, is silent to them."""
         number = self.checker.press(now_us, self.bound_us, slots)
-        self._pressed_us[number], self._by[number] = now_us, by
+        self._pressed_at_us[number], self._by[number] = now_us, by
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
         self._know[number] = set(slots) - set(unheard)
         self._unheard[number] = frozenset(unheard)
@@ -96,7 +96,7 @@ class StopMonitor:
         """A stop frame that names this slot as its origin was on the wire, completely."""
         self._unsent -= {
             number for number in self._unsent
-            if self._by[number] == slot and self._pressed_us[number] <= t_us
+            if self._by[number] == slot and self._pressed_at_us[number] <= t_us
         }  # fmt: skip
 
     # ---------------------------------------------------------------- levels
@@ -104,7 +104,7 @@ class StopMonitor:
     @property
     def calm(self) -> bool:
         """Whether all robots receive each other."""
-        return self._now_us() >= self._disturbed_us and bool(self._hearers())
+        return self._now_us() >= self._disturbed_ends_at_us and bool(self._hearers())
 
     def level(self, bound_us: int) -> int | None:
         """A device that all robots receive begins to send a stop: no robot may move from `bound_us`
@@ -127,10 +127,10 @@ class StopMonitor:
             del self._levels[number]
             self.checker.release(number)
 
-    def disturbed(self, until_us: int) -> None:
+    def disturbed(self, end_at_us: int) -> None:
         """There is trouble of links or members until then."""
-        self._disturbed_us, self.disturbances = (
-            max(self._disturbed_us, until_us),
+        self._disturbed_ends_at_us, self.disturbances = (
+            max(self._disturbed_ends_at_us, end_at_us),
             self.disturbances + 1,
         )
         for number in list(self._levels):
@@ -184,11 +184,11 @@ class StopMonitor:
             for slot in set(self._stages.get(number, ())) - {self._by[number]}:
                 self._free(number, slot)
 
-    def interrupted(self, since_us: int) -> None:
+    def interrupted(self, start_at_us: int) -> None:
         """A stop pressed since then, or one that still waits for a full bus, may be known only to
         the robot that was pressed."""
-        for number, pressed_us in self._pressed_us.items():
-            if pressed_us > since_us or number in self._unsent:
+        for number, pressed_at_us in self._pressed_at_us.items():
+            if pressed_at_us > start_at_us or number in self._unsent:
                 self._unheard[number] |= self._know[number] - {self._by[number]}
                 self._know[number] &= {self._by[number]}
             if number in self._unsent and not self._silence_stops:
@@ -196,10 +196,10 @@ class StopMonitor:
                 for other in set(self._stages.get(number, ())) - {self._by[number]}:
                     self._free(number, other)
 
-    def dies_hung(self, slot: int, since_us: int) -> None:
+    def dies_hung(self, slot: int, start_at_us: int) -> None:
         """Its process has hung since then, so it has never read stops pressed meanwhile."""
-        for number, pressed_us in self._pressed_us.items():
-            if pressed_us >= since_us:
+        for number, pressed_at_us in self._pressed_at_us.items():
+            if pressed_at_us >= start_at_us:
                 self._know[number].discard(slot)
                 self._unheard[number] |= {slot}
 
@@ -260,7 +260,7 @@ def reached(wire: Wire, sender: int, nodes: Collection[int]) -> set[int]:
         node = ask.pop()
         for other in nodes:
             here, there = wire.nodes[node], wire.nodes[other]
-            off = here.off_until_us is not None or there.off_until_us is not None
+            off = here.off_ends_at_us is not None or there.off_ends_at_us is not None
             cut = off or here.island != there.island
             if other not in found and not cut and (node, other) not in wire.faults.deaf:
                 found.add(other)

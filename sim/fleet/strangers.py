@@ -50,8 +50,8 @@ def foreign(cluster: Cluster, fault: kinds.Foreign, rng: Random) -> Script[None]
     """A device of another maker uses the proprietary groups for its own data, each in turn."""
     address = CLAIMED_ADDRESS if fault.claims else UNCLAIMED_ADDRESS
     with device(cluster, {address: FOREIGN_NAME} if fault.claims else {}) as bus:
-        for turn, due_us in enumerate(_times(cluster, fault.for_s, FOREIGN_US)):
-            yield due_us
+        for turn, due_at_us in enumerate(_times(cluster, fault.for_s, FOREIGN_US)):
+            yield due_at_us
             pgn = FOREIGN_PF << 8 | turn % FOREIGN_GROUPS
             identifier = rng.randrange(8) << 26 | pgn << 8 | address
             bus.submit(Frame(identifier, bytes(_byte(rng) for _ in range(8))))
@@ -74,8 +74,8 @@ def twin(cluster: Cluster, fault: kinds.Twin, rng: Random) -> Script[None]:
     with device(cluster, {}) as bus:  # the twin sends its own claim
         bus.submit(encode(AddressClaimed(name), address))
         bus.submit(encode(member, address))
-        for turn, due_us in enumerate(_times(cluster, fault.for_s, BEATS[0].pose_us)):
-            yield due_us
+        for turn, due_at_us in enumerate(_times(cluster, fault.for_s, BEATS[0].pose_period_us)):
+            yield due_at_us
             bus.submit(encode(pose, address))
             if turn % BEATS_A_HEARTBEAT == 0:
                 beat = Heartbeat(turn % 250, State.IDLE, False, False, True, False, 1.0, 0, digest)
@@ -93,8 +93,8 @@ def nonsense(cluster: Cluster, fault: kinds.Nonsense, rng: Random) -> Script[Non
                 bus.submit(encode(AddressClaimed(0), taken))
             yield cluster.host.now_us() + SAID_US
             return
-        for due_us in _times(cluster, fault.for_s, NONSENSE_US):
-            yield due_us
+        for due_at_us in _times(cluster, fault.for_s, NONSENSE_US):
+            yield due_at_us
             bus.submit(encode(next(said), address))
 
 
@@ -153,9 +153,9 @@ _NONSENSE: Final = {
 }  # fmt: skip
 
 
-def _times(cluster: Cluster, for_s: float, every_us: int) -> range:
+def _times(cluster: Cluster, for_s: float, period_us: int) -> range:
     now_us = cluster.host.now_us()
-    return range(now_us, now_us + round(for_s * S), every_us)
+    return range(now_us, now_us + round(for_s * S), period_us)
 
 
 def _byte(rng: Random) -> int:

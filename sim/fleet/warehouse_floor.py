@@ -36,7 +36,7 @@ class WarehouseFloor:
         self.truth.is_up = is_up
         self.truth.place_of = lambda slot: world.body(slot).position
         self.desk = TransportClient(len(setting.house.tasks))
-        self.from_us = 0  # events before this instant are past: an earlier launch had them
+        self.begin_at_us = 0  # events before this instant are past: an earlier launch had them
 
     def hear(self, t_us: int, frame: Frame) -> None:
         """Handle every frame. A device that orders a transport also puts the parcel there."""
@@ -52,7 +52,7 @@ class WarehouseFloor:
 
     def recall(self, now_us: int) -> None:
         """Continue at that instant: the parcels that appeared in an earlier launch are known."""
-        self.from_us = now_us
+        self.begin_at_us = now_us
         self.desk = TransportClient(
             max([len(self.setting.house.tasks) - 1, *self.truth.dropoff]) + 1
         )
@@ -66,7 +66,8 @@ class WarehouseFloor:
         """Whether every parcel lies at its dropoff and all expected parcels have appeared."""
         tasks = self.truth.dropoff
         return (
-            len(tasks) >= len(self.setting.rows) and self.truth.delivered_us.keys() == tasks.keys()
+            len(tasks) >= len(self.setting.rows)
+            and self.truth.delivered_at_us.keys() == tasks.keys()
         )
 
     # ---------------------------------------------------------------- timed events
@@ -86,7 +87,7 @@ class WarehouseFloor:
         """Random obstacles; a box never falls on a robot."""
         world = self.world
         for box in self.setting.boxes():
-            if box.at_s * S < self.from_us:
+            if box.at_s * S < self.begin_at_us:
                 continue
             yield round(box.at_s * S)
             world.advance(self.now_us())
@@ -96,12 +97,12 @@ class WarehouseFloor:
             )
             if near > BOX_CLEAR_M:
                 number = world.add_box(box.x_m, box.y_m, box.size_m)
-                until_us = self.now_us() + round(box.for_s * S)
-                world.at(until_us, partial(world.remove_box, number))
+                end_at_us = self.now_us() + round(box.for_s * S)
+                world.at(end_at_us, partial(world.remove_box, number))
 
     def _arrivals(self) -> Script[None]:
         for row in sorted(self.setting.rows, key=lambda row: row.at_s):
-            if row.at_s and row.at_s * S >= self.from_us:
+            if row.at_s and row.at_s * S >= self.begin_at_us:
                 yield round(row.at_s * S)
                 self.order(row)
 

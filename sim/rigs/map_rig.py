@@ -68,9 +68,9 @@ class MapFleet:
         """Let this much virtual time pass: members send when they are due, and the wire delivers."""
         end_us = self.now_us + duration_us
         while self.now_us < end_us:
-            times = [end_us, *(m.deadline_us for m in self.members.values())]
-            if self.wire.next_us is not None:
-                times.append(self.wire.next_us)
+            times = [end_us, *(m.due_at_us for m in self.members.values())]
+            if self.wire.next_at_us is not None:
+                times.append(self.wire.next_at_us)
             self.now_us = max(self.now_us, min(times))
             for delivery in self.wire.advance(self.now_us):
                 source, message = decode_once(delivery.frame)
@@ -80,7 +80,7 @@ class MapFleet:
                         member = self.members[self.nodes[node]]
                         member.on_message(source - ADDRESS, message, delivery.t_us)
             for node, slot in list(self.nodes.items()):
-                if self.members[slot].deadline_us <= self.now_us:
+                if self.members[slot].due_at_us <= self.now_us:
                     for said in self.members[slot].on_tick(self.now_us):
                         self.frames += 1
                         self.wire.submit(node, encode(said, ADDRESS + slot), self.now_us)

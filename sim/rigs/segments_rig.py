@@ -192,9 +192,9 @@ class SegmentFleet:
         shell.operate(Claim(section, 3))
 
         def work() -> Script[None]:
-            deadline_us = self.swarm.now_us() + 5_000_000
+            due_at_us = self.swarm.now_us() + 5_000_000
             while shell.peer.claims.current != section:
-                if self.swarm.now_us() >= deadline_us:
+                if self.swarm.now_us() >= due_at_us:
                     return
                 yield self.swarm.now_us() + 50_000
             shell.operate(Cover(section, tuple(range(units))))

@@ -77,7 +77,7 @@ class StopFleet:
         self.stood_us: dict[int, int] = {}
         self._copies: list[StopFrame] = []
         self._poses: list[tuple[int, int]] = []
-        self._pose_us = beat_of(robots).pose_us
+        self._pose_us = beat_of(robots).pose_period_us
         for slot in range(robots):
             heappush(self._poses, (self.rng.randrange(self._pose_us), slot))
         self.now_us = 0
@@ -125,22 +125,22 @@ class StopFleet:
             low = encode(StateSyncResponse(1, 1, 1, 1, 1, 1), 250)
             wire.submit(self.filler, Frame(low.identifier, self.rng.randbytes(8)), self.now_us)
         times = [until_us, self._poses[0][0]]
-        if wire.next_us is not None:
-            times.append(wire.next_us)
-        times += [safety.deadline_us for safety in self.safeties]
+        if wire.next_at_us is not None:
+            times.append(wire.next_at_us)
+        times += [safety.due_at_us for safety in self.safeties]
         self.now_us = max(self.now_us, min(times))
         for delivery in wire.advance(self.now_us):
             self._deliver(delivery)
         while self._poses[0][0] <= self.now_us:
-            due_us, slot = heappop(self._poses)
-            heappush(self._poses, (due_us + self._pose_us, slot))
+            due_at_us, slot = heappop(self._poses)
+            heappush(self._poses, (due_at_us + self._pose_us, slot))
             stopped = self.safeties[slot].latched
             pose = Pose(
-                self.rng.uniform(-50, 50), slot, 1.0, 2.0, 3, stopped, due_us // 50_000 & 255
+                self.rng.uniform(-50, 50), slot, 1.0, 2.0, 3, stopped, due_at_us // 50_000 & 255
             )
             wire.submit(self.nodes[slot], encode(pose, ADDRESS + slot), self.now_us)
         for slot, safety in enumerate(self.safeties):
-            if safety.deadline_us <= self.now_us:
+            if safety.due_at_us <= self.now_us:
                 self._effects(slot, safety.on_tick(self.now_us))
 
     def _deliver(self, delivery: Delivery) -> None:

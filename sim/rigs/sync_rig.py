@@ -38,10 +38,10 @@ class SyncMember:
 class SyncFleet:
     """A fleet in virtual time. `now_us` only moves in `run`."""
 
-    def __init__(self, size: int, seed: int = 0, heartbeat_us: int | None = None) -> None:
+    def __init__(self, size: int, seed: int = 0, heartbeat_period_us: int | None = None) -> None:
         self.rng = Random(f"{seed}/sync fleet")
         self.wire = Wire(seed)
-        self.heartbeat_us = heartbeat_us or beat_of(size).heartbeat_us
+        self.heartbeat_period_us = heartbeat_period_us or beat_of(size).heartbeat_period_us
         self.members: dict[int, SyncMember] = {}
         self.islands: list[set[int]] = [set()]
         self.now_us = 0
@@ -59,7 +59,7 @@ class SyncFleet:
         member = SyncMember(slot, self.wire.attach())
         self.members[slot] = member
         self.islands[0].add(slot)
-        heappush(self._due, (self.now_us + self.rng.randrange(self.heartbeat_us), slot))
+        heappush(self._due, (self.now_us + self.rng.randrange(self.heartbeat_period_us), slot))
         return member
 
     def cut(self, *islands: set[int]) -> None:
@@ -124,19 +124,19 @@ class SyncFleet:
 
     def _step(self, end_us: int) -> None:
         times = [end_us, self._due[0][0]]
-        if self.wire.next_us is not None:
-            times.append(self.wire.next_us)
-        times += [d for m in self.members.values() if (d := m.sync.deadline_us) is not None]
+        if self.wire.next_at_us is not None:
+            times.append(self.wire.next_at_us)
+        times += [d for m in self.members.values() if (d := m.sync.due_at_us) is not None]
         self.now_us = max(self.now_us, min(times))
         for delivery in self.wire.advance(self.now_us):
             self._deliver(delivery)
         while self._due[0][0] <= self.now_us:
-            due_us, slot = heappop(self._due)
-            heappush(self._due, (due_us + self.heartbeat_us, slot))
+            due_at_us, slot = heappop(self._due)
+            heappush(self._due, (due_at_us + self.heartbeat_period_us, slot))
             self._beat(self.members[slot])
         for member in self.members.values():
-            deadline_us = member.sync.deadline_us
-            if deadline_us is not None and deadline_us <= self.now_us:
+            sync_at_us = member.sync.due_at_us
+            if sync_at_us is not None and sync_at_us <= self.now_us:
                 self._say(member, member.sync.on_tick(self.now_us))
 
     def _beat(self, member: SyncMember) -> None:

@@ -109,7 +109,7 @@ class DeliveryFleet(Cluster):
         with the parcel aboard cannot reach its dropoff, or no robot can reach both places."""
         cut = {robot.slot: self.missions[robot.slot].cut_off.sections for robot in self.running}
         found = set()
-        for task in self.truth.dropoff.keys() - self.truth.delivered_us.keys():
+        for task in self.truth.dropoff.keys() - self.truth.delivered_at_us.keys():
             aboard = [
                 cut[slot] for slot, t in self.truth.aboard.items() if t == task and slot in cut
             ]
@@ -142,7 +142,7 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
     def look(self, cluster: DeliveryFleet) -> None:
         if self.watch is not None:
             self.watch(cluster)
-        left = cluster.truth.dropoff.keys() - cluster.truth.delivered_us.keys()
+        left = cluster.truth.dropoff.keys() - cluster.truth.delivered_at_us.keys()
         if not left or left != cluster.unreachable:
             self._hope_us = cluster.host.now_us()
 
@@ -158,23 +158,23 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
             for robot in cluster.running
             for stops in (cluster.missions[robot.slot].stops,)
         )
-        done, total = len(cluster.truth.delivered_us), len(cluster.truth.dropoff)
+        done, total = len(cluster.truth.delivered_at_us), len(cluster.truth.dropoff)
         return RunProgress(cluster.host.now_us() / S, done, total, done / max(total, 1), plans)
 
     def measure(self, cluster: DeliveryFleet) -> dict[str, Any]:
         truth, missions = cluster.truth, cluster.missions.values()
         self.tracks = points_of(cluster)
         waits_s = [
-            (t_us - truth.appeared_us[task]) / S for task, t_us in truth.delivered_us.items()
+            (t_us - truth.appeared_at_us[task]) / S for task, t_us in truth.delivered_at_us.items()
         ]
         touches = [contact for contact in cluster.world.contacts if contact.depth_m > TOUCH_M]
         return {
             **of_bodies(cluster),
             "contacts": len(touches),
             "tasks": len(truth.dropoff),
-            "delivered": len(truth.delivered_us),
+            "delivered": len(truth.delivered_at_us),
             "unreachable": tuple(sorted(cluster.unreachable)),
-            "makespan_s": max(truth.delivered_us.values(), default=0) / S,
+            "makespan_s": max(truth.delivered_at_us.values(), default=0) / S,
             "latency_s": sum(waits_s) / max(len(waits_s), 1),
             "flaws": truth.flaws,
             "empty": tuple(sorted(truth.empty)),

@@ -57,7 +57,7 @@ class InstantMapSync(MapSync):
             other.chart.apply(patch, values, level, time_s, self.slot)
 
     @property
-    def deadline_us(self) -> int:
+    def due_at_us(self) -> int:
         return 1 << 62
 
 

@@ -18,7 +18,7 @@ Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles parcels and charges only while slower than this
 # The tables in `to_plain`, by task or by slot.
 KEPT = (
-    "lies", "aboard", "dropoff", "delivered_us", "appeared_us", "battery", "lowest",
+    "lies", "aboard", "dropoff", "delivered_at_us", "appeared_at_us", "battery", "lowest",
 )  # fmt: skip
 BAY_M = 0.5  # reach of the contacts from a bay's middle
 
@@ -48,8 +48,8 @@ class Parcels:
         self.lies: dict[int, Point] = {}
         self.aboard: dict[int, int] = {}  # slot: task
         self.dropoff: dict[int, Point] = {}
-        self.delivered_us: dict[int, int] = {}
-        self.appeared_us: dict[int, int] = {}
+        self.delivered_at_us: dict[int, int] = {}
+        self.appeared_at_us: dict[int, int] = {}
         self.events: list[Handled] = []
         self.battery: dict[int, float] = {}
         self.lowest: dict[int, float] = {}
@@ -84,7 +84,7 @@ class Parcels:
         is known stays as it is."""
         if task not in self.dropoff:
             self.lies[task], self.dropoff[task] = pickup, dropoff
-            self.appeared_us[task] = now_us
+            self.appeared_at_us[task] = now_us
 
     def seen(self, slot: int, at: Point) -> dict[int, VisibleParcel]:
         """Parcels within reach of a robot at `at`, metres, by task: those on the floor, and those
@@ -111,7 +111,7 @@ class Parcels:
             there = _gap(at, self.dropoff[task]) < REACH_M
             self.events.append(Handled(now_us, task, slot, "delivered" if there else "put"))
             if there:
-                self.delivered_us.setdefault(task, now_us)
+                self.delivered_at_us.setdefault(task, now_us)
         elif own is None and task in self.seen(slot, at):
             was = next((s for s, t in self.aboard.items() if t == task), None)
             what = "picked" if was is None else "taken"
@@ -119,7 +119,7 @@ class Parcels:
                 del self.aboard[was]
             else:
                 del self.lies[task]
-            if task in self.delivered_us:
+            if task in self.delivered_at_us:
                 what = "again"
             self.aboard[slot] = task
             self.events.append(Handled(now_us, task, slot, what))

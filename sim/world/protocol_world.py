@@ -204,7 +204,7 @@ class TimedMission(Mission):
         for section in self._order:
             if view.allocation.phase_of(section) is Phase.FREE:
                 return ClaimRequest(section, 3)
-        for slot, since_us in sorted(view.silent_since_us.items()):
+        for slot, since_us in sorted(view.fell_silent_at_us.items()):
             if view.now_us - since_us >= LEASE_US:
                 for section in sorted(view.allocation.assigned_sections(slot)):
                     return ClaimRequest(section, 3, takeover=True)

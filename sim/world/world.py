@@ -244,8 +244,8 @@ class World:
             if self._engine_steps or self._touching or (self.engine == "pymunk" and self.robots):
                 self._collide(self._roll())
             else:
-                due_us = self._due[0][0] + STEP_US - 1 if self._due else now_us
-                self._glide(min(now_us, due_us), False)
+                due_at_us = self._due[0][0] + STEP_US - 1 if self._due else now_us
+                self._glide(min(now_us, due_at_us), False)
 
     def _glide(self, until_us: int, rolled: bool) -> None:
         """Advance to that time, or until something must be handled."""

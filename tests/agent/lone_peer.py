@@ -99,7 +99,7 @@ def pass_time(peer: Peer, until_us: int = 10 * S) -> None:
     """Its body does what it is told, at once, and its bus confirms each frame."""
     now_us, x_m, drive, sent = 0, 0.0, HALT, 0
     while now_us < until_us:
-        then_us = max(now_us + 1, peer.deadline_us)
+        then_us = max(now_us + 1, peer.due_at_us)
         x_m += drive.vx_m_s * (then_us - now_us) / S
         now_us = then_us
         peer.step(BusState(Health.ACTIVE, True, sent), now_us)

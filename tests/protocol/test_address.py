@@ -46,7 +46,7 @@ class Bus:
 
     def run(self, until_us: int) -> None:
         while True:
-            times = [d for m in self.machines if (d := m.deadline_us) is not None]
+            times = [d for m in self.machines if (d := m.due_at_us) is not None]
             times += [self._flying[0][0]] if self._flying else []
             if not times or min(times) > until_us:
                 self.now_us = until_us
@@ -60,7 +60,7 @@ class Bus:
                             number, machine.on_message(claim.source, claim.message, self.now_us)
                         )
             for number, machine in enumerate(self.machines):
-                if machine.deadline_us is not None and machine.deadline_us <= self.now_us:
+                if machine.due_at_us is not None and machine.due_at_us <= self.now_us:
                     self.put(number, machine.on_tick(self.now_us))
 
 
@@ -123,7 +123,7 @@ def test_everybody_asked_at_once_answers_once_each_and_spread() -> None:
     for _ in range(10):
         for number, machine in enumerate(bus.machines):
             bus.put(number, machine.on_request(True, bus.now_us))
-    due = {m.deadline_us for m in bus.machines}
+    due = {m.due_at_us for m in bus.machines}
     bus.run(2 * S)
     assert bus.frames - before == 50 and len(due) > 30
 
@@ -158,9 +158,9 @@ def test_who_is_in_a_hurry_claims_at_once() -> None:
     so later than others would have noticed its silence, had its claim not been a sign of life."""
     bus = Bus(5)
     machine = bus.add(fleet_name("f", 1), 140)
-    assert machine.deadline_us and machine.deadline_us > 0
+    assert machine.due_at_us and machine.due_at_us > 0
     machine.hurry(0)
-    assert machine.deadline_us == 0
+    assert machine.due_at_us == 0
     bus.run(CONTENTION_US)
     assert machine.address == 140
     machine.hurry(CONTENTION_US)

@@ -49,8 +49,8 @@ class Channel:
             self.frames += 1
             if not self.lose(self.frames, o):
                 frame = encode(o.message, source, o.destination)
-                due_us = self.now_us + DELAY_US
-                heappush(self._flying, (due_us, self.frames, source, o.destination, frame))
+                due_at_us = self.now_us + DELAY_US
+                heappush(self._flying, (due_at_us, self.frames, source, o.destination, frame))
 
     def send(self, source: int, data: bytes, destination: int) -> bool:
         out = self.ends[source].send(PGN, data, destination, self.now_us)
@@ -59,7 +59,7 @@ class Channel:
 
     def run(self, until_us: int = END_US) -> None:
         while True:
-            times = [d for e in self.ends if (d := e.deadline_us) is not None]
+            times = [d for e in self.ends if (d := e.due_at_us) is not None]
             times += [self._flying[0][0]] if self._flying else []
             if not times or min(times) > until_us:
                 return
@@ -68,7 +68,7 @@ class Channel:
                 _, _, source, destination, frame = heappop(self._flying)
                 self._deliver(source, destination, frame)
             for address, end in enumerate(self.ends):
-                if end.deadline_us is not None and end.deadline_us <= self.now_us:
+                if end.due_at_us is not None and end.due_at_us <= self.now_us:
                     self.put(address, end.on_tick(self.now_us))
 
     def _deliver(self, source: int, destination: int, frame: Frame) -> None:

@@ -372,12 +372,12 @@ async def _shown(frames: Sequence[tuple[int, Frame]]) -> tuple[float, int]:
     screen = InspectScreen(inspector, "bench", nothing)
     looks, spent_s = 0, 0.0
     async with screen.run_test(size=(150, 42)) as pilot:
-        due_us = frames[0][0]
+        due_at_us = frames[0][0]
         begun_s = time.process_time()
         for t_us, frame in frames:
             inspector.hear(t_us / 1e6, frame)
-            if t_us >= due_us:
-                due_us += 1_000_000 // LOOKS_A_SECOND
+            if t_us >= due_at_us:
+                due_at_us += 1_000_000 // LOOKS_A_SECOND
                 screen.look()
                 await pilot.pause()
                 looks += 1

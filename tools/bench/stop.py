@@ -83,7 +83,7 @@ def presses(total: int, seed: int) -> Iterator[Figure]:
 
 def silence(robots: int, rounds: int, seed: int) -> Figure:
     """The longest time until all robots stood, over kinds of silence."""
-    limit_us = beat_of(robots).silence_us + SILENCE_SLACK_US
+    limit_us = beat_of(robots).silence_for_us + SILENCE_SLACK_US
     worst_us, which = 0, ""
     for number in range(rounds):
         for kind in SILENCES:
@@ -118,7 +118,7 @@ async def _silence(robots: int, kind: str, seed: str) -> int:
                 shell.freeze(3.0)
             case "bus-off":
                 squad.segment.wire.bus_off(nodes[victim], at_us + 3 * S)
-        await asyncio.sleep(2 * beat_of(robots).silence_us / S)
+        await asyncio.sleep(2 * beat_of(robots).silence_for_us / S)
         return max(body.moved_until_us(ACTUATOR_TTL_US) for body in squad.bodies) - at_us
     finally:
         await squad.close()

@@ -54,7 +54,7 @@ def joins(seeds: range) -> Iterator[Figure]:
         fleet.count_from_here()
         newcomer = fleet.boot(20)
         fleet.see()
-        newcomer.sync.joined(fleet.now_us, fleet.heartbeat_us)
+        newcomer.sync.joined(fleet.now_us, fleet.heartbeat_period_us)
         joined_us = fleet.now_us
         equal &= fleet.run(20 * S, until_equal=True)
         times_s.append((fleet.now_us - joined_us) / S)

@@ -54,8 +54,8 @@ def load(robots: int, target: float, seed: int, seconds: float) -> Figure:
     share, working = run_virtual(_load(robots, seed, seconds))
     beat = beat_of(robots)
     scope = (
-        f"whole peers, {seconds:g} s, all at work: {working}; pose {beat.pose_us // 1000} ms, "
-        f"heartbeat {beat.heartbeat_us // 1000} ms"
+        f"whole peers, {seconds:g} s, all at work: {working}; pose {beat.pose_period_us // 1000} ms, "
+        f"heartbeat {beat.heartbeat_period_us // 1000} ms"
     )
     holds = share <= target and working
     return Figure(f"bus load, {robots} peers", share, "share", f"<= {target}", holds, "", scope)
@@ -192,8 +192,8 @@ def streams(robots: int) -> list[tuple[str, Stream]]:
     beat = beat_of(robots)
     each: tuple[tuple[Message, int], ...] = (
         (TaskClaim(1, 1, 1, 1, 1, 1), 5_000_000),
-        (Pose(0, 0, 0, 0, 1, False, 0), beat.pose_us),
-        (Heartbeat(0, 1, False, False, True, False, 1, 1, 1), beat.heartbeat_us),
+        (Pose(0, 0, 0, 0, 1, False, 0), beat.pose_period_us),
+        (Heartbeat(0, 1, False, False, True, False, 1, 1, 1), beat.heartbeat_period_us),
         (WorkProgress(1, 1, 1), 8_000_000),
         (LeaderElectionVote(1, 1, 1), 30_000_000),
     )
@@ -249,9 +249,9 @@ def _play(named: list[tuple[str, Stream]], seed: int, sends: int, together: bool
     while sent < sends:
         if not wire.nodes[filler].queue:
             wire.submit(filler, Frame(low.identifier, rng.randbytes(8)), now_us)
-        next_us = wire.next_us
-        assert next_us is not None
-        now_us = min(due[0][0], next_us)
+        next_at_us = wire.next_at_us
+        assert next_at_us is not None
+        now_us = min(due[0][0], next_at_us)
         for t_us, frame, sender, _ in wire.advance(now_us):
             if sender != filler:
                 response_us = t_us - queued_us[frame.identifier].pop(0)

@@ -21,8 +21,8 @@ PGN_MASK, ADDRESSED_MASK = 0x03FFFF00, 0x03FF0000
 NODES = (ROBOT, TOOL, GATEWAY)
 # Of a fleet of up to 30 robots, in calm; the standard stop while it is latched.
 CYCLE_MS: dict[FrameLayout[Any], int] = {
-    POSE: beat_of(1).pose_us // 1000,
-    HEARTBEAT: beat_of(1).heartbeat_us // 1000,
+    POSE: beat_of(1).pose_period_us // 1000,
+    HEARTBEAT: beat_of(1).heartbeat_period_us // 1000,
     ALL_IMPLEMENTS_STOP: 1000,
 }
 CYCLE_MAX_MS = 65_535

@@ -87,9 +87,11 @@ class Index:
         end_s = perf_counter() + budget_s
         reader, recording = self.reader, self.recording
         while reader.frame < recording.count and perf_counter() < end_s:
-            due_us = self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.from_us
+            due_at_us = (
+                self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.from_us
+            )
             left_s = end_s - perf_counter()
-            if reader.read(min(due_us, recording.until_us), left_s) and reader.t_us >= due_us:
+            if reader.read(min(due_at_us, recording.until_us), left_s) and reader.t_us >= due_at_us:
                 state = zlib.compress(pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL), FAST)
                 self.snapshots.append(Snapshot(reader.t_us, reader.frame, state))
                 if recording.forgets:

@@ -145,8 +145,8 @@ class DeviceAddress:
             self._arm()
 
     def _arm(self) -> None:
-        if self._loop is None or self.claim is None or self.claim.deadline_us is None:
+        if self._loop is None or self.claim is None or self.claim.due_at_us is None:
             return
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = self._loop.call_at(self.claim.deadline_us / 1e6, self._turn)
+        self._timer = self._loop.call_at(self.claim.due_at_us / 1e6, self._turn)

@@ -86,7 +86,7 @@ class HaulLaunch(Launch):
         """Parcels, as they lie; those of the scenario that have not come yet count as well."""
         truth = self.depot.truth
         to_do = max(len(truth.dropoff), len(self.depot.setting.rows))
-        return len(truth.delivered_us), to_do, "parcels"
+        return len(truth.delivered_at_us), to_do, "parcels"
 
     def _places(self) -> str:
         assert isinstance(self.setting, DeliverySetup)
@@ -101,14 +101,14 @@ class HaulLaunch(Launch):
             for section in allocation.sections()
         )
         of_it = {
-            "tasks": len(truth.dropoff), "delivered": len(truth.delivered_us), "known_to_all": known,
+            "tasks": len(truth.dropoff), "delivered": len(truth.delivered_at_us), "known_to_all": known,
             "flaws": truth.flaws, "empty": sorted(truth.empty), "charges": charges,
             "lowest_battery": min(truth.lowest.values(), default=1.0),
         }  # fmt: skip
         if finished and not known:
             self.difference = "every parcel lies at its place, robots do not all say so"
         verdict = (
-            f"{len(truth.delivered_us)} of {len(truth.dropoff)} parcels delivered, "
+            f"{len(truth.delivered_at_us)} of {len(truth.dropoff)} parcels delivered, "
             f"{len(self.world.contacts)} contacts"
         )
         self._write(elapsed_s, finished, of_it, verdict)

@@ -200,7 +200,7 @@ def test_how_silence_ends(policy: SilencePolicy) -> None:
     safety.members(everybody, frozenset(), 10 * S)
     safety.on_tick(12 * S - 1)
     assert held_by(peer) == kept[policy]
-    assert safety.deadline_us == (12 * S if kept[policy] else safety.deadline_us)
+    assert safety.due_at_us == (12 * S if kept[policy] else safety.due_at_us)
     safety.on_tick(12 * S)
     assert held_by(peer) == set(), "heard again, and stable"
 

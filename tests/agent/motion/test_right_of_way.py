@@ -31,7 +31,7 @@ def test_the_shares_make_one_at_least(seed: int) -> None:
     sides = RightOfWay(), RightOfWay()
     states = [State.IDLE, State.IDLE]
     heard = [State.IDLE, State.IDLE]  # of each by the other
-    heard_us = [0, 0]
+    heard_at_us = [0, 0]
     uneven = 0
     for tick in range(4000):
         now_us = tick * CONTROL_PERIOD_US
@@ -39,9 +39,9 @@ def test_the_shares_make_one_at_least(seed: int) -> None:
             if rng.random() < 0.008:
                 states[k] = rng.choice((State.IDLE, State.WORKING))
             if rng.random() > 0.3:
-                heard[k], heard_us[k] = states[k], now_us
+                heard[k], heard_at_us[k] = states[k], now_us
         shares = [
-            sides[k].share(1 - k, states[k], heard[1 - k], now_us - heard_us[1 - k], now_us)
+            sides[k].share(1 - k, states[k], heard[1 - k], now_us - heard_at_us[1 - k], now_us)
             for k in range(2)
         ]
         assert sum(shares) >= 1.0, (seed, tick, shares)

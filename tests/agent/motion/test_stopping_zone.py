@@ -23,11 +23,11 @@ NOBODY = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
 SLIP_M = 0.2  # of wheels, and POSE rounds
 
 
-def beat_of(here: Observation, heard_us: int) -> Neighbour:
+def beat_of(here: Observation, heard_at_us: int) -> Neighbour:
     speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
     course_rad = float(np.arctan2(here.vy_m_s, here.vx_m_s)) % (2 * pi)
     pose = Pose(here.x_m, here.y_m, course_rad, speed_m_s, State.WORKING, False, 0)
-    return Neighbour(pose, heard_us)
+    return Neighbour(pose, heard_at_us)
 
 
 @given(
@@ -45,10 +45,10 @@ def test_a_body_comes_to_rest_in_one_of_the_places(
     chassis = Chassis(acceleration_m_s2=1.5, braking_m_s2=braking_m_s2)
     body = world.add_robot(0, (3.0, -2.0), RADIUS_M, chassis, 0.0)
     command = Drive(speed_m_s * cos(course_rad), speed_m_s * sin(course_rad))
-    heard_us, now_us, told = 2 * S, 0, beat_of(NOBODY, 0)
-    while now_us <= heard_us + on_us:
+    heard_at_us, now_us, told = 2 * S, 0, beat_of(NOBODY, 0)
+    while now_us <= heard_at_us + on_us:
         body.drive(command, now_us)
-        if now_us == heard_us:
+        if now_us == heard_at_us:
             told = beat_of(body.sense(now_us), now_us)
         now_us += CONTROL_PERIOD_US
         world.advance(now_us)
@@ -80,7 +80,7 @@ def test_it_is_known_until_it_is_heard_again_or_seen_through() -> None:
     assert all(x_m > 3.9 for x_m, _ in left)
     coasting.observe(silent, NOBODY, 2 * GONE_QUIET_US)
     assert coasting.places(4) == left  # what was seen stays seen
-    coasting.observe({4: silent[4]._replace(heard_us=9 * S)}, NOBODY, 9 * S)
+    coasting.observe({4: silent[4]._replace(heard_at_us=9 * S)}, NOBODY, 9 * S)
     assert coasting.places(4) is None
 
 

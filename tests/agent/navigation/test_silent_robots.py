@@ -28,8 +28,8 @@ def view(
     )
 
 
-def beat(x_m: float, y_m: float, heard_us: int) -> Neighbour:
-    return Neighbour(Pose(x_m, y_m, 0.0, 0.0, 1, False, 255), heard_us)
+def beat(x_m: float, y_m: float, heard_at_us: int) -> Neighbour:
+    return Neighbour(Pose(x_m, y_m, 0.0, 0.0, 1, False, 255), heard_at_us)
 
 
 def test_who_has_restarted_is_told_where_a_silent_member_stands() -> None:
@@ -56,9 +56,9 @@ def test_all_come_to_know_the_latest_word_whatever_is_lost(seed: int) -> None:
     rng = Random(seed)
     fleet = [SilentRobots(slot, rng.randrange(S)) for slot in range(4)]
     for own in fleet:  # each has heard another last beat, before or behind a split
-        heard_us = rng.randrange(1 * S, 30 * S)
-        poses = {9: beat(rng.uniform(0, 50), rng.uniform(0, 50), heard_us)}
-        own.observe(view(own.slot, 40 * S, {0, 1, 2, 3}, {9: heard_us}, poses))
+        heard_at_us = rng.randrange(1 * S, 30 * S)
+        poses = {9: beat(rng.uniform(0, 50), rng.uniform(0, 50), heard_at_us)}
+        own.observe(view(own.slot, 40 * S, {0, 1, 2, 3}, {9: heard_at_us}, poses))
     now_us = 40 * S
     for _ in range(1200):
         now_us += BEAT_US

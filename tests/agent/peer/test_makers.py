@@ -47,8 +47,8 @@ def asked(effects: Iterable[Effect], pgn: int) -> list[int]:
 
 def pass_until(peer: Peer, until_us: int) -> list[Effect]:
     effects, now_us = list[Effect](), 0
-    while (due_us := max(peer.deadline_us, now_us + 1)) <= until_us:
-        now_us = due_us
+    while (due_at_us := max(peer.due_at_us, now_us + 1)) <= until_us:
+        now_us = due_at_us
         effects += turn(peer, now_us)
     return effects
 

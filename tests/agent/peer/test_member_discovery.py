@@ -18,8 +18,8 @@ def test_a_device_that_never_answers_is_not_waited_for() -> None:
     roll, now_us, questions = MemberDiscovery(0), 0, 0
     roll.stranger(77, now_us)
     while roll.wonders:
-        assert roll.deadline_us is not None
-        now_us = roll.deadline_us
+        assert roll.due_at_us is not None
+        now_us = roll.due_at_us
         questions += len(roll.tick(now_us))
     assert questions == ASKED_ENOUGH
     assert now_us < PATIENCE_US + 4 * AGAIN_US

@@ -23,7 +23,7 @@ def _joined() -> tuple[Peer, int, int]:
     peer = make_peer(Identity(0, frozenset({0}), fleet_name("a19", 0), 1), Random(19), 0, {})
     now_us = 0
     while not peer.joining.joined:
-        now_us = max(now_us, peer.deadline_us)
+        now_us = max(now_us, peer.due_at_us)
         peer.step(Timer(), now_us)
         assert now_us < 10_000_000
     assert peer.joining.address is not None

@@ -78,7 +78,7 @@ def test_item_9_it_still_stands_after_another_restart(tmp_path: Path) -> None:
         journal, recalled = SqliteJournal.opened(path)
         peer = boot(dict(recalled))
         assert peer.safety.latched
-        journal.write([e for e in peer.step(Timer(), peer.deadline_us) if isinstance(e, Persist)])
+        journal.write([e for e in peer.step(Timer(), peer.due_at_us) if isinstance(e, Persist)])
         journal.close()
     assert len(list(tmp_path.glob("dead.unreadable?"))) == 1
 

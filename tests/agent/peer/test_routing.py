@@ -50,7 +50,7 @@ def test_no_part_holds_the_peer_and_deadlines_are_those_of_the_parts() -> None:
     for part in peer.parts:
         assert isinstance(part, Part)
         assert peer not in vars(part).values() and peer.named not in vars(part).values()
-    assert peer.deadline_us == min(part.deadline_us for part in peer.parts)
+    assert peer.due_at_us == min(part.due_at_us for part in peer.parts)
     assert isinstance(peer.safety, StopController)
 
 

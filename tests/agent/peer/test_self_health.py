@@ -62,7 +62,7 @@ def next_heartbeat(peer: Peer, now_us: int) -> tuple[Heartbeat, list[Effect]]:
     said: list[Effect] = []
     while not heartbeats(said):
         now_us += CONTROL_PERIOD_US
-        peer.membership.reflected_us = now_us
+        peer.membership.reflected_at_us = now_us
         said += turn(peer, now_us)
     return heartbeats(said)[0], said
 
@@ -133,7 +133,7 @@ def test_m25_a_fault_is_in_the_heartbeat_and_its_reason_in_the_traces(
     peer, now_us = joined()
     peer.safety.raise_cause(cause, now_us, "", 60 * S)
     if cause is StopCause.ERROR_PASSIVE:
-        peer.check._passive_us = now_us - 2 * S
+        peer.check._passive_at_us = now_us - 2 * S
     known = peer.self_known(now_us)
     assert health(known) == share
     if cause in (StopCause.BUS_OFF, StopCause.ADDRESS_LOST):  # it says nothing

@@ -179,9 +179,9 @@ def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertai
         peer.step(Heard(130, POSE.unpack(POSE.pack(blind))), now_us)
         peer.membership.tick(now_us)
     assert 1 in peer.membership.live
-    pose, heard_us = peer.membership.neighbours[1]
+    pose, heard_at_us = peer.membership.neighbours[1]
     assert (pose.x_m, pose.speed_m_s, pose.state) == (5.0, 2.0, State.IDLE)
-    assert now_us - heard_us > GONE_QUIET_US
+    assert now_us - heard_at_us > GONE_QUIET_US
     here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)
     assert isinstance(peer.motion, HolonomicMotion)
     peer.motion.coasting.observe(peer.membership.neighbours, here, now_us)

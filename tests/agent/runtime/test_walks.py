@@ -123,7 +123,7 @@ class OneSection(Eager):
 
 def tick(peer: Peer, now_us: int) -> int:
     """One timer, sensed and confirmed; returns its time."""
-    now_us = max(now_us + 1, peer.deadline_us)
+    now_us = max(now_us + 1, peer.due_at_us)
     peer.step(BusState(Health.ACTIVE, True, now_us), now_us)
     if peer.wants_observation(now_us):
         x_m = 0.01 * (now_us // CONTROL_PERIOD_US)

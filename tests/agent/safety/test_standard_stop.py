@@ -104,7 +104,7 @@ def pressed_robot() -> tuple[Peer, list[tuple[int, AllImplementsStop]]]:
     def run(until_us: int) -> None:
         nonlocal now_us
         while now_us < until_us:
-            now_us = max(now_us + 1, peer.deadline_us)
+            now_us = max(now_us + 1, peer.due_at_us)
             said.extend((now_us, m) for m in standard_frames(peer.step(Timer(), now_us)))
 
     run(2 * S)
@@ -162,7 +162,7 @@ def test_a4_a_robot_latched_by_a_panel_says_it() -> None:
     peer, said = introduce_tools(peer_in(State.IDLE, None), 140), list[AllImplementsStop]()
     now_us = 0
     while now_us < 4 * S:
-        now_us = max(now_us + 1, peer.deadline_us)
+        now_us = max(now_us + 1, peer.due_at_us)
         said += standard_frames(peer.step(Timer(), now_us))
         if now_us >= S and not peer.safety.latched:
             peer.step(Heard(140, EmergencyStop(*StopDot(140, 1, 1), 1)), now_us)

@@ -41,16 +41,19 @@ def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
     peer = peer_in(State.WORKING, None)
     name = fleet_name("total", 1).pack()
     introduce(peer, 140, 1)
-    pose, silence_us = Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, stood, 0), peer.membership.silence_us
+    pose, silence_for_us = (
+        Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, stood, 0),
+        peer.membership.silence_for_us,
+    )
     peer.step(Heard(140, pose), 0)
-    peer.step(Heard(140, AddressClaimed(name)), silence_us - 1)
-    peer.step(Timer(), silence_us)
+    peer.step(Heard(140, AddressClaimed(name)), silence_for_us - 1)
+    peer.step(Timer(), silence_for_us)
     assert peer.membership.silent == (set() if stood else {1})
-    peer.step(Heard(140, AddressClaimed(name)), silence_us + 1)
+    peer.step(Heard(140, AddressClaimed(name)), silence_for_us + 1)
     assert peer.membership.silent == (set() if stood else {1}), (
         "nor does it come back by that alone"
     )
-    peer.step(Heard(140, pose), silence_us + 2)
+    peer.step(Heard(140, pose), silence_for_us + 2)
     assert not peer.membership.silent
 
 

@@ -70,7 +70,7 @@ def test_a_fresh_join_is_told_everything_once() -> None:
     fleet.count_from_here()
     newcomer = fleet.boot(5)
     fleet.see()
-    newcomer.sync.joined(fleet.now_us, fleet.heartbeat_us)
+    newcomer.sync.joined(fleet.now_us, fleet.heartbeat_period_us)
     assert not newcomer.sync.ready(fleet.now_us)
     assert fleet.run(3 * S, until_equal=True)
     fleet.run(2 * S)
@@ -103,7 +103,7 @@ def test_islands_joins_and_loss_in_any_order_end_equal(seed: int) -> None:
         fleet.heal()
         newcomer = fleet.boot(len(slots))
         fleet.see()
-        newcomer.sync.joined(fleet.now_us, fleet.heartbeat_us)
+        newcomer.sync.joined(fleet.now_us, fleet.heartbeat_period_us)
     assert fleet.run(60 * S, until_equal=True), f"seed {seed}"
     fleet.run(10 * S)
     assert len(fleet.states) == 1, f"seed {seed}"

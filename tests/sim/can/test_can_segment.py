@@ -74,10 +74,10 @@ def test_a_frame_under_way_is_not_interrupted_and_delays_by_no_more_than_itself(
 def test_a_node_is_not_its_own_audience_and_an_idle_wire_schedules_nothing() -> None:
     wire = Wire()
     a, b = wire.attach(), wire.attach()
-    assert wire.next_us is None
+    assert wire.next_at_us is None
     wire.submit(a, frame(1), 5)
     (delivery,) = drain(wire)
-    assert delivery.receivers == (b,) and wire.next_us is None
+    assert delivery.receivers == (b,) and wire.next_at_us is None
 
 
 def test_islands_do_not_hear_each_other_and_have_a_bus_each() -> None:
@@ -116,16 +116,16 @@ def test_errors_delay_then_silence_a_node_and_it_recovers() -> None:
     node = wire.attach()
     wire.faults.error = 1.0
     wire.submit(node, frame(1), 0)
-    while wire.nodes[node].off_until_us is None:
-        assert wire.next_us is not None
-        wire.advance(wire.next_us)
+    while wire.nodes[node].off_ends_at_us is None:
+        assert wire.next_at_us is not None
+        wire.advance(wire.next_at_us)
     assert wire.errors == 32, "a transmit error costs 8 of 256"
     assert not wire.submit(node, frame(2), 1_000_000)
-    off_until_us = wire.nodes[node].off_until_us
-    assert off_until_us is not None
+    off_ends_at_us = wire.nodes[node].off_ends_at_us
+    assert off_ends_at_us is not None
     wire.faults.error = 0.0
-    wire.advance(off_until_us + RECOVERY_US)
-    assert wire.submit(node, frame(2), off_until_us + RECOVERY_US)
+    wire.advance(off_ends_at_us + RECOVERY_US)
+    assert wire.submit(node, frame(2), off_ends_at_us + RECOVERY_US)
 
 
 @pytest.mark.parametrize("kind", ["loss", "omission"])

@@ -16,8 +16,8 @@ def frame(identifier: int, payload: int = 0) -> Frame:
 
 def drain(wire: Wire) -> list[Delivery]:
     result: list[Delivery] = []
-    while (next_us := wire.next_us) is not None:
-        result += wire.advance(next_us)
+    while (next_at_us := wire.next_at_us) is not None:
+        result += wire.advance(next_at_us)
     return result
 
 

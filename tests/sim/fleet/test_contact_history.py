@@ -55,7 +55,7 @@ def test_one_that_hangs_meets_nobody_meanwhile() -> None:
     known = ContactHistory(wire)
     known.hangs(0, 4 * S, 6 * S)
     known.hangs(0, 5 * S, 8 * S)
-    assert known.hung_since_us(0, 7 * S) == 4 * S and known.hung_since_us(0, 8 * S) is None
+    assert known.hang_began_at_us(0, 7 * S) == 4 * S and known.hang_began_at_us(0, 8 * S) is None
     assert known.is_hung(0, 5 * S) and not known.is_hung(0, 8 * S)
     known.look(8 * S + MET_US - 1, nodes)
     assert not known.met(1, 0) and not known.met(0, 1)

@@ -122,8 +122,8 @@ def test_item_16_a_second_process_for_a_slot_moves_nothing_and_is_told_nothing()
             hello = asyncio.create_task(other.ready())
             await until(lambda: east(other) and server.refused >= 20)
             assert at(server, 0) == 0.0 and other.seen is None
-            heard_us = body.seen.sensed_at_us if body.seen else 0
-            await until(lambda: body.seen and body.seen.sensed_at_us > heard_us)
+            heard_at_us = body.seen.sensed_at_us if body.seen else 0
+            await until(lambda: body.seen and body.seen.sensed_at_us > heard_at_us)
             body.end()  # it dies, and is started again
             await asyncio.wait_for(hello, WAIT_S)
 

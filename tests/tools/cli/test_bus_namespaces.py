@@ -33,7 +33,7 @@ BUS_NET, NETS = "10.79.0", {HUB: "10.79.1", FAR: "10.79.2"}  # of the bus; of th
 BUS_PORT = 29536
 STOOD_S, MOVED_M = 2.0, 0.05
 # A silence is noticed, and the body brakes: a second at full speed; more on a busy machine.
-CUT_S = beat_of(ROBOTS).silence_us / 1e6 + 3.0
+CUT_S = beat_of(ROBOTS).silence_for_us / 1e6 + 3.0
 
 
 def space(side: str) -> str:
