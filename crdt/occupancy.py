@@ -44,7 +44,7 @@ class MergeResult(NamedTuple):
 
     cells_updated: int  # without updates, all robots explore what is known, spread out
     robots_merged: int
-    time_us: int
+    merged_at_us: int
 
 
 class Geometry(NamedTuple):
@@ -175,10 +175,10 @@ class OccupancyMap:
         self.explored_count = int(np.count_nonzero(self._explored))
         return changed
 
-    def merge(self, others: Iterable["OccupancyMap"], time_us: int) -> MergeResult:
+    def merge(self, others: Iterable["OccupancyMap"], merged_at_us: int) -> MergeResult:
         """Join the maps of some robots; returns the values that the mission needs."""
         changed = [self.join_map(other) for other in others]
-        return MergeResult(sum(changed), len(changed), time_us)
+        return MergeResult(sum(changed), len(changed), merged_at_us)
 
     # ---------------------------------------------------------------- reading
 

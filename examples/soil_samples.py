@@ -58,8 +58,8 @@ class SoilSamples(Mission):
     def _orphan(self, section: int, view: FleetView) -> bool:
         owner = view.allocation.owner_of(section)
         held = view.allocation.phase_of(section) in (Phase.CLAIMED, Phase.STARTED)
-        since_us = view.fell_silent_at_us.get(-1 if owner is None else owner)
-        return held and since_us is not None and view.now_us - since_us > 20 * S
+        silent_at_us = view.fell_silent_at_us.get(-1 if owner is None else owner)
+        return held and silent_at_us is not None and view.now_us - silent_at_us > 20 * S
 
     def approach(self, section: int, view: FleetView) -> MotionRequest:
         return self.travel(self.posts[section], view)

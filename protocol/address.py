@@ -97,11 +97,11 @@ class AddressClaim:
         self.losses = 0
         self.refused = 0  # defences not sent because of the limit
         self.asks = False  # a request for all claims is to be sent now
-        self._retry_us = RETRY_US
-        self._next_us: int | None = None
-        self._answer_us: int | None = None  # all claims were requested: when our answer is due
+        self._retry_for_us = RETRY_US
+        self._next_at_us: int | None = None
+        self._answer_at_us: int | None = None  # all claims were requested: when our answer is due
         self._defences: list[int] = []
-        self._violated_us = now_us - VIOLATION_US
+        self._violated_at_us = now_us - VIOLATION_US
         self.restart(now_us)
 
     @property
@@ -117,42 +117,42 @@ class AddressClaim:
     @property
     def due_at_us(self) -> int | None:
         """When `on_tick` next has something to do, if nothing is received before; None: nothing."""
-        next_at_us, answer_us = self._next_us, self._answer_us
-        if next_at_us is None or answer_us is None:
-            return answer_us if next_at_us is None else next_at_us
-        return min(next_at_us, answer_us)
+        next_at_us, answer_at_us = self._next_at_us, self._answer_at_us
+        if next_at_us is None or answer_at_us is None:
+            return answer_at_us if next_at_us is None else next_at_us
+        return min(next_at_us, answer_at_us)
 
     def restart(self, now_us: int) -> None:
         """Start claiming, after power-up or after a return to the bus."""
         self._machine.fire(ClaimEvent.RESTARTED)
-        self._answer_us = None
-        self._next_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
+        self._answer_at_us = None
+        self._next_at_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
         if self._modest_for_us is not None:
-            self._next_us = now_us + self._modest_for_us
+            self._next_at_us = now_us + self._modest_for_us
 
     def hurry(self, now_us: int) -> None:
         """Claim immediately. A random delay may be zero, so this is allowed. A robot that has a
         stop to send must not wait longer than others take to notice its silence, and a claim delays
         that."""
         if self.state is WAITING:
-            self._next_us = now_us
+            self._next_at_us = now_us
 
     def on_tick(self, now_us: int) -> list[AddressMessage]:
         """The claims to send now: answers that are due, or the next step of our own claim."""
         claims: list[AddressMessage] = []
-        if self._answer_us is not None and now_us >= self._answer_us:
-            self._answer_us = None
+        if self._answer_at_us is not None and now_us >= self._answer_at_us:
+            self._answer_at_us = None
             claims.append(self._answer())
-        if self._next_us is None or now_us < self._next_us:
+        if self._next_at_us is None or now_us < self._next_at_us:
             return claims
         if self.state is WAITING:
             return claims + self._claim(now_us)
         if self.state is CANNOT:
             self._try_again(now_us)
             return claims
-        self._next_us = None
+        self._next_at_us = None
         self._machine.fire(ClaimEvent.UNCONTESTED)
-        self._retry_us = RETRY_US
+        self._retry_for_us = RETRY_US
         return claims
 
     def _try_again(self, now_us: int) -> None:
@@ -161,8 +161,8 @@ class AddressClaim:
         self.names.clear()
         self.candidate, self.asks = self.preferred, True
         self.restart(now_us)
-        assert self._next_us is not None
-        self._next_us += ANSWERS_US
+        assert self._next_at_us is not None
+        self._next_at_us += ANSWERS_US
 
     def on_message(self, source: int, message: AddressClaimed, now_us: int) -> list[AddressMessage]:
         """Handle another device's claim from the address `source`; returns the claims to send in
@@ -190,9 +190,9 @@ class AddressClaim:
         """Another device uses our address: two parts of a bus were joined, and in neither part did
         a device have a reason to object. A claim makes one of us move (ISO 11783-5, address
         violation)."""
-        if self.state is not HELD or now_us - self._violated_us < VIOLATION_US:
+        if self.state is not HELD or now_us - self._violated_at_us < VIOLATION_US:
             return []
-        self._violated_us = now_us
+        self._violated_at_us = now_us
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
     def on_request(self, everybody: bool, now_us: int) -> list[AddressMessage]:
@@ -203,8 +203,8 @@ class AddressClaim:
             return []
         if not everybody:
             return [self._answer()]
-        if self._answer_us is None:
-            self._answer_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
+        if self._answer_at_us is None:
+            self._answer_at_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
         return []
 
     def _answer(self) -> AddressMessage:
@@ -216,13 +216,13 @@ class AddressClaim:
         if holder < self.number or (self._modest_for_us is not None and holder != self.number):
             return self._move(now_us)
         at_once = self.candidate > LAST
-        wait_us = SAID_US if at_once else CONTENTION_US
-        return self._contend(wait_us, now_us)
+        wait_for_us = SAID_US if at_once else CONTENTION_US
+        return self._contend(wait_for_us, now_us)
 
-    def _contend(self, wait_us: int, now_us: int) -> list[AddressMessage]:
-        """Claim the candidate address; for `wait_us` another device may object."""
+    def _contend(self, wait_for_us: int, now_us: int) -> list[AddressMessage]:
+        """Claim the candidate address; for `wait_for_us` another device may object."""
         self._machine.fire(ClaimEvent.CLAIMED)
-        self._next_us = now_us + wait_us
+        self._next_at_us = now_us + wait_for_us
         return [AddressMessage(AddressClaimed(self.number), self.candidate)]
 
     def _defend(self, now_us: int) -> list[AddressMessage]:
@@ -244,10 +244,10 @@ class AddressClaim:
                 self.candidate = address
                 return self._contend(CONTENTION_US, now_us)
         self._machine.fire(ClaimEvent.EXHAUSTED)
-        self._next_us = None
+        self._next_at_us = None
         if self._modest_for_us is None:
-            self._next_us = now_us + self._retry_us + self._rng.randrange(S)
-            self._retry_us = min(2 * self._retry_us, RETRY_MAX_US)
+            self._next_at_us = now_us + self._retry_for_us + self._rng.randrange(S)
+            self._retry_for_us = min(2 * self._retry_for_us, RETRY_MAX_US)
         return [AddressMessage(AddressClaimed(self.number), NULL_ADDRESS)]
 
 

@@ -83,12 +83,12 @@ class Keyring:
         self.accepted = self.bad = self.stale = self.ignored = self.unproven = 0
         self._keys, self._lot = keys, lot
         self._macs: dict[int, CMAC] = {}
-        self._bad_us: dict[int, deque[int]] = {}
+        self._bad_at_us: dict[int, deque[int]] = {}
         self._asked: dict[int, bytes] = {}  # sender -> the nonce that its proof must cover
-        self._asked_us = -ASK_SPACING_US
-        self._drawn_us: dict[int, int] = {}  # when that nonce was drawn
-        self._proven_us: dict[int, int] = {}  # operator -> when it was last believed
-        self._answered_us: dict[int, int] = {}
+        self._asked_at_us = -ASK_SPACING_US
+        self._drawn_at_us: dict[int, int] = {}  # when that nonce was drawn
+        self._proven_at_us: dict[int, int] = {}  # operator -> when it was last believed
+        self._answered_at_us: dict[int, int] = {}
         self._questions = 0
 
     @property
@@ -124,7 +124,7 @@ class Keyring:
         self.heard[sender] = counter
         self.accepted += 1
         if sender >= OPERATOR_FIRST:
-            self._proven_us[sender] = now_us
+            self._proven_at_us[sender] = now_us
         return True
 
     def wrote(self, message: EmergencyStop, sender: int) -> bool:
@@ -146,25 +146,25 @@ class Keyring:
     def ask(self, sender: int, now_us: int) -> Challenge | None:
         """The challenge to a sender whose frame could not be verified; None if one was just
         sent."""
-        if now_us - self._asked_us < ASK_SPACING_US:
+        if now_us - self._asked_at_us < ASK_SPACING_US:
             return None
-        self._asked_us = now_us
-        if now_us - self._drawn_us.get(sender, -NUMBER_LIFE_US) >= NUMBER_LIFE_US:
+        self._asked_at_us = now_us
+        if now_us - self._drawn_at_us.get(sender, -NUMBER_LIFE_US) >= NUMBER_LIFE_US:
             self._asked.pop(sender, None)
         if sender not in self._asked:
             self._questions += 1
             mac = self._mac(self.sender).copy()
             mac.update(b"number used once" + self._questions.to_bytes(8, "little") + self._lot)
-            self._asked[sender], self._drawn_us[sender] = mac.finalize()[:6], now_us
+            self._asked[sender], self._drawn_at_us[sender] = mac.finalize()[:6], now_us
         return Challenge(sender, self.sender, int.from_bytes(self._asked[sender], "little"))
 
     def answer(self, question: Challenge, now_us: int) -> Freshness | None:
         """The proof of our counter for a device that asked for it; None for another's question or
         too soon."""
-        answered_us = self._answered_us.get(question.asker, -ANSWER_SPACING_US)
-        if question.asked != self.sender or now_us - answered_us < ANSWER_SPACING_US:
+        answered_at_us = self._answered_at_us.get(question.asker, -ANSWER_SPACING_US)
+        if question.asked != self.sender or now_us - answered_at_us < ANSWER_SPACING_US:
             return None
-        self._answered_us[question.asker] = now_us
+        self._answered_at_us[question.asker] = now_us
         number = question.number.to_bytes(6, "little")
         tag = self._proof(self.sender, question.asker, number, self.sent)
         return Freshness(self.sender, self.sent, tag)
@@ -173,7 +173,7 @@ class Keyring:
         """Adopt the sender's counter if its proof is valid and answers a recent challenge."""
         sender = answer.sender
         number = self._asked.get(sender)
-        late = now_us - self._drawn_us.get(sender, now_us) >= NUMBER_LIFE_US
+        late = now_us - self._drawn_at_us.get(sender, now_us) >= NUMBER_LIFE_US
         if number is None or late or not self._holds(sender):
             self.stale += 1
             return False
@@ -189,20 +189,20 @@ class Keyring:
         del self._asked[sender]
         self.heard[sender] = answer.counter
         if operator:
-            self._proven_us[sender] = now_us
+            self._proven_at_us[sender] = now_us
         else:
             # Forged frames in its name must not keep its stops from being accepted.
-            self._bad_us.pop(sender, None)
+            self._bad_at_us.pop(sender, None)
         return True
 
     # ---------------------------------------------------------------- inside
 
     def _proven(self, operator: int, now_us: int) -> bool:
-        proven_us = self._proven_us.get(operator)
-        return proven_us is not None and now_us - proven_us <= SESSION_US
+        proven_at_us = self._proven_at_us.get(operator)
+        return proven_at_us is not None and now_us - proven_at_us <= SESSION_US
 
     def _locked_out(self, sender: int, now_us: int) -> bool:
-        bad = self._bad_us.get(sender)
+        bad = self._bad_at_us.get(sender)
         if bad is None or len(bad) < BAD_MAX or now_us - bad[0] >= BAD_WINDOW_US:
             return False
         self.ignored += 1
@@ -210,7 +210,7 @@ class Keyring:
 
     def _count_bad(self, sender: int, now_us: int) -> None:
         self.bad += 1
-        self._bad_us.setdefault(sender, deque(maxlen=BAD_MAX)).append(now_us)
+        self._bad_at_us.setdefault(sender, deque(maxlen=BAD_MAX)).append(now_us)
 
     def _secret(self, sender: int) -> bytes | None:
         return self._keys.operator if sender >= OPERATOR_FIRST else self._keys.master

@@ -116,12 +116,12 @@ class OrcaSolver:
         self._work[GATHERED_X] = self._work[GATHERED_Y] = inf
 
     def know(self, slot: int, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float,
-             radius_m: float, share: float, heard_s: float) -> None:  # fmt: skip
+             radius_m: float, share: float, heard_at_s: float) -> None:  # fmt: skip
         """Set the newest pose of a peer. `share`, 0 to 1, of the avoidance is ours; 1: it will not
         give way."""
         assert 0 <= slot < PEERS_MAX and 0.0 <= share <= 1.0 and radius_m >= 0.0
         _ROW.pack_into(self._bytes, 8 * (HEAD + slot * ROW_COLUMNS), x_m, y_m, vx_m_s, vy_m_s,
-                       radius_m, share, heard_s, 0.0)  # fmt: skip
+                       radius_m, share, heard_at_s, 0.0)  # fmt: skip
         if slot >= self._last:
             self._last = slot + 1
             self._use_known()

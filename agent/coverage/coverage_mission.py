@@ -70,11 +70,11 @@ class GridWork(Mission):
         self._turn = 0  # index of the first of the plan's turns that we have not had
         self._wish = STILL
         self._asked = False  # whether our motion request went to the drive the last time
-        self._asked_us = 0  # when that was last the case
-        self._held_us = 0  # since when we have made no progress; 0: we are making progress
-        self._strange_us = 0  # since when we have not reached a cell that we may enter
-        self._wait_us = 0  # we stand until then
-        self._left_us = 0
+        self._asked_at_us = 0  # when that was last the case
+        self._held_at_us = 0  # since when we have made no progress; 0: we are making progress
+        self._strayed_at_us = 0  # since when we have not reached a cell that we may enter
+        self._wait_ends_at_us = 0  # we stand until then
+        self._cut_off_at_us = 0
         self._last = (0.0, 0.0)
 
     @property
@@ -94,7 +94,7 @@ class GridWork(Mission):
     def on_control_period(self, view: FleetView, state: State) -> None:
         here, now_us = view.here, view.now_us
         if self._to == NONE:
-            self._asked_us = now_us
+            self._asked_at_us = now_us
             self._from = self._to = self.ground.at(here.x_m, here.y_m)
             assert self._to != NONE, "a robot stands in a free cell"
         self._sweep(view)
@@ -108,7 +108,7 @@ class GridWork(Mission):
         if gathering:
             self._tell_of_silent(view)
         self._at_once = gathering
-        free = state in ABLE and now_us - self._asked_us < HELD_US
+        free = state in ABLE and now_us - self._asked_at_us < HELD_US
         answer = AgreementReply.GRANT if free else AgreementReply.STOPPED
         crew = FleetSnapshot(view.live, view.fell_silent_at_us, view.progress)
         rounds.on_tick(self._standing(view, free), answer, not self._told, crew, now_us)
@@ -161,7 +161,10 @@ class GridWork(Mission):
     def _tell_of_silent(self, view: FleetView) -> None:
         """Announce the cells that silent robots had reported as reached: these are covered."""
         rank = sum(slot < self.slot for slot in view.live)
-        if view.now_us < self.agreement.begun_us + rank * TELL_US or self.agreement.course is None:
+        if (
+            view.now_us < self.agreement.begun_at_us + rank * TELL_US
+            or self.agreement.course is None
+        ):
             return
         for slot in view.fell_silent_at_us:
             for number in self.agreement.passed(slot):
@@ -205,10 +208,10 @@ class GridWork(Mission):
         self._last = at
         wanted_m = hypot(self._wish.vx_m_s, self._wish.vy_m_s) * PERIOD_S
         if not self._asked or wanted_m == 0.0 or moved_m > 0.2 * wanted_m:
-            self._held_us = 0
-        elif not self._held_us:
-            self._held_us = view.now_us
-            self._strange_us = self._strange_us or view.now_us
+            self._held_at_us = 0
+        elif not self._held_at_us:
+            self._held_at_us = view.now_us
+            self._strayed_at_us = self._strayed_at_us or view.now_us
 
     def _drive(self, view: FleetView) -> MotionRequest:
         here, now_us = view.here, view.now_us
@@ -220,16 +223,16 @@ class GridWork(Mission):
             self._bind(left_m)
             if left_m <= speed_m:
                 self._arrive()
-            elif self._held_us and self._turns_back(left_m, now_us):
+            elif self._held_at_us and self._turns_back(left_m, now_us):
                 return STILL
-        if self._from == self._to and now_us >= self._wait_us and self._next(view):
+        if self._from == self._to and now_us >= self._wait_ends_at_us and self._next(view):
             # Past the middle, and on from there with what is left of the period.
             nx, ny = self.ground.centre(self._to)
             ex, ey = (nx - x_m) / self.ground.cell_m, (ny - y_m) / self.ground.cell_m
             rest_m = max(0.0, speed_m - left_m)
             dx, dy = dx + ex * rest_m, dy + ey * rest_m
             left_m = hypot(dx, dy)
-        if (self._from == self._to or self._held_us) and self._is_stuck(now_us):
+        if (self._from == self._to or self._held_at_us) and self._is_stuck(now_us):
             self._report(view)
         scale = min(1.0, speed_m / left_m) / PERIOD_S if left_m > 1e-6 else 0.0
         return MotionRequest(dx * scale, dy * scale, tool_on=True)
@@ -242,7 +245,7 @@ class GridWork(Mission):
         self._from = self._to
         if self._onward:
             self._step += 1
-            self._strange_us = 0
+            self._strayed_at_us = 0
         self._onward = False
 
     def _next(self, view: FleetView) -> bool:
@@ -291,11 +294,11 @@ class GridWork(Mission):
         """
         bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
         back_us = BACK_US if self.agreement.going else GATHER_BACK_US
-        if bound or now_us - self._held_us < back_us:
+        if bound or now_us - self._held_at_us < back_us:
             return False
         self._from, self._to = self._to, self._from
-        self._held_us, self._onward = 0, not self._onward and self._is_next(self._to)
-        self._wait_us = now_us + round(WAIT_US * (1.0 + self.rng.random()))
+        self._held_at_us, self._onward = 0, not self._onward and self._is_next(self._to)
+        self._wait_ends_at_us = now_us + round(WAIT_US * (1.0 + self.rng.random()))
         return True
 
     def _is_next(self, number: int) -> bool:
@@ -305,13 +308,13 @@ class GridWork(Mission):
         return rounds.course.place(rounds.me, self._step + 1) == number
 
     def _is_stuck(self, now_us: int) -> bool:
-        since_us = self._strange_us
-        return self.agreement.going and since_us > 0 and now_us - since_us > STUCK_US
+        start_at_us = self._strayed_at_us
+        return self.agreement.going and start_at_us > 0 and now_us - start_at_us > STUCK_US
 
     def _report(self, view: FleetView) -> None:
         """Report a body that stays in the cell that we may enter as an obstacle, and call a new
         round."""
-        self._strange_us = 0
+        self._strayed_at_us = 0
         rounds = self.agreement
         assert rounds.course is not None
         if not rounds.course.reaches(self._step + 1):
@@ -335,9 +338,9 @@ class GridWork(Mission):
             choice = self._choice(section, view)
             if choice is not None:
                 return choice
-        if view.now_us < self._left_us:
+        if view.now_us < self._cut_off_at_us:
             return None
-        self._left_us = view.now_us + LEFT_US
+        self._cut_off_at_us = view.now_us + LEFT_US
         return self._unfinished(view)
 
     def _choice(self, section: int, view: FleetView) -> ClaimRequest | None:
@@ -381,11 +384,11 @@ class GridWork(Mission):
         return self.idle(view)
 
     def idle(self, view: FleetView) -> MotionRequest:
-        self._asked, self._asked_us = True, view.now_us
+        self._asked, self._asked_at_us = True, view.now_us
         return self._wish
 
     def work(self, view: FleetView) -> MotionRequest:
-        self._asked, self._asked_us = True, view.now_us
+        self._asked, self._asked_at_us = True, view.now_us
         if self._section is None:  # the section was claimed before a stop or a restart
             self._section = view.allocation.assigned_sections(view.slot)[0]
         if view.progress.complete(self._section):

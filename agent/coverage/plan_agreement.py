@@ -83,7 +83,7 @@ class CellObstacle(NamedTuple):
     """Something in a cell that is not part of the plan, and until when to avoid it."""
 
     slot: int  # or ANYBODY
-    until_us: int  # ignored after this time
+    ends_at_us: int  # ignored after this time
 
 
 class FleetSnapshot(NamedTuple):
@@ -108,8 +108,8 @@ class CoverageAgreement:
         self.course: JointCourse | None = None  # the one agreed, or to be agreed, last
         self.me = NONE  # our index in it; -1: not one of it
         self.rounds = self.called = 0
-        self.begun_us = 0  # of the round
-        self._since_us = 0  # the newest of: round begun, plan made, plan agreed
+        self.begun_at_us = 0  # of the round
+        self._news_at_us = 0  # the newest of: round begun, plan made, plan agreed
         self._places: dict[int, CellPlace] = {}
         self._used: dict[int, CellPlace] = {}  # those the course was computed from
         self._plans: dict[int, int] = {}
@@ -122,7 +122,7 @@ class CoverageAgreement:
         self.kept = False  # a part of the work is kept for silent robots
         self.owner: NDArray[np.int16] = np.full(len(ground), NONE, np.int16)
         # Since when the live members differ from those of the plan.
-        self._differs_us: int | None = None
+        self._differs_at_us: int | None = None
         self._said: dict[AgreementKind, tuple[object, int, int]] = {}  # what, how often, when
 
     @property
@@ -142,9 +142,9 @@ class CoverageAgreement:
         self.round = number
         self.machine.fire(CoveragePlanEvent.BEGUN)
         self.rounds += 1
-        self.begun_us = self._since_us = now_us
+        self.begun_at_us = self._news_at_us = now_us
         self._places, self._plans, self._plain = {}, {}, False
-        self._differs_us = None
+        self._differs_at_us = None
         self._said.clear()
 
     def on_message(self, slot: int, m: AgreementMessage, now_us: int) -> None:
@@ -170,8 +170,8 @@ class CoverageAgreement:
 
     def _hear_body(self, m: AgreementMessage, now_us: int) -> None:
         if m.first < len(self.ground) and m.first not in self.bodies:
-            until_us = FOREVER if m.detail else now_us + OBSTACLE_US
-            self.bodies[m.first] = CellObstacle(m.second, until_us)
+            ends_at_us = FOREVER if m.detail else now_us + OBSTACLE_US
+            self.bodies[m.first] = CellObstacle(m.second, ends_at_us)
             self.machine.fire(CoveragePlanEvent.CHANGED)
 
     def meet(self, number: int, slot: int, now_us: int) -> None:
@@ -262,7 +262,7 @@ class CoverageAgreement:
         if self.phase is AGREE:
             self._agree(crew, now_us)
         waiting = self.phase in (GATHER, AGREE)
-        if waiting and now_us - self._since_us > PATIENCE_US and number != NONE:
+        if waiting and now_us - self._news_at_us > PATIENCE_US and number != NONE:
             self.call(now_us)
 
     def _call_due(self, answer: AgreementReply, crew: FleetSnapshot, now_us: int) -> bool:
@@ -271,19 +271,19 @@ class CoverageAgreement:
         own = self._used.get(self.slot)
         same = crew.live == self._used.keys() and own is not None and own.answer == answer
         if same and not self._over(crew, now_us):
-            self._differs_us = None
+            self._differs_at_us = None
             return False
-        if self._differs_us is None:
-            self._differs_us = now_us
+        if self._differs_at_us is None:
+            self._differs_at_us = now_us
         rank = sum(slot < self.slot for slot in crew.live)
         early = self.phase is FREE and len(crew.live) == 1
         settle_us = BOOT_US if early else SETTLE_US
-        return now_us - self._differs_us >= settle_us + rank * STAGGER_US
+        return now_us - self._differs_at_us >= settle_us + rank * STAGGER_US
 
     @property
     def later(self) -> bool:
         """Whether something is left out of the plan that can perhaps be done at another time."""
-        passing = any(body.until_us < FOREVER for body in self.bodies.values())
+        passing = any(body.ends_at_us < FOREVER for body in self.bodies.values())
         return self._left_out and (self.kept or passing)
 
     def _over(self, crew: FleetSnapshot, now_us: int) -> bool:
@@ -293,10 +293,10 @@ class CoverageAgreement:
         step = self._reached.get(self.slot, 0)
         if self.course.reaches(step + 1):
             return False
-        since_us = max(crew.fell_silent_at_us.values(), default=0)
-        if self.kept and now_us - since_us > LEASE_US and self._done(crew.progress):
+        start_at_us = max(crew.fell_silent_at_us.values(), default=0)
+        if self.kept and now_us - start_at_us > LEASE_US and self._done(crew.progress):
             return True
-        return any(body.until_us <= now_us for body in self.bodies.values())
+        return any(body.ends_at_us <= now_us for body in self.bodies.values())
 
     def _done(self, progress: Progress) -> bool:
         assert self.course is not None
@@ -314,12 +314,12 @@ class CoverageAgreement:
         self._used = places
         self._compute(crew, now_us)
         self.machine.fire(CoveragePlanEvent.GATHERED)
-        self._since_us = now_us
+        self._news_at_us = now_us
 
     def _compute(self, crew: FleetSnapshot, now_us: int) -> None:
         self.bodies = {
             number: body for number, body in self.bodies.items()
-            if body.until_us > now_us + SPARE_US and body.slot not in crew.live
+            if body.ends_at_us > now_us + SPARE_US and body.slot not in crew.live
         }  # fmt: skip
         movers = {s: p.number for s, p in self._used.items() if p.answer is AgreementReply.GRANT}
         stand = {p.number for p in self._used.values() if p.answer is not AgreementReply.GRANT}
@@ -353,8 +353,8 @@ class CoverageAgreement:
         own = self._plans[self.slot]
         if all(self._plans.get(slot) == own for slot in self._used):
             self.machine.fire(CoveragePlanEvent.AGREED)
-            self._since_us = now_us
-        elif self.kept and not self._plain and now_us - self._since_us > PLAIN_US:
+            self._news_at_us = now_us
+        elif self.kept and not self._plain and now_us - self._news_at_us > PLAIN_US:
             self._plain = True
             self._compute(crew, now_us)
 
@@ -413,7 +413,7 @@ class CoverageAgreement:
                         0,
                         number,
                         body.slot,
-                        int(body.until_us == FOREVER),
+                        int(body.ends_at_us == FOREVER),
                     )
                     for number, body in sorted(self.bodies.items())
                 ]

@@ -13,7 +13,7 @@ class AbsentOwners:
     """Since when each robot reports that it is stopped, and what follows for its tasks."""
 
     def __init__(self) -> None:
-        self._stopped_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
+        self._stopped_at_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
 
     def observe(self, view: FleetView) -> None:
         """Update from the newest beats; call it a few times a second."""
@@ -22,7 +22,7 @@ class AbsentOwners:
             for slot, neighbour in view.neighbours.items()
             if neighbour.pose.stopped or neighbour.pose.state == State.EMERGENCY_STOP
         }
-        self._stopped_us = {slot: self._stopped_us.get(slot, view.now_us) for slot in stopped}
+        self._stopped_at_us = {slot: self._stopped_at_us.get(slot, view.now_us) for slot in stopped}
 
     def leaves(self, owner: int, task: int, view: FleetView) -> bool:
         """Whether others may take this task from its owner (a slot).
@@ -33,5 +33,5 @@ class AbsentOwners:
         if owner not in view.live:
             return view.now_us - view.fell_silent_at_us.get(owner, -LEASE_US) >= LEASE_US
         picked_up = bool(view.progress.bits(task, 0) & 1)
-        stopped_us = self._stopped_us.get(owner, view.now_us)
-        return not picked_up and view.now_us - stopped_us >= LEASE_US
+        stopped_at_us = self._stopped_at_us.get(owner, view.now_us)
+        return not picked_up and view.now_us - stopped_at_us >= LEASE_US

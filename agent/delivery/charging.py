@@ -32,8 +32,8 @@ class Charging:
     def __init__(self, house: Warehouse) -> None:
         self.house = house
         self._level = 0.0  # of the battery when we last looked
-        self._look_us: int | None = None
-        self._short_us = 0  # when we look next whether the battery lasts
+        self._look_at_us: int | None = None
+        self._check_at_us = 0  # when we look next whether the battery lasts
 
     @property
     def _needed(self) -> bool:
@@ -49,9 +49,9 @@ class Charging:
 
     def due(self, now_us: int) -> bool:
         """Whether it is time to call `falls_short`; True at most once in `SHORT_US`."""
-        if not self._needed or now_us < self._short_us:
+        if not self._needed or now_us < self._check_at_us:
             return False
-        self._short_us = now_us + SHORT_US
+        self._check_at_us = now_us + SHORT_US
         return True
 
     def falls_short(self, standing: CarrierState, trip: Trip, loaded: bool) -> bool:
@@ -92,7 +92,7 @@ class Charging:
 
     def begin(self, battery: float) -> None:
         """We have arrived at a bay. `battery`: share of a full charge."""
-        self._level, self._look_us = battery, None
+        self._level, self._look_at_us = battery, None
 
     def observe(self, battery: float, now_us: int) -> ChargerState:
         """Once each control period at a bay: whether it charges, is done, or is dead.
@@ -101,10 +101,10 @@ class Charging:
         """
         if battery >= FULL_AT:
             return ChargerState.FULL
-        if self._look_us is None:
-            self._look_us = now_us + round(self.house.carrier.dock_s * S) + GIVES_US
-        if now_us > self._look_us:
+        if self._look_at_us is None:
+            self._look_at_us = now_us + round(self.house.carrier.dock_s * S) + GIVES_US
+        if now_us > self._look_at_us:
             if battery <= self._level + GAIN:
                 return ChargerState.DEAD
-            self._look_us, self._level = now_us + GIVES_US, battery
+            self._look_at_us, self._level = now_us + GIVES_US, battery
         return ChargerState.CHARGES

@@ -68,11 +68,11 @@ class DeliveryMission(NavigationMission):
         self.charging = Charging(house)
         self.whereabouts = ParcelSearch(house, self.dispatch.book, self.hazards, self.bodies)
         self.section: int | None = None  # a task or a bay under way
-        self.waited_us = 0  # total wait for new itineraries, by the rule of scenario C
+        self.waited_for_us = 0  # total wait for new itineraries, by the rule of scenario C
         self._load = -1
-        self._since_us: int | None = None  # since when we stand where we handle or charge
-        self._idle_us: int | None = None
-        self._shunned_us: dict[int, int] = {}  # bays, and tasks, by section
+        self._handling_at_us: int | None = None  # since when we stand where we handle or charge
+        self._idle_at_us: int | None = None
+        self._shun_ends_at_us: dict[int, int] = {}  # bays, and tasks, by section
         self._told_aboard = -1  # the parcel whose pickup we have announced
         # Least distance within reach of the goal, and when.
         self._nearest: tuple[float, int] = (0.0, 0)
@@ -107,7 +107,7 @@ class DeliveryMission(NavigationMission):
         if self.cut_off.due(now_us):
             self.cut_off.observe(at, self._goals(view), now_us)
             self.dispatch.cut = self.cut_off.sections
-        charging = self.section is not None and self.section >= TASKS_MAX and self._since_us
+        charging = self.section is not None and self.section >= TASKS_MAX and self._handling_at_us
         busy = self.section is not None and not charging
         still = self.cut_off.stands_still(at, busy, now_us)
         return still or self._load in self.cut_off.sections
@@ -158,14 +158,14 @@ class DeliveryMission(NavigationMission):
         if self._must_charge(task, view):
             return self._charge(view, task)
         if self._waits(task, view):
-            self.waited_us += 50 * MS
+            self.waited_for_us += 50 * MS
             return None
         return self._claim(task, view)
 
     def _next(self, view: FleetView) -> int | None:
         """The first task of our itinerary that is available."""
         for task in self.dispatch.itinerary:
-            if task == self.section or self._shunned_us.get(task, 0) > view.now_us:
+            if task == self.section or self._shun_ends_at_us.get(task, 0) > view.now_us:
                 continue
             owner = view.allocation.owner_of(task)
             away = owner is not None and self.dispatch.absence.leaves(owner, task, view)
@@ -185,13 +185,13 @@ class DeliveryMission(NavigationMission):
         """Whether to wait for the plan (scenario C): the task takes less time than the rest of the
         running round.
         """
-        left_us = self.dispatch.round.left_us(view.now_us)
-        if not left_us or self.dispatch.round.first.get(self.slot, [])[:1] == [task]:
+        left_for_us = self.dispatch.round.left_for_us(view.now_us)
+        if not left_for_us or self.dispatch.round.first.get(self.slot, [])[:1] == [task]:
             return False  # no round, or this is the first task of the auction's plan
         here = self.dispatch.standing(view)
         order = self.dispatch.book.tasks[task]
         through = self.house.after(here._replace(ready_ms=0), self.house.trip(order), False)
-        return through.ready_ms * MS < left_us
+        return through.ready_ms * MS < left_for_us
 
     def _must_charge(self, task: int, view: FleetView) -> bool:
         dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
@@ -235,7 +235,7 @@ class DeliveryMission(NavigationMission):
             onward = self.house.trip(self.dispatch.book.tasks[task]).dropoff
         elif task is not None:
             onward = self._pickup(task, view)
-        shunned = {s for s, until_us in self._shunned_us.items() if until_us > view.now_us}
+        shunned = {s for s, end_at_us in self._shun_ends_at_us.items() if end_at_us > view.now_us}
         shunned |= self.cut_off.sections
         return self.charging.visit((view.here.x_m, view.here.y_m), onward, view.allocation, shunned)
 
@@ -245,7 +245,7 @@ class DeliveryMission(NavigationMission):
         return self.whereabouts.next(task, self.dispatch.workers.get(task, []), view)
 
     def begin(self, section: int, view: FleetView) -> None:
-        self.section, self._since_us = section, None
+        self.section, self._handling_at_us = section, None
 
     def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._go(self._goal(section, view))
@@ -260,10 +260,10 @@ class DeliveryMission(NavigationMission):
 
     def _go(self, goal: Point) -> None:
         if goal != self.goal:
-            self.goal, self._tracker, self._since_us = goal, None, None
+            self.goal, self._tracker, self._handling_at_us = goal, None, None
 
     def work(self, view: FleetView) -> MotionRequest:
-        self._idle_us = None
+        self._idle_at_us = None
         if self.section is None:  # the section was kept over a stop
             held = view.allocation.assigned_sections(view.slot)
             self.begin(held[0], view)
@@ -289,10 +289,10 @@ class DeliveryMission(NavigationMission):
             wish = wish._replace(covered=(PICKED,))
         # Within reach it handles the parcel in a round as well, because the round ends some time.
         if not (arrived or self._beside(view)):
-            self._since_us = None
+            self._handling_at_us = None
             return wish._replace(near_end=self._near_end(section, view))
-        if self._since_us is None:
-            self._since_us = view.now_us
+        if self._handling_at_us is None:
+            self._handling_at_us = view.now_us
             self.charging.begin(view.here.battery)
         if section >= TASKS_MAX:
             return self._at_bay(section, view)
@@ -362,9 +362,9 @@ class DeliveryMission(NavigationMission):
 
     def _handling(self, task: int, view: FleetView) -> MotionRequest:
         """Load or unload. The result is sensed: the parcel aboard, and the visible parcels."""
-        assert self._since_us is not None
+        assert self._handling_at_us is not None
         if self._load != task and task not in view.here.parcels:
-            if view.now_us - self._since_us > MISSING_US:
+            if view.now_us - self._handling_at_us > MISSING_US:
                 return self._missing(task, view)
             return MotionRequest(0.0, 0.0)
         return MotionRequest(0.0, 0.0, parcel_action=task)
@@ -374,13 +374,13 @@ class DeliveryMission(NavigationMission):
         while.
         """
         assert self.goal is not None
-        self._since_us = None
+        self._handling_at_us = None
         if self.whereabouts.looked(task, self.goal):
             return MotionRequest(0.0, 0.0)
         return self._given_up(task, view)
 
     def _given_up(self, section: int, view: FleetView) -> MotionRequest:
-        self._shunned_us[section] = view.now_us + SHUN_US
+        self._shun_ends_at_us[section] = view.now_us + SHUN_US
         self._through()
         return MotionRequest(0.0, 0.0, given_up=True)
 
@@ -390,7 +390,7 @@ class DeliveryMission(NavigationMission):
             return MotionRequest(0.0, 0.0)
         if state is ChargerState.DEAD:  # leave the bay, it needs a repair
             bay = self.house.bay_of(section)
-            self._shunned_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
+            self._shun_ends_at_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
         self._through()
         return MotionRequest(
             0.0, 0.0, finished=state is ChargerState.FULL, given_up=state is ChargerState.DEAD
@@ -399,7 +399,7 @@ class DeliveryMission(NavigationMission):
     def _through(self) -> None:
         if self.section in self.dispatch.itinerary:
             self.dispatch.itinerary.remove(self.section)
-        self.section, self.goal, self._tracker, self._since_us = None, None, None, None
+        self.section, self.goal, self._tracker, self._handling_at_us = None, None, None, None
         self._calls = (0, 0)
 
     def abandon(self) -> None:
@@ -408,10 +408,10 @@ class DeliveryMission(NavigationMission):
     def idle(self, view: FleetView) -> MotionRequest:
         """Nothing to do: go to where we were switched on, out of the way of other robots."""
         self.section = None
-        if self._idle_us is None:
-            self._idle_us = view.now_us
+        if self._idle_at_us is None:
+            self._idle_at_us = view.now_us
         away_m = hypot(self.home[0] - view.here.x_m, self.home[1] - view.here.y_m)
-        if view.now_us - self._idle_us < HOME_US or away_m < 1.0:
+        if view.now_us - self._idle_at_us < HOME_US or away_m < 1.0:
             return super().idle(view)
         if self.house.carrier.runs_dry and self.dispatch.left < self.house.home(self.home):
             return super().idle(view)

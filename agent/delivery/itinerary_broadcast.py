@@ -32,7 +32,7 @@ class ItineraryBroadcast:
     def __init__(self, now_us: int) -> None:
         self.told: dict[int, RemoteItinerary] = {}  # of others
         self.stops: list[int] = []  # ours
-        self._version, self._tell_us, self._at = 0, now_us + TOLD_US, 0
+        self._version, self._tell_at_us, self._at = 0, now_us + TOLD_US, 0
         self._saying: Sequence[int] = ()
 
     # ---------------------------------------------------------------- ours
@@ -40,18 +40,18 @@ class ItineraryBroadcast:
     def changed(self, now_us: int) -> None:
         """Our itinerary is another one: announce it from its beginning."""
         self._version = (self._version + 1) & 0xFF
-        self._at, self._tell_us = 0, now_us
+        self._at, self._tell_at_us = 0, now_us
 
     def due(self, now_us: int) -> bool:
         """Whether a new announcement begins, so that `stops` must be up to date."""
-        return self._at == 0 and now_us >= self._tell_us
+        return self._at == 0 and now_us >= self._tell_at_us
 
     def outgoing(self, now_us: int, left: int) -> Iterator[Itinerary]:
         """The frames of our itinerary that go with this beat, at most `FRAMES_A_BEAT`.
 
         `left`: millionths of our battery.
         """
-        if now_us < self._tell_us:
+        if now_us < self._tell_at_us:
             return
         if self._at == 0:
             self._version = (self._version + 1) & 0xFF
@@ -63,7 +63,7 @@ class ItineraryBroadcast:
             yield Itinerary(self._version, at, length, battery, saying[at], saying[at + 1])
             self._at += 2
             if self._at >= length:
-                self._at, self._tell_us = 0, now_us + TOLD_US
+                self._at, self._tell_at_us = 0, now_us + TOLD_US
                 return
 
     # ---------------------------------------------------------------- of others

@@ -96,7 +96,7 @@ class PlanNegotiation:
         self.slot, self.seed = slot, seed
         self.number = 0
         self.machine = StateMachine("plan negotiation", NEGOTIATION_TABLE, REST)
-        self.ends_us = 0  # of the phase
+        self.ends_at_us = 0  # of the phase
         self.adopted: Rows | None = None  # the adopted plan, until the caller takes it
         self.first: Rows = {}  # the auction's plan, the same for all
         self.streamed = 0  # number of rounds in which we streamed the plan
@@ -108,7 +108,7 @@ class PlanNegotiation:
         self._offers: dict[int, tuple[int, int]] = {}  # slot -> cost, digest
         self._told: dict[int, dict[int, dict[int, int]]] = {}  # source -> slot -> index -> task
         self._lengths: dict[int, dict[int, int]] = {}  # source -> slot -> number of tasks
-        self._heard_us = 0  # when the last row was received
+        self._heard_at_us = 0  # when the last row was received
         self._queue: list[PlanRow] = []
         self._mine: Rows = {}
         self._mute: set[int] = set()  # elected robots that were not received
@@ -123,17 +123,17 @@ class PlanNegotiation:
         """Whether a round is running."""
         return self.phase is not REST
 
-    def left_us(self, now_us: int) -> int:
+    def left_for_us(self, now_us: int) -> int:
         """How long it takes until new itineraries can be expected; 0 without a full round."""
         if self.phase is REST or self._hastens:
             return 0
-        return max(self.ends_us - now_us, 0) + (OFFERS_US if self.phase is SEARCH else 0)
+        return max(self.ends_at_us - now_us, 0) + (OFFERS_US if self.phase is SEARCH else 0)
 
     # ---------------------------------------------------------------- the steps
 
-    def call(self, frozen: ProblemSnapshot, replan_us: int, now_us: int) -> None:
-        """Begin the next round: `frozen` is its problem, and the search takes `replan_us`."""
-        units = min(ceil(replan_us / REPLAN_UNIT_US), 255)
+    def call(self, frozen: ProblemSnapshot, search_for_us: int, now_us: int) -> None:
+        """Begin the next round: `frozen` is its problem, and the search takes `search_for_us`."""
+        units = min(ceil(search_for_us / REPLAN_UNIT_US), 255)
         self._calls = CALLS
         self._begin((self.number + 1) & 0xFF, max(units, 1), frozen, now_us)
 
@@ -149,7 +149,7 @@ class PlanNegotiation:
     def _begin(self, number: int, units: int, frozen: ProblemSnapshot, now_us: int) -> None:
         self.number = number
         self.machine.fire(NegotiationEvent.BEGUN)
-        self.ends_us = now_us + units * REPLAN_UNIT_US
+        self.ends_at_us = now_us + units * REPLAN_UNIT_US
         self._frozen, self._planner = frozen, RoutingPlanner(frozen.work)
         self._hastens = frozen.plan is not None
         self._plan = self._planner.auctioned() if frozen.plan is None else frozen.plan
@@ -170,22 +170,22 @@ class PlanNegotiation:
         """Each control period: search, elect, or stream, as the phase says."""
         if self.phase is SEARCH:
             self._search(now_us)
-        elif self.phase is OFFER and now_us >= self.ends_us:
+        elif self.phase is OFFER and now_us >= self.ends_at_us:
             self.machine.fire(NegotiationEvent.ELECTED)
-            self._heard_us = now_us
+            self._heard_at_us = now_us
             self._pass()
         elif self.phase is STREAM:
             self._stream(now_us)
 
     def _search(self, now_us: int) -> None:
         assert self._planner is not None
-        if now_us < self.ends_us:
+        if now_us < self.ends_at_us:
             if self._done < self._slices:
                 self._plan = self._slice(self._planner)
                 self._done += 1
             return
         self.machine.fire(NegotiationEvent.SEARCHED)
-        self.ends_us = now_us + OFFERS_US
+        self.ends_at_us = now_us + OFFERS_US
         self._mine = self._rows()
         cost_ms = self._cost_ms(self._planner)
         if cost_ms is not None:
@@ -227,15 +227,15 @@ class PlanNegotiation:
         if not rank:
             self.machine.fire(NegotiationEvent.NO_OFFER)
         elif self._queue:
-            self._heard_us = now_us
+            self._heard_at_us = now_us
         elif rank[0] == self.slot:  # all rows were sent
             self._adopt(self._mine)
             self.streamed += 1
-        elif now_us - self._heard_us > HUSH_US:
+        elif now_us - self._heard_at_us > HUSH_US:
             self._mute.add(rank[0])  # it is dead or not received, so the next best is elected
             del self._offers[rank[0]]
             self.machine.fire(NegotiationEvent.SILENT)
-            self.ends_us = now_us + OFFERS_US
+            self.ends_at_us = now_us + OFFERS_US
 
     def _adopt(self, rows: Rows) -> None:
         self.machine.fire(NegotiationEvent.ADOPTED)
@@ -252,7 +252,7 @@ class PlanNegotiation:
             if not message.replan and slot not in self._mute:
                 self._offers[slot] = (message.cost_ms, message.digest)
             return
-        self._heard_us = now_us
+        self._heard_at_us = now_us
         rows = self._told.setdefault(slot, {}).setdefault(message.slot, {})
         self._lengths.setdefault(slot, {})[message.slot] = message.length
         rows[message.first] = message.task
@@ -276,9 +276,9 @@ class PlanNegotiation:
         """The frames that are due with our beat: calls, our offer, or rows of our plan."""
         if self.phase is SEARCH and self._calls:
             self._calls -= 1
-            left_us = max(self.ends_us - now_us, 1)
+            left_for_us = max(self.ends_at_us - now_us, 1)
             yield PlanOffer(
-                self.number, ceil(left_us / REPLAN_UNIT_US), HASTENS if self._hastens else 0, 0
+                self.number, ceil(left_for_us / REPLAN_UNIT_US), HASTENS if self._hastens else 0, 0
             )
         elif self.phase is OFFER and self._rank()[:1] == [self.slot]:
             yield PlanOffer(self.number, 0, *self._offers[self.slot])

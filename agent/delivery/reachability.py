@@ -24,13 +24,13 @@ class Reachability:
     def __init__(self, hazards: DynamicObstacles) -> None:
         self.hazards = hazards
         self.sections: frozenset[int] = frozenset()
-        self._since_us: dict[int, int] = {}
-        self._look_us = 0
+        self._cut_off_at_us: dict[int, int] = {}
+        self._look_at_us = 0
         self._stood: tuple[Point, int] = ((0.0, 0.0), 0)  # where, and since when
 
     def due(self, now_us: int) -> bool:
         """Whether it is time to call `observe`."""
-        return now_us >= self._look_us
+        return now_us >= self._look_at_us
 
     def observe(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
         """Update `sections`, the ones that have been out of reach for `CUT_OFF_US`.
@@ -38,15 +38,15 @@ class Reachability:
         `at`: our position. `goals`: for each section the places that must all be reachable; (x, y)
         metres.
         """
-        self._look_us = now_us + LOOK_US
+        self._look_at_us = now_us + LOOK_US
         places = [(section, place) for section, own in goals.items() for place in own]
         reached = self.hazards.reaches(at, [place for _, place in places])
         cut = {section for (section, _), there in zip(places, reached, strict=True) if not there}
-        self._since_us = {section: self._since_us.get(section, now_us) for section in cut}
+        self._cut_off_at_us = {section: self._cut_off_at_us.get(section, now_us) for section in cut}
         self.sections = frozenset(
             section
-            for section, since_us in self._since_us.items()
-            if now_us - since_us > CUT_OFF_US
+            for section, start_at_us in self._cut_off_at_us.items()
+            if now_us - start_at_us > CUT_OFF_US
         )
 
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
@@ -54,8 +54,8 @@ class Reachability:
 
         `at`: our position, (x, y) metres.
         """
-        (x_m, y_m), since_us = self._stood
+        (x_m, y_m), start_at_us = self._stood
         if not busy or hypot(at[0] - x_m, at[1] - y_m) > GOT_ON_M:
             self._stood = (at, now_us)
             return False
-        return now_us - since_us > STANDSTILL_US
+        return now_us - start_at_us > STANDSTILL_US

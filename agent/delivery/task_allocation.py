@@ -61,7 +61,7 @@ class Auction(NamedTuple):
     """The auction of one task as we know it: when it closes, the best bid, and our own bid."""
 
     task: int
-    closes_us: int
+    closes_at_us: int
     best: tuple[int, int] | None  # cost, slot
     mine: TaskBid | None  # ours, until it is sent
 
@@ -92,10 +92,15 @@ class TaskAllocation:
         # The best bid (task, (cost, slot)) of another robot for a task that we do not auction yet.
         self._rival: tuple[int, tuple[int, int]] | None = None
         self._awarded: dict[int, int] = {}  # task: until when its winner is waited for
-        self._born_us, self._look_us, self._many_us, self._round_us = now_us, now_us, 0, 0
+        self._born_at_us, self._look_at_us, self._many_at_us, self._round_at_us = (
+            now_us,
+            now_us,
+            0,
+            0,
+        )
         self._done: set[int] = set()
         self.cut: frozenset[int] = frozenset()  # tasks that we cannot reach
-        self._able_us = now_us  # when we last could work
+        self._able_at_us = now_us  # when we last could work
         # For each task the slots that have begun it, as far as we know, oldest first.
         self.workers: dict[int, list[int]] = {}
         self._calls: list[PlanOffer] = []  # received calls, answered in the next control period
@@ -118,8 +123,8 @@ class TaskAllocation:
         """
         now_us = view.now_us
         if able:
-            self._able_us = now_us
-        elif self.itinerary and now_us - self._able_us > RESIGN_US:
+            self._able_at_us = now_us
+        elif self.itinerary and now_us - self._able_at_us > RESIGN_US:
             self.itinerary = []
             self.telling.changed(now_us)
         self.round.on_tick(now_us)
@@ -130,8 +135,8 @@ class TaskAllocation:
         if self.round.adopted is not None:
             self._adopt(view)
         self._close(view, able)
-        if now_us >= self._look_us:
-            self._look_us = now_us + LOOK_US
+        if now_us >= self._look_at_us:
+            self._look_at_us = now_us + LOOK_US
             self._look(view, able)
         if self.telling.due(now_us):
             self._plan_stops(view)
@@ -147,23 +152,25 @@ class TaskAllocation:
     def _consider(self, fresh: list[int], orphans: list[int], view: FleetView, able: bool) -> None:
         now_us = view.now_us
         if len(fresh) <= self.house.t_max:
-            self._many_us = now_us
+            self._many_at_us = now_us
         whole = len(view.live) >= len(view.live | view.fell_silent_at_us.keys()) > 1
-        if now_us - self._born_us < BOOT_US and not (whole and now_us - self._born_us > S):
+        if now_us - self._born_at_us < BOOT_US and not (whole and now_us - self._born_at_us > S):
             return  # not all robots are here yet
-        due_at_us = max(self._many_us + STABLE_US, self._round_us) + STAGGER_US * self._order(view)
+        due_at_us = max(self._many_at_us + STABLE_US, self._round_at_us) + STAGGER_US * self._order(
+            view
+        )
         planned = sum(len(self.means(slot)) for slot in view.live)
         room = round_tasks_max(len(view.live)) - planned
         if len(fresh) > self.house.t_max and room < min(len(fresh), planned):
             fresh = []  # a backlog: wait until planned tasks have begun
-        if len(fresh) > self.house.t_max and now_us >= self._round_us:
+        if len(fresh) > self.house.t_max and now_us >= self._round_at_us:
             if now_us >= due_at_us:
-                self._round_us = now_us + AGAIN_US
+                self._round_at_us = now_us + AGAIN_US
                 tasks = min(len(fresh), room)
-                replan_us = min(
+                search_for_us = min(
                     max(tasks * MOVES_A_TASK // 15_000 * SLICE_US, REPLAN_US[0]), REPLAN_US[1]
                 )
-                self._begin_round(view, able, replan_us=replan_us)
+                self._begin_round(view, able, search_for_us=search_for_us)
         elif self._auction is None and (fresh or orphans):
             self._open_auction([*fresh, *orphans], len(fresh), view, able)
         elif self._auction is None:
@@ -171,7 +178,7 @@ class TaskAllocation:
             waiting = sum(view.allocation.phase_of(task) is Phase.FREE for task in means)
             before_us = STAGGER_US * self._order(view)
             if self.haste.due(now_us - before_us, self.book.added, waiting, len(view.live)):
-                self._begin_round(view, able, replan_us=HASTE_US, haste=True)
+                self._begin_round(view, able, search_for_us=HASTE_US, haste=True)
 
     def _plan_stops(self, view: FleetView) -> None:
         """Our announced stops, including the bay that we are at or will have to visit."""
@@ -305,14 +312,14 @@ class TaskAllocation:
             if auction or rival[0] != bid.task or self._awarded.get(bid.task, 0) > now_us:
                 self._awarded[bid.task] = now_us + BIDS_US + AWARDED_US  # others auction it already
             else:  # our control period comes later than theirs: bid now
-                self._rival, self._look_us = min(rival, (bid.task, told)), now_us
+                self._rival, self._look_at_us = min(rival, (bid.task, told)), now_us
             return
         if auction.best is None or told < auction.best:
             self._auction = auction._replace(best=told, mine=None)
 
     def _close(self, view: FleetView, able: bool) -> None:
         auction, now_us = self._auction, view.now_us
-        if auction is None or now_us < auction.closes_us:
+        if auction is None or now_us < auction.closes_at_us:
             return
         self._auction = None
         if auction.best is None:
@@ -329,19 +336,19 @@ class TaskAllocation:
     # ---------------------------------------------------------------- scenarios A and C
 
     def _begin_round(
-        self, view: FleetView, able: bool, offer: PlanOffer | None = None, replan_us: int = 0,
+        self, view: FleetView, able: bool, offer: PlanOffer | None = None, search_for_us: int = 0,
         haste: bool = False,
     ) -> None:  # fmt: skip
         """Join the round that `offer` calls; None: call one.
 
-        `replan_us`: duration of the search. `haste`: the round only re-orders tasks to cut waiting
+        `search_for_us`: duration of the search. `haste`: the round only re-orders tasks to cut waiting
         time.
         """
         haste = haste or (offer is not None and offer.hastens)
         frozen = (hastened if haste else new_problem)(self, view, able)
         self.haste.planned(view.now_us, self.book.added)
         if offer is None:
-            self.round.call(frozen, replan_us, view.now_us)
+            self.round.call(frozen, search_for_us, view.now_us)
         else:
             self.round.join(offer, frozen, view.now_us)
         if not self.itinerary and able:
@@ -416,7 +423,8 @@ class TaskAllocation:
             records = self.book.on_message(message, now_us)
             if self.book.added > added and isinstance(message, TaskOrder):
                 self.haste.known(message.task, now_us)
-                self._look_us = now_us  # so that all robots that received it bid at the same time
+                # so that all robots that received it bid at the same time
+                self._look_at_us = now_us
             return records
         if slot is not None:
             self._heard(slot, message, now_us)

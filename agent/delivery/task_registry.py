@@ -66,10 +66,10 @@ class TaskRegistry:
         self.tasks = dict(tasks)
         self.added = 0  # change counter, so that cached results can detect changes
         self._due: dict[int, int] = {}  # task to send again, and from when
-        self._heard_us: dict[int, int] = {}
+        self._heard_at_us: dict[int, int] = {}
         self._slot, self._bucket = slot, slot
         # So that robots do not send in the same beat.
-        self._digest_us = now_us + DIGEST_US + slot * 37 * MS
+        self._digest_at_us = now_us + DIGEST_US + slot * 37 * MS
 
     def __contains__(self, task: int) -> bool:
         return task in self.tasks
@@ -91,7 +91,7 @@ class TaskRegistry:
     def _order(self, message: TaskOrder, now_us: int) -> tuple[tuple[str, bytes], ...]:
         if message.task >= TASKS_MAX:
             return ()
-        self._heard_us[message.task] = now_us
+        self._heard_at_us[message.task] = now_us
         self._due.pop(message.task, None)
         order, known = TransportTask(message.pickup, message.dropoff), self.tasks.get(message.task)
         if known is None or order > known:
@@ -110,7 +110,7 @@ class TaskRegistry:
             lacking = bits  # one number, two tasks: send ours, so that all take the greater one
         for k in range(BUCKET_TASKS):
             task = message.bucket * BUCKET_TASKS + k
-            if lacking >> k & 1 and now_us - self._heard_us.get(task, -AGAIN_US) >= AGAIN_US:
+            if lacking >> k & 1 and now_us - self._heard_at_us.get(task, -AGAIN_US) >= AGAIN_US:
                 self._due.setdefault(task, now_us + self._slot % 8 * 50 * MS)
 
     def _digest(self, bucket: int) -> tuple[int, int]:
@@ -129,10 +129,10 @@ class TaskRegistry:
         ]
         for task in told:
             del self._due[task]
-            self._heard_us[task] = now_us
+            self._heard_at_us[task] = now_us
             yield TaskOrder(task, *self.tasks[task])
-        if now_us >= self._digest_us:
-            self._digest_us = now_us + DIGEST_US
+        if now_us >= self._digest_at_us:
+            self._digest_at_us = now_us + DIGEST_US
             buckets = max(self.tasks, default=0) // BUCKET_TASKS + 1
             self._bucket = (self._bucket + 1) % buckets
             bits, check = self._digest(self._bucket)

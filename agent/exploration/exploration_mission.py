@@ -78,9 +78,9 @@ class ExplorationMission(Mission):
         self.switched = 0  # number of targets left for better ones
         self._way = FrontierPath(chart, limits)
         self._legs: list[XY] = []  # places of an order still to visit
-        self._shunned_us: dict[int, int] = {}
-        self._choose_us = self._check_us = self._reassign_us = 0
-        self._merge_us = 0
+        self._shun_ends_at_us: dict[int, int] = {}
+        self._choose_at_us = self._check_at_us = self._reassign_at_us = 0
+        self._merged_at_us = 0
 
     @property
     def progress_percent(self) -> float:
@@ -102,8 +102,8 @@ class ExplorationMission(Mission):
         ]
         self.chart.observe(here, others)
         self.chart.share_news(here, now_us)
-        if self.chart.sync is not None and now_us >= self._merge_us + REASSIGN_US:
-            self._merge_us = now_us
+        if self.chart.sync is not None and now_us >= self._merged_at_us + REASSIGN_US:
+            self._merged_at_us = now_us
             self.last_merge = self.chart.sync.merged(now_us)
 
     def _passable(self, values: Values, here: Cell) -> Grid:
@@ -122,9 +122,9 @@ class ExplorationMission(Mission):
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
-        if view.now_us < self._choose_us:
+        if view.now_us < self._choose_at_us:
             return None
-        self._choose_us = view.now_us + CHOOSE_US
+        self._choose_at_us = view.now_us + CHOOSE_US
         order = self._order(view)
         if order is not None:
             return order
@@ -172,15 +172,15 @@ class ExplorationMission(Mission):
         """Whether a frontier is available: free, ours, or of a robot that is silent for longer than
         the lease.
         """
-        if view.now_us < self._shunned_us.get(patch, 0):
+        if view.now_us < self._shun_ends_at_us.get(patch, 0):
             return False
         phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
         if phase is Phase.DONE:
             return False
         if owner is None or owner == view.slot:
             return True
-        since_us = view.fell_silent_at_us.get(owner)
-        return since_us is not None and view.now_us - since_us >= LEASE_US
+        silent_at_us = view.fell_silent_at_us.get(owner)
+        return silent_at_us is not None and view.now_us - silent_at_us >= LEASE_US
 
     def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[OtherExplorer]:
         """Live robots, each with its ways and the cell that it has claimed."""
@@ -257,7 +257,7 @@ class ExplorationMission(Mission):
             self.ended[status] += 1
         self.task = None
         self._way.end()
-        self._choose_us = 0
+        self._choose_at_us = 0
 
     def begin(self, section: int, view: FleetView) -> None:
         if (
@@ -266,8 +266,8 @@ class ExplorationMission(Mission):
             self._resume(section, view)
         assert self.task is not None
         self.task = self.task._replace(status=Status.ACTIVE)
-        self._check_us = view.now_us + CHECK_US
-        self._reassign_us = view.now_us + REASSIGN_US
+        self._check_at_us = view.now_us + CHECK_US
+        self._reassign_at_us = view.now_us + REASSIGN_US
         self._way.has_time(view.now_us)
 
     def _resume(self, section: int, view: FleetView) -> None:
@@ -309,14 +309,14 @@ class ExplorationMission(Mission):
         if self.task is None:
             (section,) = view.allocation.assigned_sections(view.slot)[:1]
             self.begin(section, view)
-        if now_us >= self._check_us:
-            self._check_us = now_us + CHECK_US
+        if now_us >= self._check_at_us:
+            self._check_at_us = now_us + CHECK_US
             gone = self._check(view)
             if gone is not None:
                 self._end_task(gone)
                 return TURN_ROUND._replace(given_up=True)
         wish = self._way.drive(view)
-        if not self._way.arrived_us or now_us < self._way.arrived_us + self._look_us:
+        if not self._way.arrived_at_us or now_us < self._way.arrived_at_us + self._look_for_us:
             return wish
         if self._legs:
             self._way.head_for(self._legs.pop(0), view)
@@ -325,20 +325,20 @@ class ExplorationMission(Mission):
         return wish._replace(finished=True)
 
     @property
-    def _look_us(self) -> int:
+    def _look_for_us(self) -> int:
         return 0 if self._legs else LOOK_ROUND_US
 
     def _check(self, view: FleetView) -> Status | None:
         """The status with which the current task must be released; None: keep it."""
         assert self.task is not None
         if self._way.stuck(view.now_us):
-            self._shunned_us[self.task.section] = view.now_us + SHUNNED_US
+            self._shun_ends_at_us[self.task.section] = view.now_us + SHUNNED_US
             return Status.FAILED
-        if (not self._way.rest and not self._way.arrived_us) or self._way.blocked:
+        if (not self._way.rest and not self._way.arrived_at_us) or self._way.blocked:
             self._way.plan(view.here)
         if self.task.kind is not TaskKind.EXPLORE_FRONTIER:
             return None
-        due = view.now_us >= self._reassign_us
+        due = view.now_us >= self._reassign_at_us
         values = self.chart.values()
         row, column = corner_of(self.patch_of(self.task.section))
         area = values[max(row - 1, 0) : row + SIDE + 1, max(column - 1, 0) : column + SIDE + 1]
@@ -348,7 +348,7 @@ class ExplorationMission(Mission):
             return Status.FAILED
         if not due:
             return None
-        self._reassign_us = view.now_us + REASSIGN_US
+        self._reassign_at_us = view.now_us + REASSIGN_US
         best = self._best(view, self.task.section)
         if best is None or best.patch == self.task.section:
             return None if best is not None else Status.COMPLETED

@@ -26,7 +26,7 @@ class FleetMember(NamedTuple):
     y_m: float
     rotation_rad: float  # our heading; of others the course that they drive
     assigned_task: FleetTask | None
-    last_sync_us: int  # when it was last received; for ourselves now
+    last_sync_at_us: int  # when it was last received; for ourselves now
     active: bool
 
     @property
@@ -76,17 +76,19 @@ def _tasks(view: FleetView, mission: ExplorationMission) -> Sequence[FleetTask]:
         claim = view.allocation.entry(section)
         if claim.phase in (Phase.CLAIMED, Phase.STARTED):
             status = Status.ACTIVE if claim.phase is Phase.STARTED else Status.PENDING
-            created_us = mission.task.created_us if mission.task and claim.owner == view.slot else 0
+            created_at_us = (
+                mission.task.created_at_us if mission.task and claim.owner == view.slot else 0
+            )
             found.append(
                 FleetTask(section, mission.kind_of(section), mission.place_of(section), claim.owner,
-                          status, created_us)
+                          status, created_at_us)
             )  # fmt: skip
     return sorted(found, key=lambda task: (task.status is Status.ACTIVE, task.section))
 
 
 def serialize_for_llm(status: FleetStatus, ages: bool = False) -> str:
     """The status as Markdown. `ages`: add to each line how long ago its robot was received."""
-    heard_at_us = {member.slot: member.last_sync_us for member in status.members}
+    heard_at_us = {member.slot: member.last_sync_at_us for member in status.members}
 
     def age(slot: int) -> str:
         if not ages:

@@ -50,7 +50,7 @@ class FleetTask(NamedTuple):
     target: XY
     assigned_to: int  # slot
     status: Status
-    created_us: int  # on the clock of the peer that reports
+    created_at_us: int  # on the clock of the peer that reports
 
     @property
     def id(self) -> str:

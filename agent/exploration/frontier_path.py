@@ -32,10 +32,10 @@ class FrontierPath:
     def __init__(self, chart: LocalAndFleetMap, limits: BodyLimits) -> None:
         self.chart, self.limits = chart, limits
         self.station: XY | None = None
-        self.arrived_us = 0  # when the station was reached; 0: not yet
+        self.arrived_at_us = 0  # when the station was reached; 0: not yet
         self.rest: list[XY] = []  # waypoints still to come
         self._open: Cells = np.empty(0, np.intp), np.empty(0, np.intp)
-        self._nearest_m, self._nearest_us = np.inf, 0
+        self._nearest_m, self._nearest_at_us = np.inf, 0
 
     def cell(self, at: XY) -> Cell:
         """The (row, column) cell at a place, or the nearest one on the map."""
@@ -45,7 +45,7 @@ class FrontierPath:
 
     def head_for(self, station: XY, view: FleetView) -> None:
         """Go to another station: plan a path from here."""
-        self.station, self.arrived_us = station, 0
+        self.station, self.arrived_at_us = station, 0
         self._nearest_m = np.inf
         self.has_time(view.now_us)
         self.plan(view.here)
@@ -77,11 +77,11 @@ class FrontierPath:
 
     def has_time(self, now_us: int) -> None:
         """From now on it may take `STUCK_US` to get nearer."""
-        self._nearest_us = now_us
+        self._nearest_at_us = now_us
 
     def stuck(self, now_us: int) -> bool:
         """Whether the robot got no nearer for `STUCK_US`."""
-        return now_us > self._nearest_us + STUCK_US
+        return now_us > self._nearest_at_us + STUCK_US
 
     @property
     def blocked(self) -> bool:
@@ -89,15 +89,15 @@ class FrontierPath:
         return bool(self.rest) and bool(self.chart.grid.tight.blocked[self._open].any())
 
     def drive(self, view: FleetView) -> MotionRequest:
-        """The motion along the path, always turning. It sets `arrived_us` at the station and turns
+        """The motion along the path, always turning. It sets `arrived_at_us` at the station and turns
         there.
         """
         here = view.here
         if self.station is None:
             return TURN_ROUND
         if hypot(self.station[0] - here.x_m, self.station[1] - here.y_m) < AT_M:
-            if not self.arrived_us:
-                self.arrived_us = view.now_us
+            if not self.arrived_at_us:
+                self.arrived_at_us = view.now_us
             return TURN_ROUND
         while len(self.rest) > 1 and self._near(self.rest[0], here):
             self.rest.pop(0)
@@ -110,7 +110,7 @@ class FrontierPath:
             hypot(b[0] - a[0], b[1] - a[1]) for a, b in zip(self.rest, self.rest[1:], strict=False)
         )
         if rest_m < self._nearest_m - NEARER_M:
-            self._nearest_m, self._nearest_us = rest_m, view.now_us
+            self._nearest_m, self._nearest_at_us = rest_m, view.now_us
         speed_m_s = min(self.limits.speed_m_s, sqrt(self.limits.acceleration_m_s2 * rest_m))
         return MotionRequest(dx_m / next_m * speed_m_s, dy_m / next_m * speed_m_s, TURN_RAD_S)
 

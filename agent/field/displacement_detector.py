@@ -31,6 +31,6 @@ class DisplacementDetector:
         before, self._seen = self._seen, (*at, now_us)
         if before is None:
             return False
-        passed_us = max(now_us - before[2], CONTROL_PERIOD_US)
-        reach_m = LEAP_SHARE * speed_m_s * passed_us / S + LEAP_M
+        passed_for_us = max(now_us - before[2], CONTROL_PERIOD_US)
+        reach_m = LEAP_SHARE * speed_m_s * passed_for_us / S + LEAP_M
         return hypot(at[0] - before[0], at[1] - before[1]) > reach_m

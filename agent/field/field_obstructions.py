@@ -84,10 +84,10 @@ class FieldObstructions:
 
     def _leave(self, view: FleetView) -> bool:
         """Drop robots that no longer stand in our way, or that may have moved."""
-        for slot, (at, seen_us) in list(self.standing.items()):
+        for slot, (at, seen_at_us) in list(self.standing.items()):
             neighbour = view.neighbours.get(slot)
             here = (inf, inf) if neighbour is None else neighbour.pose[:2]
-            if view.now_us - seen_us < FORGET_US and dist(here, at) < MOVED_M:
+            if view.now_us - seen_at_us < FORGET_US and dist(here, at) < MOVED_M:
                 continue
             del self.standing[slot]
             return True

@@ -56,10 +56,10 @@ class Parking:
 
     def __init__(self, field: Field, radius_m: float, speed_m_s: float = 2.5) -> None:
         self.field, self.radius_m, self.speed_m_s = field, radius_m, speed_m_s
-        self._look_us = LOOK_US
+        self._look_period_us = LOOK_US
         self.spot: Point | None = None  # where to go; None: stay
 
-        self._looked_us: int | None = None
+        self._looked_at_us: int | None = None
         # For each robot that works near us, by slot: its position, and since when it is there.
         self._beside: dict[int, tuple[float, float, int]] = {}
 
@@ -74,9 +74,12 @@ class Parking:
         Call it each control period. It does something once a second, and more often if a robot
         arrives soon.
         """
-        if self._looked_us is not None and view.now_us - self._looked_us < self._look_us:
+        if (
+            self._looked_at_us is not None
+            and view.now_us - self._looked_at_us < self._look_period_us
+        ):
             return
-        self._looked_us, self._look_us = view.now_us, LOOK_US
+        self._looked_at_us, self._look_period_us = view.now_us, LOOK_US
         open_lines = _samples(self._units(view, done=False))
         here = (view.here.x_m, view.here.y_m)
         self._watch(view)
@@ -88,7 +91,7 @@ class Parking:
 
     def forget(self) -> None:
         """There is work: the next parking begins with a new search."""
-        self.spot, self._looked_us = None, None
+        self.spot, self._looked_at_us = None, None
         self._beside.clear()
 
     def _watch(self, view: FleetView) -> None:
@@ -97,9 +100,9 @@ class Parking:
             gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
             if pose.state != State.WORKING or gap_m > near_m:
                 continue
-            x_m, y_m, since_us = self._beside.get(slot, (pose.x_m, pose.y_m, view.now_us))
+            x_m, y_m, start_at_us = self._beside.get(slot, (pose.x_m, pose.y_m, view.now_us))
             got_on = hypot(pose.x_m - x_m, pose.y_m - y_m) > STRAY_M
-            seen[slot] = (pose.x_m, pose.y_m, view.now_us) if got_on else (x_m, y_m, since_us)
+            seen[slot] = (pose.x_m, pose.y_m, view.now_us) if got_on else (x_m, y_m, start_at_us)
         self._beside = seen
 
     def _units(self, view: FleetView, done: bool) -> Iterable[Polyline]:
@@ -112,8 +115,8 @@ class Parking:
         """Whether a place has room to every open line, and no other robot parks or works there."""
         if _gap_m(at, open_lines) < self.room_m:
             return False
-        for x_m, y_m, since_us in self._beside.values():
-            stuck = view.now_us - since_us >= STUCK_US
+        for x_m, y_m, start_at_us in self._beside.values():
+            stuck = view.now_us - start_at_us >= STUCK_US
             if stuck and hypot(at[0] - x_m, at[1] - y_m) < 2 * self.radius_m + PAST_M:
                 return False
         here_m = hypot(at[0] - view.here.x_m, at[1] - view.here.y_m)
@@ -152,7 +155,7 @@ class Parking:
             near = np.hypot(places[:, 0] - x_m, places[:, 1] - y_m) < reach_m
             coming_s[near] = np.minimum(coming_s[near], at_s)
         if coming_s[0] < SOON_S:
-            self._look_us = HASTY_US
+            self._look_period_us = HASTY_US
         for slot, (pose, _) in view.neighbours.items():
             gap_m = np.hypot(places[:, 0] - pose.x_m, places[:, 1] - pose.y_m)
             taken = gap_m < reach_m

@@ -40,7 +40,7 @@ class SectionChooser:
         self._gave: dict[int, tuple[int, int, int]] = {}
         # Live owners: position, units done, and for how long they have stood there.
         self._stands: dict[int, tuple[Point, int, int]] = {}
-        self._asked_us = 0
+        self._asked_at_us = 0
 
     def choose(self, view: FleetView, end: Point) -> ClaimRequest | None:
         """The section to claim next, with our bid; None if there is none for us now.
@@ -87,8 +87,8 @@ class SectionChooser:
         for section in self.field.sections:
             if view.allocation.phase_of(section.id) is Phase.FREE:
                 left = 1.0 - view.progress.covered(section.id) / section.units
-                work_s = section.length_m * left / self.speed_m_s
-                jobs.append(SectionJob(section.id, work_s, section.ends))
+                work_for_s = section.length_m * left / self.speed_m_s
+                jobs.append(SectionJob(section.id, work_for_s, section.ends))
         if not jobs:
             self._none_free = view.allocation.changes
         return jobs
@@ -132,9 +132,9 @@ class SectionChooser:
                     return self._bid(view, self._job(view, section))
             for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
                 return self._bid(view, self._job(view, section))._replace(takeover=True)
-        for slot, (_, _, stood_us) in sorted(self._stands.items()):
+        for slot, (_, _, stood_for_us) in sorted(self._stands.items()):
             for section in view.allocation.assigned_sections(slot):
-                if stood_us >= STANDS_US and not self._left_to_others(section, view):
+                if stood_for_us >= STANDS_US and not self._left_to_others(section, view):
                     del self._stands[slot]
                     return self._bid(view, self._job(view, section))._replace(takeover=True)
         return None
@@ -145,19 +145,19 @@ class SectionChooser:
         `units`: number of its finished units.
         """
         times = self._gave.get(section, (0, 0, 0))[1] + 1
-        until_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
-        self._gave[section] = until_us, times, units
+        end_at_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
+        self._gave[section] = end_at_us, times, units
 
     def _left_to_others(self, section: int, view: FleetView) -> bool:
-        until_us, _, units = self._gave.get(section, (0, 0, 0))
-        return view.now_us < until_us and view.progress.covered(section) <= units
+        end_at_us, _, units = self._gave.get(section, (0, 0, 0))
+        return view.now_us < end_at_us and view.progress.covered(section) <= units
 
     def _watch(self, view: FleetView) -> None:
         """Measure how long live owners have stood still without completing a unit.
 
         Only time in which we were free to choose counts, because a fleet stop halts all robots.
         """
-        passed_us, self._asked_us = view.now_us - self._asked_us, view.now_us
+        passed_for_us, self._asked_at_us = view.now_us - self._asked_at_us, view.now_us
         seen: dict[int, tuple[Point, int, int]] = {}
         for slot in view.live - {view.slot}:
             neighbour, owned = view.neighbours.get(slot), view.allocation.assigned_sections(slot)
@@ -165,11 +165,11 @@ class SectionChooser:
                 continue
             at = neighbour.pose.x_m, neighbour.pose.y_m
             units = sum(view.progress.covered(section) for section in owned)
-            was, had, stood_us = self._stands.get(slot, (at, units, 0))
+            was, had, stood_for_us = self._stands.get(slot, (at, units, 0))
             if had != units or hypot(at[0] - was[0], at[1] - was[1]) > STAYS_M:
-                was, stood_us = at, 0
-            stood_us += passed_us if passed_us <= FORGET_US else 0
-            seen[slot] = was, units, stood_us
+                was, stood_for_us = at, 0
+            stood_for_us += passed_for_us if passed_for_us <= FORGET_US else 0
+            seen[slot] = was, units, stood_for_us
         self._stands = seen
 
     def _job(self, view: FleetView, section: int) -> SectionJob:

@@ -24,23 +24,23 @@ class SectionJob(NamedTuple):
     """A section as the partition sees it; ends are (x, y) metres."""
 
     section: int
-    work_s: float  # time to do what is left of it
+    work_for_s: float  # time to do what is left of it
     ends: tuple[Point, ...]  # where it can be entered
 
 
 def cut(jobs: Sequence[SectionJob], parts: int) -> list[list[SectionJob]]:
     """Cut jobs, in their order, into at most `parts` runs of nearly equal work."""
     runs: list[list[SectionJob]] = []
-    rest_s, left = sum(job.work_s for job in jobs), parts
+    rest_s, left = sum(job.work_for_s for job in jobs), parts
     run: list[SectionJob] = []
     run_s = 0.0
     for job in jobs:
-        if run and left > 1 and run_s + job.work_s / 2 > rest_s / left:
+        if run and left > 1 and run_s + job.work_for_s / 2 > rest_s / left:
             runs.append(run)
             rest_s, left = rest_s - run_s, left - 1
             run, run_s = [], 0.0
         run.append(job)
-        run_s += job.work_s
+        run_s += job.work_for_s
     if run:
         runs.append(run)
     return runs

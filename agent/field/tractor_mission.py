@@ -67,7 +67,7 @@ class TractorMission(FieldMission):
         self.follow: TractorTracker | None = None
         self.bodies: list[tuple[float, float]] = []  # paths go round these since we were stuck
         self.joined = False  # we are at the beginning of the first leg and point along it
-        self._anchor, self._anchor_us, self._again_us = (0.0, 0.0), 0, 0
+        self._anchor, self._anchor_at_us, self._again_at_us = (0.0, 0.0), 0, 0
         self._escape = EscapeManoeuvre(turns, radius_m, limits)
 
     def approach(self, section: int, view: FleetView) -> MotionRequest:
@@ -166,7 +166,7 @@ class TractorMission(FieldMission):
             if self.turns.piece_is_free(Pose(*way[-1, :3]), Piece(0.0, ROOM_M)):
                 end_m_s = LEAVE_M_S
         else:
-            if view.now_us < self._again_us:
+            if view.now_us < self._again_at_us:
                 return False
             standing = [*self.bodies, *self.blockage.bodies, *view.things]
             pieces = self.turns.way(here, start, standing, self.reach_m)
@@ -174,7 +174,7 @@ class TractorMission(FieldMission):
                 self.joined = True
                 return self._next(view, here, only_approach)
             if pieces is None:  # a robot blocks it, or there is no way out from here
-                self.bodies, self._again_us = [], view.now_us + AGAIN_US
+                self.bodies, self._again_at_us = [], view.now_us + AGAIN_US
                 self.legs.append(self.legs.pop(0))
                 return False
             self.leg = WorkLeg((here[:2], first))
@@ -196,11 +196,11 @@ class TractorMission(FieldMission):
     def _notice_stuck(self, view: FleetView, here: Pose) -> None:
         """No progress: go round the standing robots, or work another leg first."""
         if self.follow is None or distance_m(here[:2], self._anchor) > MOVED_M:
-            self._anchor, self._anchor_us = here[:2], view.now_us
+            self._anchor, self._anchor_at_us = here[:2], view.now_us
             return
-        if view.now_us - self._anchor_us < STUCK_US:
+        if view.now_us - self._anchor_at_us < STUCK_US:
             return
-        self._anchor_us = view.now_us
+        self._anchor_at_us = view.now_us
         self.bodies = [
             (n.pose.x_m, n.pose.y_m)
             for n in view.neighbours.values()

@@ -22,16 +22,16 @@ class Headway:
 
     def __init__(self) -> None:
         self._left_m = float("inf")
-        self._idle_us = self._asked_us = self._planned_us = self._rounds = 0
+        self._idle_for_us = self._asked_at_us = self._planned_for_us = self._rounds = 0
 
     @property
     def lost(self) -> bool:
         """Whether the section has to be released."""
-        return self._idle_us >= self.NONE_US
+        return self._idle_for_us >= self.NONE_US
 
     def begin(self) -> None:
         """Work on another section begins."""
-        self._left_m, self._idle_us, self._planned_us = float("inf"), 0, 0
+        self._left_m, self._idle_for_us, self._planned_for_us = float("inf"), 0, 0
         self._rounds = 0
 
     def again(self) -> None:
@@ -45,15 +45,15 @@ class Headway:
 
         `done`: a unit was completed. `left_m`: remaining distance of all legs.
         """
-        passed_us = now_us - self._asked_us
-        self._asked_us = now_us
+        passed_for_us = now_us - self._asked_at_us
+        self._asked_at_us = now_us
         if done or left_m < self._left_m - self.LESS_M:
             self._left_m = left_m if not done else float("inf")
-            self._idle_us = self._planned_us = 0
+            self._idle_for_us = self._planned_for_us = 0
             self._rounds = 0 if done else self._rounds
-        elif passed_us <= FORGET_US:
-            self._idle_us += passed_us
-        if self._idle_us - self._planned_us < self.AGAIN_US:
+        elif passed_for_us <= FORGET_US:
+            self._idle_for_us += passed_for_us
+        if self._idle_for_us - self._planned_for_us < self.AGAIN_US:
             return False
-        self._planned_us = self._idle_us
+        self._planned_for_us = self._idle_for_us
         return True

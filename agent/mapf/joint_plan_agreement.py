@@ -99,9 +99,9 @@ class JointPlanAgreement:
         self._used: object = None  # bodies and blocked nodes that the plan avoids
         self._digests: dict[int, int] = {}
         self._reached: dict[int, int] = {}  # index of the node reached; -1: not on the route yet
-        self._since_us = 0  # of this phase, or of our own last progress in it
-        self._progress_us = 0  # of anybody's
-        self._said_us: dict[AgreementKind, int] = {}
+        self._phase_at_us = 0  # of this phase, or of our own last progress in it
+        self._progress_at_us = 0  # of anybody's
+        self._said_at_us: dict[AgreementKind, int] = {}
 
     # ---------------------------------------------------------------- facts in
 
@@ -128,7 +128,7 @@ class JointPlanAgreement:
             self._digests[slot] = m.first | m.second << 16
         elif m.first - 1 > self._reached.get(slot, -1):
             self._reached[slot] = m.first - 1
-            self._progress_us = now_us
+            self._progress_at_us = now_us
 
     def _begin(self, number: int, now_us: int) -> None:
         self.round, self.plan = number, None
@@ -139,12 +139,12 @@ class JointPlanAgreement:
         self._seen, self._used = [], None
         self._digests.clear()
         self._reached.clear()
-        self._said_us.clear()
-        self._progress_us = now_us
+        self._said_at_us.clear()
+        self._progress_at_us = now_us
 
     def _fire(self, event: JointPlanEvent, now_us: int) -> None:
         self.machine.fire(event)
-        self._since_us = now_us
+        self._phase_at_us = now_us
 
     # ---------------------------------------------------------------- what is to be done
 
@@ -187,8 +187,8 @@ class JointPlanAgreement:
         """We are at that node of our route now."""
         if index > self.index:
             self._reached[self.slot] = index
-            self._since_us = now_us
-            self._said_us.pop(AgreementKind.AT, None)
+            self._phase_at_us = now_us
+            self._said_at_us.pop(AgreementKind.AT, None)
 
     @property
     def _arrived(self) -> bool:
@@ -226,8 +226,8 @@ class JointPlanAgreement:
                 self._fire(JointPlanEvent.AGREED, now_us)
         if self.phase is GO and self._over:
             self._fire(JointPlanEvent.ARRIVED, now_us)
-        patience_us = PATIENCE_US if self.phase is GO else PATIENCE_US // 2
-        if self.bound and now_us - max(self._since_us, self._progress_us) > patience_us:
+        wait_for_us = PATIENCE_US if self.phase is GO else PATIENCE_US // 2
+        if self.bound and now_us - max(self._phase_at_us, self._progress_at_us) > wait_for_us:
             if self.phase is AGREE and self._deaf:  # the others have done what they did
                 self._fire(JointPlanEvent.WITHDRAWN, now_us)
             else:
@@ -281,16 +281,16 @@ class JointPlanAgreement:
                     self.round, AgreementKind.PLAN, 0, digest & 0xFFFF, digest >> 16, 0
                 )
             )
-        hurried = self.phase is GO and now_us - self._since_us < HURRIED_US
+        hurried = self.phase is GO and now_us - self._phase_at_us < HURRIED_US
         if self.index >= 0 and self._due(AgreementKind.AT, hurried, now_us):
             words.append(AgreementMessage(self.round, AgreementKind.AT, 0, self.index + 1, 0, 0))
         return words
 
     def _due(self, say: AgreementKind, hurried: bool, now_us: int) -> bool:
-        last_us = self._said_us.get(say)
-        if last_us is not None and now_us - last_us < (HURRY_US if hurried else CALM_US):
+        last_at_us = self._said_at_us.get(say)
+        if last_at_us is not None and now_us - last_at_us < (HURRY_US if hurried else CALM_US):
             return False
-        self._said_us[say] = now_us
+        self._said_at_us[say] = now_us
         return True
 
     # ---------------------------------------------------------------- the plan
@@ -318,7 +318,7 @@ class JointPlanAgreement:
             return
         self._used = used
         self._reached.clear()
-        self._said_us.pop(AgreementKind.PLAN, None)
+        self._said_at_us.pop(AgreementKind.PLAN, None)
         order = self.order = tuple(sorted(self._places))
         places = [self._places[slot] for slot in order]
         body_m = 2 * self.radius_m + KEPT_M

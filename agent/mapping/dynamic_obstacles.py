@@ -209,7 +209,7 @@ class ObstacleMap(LocalAndFleetMap):
         )  # fmt: skip
         super().__init__(sync, geometry_of(floor), floor.radius_m, RANGE_M, grid)
         self.radius_m = floor.radius_m
-        self._forgot_us = 0
+        self._forgot_at_us = 0
         self._walls = int(np.count_nonzero(floor.fine))
         self._open = ~scipy.ndimage.binary_dilation(floor.fine, iterations=WALL_CELLS)
         self._bodies: dict[int, XY] = {}
@@ -255,8 +255,8 @@ class ObstacleMap(LocalAndFleetMap):
         """
         bodies = [(x, y, self.radius_m + BODY_M) for x, y in robots]
         self.observe(here, bodies)
-        if now_us - self._forgot_us >= FORGET_US:
-            self._forgot_us = now_us
+        if now_us - self._forgot_at_us >= FORGET_US:
+            self._forgot_at_us = now_us
             self._forget_old()
         if told:
             self.hear_all(now_us)
@@ -350,8 +350,10 @@ class ObstacleMap(LocalAndFleetMap):
         """Avoid one place for `BELIEVED_S`; it replaces the place of the last call."""
         self.grid.remove(NOBODY_SLOT, IMPASSABLE)
         cell_m = self.geometry.cell_m
-        until_us = now_us + BELIEVED_S * S
-        self.grid.place(Obstacle(*at, cell_m, now_us, until_us, NOBODY_SLOT, IMPASSABLE), now_us)
+        expires_at_us = now_us + BELIEVED_S * S
+        self.grid.place(
+            Obstacle(*at, cell_m, now_us, expires_at_us, NOBODY_SLOT, IMPASSABLE), now_us
+        )
 
     def hear_all(self, now_us: int) -> None:
         """Take others' reports of obstacles into our own grid as temporary obstacles."""
@@ -363,13 +365,15 @@ class ObstacleMap(LocalAndFleetMap):
             if before:
                 self.grid.remove(unpack(before).observer, cell)
             record = unpack(now)
-            age_us = max(self.sync.clock.read(now_us) - record.time, 0) * self.sync.clock.tick_us
+            age_us = (
+                max(self.sync.clock.read(now_us) - record.time, 0) * self.sync.clock.tick_period_us
+            )
             if record.observer == self.sync.slot or record.value != OBSTACLE:
                 continue
             x_m, y_m = self.geometry.centre(row, column)
-            born_us = now_us - age_us
+            born_at_us = now_us - age_us
             obstacle = Obstacle(
-                x_m, y_m, self.geometry.cell_m / 4, born_us, born_us + BELIEVED_S * S,
+                x_m, y_m, self.geometry.cell_m / 4, born_at_us, born_at_us + BELIEVED_S * S,
                 record.observer, cell,
             )  # fmt: skip
             self.grid.place(obstacle, now_us)

@@ -41,8 +41,8 @@ class LocalAndFleetMap:
         self.grid = grid
         self.fleet = OccupancyMap(geometry) if sync is None else sync.chart
         self.told = np.zeros((rows, columns), dtype=np.bool_)  # walls that others have reported
-        self._looked_us = -LOOK_US
-        self._since_us: dict[int, int] = {}  # patch -> when its first new cell was seen
+        self._looked_at_us = -LOOK_US
+        self._first_seen_at_us: dict[int, int] = {}  # patch -> when its first new cell was seen
         self._version = -1
 
     def observe(self, here: Observation, others: Iterable[tuple[float, float, float]]) -> None:
@@ -83,11 +83,11 @@ class LocalAndFleetMap:
 
     def share_news(self, here: Observation, now_us: int) -> None:
         """Look for news near by, and give patches that are ready to the sync."""
-        if self.sync is None or now_us < self._looked_us + min(LOOK_US, self.sync.hold_us):
+        if self.sync is None or now_us < self._looked_at_us + min(LOOK_US, self.sync.hold_for_us):
             return
         if not isfinite(here.x_m + here.y_m):
             return
-        self._looked_us = now_us
+        self._looked_at_us = now_us
         row, column = self.geometry.cell((here.x_m, here.y_m))
         reach = int(self.range_m / self.geometry.cell_m) + 2
         rows, columns, _, _ = self.geometry
@@ -124,10 +124,10 @@ class LocalAndFleetMap:
         known = self.fleet.patch(patch).reshape(SIDE, SIDE) > 0
         assert self.sync is not None
         complete = int(np.count_nonzero(known | (values != UNKNOWN))) == CELLS
-        since_us = self._since_us.setdefault(patch, now_us)
-        if not complete and now_us < since_us + self.sync.hold_us:
+        first_at_us = self._first_seen_at_us.setdefault(patch, now_us)
+        if not complete and now_us < first_at_us + self.sync.hold_for_us:
             return
-        del self._since_us[patch]
+        del self._first_seen_at_us[patch]
         area = (slice(row, row + SIDE), slice(column, column + SIDE))
         evidence = self.grid.evidence[area]
         told = values[: evidence.shape[0], : evidence.shape[1]] != UNKNOWN

@@ -56,14 +56,14 @@ class Obstacle(NamedTuple):
     x_m: float
     y_m: float
     radius_m: float
-    born_us: int
-    expires_us: int
+    born_at_us: int
+    expires_at_us: int
     owner: int  # slot of the robot that saw or placed it
     number: int  # (owner, number) identifies the obstacle
 
     def stands(self, now_us: int) -> bool:
         """Whether it is valid at this time."""
-        return self.born_us <= now_us < self.expires_us
+        return self.born_at_us <= now_us < self.expires_at_us
 
 
 class OccupancyGrid:
@@ -195,7 +195,7 @@ class OccupancyGrid:
         """
         changed = 0
         for name, obstacle in list(self.obstacles.items()):
-            if obstacle.expires_us <= now_us:
+            if obstacle.expires_at_us <= now_us:
                 changed += self.remove(*name)
             elif obstacle.stands(now_us) and name not in self._placed:
                 self._placed.add(name)

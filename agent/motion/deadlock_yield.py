@@ -76,9 +76,9 @@ class DeadlockYield:
         self.near_m = near_m * scale
         self.given = 0  # how often we gave way
         self._anchor: Point = (0.0, 0.0)
-        self._anchor_us = 0
+        self._anchor_at_us = 0
         self._wanted_m = 0.0  # distance requested since then
-        self._until_us = 0
+        self._yield_ends_at_us = 0
         self._for: int | None = None  # slot of the robot we give way to
         self._refuge: Point = (0.0, 0.0)
 
@@ -91,15 +91,15 @@ class DeadlockYield:
         Call it once each control period. `at`: our position, metres. `wanted`: the mission's
         velocity. `others`: the robots near by.
         """
-        if now_us < self._until_us:
+        if now_us < self._yield_ends_at_us:
             return self._go(at, others)
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
         wanted_m_s = hypot(*wanted)
         self._wanted_m += wanted_m_s * PERIOD_S
         if moved_m > GOT_ON_M * self.scale or wanted_m_s < WANTS_M_S:
-            self._anchor, self._anchor_us, self._wanted_m = at, now_us, 0.0
+            self._anchor, self._anchor_at_us, self._wanted_m = at, now_us, 0.0
             return None
-        if now_us - self._anchor_us < PATIENCE_US or moved_m >= GETS_ON * self._wanted_m:
+        if now_us - self._anchor_at_us < PATIENCE_US or moved_m >= GETS_ON * self._wanted_m:
             return None
         close = [o for o in others if o.distance_m < 2 * self.radius_m + self.near_m]
         if not close:
@@ -118,21 +118,21 @@ class DeadlockYield:
         blocker = min(ahead, key=lambda o: (o.state != State.WORKING, o.slot))
         standing = blocker.state != State.WORKING
         first = standing or blocker.slot < self.slot
-        if not first and now_us - self._anchor_us < LONG_PATIENCE_US:
+        if not first and now_us - self._anchor_at_us < LONG_PATIENCE_US:
             return None
         refuge = self._find(at, wanted if standing else (0.0, 0.0), blocker, others)
         if refuge is None:
             return None
         self.given += 1
         self._for, self._refuge = blocker.slot, refuge
-        self._until_us = now_us + (ROUND_US if standing else REFUGE_US)
-        self._anchor_us, self._wanted_m = self._until_us, 0.0
+        self._yield_ends_at_us = now_us + (ROUND_US if standing else REFUGE_US)
+        self._anchor_at_us, self._wanted_m = self._yield_ends_at_us, 0.0
         return self._go(at, others)
 
     def _go(self, at: Point, others: list[NearbyRobot]) -> Point:
         other = next((o for o in others if o.slot == self._for), None)
         if other is None or other.distance_m > 2 * self.radius_m + APART_M * self.scale:
-            self._until_us = 0  # the way is free
+            self._yield_ends_at_us = 0  # the way is free
         dx_m, dy_m = self._refuge[0] - at[0], self._refuge[1] - at[1]
         distance_m = hypot(dx_m, dy_m)
         if distance_m < 0.3 * self.scale:

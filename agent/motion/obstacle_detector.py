@@ -192,13 +192,13 @@ class ObstacleDetector:
         """Drop points that both rays beside them have passed, and points that are too old."""
         count = len(here.ranges_m)
         step_rad = 2 * pi / count
-        for grain, ((x_m, y_m), seen_us) in list(self.points.items()):
+        for grain, ((x_m, y_m), seen_at_us) in list(self.points.items()):
             dx_m, dy_m = x_m - here.x_m, y_m - here.y_m
             distance_m = hypot(dx_m, dy_m)
             turn = (atan2(dy_m, dx_m) - here.heading_rad) / step_rad
             beside = (here.ranges_m[floor(turn) % count], here.ranges_m[ceil(turn) % count])
             passed = distance_m < WATCH_M and min(beside) > distance_m + BEYOND_M
-            if passed or now_us - seen_us > FORGET_US:
+            if passed or now_us - seen_at_us > FORGET_US:
                 del self.points[grain]
 
 

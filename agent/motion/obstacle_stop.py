@@ -102,7 +102,7 @@ class ObstacleStop:
         self.why = ""  # of the newest question
         self._course: Point = (0.0, 0.0)  # the motion that was stopped, as a direction
         self._sighting = Detection(0.0, 0.0, 0.0)
-        self._seen_us = self._asked_us = self._moved_us = 0
+        self._seen_at_us = self._asked_at_us = self._moved_at_us = 0
 
     @property
     def asking(self) -> bool:
@@ -145,7 +145,7 @@ class ObstacleStop:
         if self.things:
             self._keep_in_mind()
         if sighting is None:
-            self._moved_us = now_us
+            self._moved_at_us = now_us
             return (self._slowed(wanted, here) if self.things else wanted), []
         if self._known((sighting.x_m, sighting.y_m)):
             return self._creep(wanted, here, sighting, may_move, now_us)
@@ -170,7 +170,7 @@ class ObstacleStop:
         speed_m_s = hypot(*motion)
         self._course = motion[0] / speed_m_s, motion[1] / speed_m_s
         self.number = self.number % NUMBERS + 1
-        self._seen_us = now_us
+        self._seen_at_us = now_us
         self.why = f"{sighting.free_m:.1f} m ahead at {sighting.x_m:.1f}, {sighting.y_m:.1f}"
         self._sighting = sighting
         return self._turn(QuestionEvent.BLOCKED, self.why, now_us)
@@ -178,11 +178,11 @@ class ObstacleStop:
     def _stand(self, seen: Detection | None, now_us: int) -> list[Effect]:
         """Stand still until an answer arrives or the obstacle has gone."""
         if seen is not None:
-            self._sighting, self._seen_us = seen, now_us
-        elif now_us - self._seen_us >= FREE_US:
+            self._sighting, self._seen_at_us = seen, now_us
+        elif now_us - self._seen_at_us >= FREE_US:
             return self._turn(QuestionEvent.WAY_FREE, "the way is free", now_us)
-        if self.machine.state is ASKING and now_us - self._asked_us >= ASK_US:
-            self._asked_us = now_us
+        if self.machine.state is ASKING and now_us - self._asked_at_us >= ASK_US:
+            self._asked_at_us = now_us
             return [Send(self.report(ReportKind.ASKING))]
         return []
 
@@ -194,10 +194,10 @@ class ObstacleStop:
         most_m_s = sqrt(2 * self.limits.acceleration_m_s2 * room_m) / 2
         drive = _at_most(wanted, min(most_m_s, CREEP_M_S))
         if hypot(drive.vx_m_s, drive.vy_m_s) > STUCK_M_S or not may_move:
-            self._moved_us = now_us
-        if now_us - self._moved_us < STUCK_US:
+            self._moved_at_us = now_us
+        if now_us - self._moved_at_us < STUCK_US:
             return drive, []
-        self._moved_us = now_us
+        self._moved_at_us = now_us
         return HALT, self._ask(here, self._motions(wanted, here), sighting, now_us)
 
     def _slowed(self, wanted: Drive, here: Observation) -> Drive:
@@ -242,7 +242,7 @@ class ObstacleStop:
         if not self.asking:
             return []
         self.things = frozenset(self.lookout.points)
-        self._moved_us = now_us
+        self._moved_at_us = now_us
         return self._turn(QuestionEvent.TOLD_TO_PASS, why, now_us)
 
     def report(self, matter: ReportKind) -> OperatorReport:
@@ -260,7 +260,7 @@ class ObstacleStop:
         """Move to the next state, and report that to people."""
         source, _ = self.machine.fire(event)
         was, matter = "" if source is NONE else source.name, REPORT[event]
-        self._asked_us = now_us
+        self._asked_at_us = now_us
         return [
             Send(self.report(matter)),
             Trace("pause", was, f"question {self.number}", matter.name, why),

@@ -25,7 +25,7 @@ class RightOfWay:
 
     def __init__(self) -> None:
         self._since: dict[int, tuple[int, int]] = {}  # slot -> which robot goes first, since when
-        self._yield_until_us: dict[int, int] = {}
+        self._yield_ends_at_us: dict[int, int] = {}
 
     def share(self, slot: int, ours: int, theirs: int, age_us: int, now_us: int) -> float:
         """Our share of the avoidance of one moving robot: `LESS`, `HALF` or `MORE`.
@@ -34,13 +34,13 @@ class RightOfWay:
         beat.
         """
         first = (ours == State.WORKING) - (theirs == State.WORKING)
-        before, since_us = self._since.get(slot, (0, now_us))
+        before, start_at_us = self._since.get(slot, (0, now_us))
         if first != before or slot not in self._since:
             if before < 0:
-                self._yield_until_us[slot] = now_us + YIELD_ON_US
+                self._yield_ends_at_us[slot] = now_us + YIELD_ON_US
             self._since[slot] = first, now_us
-            since_us = now_us
-        if first > 0 and now_us - since_us >= TRUST_AFTER_US and age_us < FRESH_US:
+            start_at_us = now_us
+        if first > 0 and now_us - start_at_us >= TRUST_AFTER_US and age_us < FRESH_US:
             return LESS
-        yields = first < 0 and now_us - since_us >= YIELD_AFTER_US
-        return MORE if yields or now_us < self._yield_until_us.get(slot, 0) else HALF
+        yields = first < 0 and now_us - start_at_us >= YIELD_AFTER_US
+        return MORE if yields or now_us < self._yield_ends_at_us.get(slot, 0) else HALF

@@ -44,7 +44,7 @@ class StoppingZone:
 
     def __init__(self, radius_m: float, deceleration_m_s2: float) -> None:
         self.radius_m, self.deceleration_m_s2 = radius_m, deceleration_m_s2
-        self._heard_us: dict[int, int] = {}  # the beat that the places are of
+        self._heard_at_us: dict[int, int] = {}  # the beat that the places are of
         self._places: dict[int, tuple[Point, ...]] = {}
 
     def observe(self, neighbours: Mapping[int, Neighbour], here: Observation, now_us: int) -> None:
@@ -56,10 +56,10 @@ class StoppingZone:
             _, heard_at_us = neighbour
             if now_us - heard_at_us < GONE_QUIET_US:
                 if slot in self._places:
-                    del self._places[slot], self._heard_us[slot]
+                    del self._places[slot], self._heard_at_us[slot]
                 continue
-            if self._heard_us.get(slot) != heard_at_us:
-                self._heard_us[slot] = heard_at_us
+            if self._heard_at_us.get(slot) != heard_at_us:
+                self._heard_at_us[slot] = heard_at_us
                 self._places[slot] = self._way(neighbour)
             places = self._places[slot]
             left = tuple(place for place in places if not self._passed(here, place))

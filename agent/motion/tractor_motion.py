@@ -53,8 +53,8 @@ class TractorMotion(HolonomicMotion):
         )
         self.escape = EscapeManoeuvre(turns, limits.radius_m, steering)
         self.given = 0
-        self._anchor, self._anchor_us = (0.0, 0.0), 0
-        self._until_us = 0
+        self._anchor, self._anchor_at_us = (0.0, 0.0), 0
+        self._wait_ends_at_us = 0
         self._for = -1
 
     def drive(
@@ -72,7 +72,7 @@ class TractorMotion(HolonomicMotion):
         rows, others = self._rows(here, neighbours, now_us)
         pose = Pose(here.x_m, here.y_m, here.heading_rad)
         places = {o.slot: (here.x_m + o.dx_m, here.y_m + o.dy_m) for o in others}
-        if now_us < self._until_us:
+        if now_us < self._wait_ends_at_us:
             wish = self._out_of_the_way(pose, places)
         elif self._stalled(pose, wish, now_us):
             close = [o for o in others if o.distance_m < 2 * self.limits.radius_m + NEAR_M]
@@ -111,8 +111,8 @@ class TractorMotion(HolonomicMotion):
         wants = wish.vx_m_s != 0.0 or wish.vy_m_s != 0.0
         moved_m = hypot(pose.x_m - self._anchor[0], pose.y_m - self._anchor[1])
         if moved_m > GOT_ON_M or not wants:
-            self._anchor, self._anchor_us = pose[:2], now_us
-        return now_us - self._anchor_us >= PATIENCE_US
+            self._anchor, self._anchor_at_us = pose[:2], now_us
+        return now_us - self._anchor_at_us >= PATIENCE_US
 
     def _decide(
         self, pose: Pose, wish: MotionRequest, close: list[NearbyRobot],
@@ -124,15 +124,15 @@ class TractorMotion(HolonomicMotion):
             return wish
         blocker = min(ahead, key=lambda o: (o.distance_m, o.slot))
         first = blocker.slot < self.slot
-        if not first and now_us - self._anchor_us < LONG_PATIENCE_US:
+        if not first and now_us - self._anchor_at_us < LONG_PATIENCE_US:
             return wish
         self.escape.follow = None
         self._for = blocker.slot
         if self.escape.find(pose, [places[blocker.slot]], list(places.values())) is None:
             return wish
         self.given += 1
-        self._until_us = now_us + WAIT_US
-        self._anchor_us = self._until_us
+        self._wait_ends_at_us = now_us + WAIT_US
+        self._anchor_at_us = self._wait_ends_at_us
         return self._out_of_the_way(pose, places)
 
     def _out_of_the_way(
@@ -143,7 +143,7 @@ class TractorMotion(HolonomicMotion):
             hypot(other[0] - pose.x_m, other[1] - pose.y_m)
             > 2 * self.limits.radius_m + MARGIN_M + APART_M
         ):
-            self._until_us = 0
+            self._wait_ends_at_us = 0
             self.escape.follow = None
             return MotionRequest(0.0, 0.0)
         gap_m = hypot(other[0] - pose.x_m, other[1] - pose.y_m)

@@ -113,8 +113,8 @@ class NavigationMission(Mission):
         self._planned = False  # a joint plan was driven since the last path
         # The extrapolated positions of robots last received within `CLOSE_M`, by slot.
         self._around: dict[int, Point] = {}
-        self._alone_us = 0  # when we last were not a member of the fleet
-        self._vouched_us: dict[
+        self._alone_at_us = 0  # when we last were not a member of the fleet
+        self._vouched_at_us: dict[
             int, int
         ] = {}  # slot -> when another robot last reported to receive it
         # Number of calls since we last arrived, and the earliest time of the next call.
@@ -188,7 +188,7 @@ class NavigationMission(Mission):
         here = view.here
         self.bodies.observe(view)
         dead, silent = self.bodies.dead, view.fell_silent_at_us
-        gone = {s for s, since_us in silent.items() if view.now_us - since_us > DEAD_US}
+        gone = {s for s, start_at_us in silent.items() if view.now_us - start_at_us > DEAD_US}
         self._around = {
             s: _now_at(n, view.now_us)
             for s, n in view.neighbours.items()
@@ -199,8 +199,8 @@ class NavigationMission(Mission):
         if (
             state is State.DISCONNECTED
         ):  # without a fleet, the echo of a robot would count as an obstacle
-            self._alone_us = view.now_us
-        if view.now_us - self._alone_us > ACQUAINTED_US:
+            self._alone_at_us = view.now_us
+        if view.now_us - self._alone_at_us > ACQUAINTED_US:
             self.hazards.observe(here, reach_m, around, view.now_us, dead)
         stopped = state is State.EMERGENCY_STOP
         answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer
@@ -217,10 +217,12 @@ class NavigationMission(Mission):
         if not gone:
             return False
         for pose, heard_at_us in view.neighbours.values():
-            self._vouched_us[pose.heard] = max(self._vouched_us.get(pose.heard, 0), heard_at_us)
+            self._vouched_at_us[pose.heard] = max(
+                self._vouched_at_us.get(pose.heard, 0), heard_at_us
+            )
         return any(
-            self._vouched_us.get(s, 0) > view.fell_silent_at_us[s] + DEAD_US
-            and view.now_us - self._vouched_us[s] < VOUCHED_US
+            self._vouched_at_us.get(s, 0) > view.fell_silent_at_us[s] + DEAD_US
+            and view.now_us - self._vouched_at_us[s] < VOUCHED_US
             for s in gone
         )
 
@@ -384,10 +386,10 @@ class NavigationMission(Mission):
         """Whether to call a round: we make no progress and a robot is near, or a passage ahead is
         taken.
         """
-        along_m, since_us = self._gone_on
+        along_m, start_at_us = self._gone_on
         if tracker.along_m > along_m + GOT_ON_M or wanted_m_s < WANTS_M_S:
             self._gone_on = (tracker.along_m, view.now_us)
-        elif view.now_us - since_us > STALL_US and self._near(view):
+        elif view.now_us - start_at_us > STALL_US and self._near(view):
             return True
         return self._head_on(tracker, view)
 

@@ -43,7 +43,7 @@ class Replanning:
         # The path that was left, until when it is kept, and the arc length by which the obstacle on
         # it was at the latest.
         self._kept: tuple[PathTracker, int, float] | None = None
-        self._not_before_us = 0
+        self._allowed_at_us = 0
 
     def observe(self, here: Observation, tracker: PathTracker) -> None:
         """Once each control period, after `hazards.look`: what stands on the path, by our rays and
@@ -86,7 +86,7 @@ class Replanning:
 
     def due(self, now_us: int) -> bool:
         """Whether it is time to search for a detour."""
-        return self._ticks > TICKS and now_us >= self._not_before_us
+        return self._ticks > TICKS and now_us >= self._allowed_at_us
 
     def detour(
         self, at: Point, goal: Point, left: PathTracker, now_us: int
@@ -95,7 +95,7 @@ class Replanning:
 
         `left`: the path that we are on; it is kept for `KEPT_US`.
         """
-        self._ticks, self._not_before_us = 0, now_us + AGAIN_US
+        self._ticks, self._allowed_at_us = 0, now_us + AGAIN_US
         path = self.path(at, goal)
         if path is None:
             return None
@@ -106,8 +106,8 @@ class Replanning:
         """The path that was left, if nothing stands on it any more; otherwise None."""
         if self._kept is None:
             return None
-        tracker, until_us, beyond_m = self._kept
-        if now_us > until_us:
+        tracker, end_at_us, beyond_m = self._kept
+        if now_us > end_at_us:
             self._kept = None
             return None
         tracker.locate(here.x_m, here.y_m)
@@ -119,4 +119,4 @@ class Replanning:
 
     def forget(self) -> None:
         """There is another goal or another path: forget the old ones."""
-        self._ticks, self._kept, self._not_before_us = 0, None, 0
+        self._ticks, self._kept, self._allowed_at_us = 0, None, 0

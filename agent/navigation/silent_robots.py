@@ -36,18 +36,18 @@ class SilentRobots:
         self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
         self.known: dict[int, SilentPosition] = {}
         self.dead: dict[int, Point] = {}  # bodies that stand now
-        self._due_us: dict[int, int] = {}  # slot -> when we send its position next
-        self._heard_us: dict[int, int] = {}  # slot -> time of the beat in our record
+        self._due_at_us: dict[int, int] = {}  # slot -> when we send its position next
+        self._heard_at_us: dict[int, int] = {}  # slot -> time of the beat in our record
 
     def observe(self, view: FleetView) -> None:
         """Once each control period: update which members are silent and which are back."""
         now_us = view.now_us
-        for slot, since_us in view.fell_silent_at_us.items():
+        for slot, silent_at_us in view.fell_silent_at_us.items():
             neighbour = view.neighbours.get(slot)
-            if neighbour is None or now_us - since_us <= DEAD_US:
+            if neighbour is None or now_us - silent_at_us <= DEAD_US:
                 continue
-            if self._heard_us.get(slot) != neighbour.heard_at_us:
-                self._heard_us[slot] = neighbour.heard_at_us
+            if self._heard_at_us.get(slot) != neighbour.heard_at_us:
+                self._heard_at_us[slot] = neighbour.heard_at_us
                 stamp = self.clock.read(neighbour.heard_at_us)
                 word = SilentPosition(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
                 # Pack and unpack, so that we store the same rounded numbers that we send.
@@ -63,7 +63,7 @@ class SilentRobots:
             ):  # it drove on without being received, or was moved
                 gone = SilentPosition(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
                 self._join(gone, now_us)
-                self._due_us[slot] = now_us
+                self._due_at_us[slot] = now_us
                 del self.dead[slot]
 
     def _silent(self, slot: int, view: FleetView) -> bool:
@@ -71,8 +71,8 @@ class SilentRobots:
 
         A member that we never received is known only from others' frames, and counts as silent.
         """
-        since_us = view.fell_silent_at_us.get(slot)
-        return since_us is None or view.now_us - since_us > DEAD_US
+        silent_at_us = view.fell_silent_at_us.get(slot)
+        return silent_at_us is None or view.now_us - silent_at_us > DEAD_US
 
     def on_message(self, word: SilentPosition, now_us: int) -> None:
         """Take in another robot's frame about a silent member; one about us is ignored."""
@@ -83,22 +83,22 @@ class SilentRobots:
 
     def _join(self, word: SilentPosition, now_us: int) -> None:
         known = self.known.get(word.slot)
-        wait_us = TOLD_US
+        wait_for_us = TOLD_US
         if known is None or _rank(word) > _rank(known):
             self.known[word.slot] = word
         elif word != known:
-            wait_us = 0  # the sender's knowledge is older, so answer without delay
-        self._due_us[word.slot] = now_us + wait_us + self.slot * SPACED_US
+            wait_for_us = 0  # the sender's knowledge is older, so answer without delay
+        self._due_at_us[word.slot] = now_us + wait_for_us + self.slot * SPACED_US
 
     def outgoing(self, hurried: bool, now_us: int) -> Iterable[SilentPosition]:
         """The frames that are due with our beat, at most `WORDS_A_BEAT`.
 
         `hurried`: a round of agreement waits until all robots know the same, so repeat more often.
         """
-        soon_us = TOLD_US - HURRY_US if hurried else 0
-        due = [s for s, due_at_us in self._due_us.items() if due_at_us - soon_us <= now_us]
+        soon_for_us = TOLD_US - HURRY_US if hurried else 0
+        due = [s for s, due_at_us in self._due_at_us.items() if due_at_us - soon_for_us <= now_us]
         for slot in due[:WORDS_A_BEAT]:
-            self._due_us[slot] = now_us + TOLD_US + self.slot * SPACED_US
+            self._due_at_us[slot] = now_us + TOLD_US + self.slot * SPACED_US
             yield self.known[slot]
 
 

@@ -59,7 +59,7 @@ class Announcements(Part):
         self.slot, self.beat, self.members = identity.slot, beat, len(identity.members)
         self.safety, self.joining, self.senses, self.knowledge = safety, joining, senses, knowledge
         self.conflicts, self.clock, self.sync = conflicts, clock, sync
-        self.next_at_us = now_us + phase_us(identity, beat)
+        self.next_at_us = now_us + first_beat_for_us(identity, beat)
         self.beats_a_heartbeat = beat.heartbeat_period_us // beat.pose_period_us
         self.beats = self.slot % self.beats_a_heartbeat  # heartbeats are spread over the beats
         self.heartbeats = 0
@@ -182,6 +182,6 @@ class Announcements(Part):
         )
 
 
-def phase_us(identity: Identity, beat: BeaconTiming) -> int:
+def first_beat_for_us(identity: Identity, beat: BeaconTiming) -> int:
     """When the first beacon of this slot is sent after its boot, so that beacons are spread."""
     return beat.pose_period_us * identity.slot // max(len(identity.members), identity.slot + 1)

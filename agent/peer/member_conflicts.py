@@ -36,9 +36,8 @@ class Conflicts(Part):
         self.safety, self.joining = safety, joining
         self._cause_of: dict[int, StopCause] = {}  # address of the other machine
         self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
-        self._doubled_first_at_us: int | None = (
-            None  # since when another machine sends from our address
-        )
+        # since when another machine sends from our address
+        self._doubled_first_at_us: int | None = None
         self._doubled_last_at_us = -GONE_US
 
     @property

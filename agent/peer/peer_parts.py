@@ -14,7 +14,7 @@ from agent.interface.identity import Identity
 from agent.interface.lifecycle import Event
 from agent.interface.mission import Mission
 from agent.interface.motion_controller import MotionController
-from agent.peer.announcements import Announcements, phase_us
+from agent.peer.announcements import Announcements, first_beat_for_us
 from agent.peer.control_cycle import ControlCycle
 from agent.peer.durable_records import DurableRecords
 from agent.peer.fleet_summary import BULLETIN_PGN, compose, write
@@ -143,7 +143,7 @@ class PeerParts:
             self.directive, self.views, mission,
         )  # fmt: skip
         self.control = ControlCycle(
-            now_us + phase_us(identity, beat) % CONTROL_PERIOD_US, mission, motion, self.work,
+            now_us + first_beat_for_us(identity, beat) % CONTROL_PERIOD_US, mission, motion, self.work,
             self.directive, self.obstacle, self.senses, self.views, self._may_choose,
         )  # fmt: skip
         self.voice = Announcements(

@@ -63,9 +63,8 @@ class SelfCheck(Part):
         self._looked_at_us = now_us  # when the driver was asked last
         self._well_at_us: int | None = None  # since when we are received again, while UNHEARD holds
         self._probed_at_us = now_us
-        self._confirms_at_us = (
-            now_us  # before this, missing confirmations mean nothing: we just joined
-        )
+        # before this, missing confirmations mean nothing: we just joined
+        self._confirms_at_us = now_us
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:

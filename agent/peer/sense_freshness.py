@@ -46,9 +46,8 @@ class Senses(Part):
         self.here: Observation | None = None  # the newest observation
         self.current = False  # whether the sensed place is our current place
         self._sensed_at_us: int | None = None  # time of the newest observation
-        self._compared_at_us: int | None = (
-            None  # time of the observation last compared with the wheels
-        )
+        # time of the observation last compared with the wheels
+        self._compared_at_us: int | None = None
         self._late_at_us = 0  # when the senses were last old
         self._drive: Drive = HALT  # the command in force since the last period
         self._anchor: Observation | None = None  # the last observation at which the place changed

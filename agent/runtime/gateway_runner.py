@@ -61,7 +61,7 @@ class GatewayShell:
         self.frames = 0  # count of frames sent on our bus
         self._clock, self._at = clock, at
         self._timer: Timer | None = None
-        self._timer_us = 0
+        self._timer_at_us = 0
         self._open = True
 
     def begin(self) -> None:
@@ -108,8 +108,8 @@ class GatewayShell:
     def _arm(self) -> None:
         due_at_us = self.gateway.due_at_us
         if self._timer is not None:
-            if self._timer_us <= due_at_us:
+            if self._timer_at_us <= due_at_us:
                 return  # the timer fires earlier, finds nothing due, and is set again
             self._timer.cancel()
-        self._timer_us = due_at_us
+        self._timer_at_us = due_at_us
         self._timer = self._at(due_at_us, self._due)

@@ -81,11 +81,11 @@ class CommandAuthority:
         if self.keyring is None:
             return True
         order = (type(m), *m[:-2])  # without freshness and tag
-        said_us = self._orders.pop(order, -AGREE_US - 1)
+        said_at_us = self._orders.pop(order, -AGREE_US - 1)
         self._orders[order] = now_us
         if len(self._orders) > ORDERS_MAX:
             del self._orders[next(iter(self._orders))]
-        return now_us - said_us <= AGREE_US
+        return now_us - said_at_us <= AGREE_US
 
     def ask(self, sender: int | None, now_us: int) -> Sequence[Effect]:
         """A challenge to the sender of a frame that was not believed, or no effect.

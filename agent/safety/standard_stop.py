@@ -30,8 +30,9 @@ STOPS: Final = (Switch.STOP, Switch.ERROR)
 class _Button:
     switch: int
     count: int
-    until_us: int  # it holds until then
-    missed_us: int = 0  # until then a missed press holds, even if the button now sends a permit
+    ends_at_us: int  # it holds until then
+    # until then a missed press holds, even if the button now sends a permit
+    missed_ends_at_us: int = 0
 
     @property
     def said(self) -> tuple[int, int]:
@@ -48,7 +49,8 @@ class ShortcutButtons:
 
     def __init__(self) -> None:
         self._buttons: dict[int, _Button] = {}
-        self._beyond_us = 0  # until then a button holds that was dropped because the table was full
+        # until then a button holds that was dropped because the table was full
+        self._dropped_end_at_us = 0
         self.missed = 0  # count of presses whose frames were lost
 
     def __len__(self) -> int:
@@ -72,14 +74,14 @@ class ShortcutButtons:
             return
         button = _Button(m.switch, m.transition, now_us)
         if known is not None:
-            button.missed_us = known.missed_us
+            button.missed_ends_at_us = known.missed_ends_at_us
         if m.switch in STOPS:
-            button.until_us = now_us + HOLD_US
+            button.ends_at_us = now_us + HOLD_US
             if robot and known is not None and known.said == button.said:
-                button.until_us = known.until_us
+                button.ends_at_us = known.ends_at_us
         elif known is not None and _missed(known.count, m.transition):
             self.missed += 1
-            button.missed_us = now_us + HOLD_US
+            button.missed_ends_at_us = now_us + HOLD_US
         self._keep(key, button, now_us)
 
     def _keep(self, key: int, button: _Button, now_us: int) -> None:
@@ -87,16 +89,20 @@ class ShortcutButtons:
         self._buttons[key] = button
         if len(self._buttons) <= BUTTONS_MAX:
             return
-        free = (k for k, b in self._buttons.items() if max(b.until_us, b.missed_us) <= now_us)
+        free = (
+            k for k, b in self._buttons.items() if max(b.ends_at_us, b.missed_ends_at_us) <= now_us
+        )
         gone = self._buttons.pop(next(free, next(iter(self._buttons))))
-        self._beyond_us = max(self._beyond_us, gone.until_us, gone.missed_us)
+        self._dropped_end_at_us = max(
+            self._dropped_end_at_us, gone.ends_at_us, gone.missed_ends_at_us
+        )
 
-    def until_us(self) -> int:
+    def ends_at_us(self) -> int:
         """The time at which the last known stop ends if no further frame arrives; 0 if none was
         known.
         """
-        ends = (max(b.until_us, b.missed_us) for b in self._buttons.values())
-        return max(self._beyond_us, max(ends, default=0))
+        ends = (max(b.ends_at_us, b.missed_ends_at_us) for b in self._buttons.values())
+        return max(self._dropped_end_at_us, max(ends, default=0))
 
 
 def _missed(known: int, count: int) -> bool:
@@ -118,9 +124,9 @@ class OwnButton:
         self.transitions = 0  # changes from permit to stop since power up
         self._stopped = self._pressed = False
         self._permits = 0  # permits still to be sent
-        self._said_us = -SAY_US
-        self._latched_us: int | None = None
-        self._heard_us = -TAKE_OVER_US  # when another robot last sent the fleet's stop
+        self._said_at_us = -SAY_US
+        self._latched_at_us: int | None = None
+        self._heard_at_us = -TAKE_OVER_US  # when another robot last sent the fleet's stop
 
     def press(self, now_us: int) -> AllImplementsStop:
         """The frame to send immediately because the stop was pressed at this machine."""
@@ -129,14 +135,14 @@ class OwnButton:
 
     def on_message(self, m: AllImplementsStop, now_us: int) -> None:
         """Another robot's frame: its stop is sent for the whole fleet, and its permit ends that."""
-        self._heard_us = now_us if m.switch == Switch.STOP else now_us - TAKE_OVER_US
+        self._heard_at_us = now_us if m.switch == Switch.STOP else now_us - TAKE_OVER_US
 
     def release(self, now_us: int) -> AllImplementsStop | None:
         """The first permit, after a person has reset this machine; None if it has sent no stop."""
-        self._pressed, self._latched_us = False, None
+        self._pressed, self._latched_at_us = False, None
         if not self._stopped:
             return None
-        self._stopped, self._permits, self._said_us = False, PERMITS, now_us
+        self._stopped, self._permits, self._said_at_us = False, PERMITS, now_us
         return AllImplementsStop(self.transitions & COUNT_MAX, Switch.PERMIT)
 
     @property
@@ -152,24 +158,24 @@ class OwnButton:
         """
         if not latched:
             return self._permit(now_us)
-        if self._latched_us is None:
-            self._latched_us = now_us
-        due_at_us = self._said_us + SAY_US
+        if self._latched_at_us is None:
+            self._latched_at_us = now_us
+        due_at_us = self._said_at_us + SAY_US
         if not self._pressed:
-            turn_us = max(self._latched_us, self._heard_us + TAKE_OVER_US) + rank * RANK_US
-            due_at_us = max(due_at_us, turn_us)
+            turn_at_us = max(self._latched_at_us, self._heard_at_us + TAKE_OVER_US) + rank * RANK_US
+            due_at_us = max(due_at_us, turn_at_us)
         return self._stop(now_us) if now_us >= due_at_us else None
 
     def _permit(self, now_us: int) -> AllImplementsStop | None:
         if self._stopped:
             return self.release(now_us)
-        if not self._permits or now_us - self._said_us < SAY_US:
+        if not self._permits or now_us - self._said_at_us < SAY_US:
             return None
-        self._permits, self._said_us = self._permits - 1, now_us
+        self._permits, self._said_at_us = self._permits - 1, now_us
         return AllImplementsStop(self.transitions & COUNT_MAX, Switch.PERMIT)
 
     def _stop(self, now_us: int) -> AllImplementsStop:
         if not self._stopped:
             self.transitions += 1
-        self._stopped, self._permits, self._said_us = True, 0, now_us
+        self._stopped, self._permits, self._said_at_us = True, 0, now_us
         return AllImplementsStop(self.transitions & COUNT_MAX, Switch.STOP)

@@ -81,23 +81,23 @@ class StopController:
         began = bytes((incarnation >> 8 & 0xFF,))
         self.counter = int.from_bytes(recalled.get(COUNTER_KEY, began), "little")
         self._causes: dict[StopCause, str] = {StopCause.NOT_STARTED: "boot"}
-        self._expires_us: dict[StopCause, int] = {}
+        self._expires_at_us: dict[StopCause, int] = {}
         self._live: frozenset[int] = frozenset({slot})
         self._silent: frozenset[int] = frozenset()
-        self._stable_us = now_us
+        self._stable_at_us = now_us
         self.stopped_at_us = -STOP_SPACING_US  # when the newest stop was pressed or received
         self.last_stop: tuple[int, Reason] | None = None  # slot of the presser, and the reason
         self._reasons: dict[StopDot, Reason] = {}  # reasons of our own presses still being repeated
         self._echoes: dict[StopDot, set[int]] = {}
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._free: set[int] = set()  # members that were not stopped at our press or later
-        self._repeat_us, self._again, self._pressed_us = FOREVER, 0, -STOP_SPACING_US
-        self._answered_us = -ANSWER_SPACING_US
+        self._repeat_at_us, self._again, self._pressed_at_us = FOREVER, 0, -STOP_SPACING_US
+        self._answered_at_us = -ANSWER_SPACING_US
         self.buttons, self.button = ShortcutButtons(), OwnButton()
-        self._asked_us = self._more_us = -ANSWER_SPACING_US
+        self._asked_at_us = self._repeated_at_us = -ANSWER_SPACING_US
         # Stops sent with a dot that was cleared before: time of the first and of the newest frame.
-        self._spent_since_us = self._spent_us = -SPENT_FORGET_US
-        self._spent_told_us, self._renew_us, self._renewals = -ANSWER_SPACING_US, FOREVER, 0
+        self._spent_first_at_us = self._spent_last_at_us = -SPENT_FORGET_US
+        self._spent_told_at_us, self._renew_at_us, self._renewals = -ANSWER_SPACING_US, FOREVER, 0
         # Last dot sent by `tell_stops`; the rotation goes on there.
         self._told: StopDot | None = None
         self._recall(recalled)
@@ -180,12 +180,12 @@ class StopController:
         """
         self._causes[cause] = detail
         if for_us:
-            self._expires_us[cause] = now_us + for_us
+            self._expires_at_us[cause] = now_us + for_us
 
     def clear_cause(self, cause: StopCause, now_us: int) -> None:
         """End a cause; nothing happens if it is not active."""
         self._causes.pop(cause, None)
-        self._expires_us.pop(cause, None)
+        self._expires_at_us.pop(cause, None)
 
     # ---------------------------------------------------------------- stops
 
@@ -197,19 +197,19 @@ class StopController:
         `STOP_SPACING_US` is the same press and only brakes.
         """
         # A second press within the spacing is the same press. A clock set back does not count as one.
-        if 0 <= now_us - self._pressed_us < STOP_SPACING_US:
+        if 0 <= now_us - self._pressed_at_us < STOP_SPACING_US:
             return [HALT]
         self._again, self._renewals, self._free = AGAIN_MAX, RENEWALS_MAX, set(free)
         return self._press(reason, now_us)
 
     def _press(self, reason: Reason, now_us: int) -> Sequence[Effect]:
-        self._pressed_us = self.stopped_at_us = now_us
+        self._pressed_at_us = self.stopped_at_us = now_us
         dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
         self.stops.press_own(dot)
-        self._renew_us = FOREVER
+        self._renew_at_us = FOREVER
         self.last_stop, self._reasons[dot] = (self.slot, reason), reason
         self._causes[StopCause.STOP_DOT] = f"pressed here: {reason.name}"
-        self._own[dot], self._repeat_us = REPEATS_MAX, now_us + STOP_REPEAT_US
+        self._own[dot], self._repeat_at_us = REPEATS_MAX, now_us + STOP_REPEAT_US
         return [
             HALT,
             Send(self._stop(dot, reason)),
@@ -249,7 +249,7 @@ class StopController:
         self.stopped_at_us = now_us
         reason = Reason(min(m.reason, max(Reason)))
         self.last_stop = m.slot, reason
-        self._renew_us = FOREVER
+        self._renew_at_us = FOREVER
         self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         self._echoes.setdefault(dot, set()).add(self.slot)
         return [
@@ -269,10 +269,10 @@ class StopController:
         """
         self.press_used(dot, now_us)
         rank = sum(slot < self.slot for slot in self._live)
-        turn_us = max(self._spent_told_us + ANSWER_SPACING_US, self._spent_since_us)
-        if now_us < turn_us + rank * STOP_REPEAT_US:
+        turn_at_us = max(self._spent_told_at_us + ANSWER_SPACING_US, self._spent_first_at_us)
+        if now_us < turn_at_us + rank * STOP_REPEAT_US:
             return [HALT]
-        self._spent_told_us = now_us
+        self._spent_told_at_us = now_us
         reason = Reason.OPERATOR_INTERVENTION
         answer = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, True, spent=True)
         return [HALT, Send(self.authority.sign(answer))]
@@ -283,24 +283,24 @@ class StopController:
         If it is still sent after `AGAIN_US`, the first robot in slot order presses with a dot of
         its own, unless a stop latches it already.
         """
-        if now_us - self._spent_us > SPENT_FORGET_US or now_us < self._spent_us:
-            self._spent_since_us = now_us
-        self._spent_us = now_us
+        if now_us - self._spent_last_at_us > SPENT_FORGET_US or now_us < self._spent_last_at_us:
+            self._spent_first_at_us = now_us
+        self._spent_last_at_us = now_us
         self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
-        if now_us - self._spent_since_us >= AGAIN_US and not self.stops.latched:
+        if now_us - self._spent_first_at_us >= AGAIN_US and not self.stops.latched:
             rank = sum(slot < self.slot for slot in self._live)
-            self._renew_us = min(self._renew_us, now_us + rank * STOP_REPEAT_US)
+            self._renew_at_us = min(self._renew_at_us, now_us + rank * STOP_REPEAT_US)
         return [HALT]
 
     def _hear_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
         """A member reports that a press used a cleared dot. If the press is ours, press with a new
         dot.
         """
-        self._spent_told_us = now_us
+        self._spent_told_at_us = now_us
         if dot not in self._own:
             self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
             return [HALT]
-        if not self._renewals or now_us - self._pressed_us < STOP_SPACING_US:
+        if not self._renewals or now_us - self._pressed_at_us < STOP_SPACING_US:
             return ()
         self._renewals -= 1
         return self._press(Reason.OPERATOR_INTERVENTION, now_us)
@@ -311,10 +311,10 @@ class StopController:
         The digest of the held stops changes with each press but not with its repetition, so a reset
         that names an earlier digest does not clear this press."""
         first = not self.stops.more
-        if not first and (echo or now_us - self._more_us < STOP_SPACING_US):
+        if not first and (echo or now_us - self._repeated_at_us < STOP_SPACING_US):
             return ()
         self.stops.press_more()
-        self._more_us = now_us
+        self._repeated_at_us = now_us
         return [HALT, *self._remember()] if first else ()
 
     def latch_far(self, dot: RemoteStopDot, now_us: int) -> Sequence[Effect]:
@@ -349,7 +349,7 @@ class StopController:
         if not self.stops.press(dot):
             return ()
         self.stopped_at_us = now_us
-        self._renew_us = FOREVER
+        self._renew_at_us = FOREVER
         self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [
             HALT,
@@ -383,7 +383,7 @@ class StopController:
             return ()
         if active:
             self._free.add(slot)
-        if self._own and self._again and now_us - self._pressed_us >= AGAIN_US:
+        if self._own and self._again and now_us - self._pressed_at_us >= AGAIN_US:
             self._again -= 1
             return self._press(Reason.OPERATOR_INTERVENTION, now_us)
         return self.tell_stops(now_us) if active else ()
@@ -393,9 +393,9 @@ class StopController:
 
         At most one reply in `ANSWER_SPACING_US`; the next reply goes on where this one ended.
         """
-        if now_us - self._answered_us < ANSWER_SPACING_US:
+        if now_us - self._answered_at_us < ANSWER_SPACING_US:
             return ()
-        self._answered_us = now_us
+        self._answered_at_us = now_us
         dots = next_in_rotation(self.stops.active, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
         return [Send(self._stop(d, Reason.OPERATOR_INTERVENTION, echo=True)) for d in dots]
@@ -407,9 +407,9 @@ class StopController:
         `question`: the 48-bit nonce of the challenge; it is used once.
         """
         told = self.tell_stops(now_us)
-        if now_us - self._asked_us < ANSWER_SPACING_US or not self.latched:
+        if now_us - self._asked_at_us < ANSWER_SPACING_US or not self.latched:
             return told
-        self._asked_us = now_us
+        self._asked_at_us = now_us
         return [*told, Send(self.authority.vouch(self.held_stops, question))]
 
     @property
@@ -460,11 +460,14 @@ class StopController:
         self.buttons.on_message(source, name, robot, m, now_us)
         if robot:
             self.button.on_message(m, now_us)
-        held_us, held = self.buttons.until_us() - now_us, StopCause.IMPLEMENTS_STOP in self._causes
-        if held_us <= 0:
+        held_for_us, held = (
+            self.buttons.ends_at_us() - now_us,
+            StopCause.IMPLEMENTS_STOP in self._causes,
+        )
+        if held_for_us <= 0:
             self.clear_cause(StopCause.IMPLEMENTS_STOP, now_us)
             return ()
-        self.raise_cause(StopCause.IMPLEMENTS_STOP, now_us, f"address {source}", held_us)
+        self.raise_cause(StopCause.IMPLEMENTS_STOP, now_us, f"address {source}", held_for_us)
         return [HALT] if m.switch in STOPS or not held else ()
 
     def say_button(self, live: Collection[int], now_us: int) -> Sequence[Effect]:
@@ -532,7 +535,7 @@ class StopController:
         leaving.
         """
         brake = bool(silent - self._silent)
-        self._live, self._silent, self._stable_us = live, silent, now_us
+        self._live, self._silent, self._stable_at_us = live, silent, now_us
         if brake:
             self.clear_cause(StopCause.CREEP, now_us)
             self.raise_cause(StopCause.MEMBER_SILENT, now_us, f"silent {sorted(silent)}")
@@ -542,27 +545,29 @@ class StopController:
     @property
     def due_at_us(self) -> int:
         """The earliest time at which `on_tick` has something to do."""
-        deadline = min(self._repeat_us, self._renew_us)
+        deadline = min(self._repeat_at_us, self._renew_at_us)
         if not self._causes:  # only causes expire
             return deadline
         if self._settles:
-            deadline = min(deadline, self._stable_us + MEMBERSHIP_STABLE_US)
-        for expires_us in self._expires_us.values():
-            deadline = min(deadline, expires_us)
+            deadline = min(deadline, self._stable_at_us + MEMBERSHIP_STABLE_US)
+        for expires_at_us in self._expires_at_us.values():
+            deadline = min(deadline, expires_at_us)
         return deadline
 
     def on_tick(self, now_us: int) -> Sequence[Effect]:
         """Whatever is due now: causes end, stops are repeated, a press that was due to us is made."""
         if now_us < self.due_at_us:
             return ()
-        for cause in [c for c, expires_us in self._expires_us.items() if expires_us <= now_us]:
+        for cause in [
+            c for c, expires_at_us in self._expires_at_us.items() if expires_at_us <= now_us
+        ]:
             self.clear_cause(cause, now_us)
         self._end_silence(now_us)
-        if now_us >= self._renew_us:
-            self._renew_us = FOREVER
+        if now_us >= self._renew_at_us:
+            self._renew_at_us = FOREVER
             if not self.stops.latched:
                 return self.press(Reason.OPERATOR_INTERVENTION, now_us)
-        return self._repeat(now_us) if now_us >= self._repeat_us else ()
+        return self._repeat(now_us) if now_us >= self._repeat_at_us else ()
 
     @property
     def _settles(self) -> bool:
@@ -572,7 +577,7 @@ class StopController:
         return CREEP in self._causes and not self._silent
 
     def _end_silence(self, now_us: int) -> None:
-        if not self._settles or now_us < self._stable_us + MEMBERSHIP_STABLE_US:
+        if not self._settles or now_us < self._stable_at_us + MEMBERSHIP_STABLE_US:
             return
         self.clear_cause(StopCause.MEMBER_SILENT, now_us)
         if self._silent and self.policy is SilencePolicy.SLOW:
@@ -596,8 +601,8 @@ class StopController:
             self._own[dot] = left - (not unheard)
             reason = self._reasons.get(dot, Reason.OPERATOR_INTERVENTION)
             sends.append(Send(self._stop(dot, reason)))
-        pause_us = REPEAT_UNHEARD_US if unheard else STOP_REPEAT_US
-        self._repeat_us = now_us + pause_us if self._own else FOREVER
+        pause_for_us = REPEAT_UNHEARD_US if unheard else STOP_REPEAT_US
+        self._repeat_at_us = now_us + pause_for_us if self._own else FOREVER
         return sends
 
     # ---------------------------------------------------------------- the gate

@@ -59,10 +59,10 @@ class FleetStops(Part):
         self._pressed = safety.stops.active
         self._far = safety.far.active
         self._cleared = safety.stops.cleared
-        self._stop_due_us: dict[StopDot, int] = {}  # stops of our segment, to send to the others
-        self._reset_due_us: dict[RemoteStopDot, int] = {}
+        self._stop_due_at_us: dict[StopDot, int] = {}  # stops of our segment, to send to the others
+        self._reset_due_at_us: dict[RemoteStopDot, int] = {}
         self._halves: dict[tuple[RemoteStopDot, int], int] = {}
-        self._told_us = -ANSWER_SPACING_US
+        self._told_at_us = -ANSWER_SPACING_US
         self._told: RemoteStopDot | None = None  # last dot sent; the rotation goes on there
 
     @property
@@ -119,12 +119,12 @@ class FleetStops(Part):
         place = sorted(live).index(self.slot)
         for dot in active - self._pressed:
             next_in_rotation = 0 if dot.slot == self.slot else place
-            self._stop_due_us.setdefault(dot, now_us + next_in_rotation * TURN_US)
+            self._stop_due_at_us.setdefault(dot, now_us + next_in_rotation * TURN_US)
         for dot in cleared - self._cleared:
-            self._stop_due_us.pop(dot, None)
-            self._reset_due_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
+            self._stop_due_at_us.pop(dot, None)
+            self._reset_due_at_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
         for far_dot in self._far - far:  # a reset of all held stops names no dot in other segments
-            self._reset_due_us.setdefault(far_dot, now_us + place * TURN_US)
+            self._reset_due_at_us.setdefault(far_dot, now_us + place * TURN_US)
         self._pressed, self._cleared, self._far = active, cleared, far
         self.holds_far = self.safety.far.latched
 
@@ -135,20 +135,20 @@ class FleetStops(Part):
 
     @property
     def due_at_us(self) -> int:
-        if not self._stop_due_us and not self._reset_due_us:
+        if not self._stop_due_at_us and not self._reset_due_at_us:
             return FOREVER
-        return min((*self._stop_due_us.values(), *self._reset_due_us.values()))
+        return min((*self._stop_due_at_us.values(), *self._reset_due_at_us.values()))
 
     def tick(self, now_us: int) -> Sequence[Effect]:
         """The stops and resets that are due now, for all segments."""
         if now_us < self.due_at_us:
             return ()
         effects: list[Effect] = []
-        for dot in [d for d, due_at_us in self._stop_due_us.items() if due_at_us <= now_us]:
-            del self._stop_due_us[dot]
+        for dot in [d for d, due_at_us in self._stop_due_at_us.items() if due_at_us <= now_us]:
+            del self._stop_due_at_us[dot]
             effects.append(Send(self.say_stop(self._everywhere(dot))))
-        for far in [d for d, due_at_us in self._reset_due_us.items() if due_at_us <= now_us]:
-            del self._reset_due_us[far]
+        for far in [d for d, due_at_us in self._reset_due_at_us.items() if due_at_us <= now_us]:
+            del self._reset_due_at_us[far]
             effects += [Send(half) for half in self.say_reset(far)]
         return effects
 
@@ -157,9 +157,9 @@ class FleetStops(Part):
 
         At most one reply in `ANSWER_SPACING_US`; the next one goes on where this one ended.
         """
-        if now_us - self._told_us < ANSWER_SPACING_US:
+        if now_us - self._told_at_us < ANSWER_SPACING_US:
             return ()
-        self._told_us = now_us
+        self._told_at_us = now_us
         held = [*map(self._everywhere, self.safety.stops.active), *self.safety.far.active]
         dots = next_in_rotation(held, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
@@ -186,7 +186,7 @@ class FleetStops(Part):
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if near is not None:
-            self._stop_due_us.pop(near, None)  # another robot has sent it, so we need not
+            self._stop_due_at_us.pop(near, None)  # another robot has sent it, so we need not
         if self._held(far, near) or (m.told and self._cleared_here(far, near)):
             return ()
         if m != self.say_stop(far)._replace(told=m.told):
@@ -224,7 +224,7 @@ class FleetStops(Part):
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if self._cleared_here(far, near):
-            self._reset_due_us.pop(far, None)
+            self._reset_due_at_us.pop(far, None)
             return ()
         self._halves.pop((far, m.part), None)
         self._halves[far, m.part] = m.half  # keep the newest only, so each guess costs a frame
@@ -243,5 +243,5 @@ class FleetStops(Part):
             return cleared
         effects = self.safety.clear_near(near, "a reset of the fleet")
         self._pressed, self._cleared = self.safety.stops.active, self.safety.stops.cleared
-        self._stop_due_us.pop(near, None)
+        self._stop_due_at_us.pop(near, None)
         return effects

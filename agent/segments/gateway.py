@@ -95,11 +95,11 @@ class Gateway:
         self.counts: Counter[str] = Counter()
         self._limit = TokenBucket(SHARE, BURST_US, now_us)
         self._slot_of: dict[int, int] = {}  # address -> slot, from MEMBER frames
-        self._heard_us: dict[int, int] = {}  # slot -> last sign of life
+        self._heard_at_us: dict[int, int] = {}  # slot -> last sign of life
         self._live: frozenset[int] = frozenset()
-        self._look_us = self._flush_us = self._summary_us = self._rotate_us = now_us
-        self._tell_us: int | None = None  # when we send all stops to all segments
-        self._told_us = -TELL_SPACING_US
+        self._look_at_us = self._flush_at_us = self._summary_at_us = self._rotate_at_us = now_us
+        self._tell_at_us: int | None = None  # when we send all stops to all segments
+        self._told_at_us = -TELL_SPACING_US
         self._stops_differ: Counter[int] = Counter()
         self._sequence = self._turn = 0
         self._introduced: int | None = None  # the address that we have announced
@@ -165,12 +165,12 @@ class Gateway:
         if isinstance(message, Member):
             self._slot_of[source] = slot = message.slot
         if slot is not None and number is None:
-            self._heard_us[slot] = now_us
+            self._heard_at_us[slot] = now_us
         if isinstance(message, Pose):
             self.stops.beat(source, message.stopped, now_us)
         elif isinstance(message, Heartbeat) and slot is not None:
             if message.leaving:
-                self._heard_us.pop(slot, None)
+                self._heard_at_us.pop(slot, None)
             else:
                 self.sync.heard_digest(slot, message.digest, now_us)
         elif isinstance(message, MapPatch | MapDigests):
@@ -200,7 +200,7 @@ class Gateway:
             stops = [stop for stop in body if isinstance(stop, FleetStop)]
             self.stops.receive_stops(stops, now_us)
             if len(stops) >= len(self.stops.stops):
-                self._tell_us = None  # another gateway has sent them all
+                self._tell_at_us = None  # another gateway has sent them all
             return self.tick(now_us)
         if header.kind == Kind.RESETS:
             self.stops.receive_resets([h for h in body if isinstance(h, FleetReset)], now_us)
@@ -224,10 +224,10 @@ class Gateway:
             del self._stops_differ[header.segment]
             return
         self._stops_differ[header.segment] += 1
-        if self._stops_differ[header.segment] >= 2 and self._tell_us is None:
+        if self._stops_differ[header.segment] >= 2 and self._tell_at_us is None:
             place = sorted(self.reach.heard(now_us)).index(header.segment)
-            earliest_us = self._told_us + TELL_SPACING_US
-            self._tell_us = max(now_us + place * TELL_STEP_US, earliest_us)
+            earliest_at_us = self._told_at_us + TELL_SPACING_US
+            self._tell_at_us = max(now_us + place * TELL_STEP_US, earliest_at_us)
 
     def _work(self, source: int, body: Body, now_us: int) -> None:
         before = self.border.version
@@ -243,24 +243,24 @@ class Gateway:
         """When `tick` has something to do next."""
         times = [self.candidacy.due_at_us]
         if self.candidacy.address is not None:
-            times += [self.stops.due_at_us, self._look_us]
-            sync_us = self.sync.due_at_us
-            if sync_us is not None:
-                times.append(sync_us)
-            if self._tell_us is not None:
-                times.append(self._tell_us)
+            times += [self.stops.due_at_us, self._look_at_us]
+            sync_at_us = self.sync.due_at_us
+            if sync_at_us is not None:
+                times.append(sync_at_us)
+            if self._tell_at_us is not None:
+                times.append(self._tell_at_us)
             if self.leads:
-                times += [self._summary_us, self._rotate_us]
+                times += [self._summary_at_us, self._rotate_at_us]
                 if self.chart is not None:
-                    times.append(max(self.chart.due_at_us, self._map_us))
+                    times.append(max(self.chart.due_at_us, self._map_at_us))
                 if self.border.waiting:
-                    times.append(self._flush_us)
+                    times.append(self._flush_at_us)
                 if self.border.to_say:
-                    times.append(self._say_us)
+                    times.append(self._say_at_us)
         return min(times)
 
-    _map_us = 0  # earliest time of the next frame of the map
-    _say_us = 0  # when the rate limit lets the next frame of work pass
+    _map_at_us = 0  # earliest time of the next frame of the map
+    _say_at_us = 0  # when the rate limit lets the next frame of work pass
 
     def tick(self, now_us: int) -> Sequence[Out]:
         """Everything that is due now; call it at `due_at_us`."""
@@ -275,11 +275,11 @@ class Gateway:
             self._introduced = candidacy.address
             effects[:0] = self._introduce()
         effects += [self._send(message) for message in self.stops.tick(now_us)]
-        if now_us >= self._look_us:
+        if now_us >= self._look_at_us:
             self._look(now_us)
         effects += [self._send(message) for message in self.sync.on_tick(now_us)]
-        if self._tell_us is not None and now_us >= self._tell_us:
-            self._tell_us, self._told_us = None, now_us
+        if self._tell_at_us is not None and now_us >= self._tell_at_us:
+            self._tell_at_us, self._told_at_us = None, now_us
             effects += self._tell_stops()
         if self.leads:
             effects += self._lead(now_us)
@@ -293,9 +293,9 @@ class Gateway:
         return [self._send(claim), self._send(StateSyncRequest(0, 0, STOPS, 0))]
 
     def _look(self, now_us: int) -> None:
-        self._look_us = now_us + LOOK_US
+        self._look_at_us = now_us + LOOK_US
         live = frozenset(
-            s for s, heard_at_us in self._heard_us.items() if now_us - heard_at_us < LIVE_US
+            s for s, heard_at_us in self._heard_at_us.items() if now_us - heard_at_us < LIVE_US
         )
         if live != self._live:
             assert self.candidacy.number is not None
@@ -307,26 +307,26 @@ class Gateway:
 
     def _lead(self, now_us: int) -> list[Out]:
         effects: list[Out] = []
-        if self.border.waiting and now_us >= self._flush_us:
-            self._flush_us = now_us + FLUSH_US
+        if self.border.waiting and now_us >= self._flush_at_us:
+            self._flush_at_us = now_us + FLUSH_US
             for neighbour, entries in self.border.take():
                 effects += self._publish(Kind.WORK, entries, neighbour)
-        if now_us >= self._summary_us:
-            self._summary_us = now_us + SUMMARY_US
+        if now_us >= self._summary_at_us:
+            self._summary_at_us = now_us + SUMMARY_US
             effects += self._publish(Kind.SUMMARY, self.summary(now_us))
-        if now_us >= self._rotate_us:
-            self._rotate_us = now_us + ROTATION_US
+        if now_us >= self._rotate_at_us:
+            self._rotate_at_us = now_us + ROTATION_US
             if self._limit.take(FRAME_US, now_us):
                 effects += self._rotate(now_us)
-        if self.chart is not None and now_us >= max(self.chart.due_at_us, self._map_us):
+        if self.chart is not None and now_us >= max(self.chart.due_at_us, self._map_at_us):
             near, far = self.chart.tick(self._limit, now_us)
-            self._map_us = now_us + MAP_STEP_US
+            self._map_at_us = now_us + MAP_STEP_US
             effects += [self._send(message) for message in near]
             effects += self._publish(Kind.MAP, tuple(far)) if far else []
         if self.border.to_say:
             if self._limit.take(FRAME_US, now_us):
                 effects.append(self._send(self.border.say()))
-            self._say_us = self._limit.ready_us(FRAME_US, now_us)
+            self._say_at_us = self._limit.ready_at_us(FRAME_US, now_us)
         return effects
 
     def _rotate(self, now_us: int) -> list[Out]:
@@ -350,7 +350,7 @@ class Gateway:
         digests.
         """
         live, halted = self.stops.halted(now_us)
-        silent = sum(LIVE_US <= now_us - t_us < LEFT_US for t_us in self._heard_us.values())
+        silent = sum(LIVE_US <= now_us - t_us < LEFT_US for t_us in self._heard_at_us.values())
         done, digest = self.border.home_state()
         shared = {n: self.border.digest(n) for n in self.area.neighbours}
         heard = self.reach.heard(now_us)

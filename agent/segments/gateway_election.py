@@ -73,7 +73,7 @@ class GatewayElection:
         self.machine = StateMachine("gateway candidate", CANDIDATE_TABLE, LISTENING)
         self._heard: dict[int, tuple[int, int]] = {}  # number -> last beat, lot
         self._live: frozenset[int] = frozenset()
-        self._beat_us = now_us + LISTEN_US
+        self._beat_at_us = now_us + LISTEN_US
         self._led = False
 
     @property
@@ -95,7 +95,7 @@ class GatewayElection:
     @property
     def due_at_us(self) -> int:
         """When `tick` has something to do next."""
-        return self._beat_us
+        return self._beat_at_us
 
     # ---------------------------------------------------------------- hearing
 
@@ -115,7 +115,7 @@ class GatewayElection:
     def _give_up(self, now_us: int) -> None:
         self.machine.fire(CandidateEvent.YIELDED)
         self.number = None
-        self._beat_us = now_us + LISTEN_US
+        self._beat_at_us = now_us + LISTEN_US
 
     def fenced(self, term: int, now_us: int) -> None:
         """Other segments know a gateway of ours with a later term."""
@@ -129,9 +129,9 @@ class GatewayElection:
         `reached`: how many other segments are reached now. `ever`: whether one was reached since
         the start.
         """
-        if now_us < self._beat_us:
+        if now_us < self._beat_at_us:
             return ()
-        self._beat_us = now_us + BEAT_US
+        self._beat_at_us = now_us + BEAT_US
         if self.machine.state is not CANDIDATE:
             self._choose(now_us)
         if self.machine.state is not CANDIDATE:

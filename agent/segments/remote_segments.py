@@ -43,7 +43,7 @@ class RemoteSegments(Part):
         self.alone = True  # no other segment is reached
         self.ever = False  # one was reached since we started
         self.summaries: OrderedDict[int, Heard] = OrderedDict()
-        self._reached_us = now_us
+        self._reached_at_us = now_us
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
@@ -51,7 +51,7 @@ class RemoteSegments(Part):
 
     @property
     def due_at_us(self) -> int:
-        return FOREVER if self.alone else self._reached_us + ALONE_US
+        return FOREVER if self.alone else self._reached_at_us + ALONE_US
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self._changed() if self.tick(ctx.now_us) else NOTHING
@@ -100,13 +100,13 @@ class RemoteSegments(Part):
                 self.alone = True  # the gateway had reached a segment and reports that it lost it
                 return True
             return self.tick(now_us)
-        self._reached_us = now_us
+        self._reached_at_us = now_us
         was, self.alone, self.ever = self.alone, False, True
         return was
 
     def tick(self, now_us: int) -> bool:
         """Notice that no segment is reached any more; returns whether this changed `alone`."""
-        if self.alone or now_us < self._reached_us + ALONE_US:
+        if self.alone or now_us < self._reached_at_us + ALONE_US:
             return False
         self.alone, self.reached = True, 0
         return True

@@ -20,7 +20,7 @@ class RemoteSegment:
 
     term: int = 0
     heard_at_us: int = -GONE_US
-    hears_us: bool = False
+    hears_this_segment: bool = False
     summary: Summary | None = None
     last: dict[int, tuple[int, int]] = field(default_factory=dict)  # candidate -> boot, sequence
 
@@ -65,8 +65,8 @@ class SegmentReachability:
         remote = self.remotes[header.segment]
         kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept
         remote.summary, remote.heard_at_us = kept, now_us
-        remote.hears_us = self.segment in summary.heard
-        self.ever |= remote.hears_us
+        remote.hears_this_segment = self.segment in summary.heard
+        self.ever |= remote.hears_this_segment
 
     def heard(self, now_us: int) -> dict[int, int]:
         """Segments that are received now, with the terms of their gateways."""
@@ -74,4 +74,4 @@ class SegmentReachability:
 
     def reached(self, now_us: int) -> list[int]:
         """Segments that we receive and that receive us."""
-        return [s for s in self.heard(now_us) if self.remotes[s].hears_us]
+        return [s for s in self.heard(now_us) if self.remotes[s].hears_this_segment]

@@ -59,10 +59,10 @@ class StopRelay:
         self._saying: dict[RemoteStopDot, Said] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[RemoteStopDot, set[int]] = {}
-        self._next_us = 0  # we send one stop at a time, regardless of their number
-        self._again_us = 0
+        self._next_at_us = 0  # we send one stop at a time, regardless of their number
+        self._again_at_us = 0
         # When a press, not a repetition, was forwarded last.
-        self._pressed_us: dict[RemoteStopDot, int] = {}
+        self._pressed_at_us: dict[RemoteStopDot, int] = {}
         self._to_reset: list[FleetReset] = []
         self._news = TokenBucket(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
 
@@ -86,11 +86,11 @@ class StopRelay:
         A robot that drives on under an active stop has not received it, so the stop is sent again.
         """
         self._robots[address] = now_us, stopped
-        if stopped or now_us < self._again_us or self._saying:
+        if stopped or now_us < self._again_at_us or self._saying:
             return
         active = [d for d in self.stops if self._active(d) and d not in self.disbelieved]
         if active:
-            self._again_us = now_us + AGAIN_US
+            self._again_at_us = now_us + AGAIN_US
             self._say(active[-1], True, now_us)
 
     def halted(self, now_us: int) -> tuple[int, int]:
@@ -111,7 +111,7 @@ class StopRelay:
         if known and (not self._is_press(stop, now_us) or not self._news.take(1, now_us)):
             return []
         if not stop.told:
-            self._pressed_us[dot] = now_us
+            self._pressed_at_us[dot] = now_us
         return [stop]
 
     def _is_press(self, stop: FleetStop, now_us: int) -> bool:
@@ -121,9 +121,9 @@ class StopRelay:
         sent.
         """
         dot = _dot(stop)
-        if stop.told or dot not in self._pressed_us:
+        if stop.told or dot not in self._pressed_at_us:
             return not stop.told
-        return not self._active(dot) and now_us - self._pressed_us[dot] >= USED_US
+        return not self._active(dot) and now_us - self._pressed_at_us[dot] >= USED_US
 
     def hear_reset(self, half: FleetReset) -> list[FleetReset]:
         """One half of a reset on our bus. Returns both halves to publish when the second one is
@@ -154,7 +154,7 @@ class StopRelay:
             if known and not self._active(dot):  # earlier echoes do not count for this press
                 self._echoes.pop(dot, None)
             if not stop.told:
-                self._pressed_us[dot] = now_us
+                self._pressed_at_us[dot] = now_us
             self._say(dot, stop.told, now_us)
 
     def receive_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
@@ -183,7 +183,7 @@ class StopRelay:
             self.stops.pop(dot, None)
             self.resets.pop(dot, None)
             self._saying.pop(dot, None)
-            self._pressed_us.pop(dot, None)
+            self._pressed_at_us.pop(dot, None)
             self.disbelieved.discard(dot)
         while len(self.resets) > DOTS_MAX:
             del self.resets[next(iter(self.resets))]
@@ -199,9 +199,9 @@ class StopRelay:
     def due_at_us(self) -> int:
         """When `tick` has something to send next."""
         if self._to_reset:
-            return self._next_us
+            return self._next_at_us
         due_at_us = min((said.next_at_us for said in self._saying.values()), default=FOREVER)
-        return max(due_at_us, self._next_us) if due_at_us < FOREVER else FOREVER
+        return max(due_at_us, self._next_at_us) if due_at_us < FOREVER else FOREVER
 
     def tick(self, now_us: int) -> list[FleetStop | FleetReset]:
         """The frames to send now: at most one stop, or the halves of one reset, twice in case one
@@ -209,7 +209,7 @@ class StopRelay:
         """
         if now_us < self.due_at_us:
             return []
-        self._next_us = now_us + STOP_REPEAT_US
+        self._next_at_us = now_us + STOP_REPEAT_US
         for dot, said in sorted(self._saying.items(), key=lambda item: item[1].next_at_us):
             if said.next_at_us > now_us:
                 break

@@ -58,7 +58,7 @@ class SocketcandLink(asyncio.Protocol):
         self._over = asyncio.Event()  # set when this connection has ended
         self._answers = 0  # answers received during the greeting
         self._pending = b""
-        self._heard_s = 0.0
+        self._heard_at_s = 0.0
         self._task: asyncio.Task[None] | None = None
 
     # ---------------------------------------------------------------- the port of a runner
@@ -144,10 +144,10 @@ class SocketcandLink(asyncio.Protocol):
             except TimeoutError:
                 # Our own process hung, so data that has arrived is not read yet.
                 if loop.time() - due_s > ASK_S:
-                    self._heard_s = loop.time()
-                if loop.time() - self._heard_s > DEAD_S:
+                    self._heard_at_s = loop.time()
+                if loop.time() - self._heard_at_s > DEAD_S:
                     return
-                if loop.time() - self._heard_s > ASK_S and self._transport is not None:
+                if loop.time() - self._heard_at_s > ASK_S and self._transport is not None:
                     self._transport.write(b"< echo >")
 
     def _drop(self) -> None:
@@ -173,7 +173,7 @@ class SocketcandLink(asyncio.Protocol):
     def data_received(self, data: bytes) -> None:
         """asyncio calls this with bytes from the server: whole answers are handled, the rest is
         kept."""
-        self._heard_s = asyncio.get_running_loop().time()
+        self._heard_at_s = asyncio.get_running_loop().time()
         *answers, self._pending = (self._pending + data).split(b">")
         for answer in answers:
             self._answer(answer.strip(b"< \r\n").split())

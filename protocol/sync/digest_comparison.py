@@ -102,15 +102,15 @@ class Divergence:
         if not self.odd:
             self.reunion = False
 
-    def still_odd(self, since_us: int) -> bool:
-        """Whether a digest received after `since_us` is still unexplained by what we learned."""
+    def still_odd(self, start_at_us: int) -> bool:
+        """Whether a digest received after `start_at_us` is still unexplained by what we learned."""
         for slot, odd in list(self.odd.items()):
             moment = self.replica.when(odd.digest)
             if moment is not None:
                 self.odd.pop(slot)
                 self._agreed[slot] = max(moment, self._agreed.get(slot, NEVER))
         self._end_of_reunion()
-        return any(odd.confirmed and odd.heard_at_us > since_us for odd in self.odd.values())
+        return any(odd.confirmed and odd.heard_at_us > start_at_us for odd in self.odd.values())
 
     # ---------------------------------------------------------------- how far we agree
 

@@ -61,7 +61,7 @@ class MapSync:
     It has no clock and no bus: the caller passes received frames in and sends what `on_tick` returns.
     """
 
-    hold_us = 400 * MS  # a patch waits this long for the rest of its cells before it is sent
+    hold_for_us = 400 * MS  # a patch waits this long for the rest of its cells before it is sent
 
     def __init__(self, slot: int, chart: OccupancyMap, clock: HybridClock, now_us: int) -> None:
         self.slot, self.chart, self.clock = slot, chart, clock
@@ -70,17 +70,17 @@ class MapSync:
         self._news: dict[tuple[int, int], Values] = {}  # (patch, level) -> what we observed
         self._digests: dict[int, int] = {}  # node -> salt, to send
         self._repairs: dict[int, Mask] = {}  # patch -> cells to send
-        self._heard_us: dict[MapDigests, int] = {}  # digests recently on the bus; oldest first
-        self._said_us: dict[int, int] = {}  # node -> when we sent its digests
+        self._heard_at_us: dict[MapDigests, int] = {}  # digests recently on the bus; oldest first
+        self._said_at_us: dict[int, int] = {}  # node -> when we sent its digests
         # When each of our records was last on the bus.
-        self._aired_us = np.full((chart.patches, CELLS), -FRESH_US, dtype=np.int64)
+        self._aired_at_us = np.full((chart.patches, CELLS), -FRESH_US, dtype=np.int64)
         self._recent: dict[int, None] = {}  # tiles that changed since we sent their digests
-        self._changed_us = np.full(chart.patches, -SETTLE_US, dtype=np.int64)
+        self._changed_at_us = np.full(chart.patches, -SETTLE_US, dtype=np.int64)
         # Last map frame on the bus; our position in the order after it.
-        self._last_us, self._turn = now_us, 0
-        self._own_us = now_us  # our own last one
+        self._last_digest_at_us, self._turn = now_us, 0
+        self._own_at_us = now_us  # our own last one
         self._beats = 0
-        self._beat_us = now_us + BEAT_US * (slot + 1)
+        self._beat_at_us = now_us + BEAT_US * (slot + 1)
         self._merged: Counter[int] = Counter()  # slot -> cells it has sent us since `merged`
         self.root = FIRST_NODES[int(np.log2(chart.patches)) // 4 - 1]
 
@@ -94,7 +94,7 @@ class MapSync:
     def live(self, slots: frozenset[int]) -> None:
         """The members that are received now; a new one is compared with immediately."""
         if not slots <= set(self._order):  # a new member: compare immediately
-            self._beat_us = self._last_us
+            self._beat_at_us = self._last_digest_at_us
         self._order = sorted(slots | {self.slot})
 
     def see(self, patch: int, values: Values, level: int) -> None:
@@ -125,7 +125,7 @@ class MapSync:
         if isinstance(message, MapPatch):
             return self._patch(slot, message, now_us)
         if message.node == self.root:  # senders take turns, as with all map frames
-            self._beat_us = now_us + BEAT_US * (self._turn + 1)
+            self._beat_at_us = now_us + BEAT_US * (self._turn + 1)
         self._note(message, now_us)
         self._compare(message, now_us)
         return 0
@@ -138,7 +138,7 @@ class MapSync:
             self._merged[slot] += changed
             self._recent[m.patch // FANOUT] = None
             if m.observer == slot:  # a new observation: other robots may receive it a little later
-                self._changed_us[m.patch] = now_us
+                self._changed_at_us[m.patch] = now_us
         if m.patch < self.chart.patches:
             better = self._air(m, values, now_us)
             if better.any():  # the sender lacks something
@@ -150,7 +150,7 @@ class MapSync:
         keys = self.chart.patch(m.patch)
         told = (m.time << 9 | m.level << 5 | m.observer) << 2 | values
         said, same = values != UNKNOWN, (keys & RECORD_MASK) == told
-        self._aired_us[m.patch][said & same] = now_us
+        self._aired_at_us[m.patch][said & same] = now_us
         if m.patch in self._repairs:
             self._repairs[m.patch] = self._repairs[m.patch] & ~(said & same)
         better: Mask = said & ~same & (keys > 0)
@@ -183,12 +183,12 @@ class MapSync:
                 self._queue(FIRST_NODES[size - 1] + child, m.salt, now_us)
 
     def _settled(self, square: int, width: int, now_us: int) -> bool:
-        changed_at_us = self._changed_us[square * width : (square + 1) * width]
+        changed_at_us = self._changed_at_us[square * width : (square + 1) * width]
         return int(changed_at_us.max()) <= now_us - SETTLE_US
 
     def _queue(self, node: int, salt: int, now_us: int) -> None:
         """Queue our digests of a square, rarely: they change while records are being sent."""
-        if self._said_us.get(node, -AGAIN_US) + AGAIN_US <= now_us:
+        if self._said_at_us.get(node, -AGAIN_US) + AGAIN_US <= now_us:
             self._digests[node] = salt
 
     def _digest(self, node: int, salt: int) -> MapDigests:
@@ -202,43 +202,45 @@ class MapSync:
     # ---------------------------------------------------------------- saying
 
     def _note(self, message: MapDigests, now_us: int) -> None:
-        self._heard_us.pop(message, None)
-        self._heard_us[message] = now_us
-        if len(self._heard_us) > AIRED_MAX:
-            del self._heard_us[next(iter(self._heard_us))]
+        self._heard_at_us.pop(message, None)
+        self._heard_at_us[message] = now_us
+        if len(self._heard_at_us) > AIRED_MAX:
+            del self._heard_at_us[next(iter(self._heard_at_us))]
 
     def _floor_taken(self, slot: int, now_us: int) -> None:
         """A peer has sent: those behind it in the cyclic order go first."""
         order = self._order
         last = next((k for k, member in enumerate(order) if member >= slot), 0)
-        self._last_us = now_us
+        self._last_digest_at_us = now_us
         self._turn = (order.index(self.slot) - last - 1) % len(order)
 
-    def _may_us(self, gap_us: int) -> int:
-        return self._last_us + gap_us + self._turn * SLOT_US
+    def _turn_at_us(self, quiet_for_us: int) -> int:
+        return self._last_digest_at_us + quiet_for_us + self._turn * SLOT_US
 
     @property
-    def _news_us(self) -> int:
+    def _news_at_us(self) -> int:
         """When we may send observations: repairs by others delay us by one round of turns at
         most."""
-        turn_us = max(self._own_us + len(self._order) * NEWS_GAP_US, self._may_us(REPAIR_GAP_US))
-        return min(self._may_us(NEWS_GAP_US), turn_us)
+        turn_at_us = max(
+            self._own_at_us + len(self._order) * NEWS_GAP_US, self._turn_at_us(REPAIR_GAP_US)
+        )
+        return min(self._turn_at_us(NEWS_GAP_US), turn_at_us)
 
     @property
     def due_at_us(self) -> int:
         """When `on_tick` next has something to send, if nothing is received before."""
-        due_at_us = self._beat_us
+        due_at_us = self._beat_at_us
         if self._news:
-            due_at_us = min(due_at_us, self._news_us)
+            due_at_us = min(due_at_us, self._news_at_us)
         if self._digests or self._repairs:
-            due_at_us = min(due_at_us, self._may_us(REPAIR_GAP_US))
+            due_at_us = min(due_at_us, self._turn_at_us(REPAIR_GAP_US))
         return due_at_us
 
     def on_tick(self, now_us: int) -> list[Said]:
         """The frames to send now: one at most."""
-        if now_us >= self._beat_us:
+        if now_us >= self._beat_at_us:
             alone = len(self._order) == 1
-            self._beat_us = now_us + (ALONE_US if alone else BEAT_US * len(self._order))
+            self._beat_at_us = now_us + (ALONE_US if alone else BEAT_US * len(self._order))
             self._beats += 1
             salt = (
                 self._beats + self.slot
@@ -248,10 +250,10 @@ class MapSync:
                 del self._recent[tile]
                 self._queue(tile, (salt + SALTS // 2) % SALTS, now_us)
             return self._say(self._digest(self.root, salt), now_us)
-        if self._news and now_us >= self._news_us:
+        if self._news and now_us >= self._news_at_us:
             self.counts["news"] += 1
             return self._say(self._next_news(now_us), now_us)
-        if (self._digests or self._repairs) and now_us >= self._may_us(REPAIR_GAP_US):
+        if (self._digests or self._repairs) and now_us >= self._turn_at_us(REPAIR_GAP_US):
             return self._say(self._next_repair(now_us), now_us)
         return []
 
@@ -263,7 +265,7 @@ class MapSync:
             self._air(message, decode_cells(message.cells), now_us)
         else:
             self._note(message, now_us)
-        self._own_us = now_us
+        self._own_at_us = now_us
         self._floor_taken(self.slot, now_us)
         return [message]
 
@@ -276,7 +278,7 @@ class MapSync:
             before = self.chart.patch(patch)
             if not self.chart.apply(patch, values, level, time, self.slot):
                 continue
-            self._changed_us[patch] = now_us
+            self._changed_at_us[patch] = now_us
             self._recent[patch // FANOUT] = None
             values = np.where(self.chart.patch(patch) > before, values, UNKNOWN)
             return MapPatch(patch, time, level, self.slot, encode_cells(values))
@@ -285,15 +287,15 @@ class MapSync:
     def _next_repair(self, now_us: int) -> Said | None:
         while self._repairs:
             patch, cells = next(iter(self._repairs.items()))
-            message = self._record(patch, cells & (self._aired_us[patch] <= now_us - FRESH_US))
+            message = self._record(patch, cells & (self._aired_at_us[patch] <= now_us - FRESH_US))
             if message is not None:
                 return message  # the patch stays in the queue for its other records
             del self._repairs[patch]
         while self._digests:
             node, salt = self._digests.popitem()
             digest = self._digest(node, salt)
-            if self._heard_us.get(digest, now_us - FRESH_US) <= now_us - FRESH_US:
-                self._said_us[node] = now_us
+            if self._heard_at_us.get(digest, now_us - FRESH_US) <= now_us - FRESH_US:
+                self._said_at_us[node] = now_us
                 return digest
         return None
 

@@ -88,23 +88,23 @@ class Synchronizer:
         self.divergence = Divergence(slot, self.replica)
         self.synchronizing = False
         self.counts: Counter[str] = Counter()
-        self._aired_us: dict[int, int] = {}  # entry -> when our present value was on the bus
-        self._live_since_us: dict[int, int] = {}
+        self._aired_at_us: dict[int, int] = {}  # entry -> when our present value was on the bus
+        self._went_live_at_us: dict[int, int] = {}
         self._queue: dict[int, None] = {}  # entries to send, in order
         self._digests: deque[Digests] = deque()  # bucket digests to send, before any entry
         self._questions: dict[int, BucketQuestion] = {}  # asker -> what may be sent to it
         self._place = 0  # in the order of the present conversation
-        self._speak_us = 0  # we send nothing before this time
-        self._heard_us = -1  # last sync frame on the bus, ours included
-        self._ask_us: int | None = None
-        self._asked_us = -DOUBLINGS_MAX * S
+        self._speak_at_us = 0  # we send nothing before this time
+        self._heard_at_us = -1  # last sync frame on the bus, ours included
+        self._ask_at_us: int | None = None
+        self._asked_at_us = -DOUBLINGS_MAX * S
         self._our_turn_was_last = False  # the last question was ours, or had our digest
         self._learned = False  # by sync frames, since the digests began to differ
         self._taught = 0  # new entries from sync frames since our last question
         self._tries = 0  # questions since one taught us something
-        self._learned_us = 0
+        self._learned_at_us = 0
         self._round = 0
-        self._ready_us: int | None = None
+        self._ready_at_us: int | None = None
 
     # ---------------------------------------------------------------- state
 
@@ -133,30 +133,32 @@ class Synchronizer:
 
     def joined(self, now_us: int, heartbeat_period_us: int) -> None:
         """We have joined the bus: ready once every member has had time to contradict."""
-        self._ready_us = now_us + heartbeat_period_us + GRACE_US
-        self._learned_us = now_us
+        self._ready_at_us = now_us + heartbeat_period_us + GRACE_US
+        self._learned_at_us = now_us
         self.divergence.expect()
 
     def ready(self, now_us: int) -> bool:
         """Whether our knowledge is good enough to choose work."""
-        return self._ready_us is not None and now_us >= self._ready_us and not self.synchronizing
+        return (
+            self._ready_at_us is not None and now_us >= self._ready_at_us and not self.synchronizing
+        )
 
     def live(self, slots: frozenset[int], now_us: int) -> None:
         """The members that are received now. One that returns gets questions again without a pause."""
         returned = slots - self.divergence.live
         for slot in returned:
-            self._live_since_us[slot] = now_us
+            self._went_live_at_us[slot] = now_us
         self.divergence.see(slots)
         # Maybe no peer was there to answer before, so the pauses between questions start again.
         if returned:
-            self._tries, self._ask_us = 0, None
+            self._tries, self._ask_at_us = 0, None
         self._judge(now_us)
 
     def received_again(self, now_us: int) -> None:
         """Our frames were received by nobody for a while. The questions that we asked in that time
         say nothing about our state, so a reunion delays work again until they are answered."""
         if self.divergence.odd:
-            self._tries, self._learned_us = 0, now_us
+            self._tries, self._learned_at_us = 0, now_us
             self._judge(now_us)
 
     def changed_here(self, section: int, block: int | None, now_us: int) -> None:
@@ -165,7 +167,7 @@ class Synchronizer:
             entry = entry_of(REGISTER, section)
         else:
             entry = entry_of(BLOCK, section << 8 | block)
-        self._aired_us[entry] = now_us
+        self._aired_at_us[entry] = now_us
         self.replica.note(entry)
 
     def _judge(self, now_us: int) -> None:
@@ -177,7 +179,7 @@ class Synchronizer:
             divergence.reunion
             and divergence.outvoted
             and self._tries <= GIVE_UP
-            and now_us < self._learned_us + PATIENCE_US
+            and now_us < self._learned_at_us + PATIENCE_US
         )
 
     # ---------------------------------------------------------------- receiving
@@ -187,22 +189,26 @@ class Synchronizer:
         divergence = self.divergence
         if slot not in divergence.live:
             return
-        if self._told(slot, digest, now_us) and self._ask_us is None:
-            self._ask_us = max(now_us + SETTLE_US, self._allowed_us) + divergence.place() * SLOT_US
+        if self._told(slot, digest, now_us) and self._ask_at_us is None:
+            self._ask_at_us = (
+                max(now_us + SETTLE_US, self._allowed_at_us) + divergence.place() * SLOT_US
+            )
 
     def _told(self, slot: int, digest: int, now_us: int) -> bool:
         if not self.divergence.reunion:
-            self._learned_us = now_us  # the patience interval starts with the reunion
+            self._learned_at_us = now_us  # the patience interval starts with the reunion
         odd = self.divergence.on_digest(slot, digest, now_us)
         self._judge(now_us)
         return odd
 
     @property
-    def _allowed_us(self) -> int:
+    def _allowed_at_us(self) -> int:
         """We ask not before this: others are sending, or our last question taught nothing."""
-        pause_us = PAUSE_US << min(max(self._tries - 1, 0), DOUBLINGS_MAX)
+        pause_for_us = PAUSE_US << min(max(self._tries - 1, 0), DOUBLINGS_MAX)
         turn_us = TURN_US if self._our_turn_was_last else 0
-        return max(self._heard_us + GAP_US + QUIET_US + turn_us, self._asked_us + pause_us)
+        return max(
+            self._heard_at_us + GAP_US + QUIET_US + turn_us, self._asked_at_us + pause_for_us
+        )
 
     def on_message(self, slot: int, message: object, now_us: int) -> set[int]:
         """Handle any work frame; return the sections whose register changed."""
@@ -227,9 +233,9 @@ class Synchronizer:
             return set()
         self._queue.pop(entry, None)
         if entry in self.replica:
-            self._aired_us[entry] = now_us
+            self._aired_at_us[entry] = now_us
         if heard.changed:
-            self._learned_us = now_us
+            self._learned_at_us = now_us
             if relayed:
                 self._taught += 1
                 self._learned = True
@@ -246,21 +252,21 @@ class Synchronizer:
 
     def _floor_taken(self, now_us: int) -> None:
         """A peer is sending: continue its list where it falls silent."""
-        self._heard_us = now_us
-        wait_us = GAP_US + QUIET_US + self._place * SLOT_US
-        self._speak_us = max(self._speak_us, now_us + wait_us)
+        self._heard_at_us = now_us
+        wait_for_us = GAP_US + QUIET_US + self._place * SLOT_US
+        self._speak_at_us = max(self._speak_at_us, now_us + wait_for_us)
 
     def _correct(self, slot: int, heard: AppliedEntry, now_us: int) -> None:
         """The sender lacks an entry of ours: its owner sends it, or the first in order."""
         entry = heard.entry
-        if entry in self._queue or now_us < self._aired_us.get(entry, -FRESH_US) + FRESH_US:
+        if entry in self._queue or now_us < self._aired_at_us.get(entry, -FRESH_US) + FRESH_US:
             return
         place = self._corrector_place(slot, entry)
         if place < ANSWERERS:
             self.counts["corrections"] += 1
             self._place = place
             self._queue[entry] = None
-            self._speak_us = max(self._speak_us, now_us + GAP_US + place * SLOT_US)
+            self._speak_at_us = max(self._speak_at_us, now_us + GAP_US + place * SLOT_US)
 
     def _corrector_place(self, slot: int, entry: int) -> int:
         owner = self.replica.owner_of(entry)
@@ -270,10 +276,10 @@ class Synchronizer:
         return others.index(self.slot) + 1
 
     def _question(self, slot: int, m: StateSyncRequest, now_us: int) -> None:
-        self._heard_us = now_us
+        self._heard_at_us = now_us
         self._questions.pop(slot, None)
         self._digests.clear()  # one question at a time; ours is asked again later
-        self._speak_us = max(self._speak_us, now_us + GAP_US + QUIET_US)
+        self._speak_at_us = max(self._speak_at_us, now_us + GAP_US + QUIET_US)
         self._our_turn_was_last = m.digest == self.digest
         if self._our_turn_was_last:
             return
@@ -282,7 +288,7 @@ class Synchronizer:
                 self.divergence.forget(slot)
             # Evidence for our question, which comes after this one.
             if self._told(slot, m.digest, now_us + 1):
-                self._ask_us = self._allowed_us + self.divergence.place() * SLOT_US
+                self._ask_at_us = self._allowed_at_us + self.divergence.place() * SLOT_US
         order = [s for s in self.divergence.order(m.digest) if s != slot]
         place = (order.index(self.slot) - ANSWERERS * m.round) % len(order)
         if place >= ANSWERERS:
@@ -293,7 +299,7 @@ class Synchronizer:
         if m.scope in (BUCKETS_SINCE, ALL_BUCKETS):
             self._questions[slot] = BucketQuestion(m.round & 0xFF, place, frozenset(entries))
             return
-        self._speak_us = now_us + GAP_US + place * SLOT_US
+        self._speak_at_us = now_us + GAP_US + place * SLOT_US
         self._queue.update(dict.fromkeys(entries))
 
     def _lacking(self, slot: int, m: StateSyncRequest) -> list[int]:
@@ -310,23 +316,23 @@ class Synchronizer:
         else:
             entries = replica.since(moment.version)
         if m.scope == REGISTERS and divergence.was_away(slot):
-            since_us = self._live_since_us.get(slot, 0)
-            entries = [entry for entry in entries if self._aired_us.get(entry, -1) < since_us]
+            start_at_us = self._went_live_at_us.get(slot, 0)
+            entries = [entry for entry in entries if self._aired_at_us.get(entry, -1) < start_at_us]
         return entries
 
     def _buckets(self, slot: int, m: Digests, now_us: int) -> None:
-        self._heard_us = now_us
+        self._heard_at_us = now_us
         question = self._questions.get(slot)
         if question is None or question.salt != m.salt:
-            self._speak_us = max(self._speak_us, now_us + GAP_US + QUIET_US)
+            self._speak_at_us = max(self._speak_at_us, now_us + GAP_US + QUIET_US)
             return
         different = self.replica.differing(m)
         chosen = [e for e in sorted(question.entries) if self.replica.bucket(e) in different]
         self._queue.update(dict.fromkeys(chosen))
         # Index of the frame; the tuple's method hides the field from type checkers.
         last = m[0] == GROUPS - 1
-        wait_us = GAP_US + question.place * SLOT_US + (0 if last else QUIET_US)
-        self._place, self._speak_us = question.place, now_us + wait_us
+        wait_for_us = GAP_US + question.place * SLOT_US + (0 if last else QUIET_US)
+        self._place, self._speak_at_us = question.place, now_us + wait_for_us
 
     # ---------------------------------------------------------------- saying
 
@@ -334,46 +340,46 @@ class Synchronizer:
     def due_at_us(self) -> int | None:
         """When `on_tick` next has something to do, if nothing is received before; None if nothing
         waits."""
-        due_at_us = self._ask_us
-        if (self._queue or self._digests) and (due_at_us is None or self._speak_us < due_at_us):
-            due_at_us = self._speak_us
+        due_at_us = self._ask_at_us
+        if (self._queue or self._digests) and (due_at_us is None or self._speak_at_us < due_at_us):
+            due_at_us = self._speak_at_us
         if self.synchronizing:
-            patience_us = self._learned_us + PATIENCE_US
-            due_at_us = patience_us if due_at_us is None else min(due_at_us, patience_us)
+            wait_for_us = self._learned_at_us + PATIENCE_US
+            due_at_us = wait_for_us if due_at_us is None else min(due_at_us, wait_for_us)
         return due_at_us
 
     def on_tick(self, now_us: int) -> Iterable[Said]:
         """The frames to send now: one at most."""
         if self.synchronizing:
             self._judge(now_us)
-        if (self._queue or self._digests) and now_us >= self._speak_us:
-            self._speak_us, self._heard_us = now_us + GAP_US, now_us
+        if (self._queue or self._digests) and now_us >= self._speak_at_us:
+            self._speak_at_us, self._heard_at_us = now_us + GAP_US, now_us
             if self._digests:
                 return [self._digests.popleft()]
             entry = next(iter(self._queue))
             del self._queue[entry]
-            self._aired_us[entry] = now_us
+            self._aired_at_us[entry] = now_us
             self.counts["entries"] += 1
             return [self.replica.message_of(entry)]
-        if self._ask_us is not None and now_us >= self._ask_us:
+        if self._ask_at_us is not None and now_us >= self._ask_at_us:
             return self._ask(now_us)
         return ()
 
     def _ask(self, now_us: int) -> Iterable[Said]:
         divergence = self.divergence
-        self._ask_us = None
-        if not divergence.still_odd(self._heard_us):
+        self._ask_at_us = None
+        if not divergence.still_odd(self._heard_at_us):
             self._judge(now_us)
             return ()  # explained by now, or we wait for fresh evidence
-        if now_us < self._allowed_us:
-            self._ask_us = self._allowed_us + divergence.place() * SLOT_US
+        if now_us < self._allowed_at_us:
+            self._ask_at_us = self._allowed_at_us + divergence.place() * SLOT_US
             return ()
         digest = self.digest
         if self._taught:
             self._taught = self._tries = 0
         if self._tries == GIVE_UP:
             self.counts["given up"] += 1
-        self._asked_us = self._heard_us = now_us
+        self._asked_at_us = self._heard_at_us = now_us
         self._our_turn_was_last = True
         self._round = (self._round + 1) & 0xFF
         self.counts["questions"] += 1
@@ -381,7 +387,7 @@ class Synchronizer:
         self._tries += 1
         if scope != REGISTERS:
             self._digests = deque(self.replica.bucket_frames(self._round))
-            self._speak_us = now_us + GAP_US
+            self._speak_at_us = now_us + GAP_US
         self._judge(now_us)
         return [StateSyncRequest(divergence.base.lamport, digest, scope, self._round)]
 

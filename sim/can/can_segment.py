@@ -54,7 +54,8 @@ class Node:
     tec: int = 0  # transmit error counter
     rec: int = 0  # receive error counter
     off_ends_at_us: int | None = None  # bus-off until that time
-    ready_us: int = 0  # an error passive node must not send before this time, after its own frame
+    # an error passive node must not send before this time, after its own frame
+    ready_at_us: int = 0
     refused: int = 0  # frames rejected because the queue was full or the node off the bus
     sent: int = 0  # frames sent and acknowledged; its driver can report the number
     flood: Frame | None = None  # this node always has this frame to send
@@ -76,22 +77,22 @@ class Island:
 
     def __init__(self, number: int) -> None:
         self.number = number
-        self.free_us = 0  # when the last frame ended
-        self.start_us = NEVER_US  # when arbitration is due
+        self.free_at_us = 0  # when the last frame ended
+        self.start_at_us = NEVER_US  # when arbitration is due
         # Start of the frame being sent; may be slightly ahead of the present time.
-        self.begun_us = 0
-        self.end_us = NEVER_US  # of the frame being sent
+        self.begun_at_us = 0
+        self.end_at_us = NEVER_US  # of the frame being sent
         self.sender = 0
         self.frame = NO_FRAME
         self.broken = False
-        self.train_us = 0  # length of each frame in a train of equal frames; 0: no train
+        self.train_period_us = 0  # length of each frame in a train of equal frames; 0: no train
 
     @property
     def next_at_us(self) -> int:
         """When the next event occurs here, or `NEVER_US`. A train needs no events."""
-        if self.train_us:
+        if self.train_period_us:
             return NEVER_US
-        return self.start_us if self.end_us == NEVER_US else self.end_us
+        return self.start_at_us if self.end_at_us == NEVER_US else self.end_at_us
 
 
 class Wire:
@@ -103,8 +104,8 @@ class Wire:
         self.nodes: dict[int, Node] = {}
         self.faults = Faults()
         self.frames = self.errors = 0
-        self.busy_us = 0
-        self.worst_us = 0  # time of the same frames at worst-case stuffing
+        self.busy_for_us = 0
+        self.worst_for_us = 0  # time of the same frames at worst-case stuffing
         self.by_group: dict[int, int] = {}  # frames of each parameter group
         self._rng = {
             k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")
@@ -116,7 +117,7 @@ class Wire:
         self._waiting: set[int] = set()  # nodes with something to send
         self._next_node = 0
         self._now_us = 0  # the latest time given by a caller
-        self._next_us: int | None = None
+        self._next_at_us: int | None = None
         self._next_known = False  # nothing has changed since the next event was computed
 
     # ---------------------------------------------------------------- nodes
@@ -139,18 +140,18 @@ class Wire:
         self._waiting.discard(number)
         self._next_known = False
         for island in self._islands:
-            if island.sender == number and island.end_us != NEVER_US:
+            if island.sender == number and island.end_at_us != NEVER_US:
                 self._break_off(island, now_us)
         self._audience.clear()
 
     def _break_off(self, island: Island, now_us: int) -> None:
         """End the frame whose sender is gone."""
-        if island.begun_us > now_us:
+        if island.begun_at_us > now_us:
             self._withdraw(island)
             return  # a node with something to send arbitrates at that bit
-        self.busy_us -= island.end_us - now_us - ERROR_US
-        island.end_us, island.free_us = NEVER_US, now_us + ERROR_US
-        island.start_us = island.free_us
+        self.busy_for_us -= island.end_at_us - now_us - ERROR_US
+        island.end_at_us, island.free_at_us = NEVER_US, now_us + ERROR_US
+        island.start_at_us = island.free_at_us
 
     def flood(self, number: int, frame: Frame | None, now_us: int) -> None:
         """From now on the node always has this frame to send; None: no longer. While no other node
@@ -174,22 +175,22 @@ class Wire:
 
     def _settle_all(self, now_us: int) -> None:
         for island in self._islands:
-            if island.train_us:
+            if island.train_period_us:
                 self._settle(island, now_us)
 
     def _settle(self, island: Island, now_us: int) -> None:
         """The train ends with the frame on the wire; the next arbitration follows it."""
-        ended = max(0, (now_us - island.begun_us) // island.train_us)
+        ended = max(0, (now_us - island.begun_at_us) // island.train_period_us)
         node, length = self.nodes[island.sender], len(island.frame[1])
         node.sent += ended
         self.frames += ended
         group = island.frame[0] >> 8 & 0x3FFFF
         self.by_group[group] = self.by_group.get(group, 0) + ended
-        self.busy_us += (ended + 1) * island.train_us
-        self.worst_us += ended * WORST_BITS[length] * self.bit_us
-        island.begun_us += ended * island.train_us
-        island.end_us = island.begun_us + island.train_us
-        island.train_us = 0
+        self.busy_for_us += (ended + 1) * island.train_period_us
+        self.worst_for_us += ended * WORST_BITS[length] * self.bit_us
+        island.begun_at_us += ended * island.train_period_us
+        island.end_at_us = island.begun_at_us + island.train_period_us
+        island.train_period_us = 0
         self._next_known = False
 
     def partition(self, *islands: set[int]) -> None:
@@ -232,8 +233,8 @@ class Wire:
         # On an idle wire the arbitration is decided immediately, and again if another node joins
         # before its bit time. With error faults it is decided at its bit time, with the random
         # draws in order.
-        if island.start_us > now_us and self.faults.error == 0.0:
-            self._arbitrate(island, island.start_us)
+        if island.start_at_us > now_us and self.faults.error == 0.0:
+            self._arbitrate(island, island.start_at_us)
             self._next_known = False
         return True
 
@@ -247,19 +248,19 @@ class Wire:
         return True
 
     def _wish(self, island: Island, now_us: int) -> None:
-        if island.train_us:
+        if island.train_period_us:
             if self._undisturbed(self.nodes[island.sender]) and not self._outranks(island):
                 return
             self._settle(island, now_us)
-        if island.end_us != NEVER_US:
-            if island.begun_us <= now_us:
+        if island.end_at_us != NEVER_US:
+            if island.begun_at_us <= now_us:
                 return
             self._withdraw(island)
-        start_us = (now_us // self.bit_us + 1) * self.bit_us
-        if start_us < island.free_us:
-            start_us = island.free_us
-        if island.start_us == NEVER_US or start_us < island.start_us:
-            island.start_us = start_us
+        start_at_us = (now_us // self.bit_us + 1) * self.bit_us
+        if start_at_us < island.free_at_us:
+            start_at_us = island.free_at_us
+        if island.start_at_us == NEVER_US or start_at_us < island.start_at_us:
+            island.start_at_us = start_at_us
             self._next_known = False
 
     def _outranks(self, island: Island) -> bool:
@@ -273,16 +274,16 @@ class Wire:
 
     def _withdraw(self, island: Island) -> None:
         """Cancel an arbitration that was decided before its bit time."""
-        length_us = island.end_us - island.begun_us
-        self.busy_us -= length_us
-        self.worst_us -= WORST_BITS[len(island.frame[1])] * self.bit_us
-        island.start_us, island.end_us = island.begun_us, NEVER_US
+        length_us = island.end_at_us - island.begun_at_us
+        self.busy_for_us -= length_us
+        self.worst_for_us -= WORST_BITS[len(island.frame[1])] * self.bit_us
+        island.start_at_us, island.end_at_us = island.begun_at_us, NEVER_US
 
     @property
     def next_at_us(self) -> int | None:
         """When the next event occurs by itself."""
         if self._next_known:
-            return self._next_us
+            return self._next_at_us
         next_at_us = NEVER_US
         for island in self._islands:
             due_at_us = island.next_at_us
@@ -291,8 +292,8 @@ class Wire:
         if self._off:
             back_us = min(self._off.values())
             next_at_us = back_us if next_at_us == NEVER_US else min(next_at_us, back_us)
-        self._next_us, self._next_known = (None if next_at_us == NEVER_US else next_at_us), True
-        return self._next_us
+        self._next_at_us, self._next_known = (None if next_at_us == NEVER_US else next_at_us), True
+        return self._next_at_us
 
     def advance(self, now_us: int) -> list[Delivery]:
         """Process everything that ends until now, in order."""
@@ -301,65 +302,65 @@ class Wire:
         while (t_us := self.next_at_us) is not None and t_us <= now_us:
             self._next_known = False
             for island in self._islands:
-                if NEVER_US < island.end_us <= t_us:
+                if NEVER_US < island.end_at_us <= t_us:
                     self._end(island, t_us, deliveries)
             if self._off:
                 self._recover(t_us)
             for island in self._islands:
-                if NEVER_US < island.start_us <= t_us and island.end_us == NEVER_US:
+                if NEVER_US < island.start_at_us <= t_us and island.end_at_us == NEVER_US:
                     self._arbitrate(island, t_us)
         return deliveries
 
     def _recover(self, t_us: int) -> None:
         """Return nodes whose bus-off time is over."""
-        for number in [n for n, until_us in self._off.items() if until_us <= t_us]:
+        for number in [n for n, end_at_us in self._off.items() if end_at_us <= t_us]:
             del self._off[number]
             node = self.nodes[number]
             node.off_ends_at_us, node.tec, node.rec = None, 0, 0
 
     def _arbitrate(self, island: Island, t_us: int) -> None:
-        island.start_us = NEVER_US
+        island.start_at_us = NEVER_US
         best: tuple[int, int, Frame] | None = None  # no two entries have the same order
         sender, later_us = -1, list[int]()
         for number in self._waiting:
             node = self.nodes[number]
             if node.island != island.number:
                 continue
-            if node.ready_us > t_us:
-                later_us.append(node.ready_us)
+            if node.ready_at_us > t_us:
+                later_us.append(node.ready_at_us)
                 continue
             head = node.queue[0]
             if best is None or head < best:
                 best, sender = head, number
         if best is None:
             if later_us:
-                island.start_us = min(later_us)
+                island.start_at_us = min(later_us)
             return
         frame = best[2]
         identifier, data = frame
         bits = frame_bits(identifier, data)
-        self.worst_us += WORST_BITS[len(data)] * self.bit_us
+        self.worst_for_us += WORST_BITS[len(data)] * self.bit_us
         node = self.nodes[sender]
         if frame is node.flood and not later_us and self._undisturbed(node):
-            island.begun_us, island.end_us, island.sender = t_us, ENDLESS_US, sender
+            island.begun_at_us, island.end_at_us, island.sender = t_us, ENDLESS_US, sender
             island.frame, island.broken = frame, False
-            island.train_us = bits * self.bit_us
+            island.train_period_us = bits * self.bit_us
             return
         broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
         if broken:  # at a random bit of the frame all nodes send an error flag
             length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
         else:
             length_us = bits * self.bit_us
-        self.busy_us += length_us
-        island.begun_us, island.end_us, island.sender = t_us, t_us + length_us, sender
+        self.busy_for_us += length_us
+        island.begun_at_us, island.end_at_us, island.sender = t_us, t_us + length_us, sender
         island.frame, island.broken = frame, broken
 
     def _end(self, island: Island, t_us: int, deliveries: list[Delivery]) -> None:
         number, frame, broken = island.sender, island.frame, island.broken
-        island.end_us, island.free_us = NEVER_US, t_us
+        island.end_at_us, island.free_at_us = NEVER_US, t_us
         node = self.nodes[number]
         if node.tec > PASSIVE:
-            node.ready_us = t_us + SUSPEND_US
+            node.ready_at_us = t_us + SUSPEND_US
         if broken:
             self.errors += 1
             self._punish(number, node, t_us)
@@ -383,7 +384,7 @@ class Wire:
             deliveries.append(_tuple(Delivery, (t_us, frame, number, self._hearers(number))))
         for waiting in self._waiting:
             if self.nodes[waiting].island == island.number:
-                island.start_us = t_us
+                island.start_at_us = t_us
                 break
 
     def _undisturbed(self, node: Node) -> bool:
@@ -423,12 +424,12 @@ class Wire:
             if node.rec and other != number and node.island == island:
                 node.rec -= 1
 
-    def bus_off(self, number: int, until_us: int) -> None:
+    def bus_off(self, number: int, end_at_us: int) -> None:
         """Force a node off the bus."""
         self._settle_all(self._now_us)
         node = self.nodes[number]
-        node.tec, node.off_ends_at_us, node.flood = BUS_OFF_TEC, until_us, None
-        self._off[number] = until_us
+        node.tec, node.off_ends_at_us, node.flood = BUS_OFF_TEC, end_at_us, None
+        self._off[number] = end_at_us
         self._next_known = False
         node.queue.clear()
         self._waiting.discard(number)

@@ -103,7 +103,7 @@ class Segment:
         self._at = clock.at if clock is not None else None
         self._fires: Callable[[], None] = self._fire
         self._timer: Alarm | None = None
-        self._timer_us = 0
+        self._timer_at_us = 0
 
     def now_us(self) -> int:
         """Microseconds of the clock that drives this segment: of the simulation, the running
@@ -149,10 +149,10 @@ class Segment:
         if self._loop is not loop:
             self._loop, self._timer = loop, None
         if self._timer is not None:
-            if self._timer_us <= next_at_us:
+            if self._timer_at_us <= next_at_us:
                 return
             self._timer.cancel()
-        self._timer_us = next_at_us
+        self._timer_at_us = next_at_us
         if loop is not None:
             self._timer = loop.call_at(next_at_us / 1_000_000, self._fire)
         elif self._at is not None:

@@ -75,16 +75,16 @@ class Client(asyncio.BufferedProtocol):
         self.errors = 0  # invalid commands
         self.refused = 0  # frames that the wire did not accept
         self._confirms = False  # whether it asked for reports about its frames
-        self._told_us = -REFUSED_US
-        self.since_s = self.spoke_s = 0.0  # times of connection and of its last frame
+        self._told_at_us = -REFUSED_US
+        self.connected_at_s = self.spoke_at_s = 0.0  # times of connection and of its last frame
         self.spoke = False
         self._transport: asyncio.Transport | None = None
         self._twin: socket.socket | None = None  # used to read the remaining data after a reset
         self._buffer = bytearray(READ_BYTES)
         self._pending = b""
         self._quiet: list[bytes] | None = None  # held back, because the client may not be ready
-        self._commands = 0  # since `_window_s`
-        self._window_s = 0.0
+        self._commands = 0  # since `_window_at_s`
+        self._window_at_s = 0.0
 
     # ---------------------------------------------------------------- callbacks of asyncio
 
@@ -93,7 +93,7 @@ class Client(asyncio.BufferedProtocol):
         is free."""
         self._transport = cast(asyncio.Transport, transport)
         loop = asyncio.get_running_loop()
-        self.since_s = self.spoke_s = self._window_s = loop.time()
+        self.connected_at_s = self.spoke_at_s = self._window_at_s = loop.time()
         if not self.hub.seat(self):
             self._transport.abort()
             return
@@ -159,7 +159,7 @@ class Client(asyncio.BufferedProtocol):
         if frame is None:
             self.errors += 1
             return NO_FRAME
-        self.spoke, self.spoke_s = True, asyncio.get_running_loop().time()
+        self.spoke, self.spoke_at_s = True, asyncio.get_running_loop().time()
         if self.bus is not None:
             taken = self.bus.submit(frame)
         else:  # sent before the first frame is received
@@ -173,9 +173,9 @@ class Client(asyncio.BufferedProtocol):
         if self._confirms:
             return f"refused {self.refused}"
         now_us = self.hub.segment.now_us()
-        if now_us - self._told_us < REFUSED_US:
+        if now_us - self._told_at_us < REFUSED_US:
             return None
-        self._told_us = now_us
+        self._told_at_us = now_us
         return "error the bus takes no frame"
 
     def _confirm(self) -> str | None:
@@ -242,9 +242,9 @@ class Client(asyncio.BufferedProtocol):
     def _pace(self) -> None:
         """Stop reading a client with too many commands for a while."""
         loop, transport = asyncio.get_running_loop(), self._transport
-        due_s = self._window_s + self._commands / COMMANDS_S
+        due_s = self._window_at_s + self._commands / COMMANDS_S
         if due_s <= loop.time():
-            self._window_s, self._commands = loop.time(), 0
+            self._window_at_s, self._commands = loop.time(), 0
         elif due_s > loop.time() + QUIET_S and transport is not None and not transport.is_closing():
             transport.pause_reading()
             loop.call_at(due_s, self._resume)
@@ -287,7 +287,7 @@ class Client(asyncio.BufferedProtocol):
     def listens(self) -> bool:
         """Whether it receives every frame, and has sent none although it had the time."""
         now_s = asyncio.get_running_loop().time()
-        return self.bus is not None and not self.spoke and now_s - self.since_s >= LISTENER_S
+        return self.bus is not None and not self.spoke and now_s - self.connected_at_s >= LISTENER_S
 
     def give_up_seat(self) -> None:
         """Close the connection of a client that has said nothing, so that a waiting one gets its
@@ -336,11 +336,11 @@ class Hub:
         seat."""
         if len(self.clients) >= CLIENTS_MAX:
             now_s = asyncio.get_running_loop().time()
-            silent = [c for c in self.clients if not c.spoke or now_s - c.spoke_s > SPEAKS_S]
+            silent = [c for c in self.clients if not c.spoke or now_s - c.spoke_at_s > SPEAKS_S]
             if not silent:
                 self.refused += 1
                 return False
-            least = min(silent, key=lambda c: (c.spoke, c.spoke_s))
+            least = min(silent, key=lambda c: (c.spoke, c.spoke_at_s))
             self.clients.discard(least)
             least.give_up_seat()
         self.clients.add(client)
@@ -348,7 +348,7 @@ class Hub:
 
     def thin_out(self) -> None:
         """If too many clients only listen, drop the oldest of them."""
-        listening = sorted((c for c in self.clients if c.listens), key=lambda c: c.since_s)
+        listening = sorted((c for c in self.clients if c.listens), key=lambda c: c.connected_at_s)
         for client in listening[: max(len(listening) - LISTENERS_MAX, 0)]:
             self.clients.discard(client)
             client.give_up_seat()

@@ -15,24 +15,24 @@ YARD_M = 18.0, 12.0  # boxes appear within this distance of the middle
 Draw = Callable[[Random, int, float, float], list[Fault]]  # random source, robots, start, end
 
 
-def _cut(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _cut(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     slots = list(range(robots))
     rng.shuffle(slots)
     at = rng.randrange(1, robots)
-    healed_s = min(at_s + rng.choice((0.2, 2.0, 10.0)), end_s)
+    healed_s = min(at_s + rng.choice((0.2, 2.0, 10.0)), end_at_s)
     return [
         kinds.Partition(at_s=at_s, kind="partition", islands=[slots[:at], slots[at:]]),
         kinds.Heal(at_s=healed_s, kind="heal"),
     ]
 
 
-def _one_way(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _one_way(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     sender, receiver = rng.sample(range(robots), 2)
     return [kinds.OneWay(at_s=at_s, kind="one_way", sender=sender, receiver=receiver)]
 
 
-def _crash(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    robot, back_s = rng.randrange(robots), min(at_s + rng.uniform(0.05, 15.0), end_s)
+def _crash(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, back_s = rng.randrange(robots), min(at_s + rng.uniform(0.05, 15.0), end_at_s)
     disk = rng.choice(("kept", "kept", "torn", "torn", "lost", "rolled_back"))
     restart = {"at_s": back_s, "kind": "restart", "robot": robot, "disk": disk}
     return [
@@ -41,25 +41,25 @@ def _crash(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     ]
 
 
-def _freeze(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _freeze(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     for_s = rng.choice((0.05, 0.3, 1.0, 8.0))
     return [kinds.Freeze(at_s=at_s, kind="freeze", robot=rng.randrange(robots), for_s=for_s)]
 
 
 def _rate(make: Callable[[float, float], Fault], most: float) -> Draw:
-    def draw(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-        over_s = min(at_s + rng.uniform(1.0, 15.0), end_s)
+    def draw(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+        over_s = min(at_s + rng.uniform(1.0, 15.0), end_at_s)
         return [make(at_s, rng.choice((0.01, 0.1, most))), make(over_s, 0.0)]
 
     return draw
 
 
-def _bus_off(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _bus_off(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     for_s, robot = rng.uniform(0.01, 4.0), rng.randrange(robots)
     return [kinds.BusOff(at_s=at_s, kind="bus_off", robot=robot, for_s=for_s)]
 
 
-def _babble(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _babble(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Of any priority, above and below a stop; longer than a policy waits before it continues."""
     priority, for_s = rng.randrange(8), rng.uniform(0.1, 8.0)
     identifier = rng.choice((None, priority << 26 | BABBLING, BABBLING, 0))
@@ -70,123 +70,123 @@ def _babble(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     ]
 
 
-def _clone(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _clone(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     wins = rng.random() < 0.7
     return [kinds.Clone(at_s=at_s, kind="clone", robot=rng.randrange(robots), wins=wins)]
 
 
-def _drift(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _drift(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     ppm = rng.choice((-500.0, 500.0, -5000.0, 5000.0))
     return [kinds.Drift(at_s=at_s, kind="drift", robot=rng.randrange(robots), ppm=ppm)]
 
 
-def _jump(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _jump(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     robot, by_s = rng.randrange(robots), rng.choice((-1.0, -0.05, 0.05, 0.4, 5.0, 3600.0))
     return [kinds.ClockJump(at_s=at_s, kind="clock_jump", robot=robot, by_s=by_s)]
 
 
-def _crash_working(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    robot, for_s = rng.randrange(robots), rng.uniform(0.05, max(0.1, end_s - at_s - 10.0))
+def _crash_working(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), rng.uniform(0.05, max(0.1, end_at_s - at_s - 10.0))
     disk = rng.choice(("kept", "torn", "lost", "rolled_back"))
     table = {"at_s": at_s, "kind": "crash_working", "robot": robot, "for_s": for_s, "disk": disk}
     return [kinds.CrashWorking.model_validate(table)]
 
 
-def _join(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _join(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     return [kinds.Join(at_s=at_s, kind="join", robot=rng.randrange(robots))]
 
 
-def _box(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _box(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     x_m, y_m = rng.uniform(-YARD_M[0], YARD_M[0]), rng.uniform(-YARD_M[1], YARD_M[1])
-    size_m, for_s = rng.uniform(0.4, 1.5), min(rng.uniform(1.0, 15.0), end_s - at_s)
+    size_m, for_s = rng.uniform(0.4, 1.5), min(rng.uniform(1.0, 15.0), end_at_s - at_s)
     return [kinds.Box(at_s=at_s, kind="box", x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s)]
 
 
-def _push(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _push(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     dx_m, dy_m = rng.uniform(-4.0, 4.0), rng.uniform(-4.0, 4.0)
     robot = rng.randrange(robots)
     return [kinds.Pushed(at_s=at_s, kind="pushed", robot=robot, dx_m=dx_m, dy_m=dy_m)]
 
 
-def _haste(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _haste(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """A person resets or starts one machine although something still holds it: it must refuse."""
     table = {"at_s": at_s, "kind": "order", "robot": rng.randrange(robots)}
     order = rng.choice(("manual_reset", "manual_reset", "start"))
     return [kinds.Order.model_validate(table | {"order": order})]
 
 
-def _blind(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    for_s = min(rng.choice((0.05, 0.3, 2.0, 8.0)), end_s - at_s)
+def _blind(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    for_s = min(rng.choice((0.05, 0.3, 2.0, 8.0)), end_at_s - at_s)
     return [kinds.Blind(at_s=at_s, kind="blind", robot=rng.randrange(robots), for_s=for_s)]
 
 
-def _frozen(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    for_s = min(rng.choice((0.1, 0.5, 3.0, 8.0)), end_s - at_s)
+def _frozen(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    for_s = min(rng.choice((0.1, 0.5, 3.0, 8.0)), end_at_s - at_s)
     return [kinds.Frozen(at_s=at_s, kind="frozen", robot=rng.randrange(robots), for_s=for_s)]
 
 
-def _late(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _late(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Later than the age limit of a position; smaller delays affect only the accuracy."""
-    by_s, for_s = rng.choice((0.15, 0.5, 2.0)), min(rng.uniform(0.5, 8.0), end_s - at_s)
+    by_s, for_s = rng.choice((0.15, 0.5, 2.0)), min(rng.uniform(0.5, 8.0), end_at_s - at_s)
     robot = rng.randrange(robots)
     return [kinds.Late(at_s=at_s, kind="late", robot=robot, by_s=by_s, for_s=for_s)]
 
 
-def _disk_full(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    robot, for_s = rng.randrange(robots), min(rng.uniform(0.5, 8.0), end_s - at_s)
+def _disk_full(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.uniform(0.5, 8.0), end_at_s - at_s)
     return [kinds.DiskFull(at_s=at_s, kind="disk_full", robot=robot, for_s=for_s)]
 
 
-def _press(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _press(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     return [kinds.Estop(at_s=at_s, kind="estop", robot=rng.randrange(robots))]
 
 
-def _buttons(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _buttons(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     for_s = rng.uniform(0.5, 5.0)
     # The buttons send "permit" for a while before and after.
-    at_s = max(0.0, min(at_s, end_s - for_s - 6.5))
+    at_s = max(0.0, min(at_s, end_at_s - for_s - 6.5))
     lost, unheard, count = rng.randrange(2), rng.random() < 0.3, rng.randint(2, 4)
     return [kinds.Buttons(at_s=round(at_s, 3), kind="buttons", buttons=count, for_s=for_s,
                           lost=lost, unheard=unheard)]  # fmt: skip
 
 
-def _used_stop(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _used_stop(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     every_s, names = rng.choice((0.005, 0.005, 0.1, 1.0)), rng.randint(1, 8)
     for_s = rng.uniform(0.05, 1.0) + rng.choice((0.0, 2.5 * every_s))
-    at_s = max(0.0, min(at_s, end_s - for_s - 1.0))
+    at_s = max(0.0, min(at_s, end_at_s - for_s - 1.0))
     return [kinds.UsedStop(at_s=round(at_s, 3), kind="used_stop", names=names, for_s=for_s,
                            every_s=every_s)]  # fmt: skip
 
 
-def _foreign(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
-    claims, for_s = rng.random() < 0.7, min(rng.uniform(0.5, 10.0), end_s - at_s)
+def _foreign(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    claims, for_s = rng.random() < 0.7, min(rng.uniform(0.5, 10.0), end_at_s - at_s)
     return [kinds.Foreign(at_s=at_s, kind="foreign", claims=claims, for_s=for_s)]
 
 
-def _twin(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _twin(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     robot, same = rng.randrange(robots), rng.random() < 0.4
-    for_s = min(rng.choice((0.3, 2.0, 8.0)), end_s - at_s)
+    for_s = min(rng.choice((0.3, 2.0, 8.0)), end_at_s - at_s)
     return [kinds.Twin(at_s=at_s, kind="twin", robot=robot, same_address=same, for_s=for_s)]
 
 
-def _nonsense(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _nonsense(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """A robot that has lost every address tries again after 5 s, the second time after 10 s."""
-    at_s = round(max(0.0, min(at_s, end_s - NONSENSE_S)), 3)
+    at_s = round(max(0.0, min(at_s, end_at_s - NONSENSE_S)), 3)
     table = {"at_s": at_s, "kind": "nonsense", "robot": rng.randrange(robots)}
     table |= {"what": rng.choice(("field", "work", "claims")), "same_slot": rng.random() < 0.3}
     return [kinds.Nonsense.model_validate(table | {"for_s": rng.uniform(0.2, NONSENSE_S)})]
 
 
-def _release(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _release(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     return [kinds.Reset(at_s=at_s, kind="reset")]
 
 
-def _blackout(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _blackout(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """All robots lose power within 0.3 s, so no running robot keeps the state of the fleet."""
     faults: list[Fault] = []
     for robot in range(robots):
         off_s = round(at_s + rng.uniform(0.0, 0.3), 3)
-        back_s = min(at_s + rng.uniform(0.5, 8.0), end_s)
+        back_s = min(at_s + rng.uniform(0.5, 8.0), end_at_s)
         table = {"at_s": back_s, "kind": "restart", "robot": robot}
         disk = rng.choice(("kept", "torn"))
         faults += [
@@ -196,13 +196,13 @@ def _blackout(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault
     return faults
 
 
-def _burst(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _burst(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """A contactor opens because a person presses: each receiver misses copies of the stop.
 
     At most half of the copies are lost: 20 copies are sent in 100 ms, and at least one of them
     arrives for all but one in a million presses.
     """
-    from_s, over_s = at_s - rng.uniform(0.0, 0.1), min(at_s + rng.uniform(0.1, 0.5), end_s)
+    from_s, over_s = at_s - rng.uniform(0.0, 0.1), min(at_s + rng.uniform(0.1, 0.5), end_at_s)
     rate = rng.choice((0.2, 0.35, 0.5))
     return [
         kinds.Omission(at_s=round(from_s, 3), kind="omission", rate=rate),
@@ -211,10 +211,10 @@ def _burst(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
     ]
 
 
-def _split(rng: Random, robots: int, at_s: float, end_s: float) -> list[Fault]:
+def _split(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Two islands for long enough that both continue to work, if the policy allows it."""
-    cut = _cut(rng, robots, at_s, end_s)[0]
-    healed_s = min(at_s + rng.uniform(3.0, 25.0), end_s)
+    cut = _cut(rng, robots, at_s, end_at_s)[0]
+    healed_s = min(at_s + rng.uniform(3.0, 25.0), end_at_s)
     return [cut, kinds.Heal(at_s=healed_s, kind="heal")]
 
 

@@ -1,6 +1,6 @@
 """Random fault scenarios, drawn from a seed: faults of every kind, in two phases.
 
-Until `Span.calm_s` any fault may occur. Then everything is repaired (links, rates, crashed robots,
+Until `Span.calm_at_s` any fault may occur. Then everything is repaired (links, rates, crashed robots,
 a reset and a start), and the fleet must recover within bounded time. The result is an ordinary
 scenario: it can be printed, edited, shrunk and run again.
 """
@@ -17,20 +17,20 @@ from sim.scenarios.scenario import Fault, Scenario, load
 class Span(NamedTuple):
     """The phases of a run, by its mission."""
 
-    calm_s: float  # no new fault after this
-    limit_s: float  # the work must be finished by then
-    first_s: float = 4.0  # no fault before this
+    calm_at_s: float  # no new fault after this
+    limit_at_s: float  # the work must be finished by then
+    first_at_s: float = 4.0  # no fault before this
 
     @property
-    def reset_s(self) -> float:
+    def reset_at_s(self) -> float:
         """When the operator resets for the first time: the fleet needs some seconds of calm to see
         all its stops."""
-        return self.calm_s + 4.0
+        return self.calm_at_s + 4.0
 
     @property
-    def again_s(self) -> float:
+    def start_at_s(self) -> float:
         """The time of a second reset, for robots that were out of reach of the first."""
-        return self.calm_s + 12.0
+        return self.calm_at_s + 12.0
 
 
 SPANS = {
@@ -128,11 +128,11 @@ def draw(seed: int, profile: str = "all") -> Scenario:
     names = sorted(kind.weights)
     faults: list[Fault] = []
     for name in rng.choices(names, [kind.weights[n] for n in names], k=rng.randint(*kind.faults)):
-        at_s = rng.uniform(span.first_s, span.calm_s - 0.5)
+        at_s = rng.uniform(span.first_at_s, span.calm_at_s - 0.5)
         if kind.together and faults and rng.random() < kind.together:
-            at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_s - 0.5)
+            at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_at_s - 0.5)
         at_s = round(at_s, 3)
-        faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_s)
+        faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_at_s)
     if kind.mission == "field":
         return with_faults(load("yard").changed(robots, seed), faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence), faults)
@@ -146,20 +146,20 @@ def span_of(scenario: Scenario) -> Span:
 def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:
     """The scenario with these faults, sorted, and the repairs after them."""
     span = span_of(scenario)
-    drawn = [f for f in sorted(faults, key=lambda f: f.at_s) if f.at_s <= span.calm_s]
-    run = scenario.run.model_copy(update={"time_limit_s": span.limit_s})
+    drawn = [f for f in sorted(faults, key=lambda f: f.at_s) if f.at_s <= span.calm_at_s]
+    run = scenario.run.model_copy(update={"time_limit_s": span.limit_at_s})
     return scenario.model_copy(update={"fault": drawn + calm(span), "run": run})
 
 
 def calm(span: Span) -> list[Fault]:
     """The end of all trouble: links and rates are repaired, and an operator resets twice."""
-    at_s = span.calm_s + 0.5
+    at_s = span.calm_at_s + 0.5
     return [
         kinds.Heal(at_s=at_s, kind="heal"),
         kinds.Loss(at_s=at_s, kind="loss", rate=0.0),
         kinds.Omission(at_s=at_s, kind="omission", rate=0.0),
         kinds.Duplicate(at_s=at_s, kind="duplicate", rate=0.0),
         kinds.Errors(at_s=at_s, kind="errors", rate=0.0),
-        kinds.Reset(at_s=span.reset_s, kind="reset"),
-        kinds.Reset(at_s=span.again_s, kind="reset"),
+        kinds.Reset(at_s=span.reset_at_s, kind="reset"),
+        kinds.Reset(at_s=span.start_at_s, kind="reset"),
     ]

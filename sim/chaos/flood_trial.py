@@ -48,7 +48,7 @@ class Flood(NamedTuple):
     for_s: float
     share: float  # share of the time
     presses: tuple[tuple[float, int], ...]  # seconds after its beginning, robot
-    longest_s: float = 0.0  # the upper limit with which it was drawn
+    longest_for_s: float = 0.0  # the upper limit with which it was drawn
 
 
 class Result(NamedTuple):
@@ -56,21 +56,21 @@ class Result(NamedTuple):
 
     flood: Flood
     late: int  # robots that were commanded to move, or moved, after the bound of a press
-    wire_s: float  # from the end of the flood until every robot's frame has left; inf: never
+    wire_for_s: float  # from the end of the flood until every robot's frame has left; inf: never
     # From its end, or from the reset and start, until a robot moves and all members are received.
-    fleet_s: float
+    fleet_for_s: float
     moved_m: float  # the longest distance of a robot during the flood
 
     @property
     def broken(self) -> bool:
         """Whether a robot moved after the bound of a press, or the wire or the fleet took too long
         to recover."""
-        slow = max(self.wire_s, self.fleet_s) > RECOVER_US / S
+        slow = max(self.wire_for_s, self.fleet_for_s) > RECOVER_US / S
         return bool(self.late) or slow
 
 
 def draw(
-    seed: int, robots: int | None = None, policy: str | None = None, longest_s: float = 120.0
+    seed: int, robots: int | None = None, policy: str | None = None, longest_for_s: float = 120.0
 ) -> Flood:
     """The trial of a seed. Arguments that are given are not drawn."""
     rng = Random(f"{seed}/flood")
@@ -78,14 +78,14 @@ def draw(
     low, priority = rng.choice(LOWEST), rng.randrange(8)
     identifier = low if rng.random() < 0.4 else priority << 26 | rng.choice((ADDRESS, UNKNOWN))
     # Half of the draws are between 1 and 11 s, half between 11 and 120 s.
-    for_s = round(longest_s ** rng.random(), 3)
+    for_s = round(longest_for_s ** rng.random(), 3)
     share, length = rng.choice(SHARES), rng.choice((0, 8, 8, 8))
     presses = rng.choice((0, 1, 1, 1, 3))
     count, ending = robots or count, policy or ending
     times = sorted(round(rng.uniform(0.0, for_s), 3) for _ in range(presses))
     return Flood(
         seed, count, ending, identifier, length, for_s, share,
-        tuple((at_s, rng.randrange(count)) for at_s in times), longest_s,
+        tuple((at_s, rng.randrange(count)) for at_s in times), longest_for_s,
     )  # fmt: skip
 
 
@@ -99,7 +99,7 @@ class Trial:
         scenario = scenario.with_engine("contact_free")
         setting = FieldSetup(scenario.model_copy(update={"fleet": fleet}))
         self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
-        self.cluster.stops.bound_us = beat_of(flood.robots).silence_for_us + REACTION_US
+        self.cluster.stops.bound_for_us = beat_of(flood.robots).silence_for_us + REACTION_US
 
     def run(self) -> Result:
         """Play the trial to its end."""
@@ -119,7 +119,7 @@ class Trial:
         bus.subscribe(lambda frame: None)
         press = self.swarm.spawn(self._press(at_us))
         yield from self._send(bus, at_us + round(flood.for_s * S))
-        end_us = self._now_us()
+        end_at_us = self._now_us()
         moved_m = max(
             abs(complex(*body.position) - complex(*before[slot]))
             for slot, body in world.robots.items()
@@ -131,33 +131,33 @@ class Trial:
             RECOVER_US,
         )
         assert press.done()
-        from_us = end_us
+        begin_at_us = end_at_us
         if flood.presses:
             yield self._now_us() + AFTER_US
-            from_us = self._now_us()
+            begin_at_us = self._now_us()
         reset = self.swarm.spawn(self._reset()) if flood.presses else None
-        limit_us = max(1, from_us + 2 * RECOVER_US - self._now_us())
-        fleet_us = yield from self._until(self._works, limit_us)
+        limit_for_us = max(1, begin_at_us + 2 * RECOVER_US - self._now_us())
+        fleet_us = yield from self._until(self._works, limit_for_us)
         if reset is not None:
             reset.cancel()
         late = {slot for violation in self.cluster.stops.violations for slot in violation.slots}
-        found_us = inf if fleet_us == inf else self._now_us() - from_us
+        found_us = inf if fleet_us == inf else self._now_us() - begin_at_us
         return Result(flood, len(late), wire_us / S, found_us / S, moved_m)
 
-    def _send(self, bus: FieldBus, until_us: int) -> Script[None]:
+    def _send(self, bus: FieldBus, end_at_us: int) -> Script[None]:
         """Send without pause, or for its share of each period."""
         flood, wire = self.flood, self.cluster.segment.wire
         frame = Frame(flood.identifier, bytes(flood.length))
-        while (now_us := self._now_us()) < until_us:
+        while (now_us := self._now_us()) < end_at_us:
             wire.flood(bus.node, frame, now_us)
             self.cluster.segment.arm()
             if flood.share == 1.0:
-                yield until_us
+                yield end_at_us
                 return
-            yield min(until_us, now_us + round(flood.share * PIECE_US))
+            yield min(end_at_us, now_us + round(flood.share * PIECE_US))
             wire.flood(bus.node, None, self._now_us())
             self.cluster.segment.arm()
-            yield min(until_us, now_us + PIECE_US)
+            yield min(end_at_us, now_us + PIECE_US)
 
     def _press(self, at_us: int) -> Script[None]:
         for at_s, slot in self.flood.presses:
@@ -177,14 +177,14 @@ class Trial:
             cluster.order(OperatorCommand(Command.START, 255, OPERATOR))
             yield self._now_us() + 4 * RESET_US
 
-    def _until(self, holds, limit_us: int) -> Script[float]:  # type: ignore[no-untyped-def]
+    def _until(self, holds, limit_for_us: int) -> Script[float]:  # type: ignore[no-untyped-def]
         """Microseconds until the condition holds; inf if not within the limit."""
-        begun_us = self._now_us()
+        begun_at_us = self._now_us()
         while not holds():
-            if self._now_us() - begun_us >= limit_us:
+            if self._now_us() - begun_at_us >= limit_for_us:
                 return inf
             yield self._now_us() + LOOK_US
-        return float(self._now_us() - begun_us)
+        return float(self._now_us() - begun_at_us)
 
     def _now_us(self) -> int:
         now_us = self.swarm.now_us()

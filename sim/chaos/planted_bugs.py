@@ -73,7 +73,7 @@ def _single_shot(right: Any) -> Any:
     def press(self: StopController, *args: Any) -> Any:
         effects = right(self, *args)
         self._own.clear()
-        self._repeat_us = safety.FOREVER
+        self._repeat_at_us = safety.FOREVER
         return [
             e for e in effects if not isinstance(e, Send) or isinstance(e.message, EmergencyStop)
         ]
@@ -226,7 +226,7 @@ def _keeps_address(right: Any) -> Any:
 
 def _gives_up(right: Any) -> Any:
     def try_again(self: AddressClaim, now_us: int) -> None:
-        self._next_us = None
+        self._next_at_us = None
 
     return try_again
 

@@ -55,14 +55,15 @@ class RobotStatements:
         # New units of sections it has claimed: its own work, which is on its disk before it is
         # sent. Units relayed for other robots are not on this robot's disk.
         self.own_progress: dict[tuple[int, int], int] = {}
-        self.claimed_us: dict[int, int] = {}  # section -> when it sent its claim
+        self.claimed_at_us: dict[int, int] = {}  # section -> when it sent its claim
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
         self.stopped = False
-        self.stopped_us = NEVER_US  # since when it reports it, in a stop frame or a beat
-        self.reset_us = NEVER_US  # the newest order to reset it; then the newest order to start it
-        self.start_us = NEVER_US
+        self.stopped_at_us = NEVER_US  # since when it reports it, in a stop frame or a beat
+        # the newest order to reset it; then the newest order to start it
+        self.reset_at_us = NEVER_US
+        self.start_at_us = NEVER_US
         self.asks_start = False  # it was reset, and has not been started since
-        self.pressed_us = NEVER_US
+        self.pressed_at_us = NEVER_US
         self.unnamed = False  # the stop of that press has not been sent yet
         self.old_name: StopDot | None = None  # the only stop that it has sent since the press
         self.votes: dict[int, LeaderElectionVote] = {}  # newest of each election
@@ -81,7 +82,7 @@ class ProtocolRules:
         # (section, block) -> bits that any robot has sent.
         self.units: dict[tuple[int, int], int] = {}
         self.questions: Counter[int] = Counter()  # questions of each robot for entries it lacks
-        self.implements_stop_us = NEVER_US  # when a robot last sent the standard stop
+        self.implements_stop_at_us = NEVER_US  # when a robot last sent the standard stop
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
         # (election, term, candidate) -> voters.
         self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(set)
@@ -91,8 +92,8 @@ class ProtocolRules:
     def pressed(self, slot: int, now_us: int) -> None:
         """Call before the robot gets the press."""
         speaker = self.speakers[slot]
-        if now_us - speaker.pressed_us >= STOP_SPACING_US or speaker.pressed_us == NEVER_US:
-            speaker.pressed_us, speaker.unnamed, speaker.old_name = now_us, True, None
+        if now_us - speaker.pressed_at_us >= STOP_SPACING_US or speaker.pressed_at_us == NEVER_US:
+            speaker.pressed_at_us, speaker.unnamed, speaker.old_name = now_us, True, None
 
     def ordered(self, order: Message, now_us: int) -> None:
         """Handle an operator's frame, whether or not any robot receives it."""
@@ -102,9 +103,9 @@ class ProtocolRules:
             for slot in range(self.robots):
                 if order.target in (slot, EVERYBODY):
                     if order.command == Command.MANUAL_RESET:
-                        self.speakers[slot].reset_us = now_us
+                        self.speakers[slot].reset_at_us = now_us
                     elif order.command == Command.START:
-                        self.speakers[slot].start_us = now_us
+                        self.speakers[slot].start_at_us = now_us
 
     def without_name(self) -> None:
         """A device with an unknown NAME has sent a frame, so S21 cannot be judged from now on."""
@@ -112,7 +113,7 @@ class ProtocolRules:
 
     def leaps(self, slot: int) -> None:
         """Its clock is set, so its waiting time after a claim cannot be measured from outside."""
-        self.speakers[slot].claimed_us.clear()
+        self.speakers[slot].claimed_at_us.clear()
 
     def restarts(self, slot: int) -> None:
         """A restart with its memory kept. Entries of other robots that it relayed were never on
@@ -134,7 +135,7 @@ class ProtocolRules:
     def said(self, slot: int, now_us: int, message: Message) -> None:
         """Judge one message that robot `slot` has sent, at the time of the observer's clock."""
         speaker = self.speakers[slot]
-        if speaker.old_name is not None and now_us > speaker.pressed_us:
+        if speaker.old_name is not None and now_us > speaker.pressed_at_us:
             self._add(
                 "S8", now_us, f"robot {slot} gives a new stop an old name, {speaker.old_name}"
             )
@@ -144,7 +145,7 @@ class ProtocolRules:
             self._pose(slot, speaker, now_us, message)
         elif isinstance(message, AllImplementsStop):
             if message.switch == Switch.STOP:
-                self.implements_stop_us = now_us
+                self.implements_stop_at_us = now_us
         elif isinstance(message, EmergencyStop):
             if not message.spent:  # a report of a used name is not a stop
                 self._stop(slot, speaker, now_us, message)
@@ -185,17 +186,17 @@ class ProtocolRules:
     def _pose(self, slot: int, speaker: RobotStatements, now_us: int, pose: Pose) -> None:
         if pose.stopped and not speaker.stopped:
             if not speaker.dots:  # else it reported it in the stop frame, before this beat
-                speaker.stopped_us = now_us
+                speaker.stopped_at_us = now_us
         elif speaker.stopped and not pose.stopped:
             speaker.asks_start = True
-            if speaker.reset_us < speaker.stopped_us:
+            if speaker.reset_at_us < speaker.stopped_at_us:
                 self._add("S2", now_us, f"robot {slot} is released, and nobody has reset it")
         if not pose.stopped and speaker.dots:
             held = speaker.dots - self.cleared
             if held:
                 self._add("S3", now_us, f"robot {slot} is released from {sorted(held)[0]}")
             speaker.dots.clear()
-        if speaker.asks_start and speaker.start_us > speaker.stopped_us:
+        if speaker.asks_start and speaker.start_at_us > speaker.stopped_at_us:
             speaker.asks_start = False
         if speaker.asks_start and pose.state == WORKING:
             self._add("S4", now_us, f"robot {slot} works after a reset without a start")
@@ -204,13 +205,13 @@ class ProtocolRules:
 
     def _stop(self, slot: int, speaker: RobotStatements, now_us: int, stop: EmergencyStop) -> None:
         dot = StopDot(stop.slot, stop.incarnation, stop.counter)
-        new = speaker.unnamed and speaker.pressed_us == now_us
+        new = speaker.unnamed and speaker.pressed_at_us == now_us
         if new and stop.slot == slot and not stop.echo:
             # An old stop may be repeated in the microsecond of the press, before the new one.
             speaker.unnamed = dot in speaker.dots or dot in self.cleared
             speaker.old_name = dot if speaker.unnamed else None
         if not speaker.stopped and not speaker.dots:
-            speaker.stopped_us = now_us
+            speaker.stopped_at_us = now_us
         speaker.dots.add(dot)
         if stop.slot >= self.robots and stop.slot != PANEL and not self.unknown_device:
             self._add(
@@ -221,10 +222,10 @@ class ProtocolRules:
         self, slot: int, speaker: RobotStatements, now_us: int, section: int, phase: Phase
     ) -> None:
         if phase is Phase.CLAIMED:
-            speaker.claimed_us[section] = now_us
+            speaker.claimed_at_us[section] = now_us
             return
-        since_us = speaker.claimed_us.pop(section, None)
-        waited = since_us is None or now_us - since_us >= CONTESTED_US
+        claimed_at_us = speaker.claimed_at_us.pop(section, None)
+        waited = claimed_at_us is None or now_us - claimed_at_us >= CONTESTED_US
         if phase is Phase.STARTED and not waited:
             self._add("S7", now_us, f"robot {slot} starts S{section}, which is contested still")
 

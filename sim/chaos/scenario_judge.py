@@ -93,8 +93,8 @@ class ScenarioJudge:
         # Dead robot -> watches of the robots that must stand.
         self._silences: dict[int, list[int]] = {}
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
-        self._trouble_us = 0  # the newest trouble of a link or a member
-        self._cut_us = SETTLED_US  # until then, some robots may be unable to receive
+        self._trouble_at_us = 0  # the newest trouble of a link or a member
+        self._cut_ends_at_us = SETTLED_US  # until then, some robots may be unable to receive
         # Address -> since when it is lost, NAME, slot.
         self._lost: dict[int, tuple[int, bytes, int]] = {}
         self._settled = False  # `RELEASED_S` is over
@@ -139,7 +139,7 @@ class ScenarioJudge:
     @property
     def faults(self) -> Counter[str]:
         """The number of faults of each kind before the repairs."""
-        return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_s)
+        return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_at_s)
 
     def _attach(self, cluster: Cluster) -> None:
         self.cluster, self.witness.clock = cluster, cluster.host.now_us
@@ -155,8 +155,10 @@ class ScenarioJudge:
         for fault in self.scenario.fault:
             self._watch(fault)
         span = self.span
-        if any(isinstance(f, kinds.Reset) and f.at_s == span.again_s for f in self.scenario.fault):
-            self._at(round((span.again_s + RELEASED_S) * 1e6), self._all_released)
+        if any(
+            isinstance(f, kinds.Reset) and f.at_s == span.start_at_s for f in self.scenario.fault
+        ):
+            self._at(round((span.start_at_s + RELEASED_S) * 1e6), self._all_released)
 
     def _at(self, t_us: int, call: Callable[[], object]) -> None:
         assert isinstance(self.cluster.host, EventLoop)
@@ -170,8 +172,8 @@ class ScenarioJudge:
             self._at(at_us, partial(self._loses_address, fault.robot))
         if is_link_trouble(fault):
             lossy = isinstance(fault, LOSSY)
-            over_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
-            self._at(at_us, partial(self._troubled, over_us))
+            end_at_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
+            self._at(at_us, partial(self._troubled, end_at_us))
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))
@@ -210,10 +212,10 @@ class ScenarioJudge:
         self.cluster.world.advance(now_us)
         return now_us
 
-    def _troubled(self, over_us: int) -> None:
-        self._trouble_us = self.cluster.host.now_us()
-        self._cut_us = max(self._cut_us, over_us)
-        if over_us:
+    def _troubled(self, end_at_us: int) -> None:
+        self._trouble_at_us = self.cluster.host.now_us()
+        self._cut_ends_at_us = max(self._cut_ends_at_us, end_at_us)
+        if end_at_us:
             self._interrupted()
         for slot in list(self._silences):
             self._heard_of(slot)
@@ -228,7 +230,7 @@ class ScenarioJudge:
         peer = cluster.robots[slot].peer
         # The part of the bus with the tool.
         beside = cluster.segment.wire.nodes[cluster.node_of(slot)].island == 0
-        if now_us >= self._cut_us and self._one_bus and beside and peer.address is not None:
+        if now_us >= self._cut_ends_at_us and self._one_bus and beside and peer.address is not None:
             name = peer.identity.name.pack().to_bytes(8, "little")
             self._lost[peer.address] = now_us + LEFT_US, name, slot
             self._overhear()
@@ -243,22 +245,22 @@ class ScenarioJudge:
         address = frame.identifier & 0xFF
         if address not in self._lost:
             return
-        since_us, name, _ = self._lost[address]
+        lost_at_us, name, _ = self._lost[address]
         if frame.identifier >> 16 & 0xFF == CLAIM_PF:
             # Claimed again by a device that may not know of the loss.
-            if frame.data == name or t_us >= since_us:
+            if frame.data == name or t_us >= lost_at_us:
                 del self._lost[address]
-        elif t_us >= since_us:
+        elif t_us >= lost_at_us:
             del self._lost[address]
             self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
 
-    def _loses_senses(self, slot: int, until_us: int) -> None:
+    def _loses_senses(self, slot: int, end_at_us: int) -> None:
         """S19: it stands until its sensors work again."""
         now_us = self._now_us()
-        if until_us - now_us > SENSELESS_US and self.cluster.is_up(slot):
+        if end_at_us - now_us > SENSELESS_US and self.cluster.is_up(slot):
             watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
             self._blind.setdefault(slot, []).append(watch)
-            self._at(until_us, partial(self._sees_again, slot, watch))
+            self._at(end_at_us, partial(self._sees_again, slot, watch))
 
     def _sees_again(self, slot: int, watch: int | None = None) -> None:
         """Its sensors work again, or a person moves it by hand."""
@@ -269,12 +271,12 @@ class ScenarioJudge:
         if watch is None:
             self._frozen_at.pop(slot, None)
 
-    def _place_freezes(self, slot: int, until_us: int) -> None:
+    def _place_freezes(self, slot: int, end_at_us: int) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
         self._now_us()
         if self.protocol_world is None and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
-            self._at(until_us, partial(self._thaws, slot))
+            self._at(end_at_us, partial(self._thaws, slot))
 
     def _thaws(self, slot: int) -> None:
         self._now_us()
@@ -282,7 +284,7 @@ class ScenarioJudge:
         if before is not None:
             way_m = hypot(body.position[0] - before[0], body.position[1] - before[1])
             speed_m_s = body.chassis.speed_m_s
-            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_s / 2) + STARTING_M
+            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_for_s / 2) + STARTING_M
             if way_m > most_m:
                 what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
                 self._add("S19", self.cluster.host.now_us() / 1e6, what)
@@ -317,20 +319,26 @@ class ScenarioJudge:
             return
         now_us = self._now_us()
         self.witness.words.pressed(slot, now_us)
-        if now_us >= self._cut_us and self._one_bus and self.cluster.robots[slot].peer.address:
+        if (
+            now_us >= self._cut_ends_at_us
+            and self._one_bus
+            and self.cluster.robots[slot].peer.address
+        ):
             up = [robot.slot for robot in self.cluster.running]
             watch = self.delivery.press(now_us, DELIVERED_US, up)
             self._delivering[watch] = now_us + DELIVERED_US
-            self._at(now_us + self._bound_us, partial(self._delivered, watch))
+            self._at(now_us + self._stand_for_us, partial(self._delivered, watch))
             self._at(now_us + STANDARD_US, partial(self._implements_stand, slot, now_us))
 
-    def _implements_stand(self, slot: int, pressed_us: int) -> None:
+    def _implements_stand(self, slot: int, pressed_at_us: int) -> None:
         """S20: an implement that forgets a button after 3 s of silence stands as long as the
         fleet."""
         now_us, words = self.cluster.host.now_us(), self.witness.words
-        stood = words.speakers[slot].stopped and words.speakers[slot].stopped_us <= pressed_us + S
-        calm = self._trouble_us < pressed_us and self._one_bus and self.cluster.is_up(slot)
-        if stood and calm and now_us - words.implements_stop_us > FORGET_US:
+        stood = (
+            words.speakers[slot].stopped and words.speakers[slot].stopped_at_us <= pressed_at_us + S
+        )
+        calm = self._trouble_at_us < pressed_at_us and self._one_bus and self.cluster.is_up(slot)
+        if stood and calm and now_us - words.implements_stop_at_us > FORGET_US:
             self._add(
                 "S20", now_us / 1e6, f"robot {slot} stands, and no robot says it to implements"
             )
@@ -343,7 +351,7 @@ class ScenarioJudge:
         """A stop that is being sent may not be sent completely, so only the silence limit
         applies."""
         now_us = self.cluster.host.now_us()
-        for watch in [watch for watch, end_us in self._delivering.items() if now_us < end_us]:
+        for watch in [watch for watch, end_at_us in self._delivering.items() if now_us < end_at_us]:
             self._delivered(watch)
         self.cluster.stops.interrupted(now_us - DELIVERED_US)
 
@@ -359,24 +367,24 @@ class ScenarioJudge:
         """Whether all robots have received each other for so long that a split has healed."""
         faults = self.cluster.segment.wire.faults
         lossy = faults.loss or faults.omission or faults.error
-        calm = self.cluster.host.now_us() - self._trouble_us > SETTLED_US
+        calm = self.cluster.host.now_us() - self._trouble_at_us > SETTLED_US
         return calm and self._one_bus and not lossy
 
     @property
-    def _bound_us(self) -> int:
+    def _stand_for_us(self) -> int:
         return beat_of(self.scenario.fleet.robots).silence_for_us + SLACK_US
 
     def _dies(self, slot: int) -> None:
         """S6: if links are without trouble, all robots that have met it must stand until it is
         back."""
         cluster, now_us = self.cluster, self._now_us()
-        calm = now_us - self._trouble_us > SETTLED_US
+        calm = now_us - self._trouble_at_us > SETTLED_US
         if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
             met = cluster.acquaintance.met
             others = [robot.slot for robot in cluster.running if met(robot.slot, slot)]
-            watch = self.silence.press(now_us, self._bound_us, others)
+            watch = self.silence.press(now_us, self._stand_for_us, others)
             self._silences.setdefault(slot, []).append(watch)
-        self._trouble_us = now_us
+        self._trouble_at_us = now_us
         self._lapses(slot)
 
     def _lapses(self, slot: int) -> None:
@@ -400,8 +408,8 @@ class ScenarioJudge:
         self._lost = {address: lost for address, lost in self._lost.items() if lost[2] != slot}
         for dead in list(self._silences):  # a robot that boots has never received the dead ones
             self._heard_of(dead)
-        self._trouble_us = now_us
-        self._cut_us = max(self._cut_us, now_us + SETTLED_US)
+        self._trouble_at_us = now_us
+        self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
         journal = self.cluster.journals[slot]
         recalled = journal.load()
         if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):

@@ -18,7 +18,7 @@ def shrink(scenario: Scenario, fails: Callable[[Scenario], bool]) -> tuple[Scena
         runs += 1
         return runs <= RUNS_MAX and fails(candidate)
 
-    faults = [fault for fault in scenario.fault if fault.at_s <= span_of(scenario).calm_s]
+    faults = [fault for fault in scenario.fault if fault.at_s <= span_of(scenario).calm_at_s]
     pieces = 2
     while faults:
         for fewer in _without(faults, pieces):

@@ -52,7 +52,7 @@ class PartedLog(Generic[W]):
     """Calls go to the writer `part`, which starts a new part if the last is full."""
 
     def __init__(
-        self, path: Path, begin: Callable[[Path, int], W], begun_us: int,
+        self, path: Path, begin: Callable[[Path, int], W], begin_at_us: int,
         limit: Limit = LAUNCH_LIMIT, told: Callable[[str], None] = say,
     ) -> None:  # fmt: skip
         """`begin`: opens a part, for a time in microseconds. `told`: gets one line for the user
@@ -60,7 +60,7 @@ class PartedLog(Generic[W]):
         self.path, self.limit, self.told = path, limit, told
         self.deleted = 0  # parts
         self._begin = begin
-        self._writer = begin(path, begun_us)
+        self._writer = begin(path, begin_at_us)
         # In addition to what a part begins with.
         self._full_bytes = self._writer.size + limit.part_bytes
 

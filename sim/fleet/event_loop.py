@@ -63,11 +63,11 @@ class SimulatedRunner(BatchedRunner):
         self._rate = 1.0 + ppm * 1e-6
         self._nudge()
 
-    def jump(self, by_s: float) -> None:
+    def jump(self, jump_for_s: float) -> None:
         """From now on this robot's clock shows this much more."""
         self._catch_up()
         self._base_at_us, self._rate_set_at_us = (
-            self.local_now_us() + round(by_s * 1e6),
+            self.local_now_us() + round(jump_for_s * 1e6),
             self.swarm.now_us(),
         )
         self._nudge()

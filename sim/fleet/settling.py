@@ -9,6 +9,6 @@ QUIET_US = 2 * S  # on a bus without loss
 LOSSY_QUIET_US = 40 * S
 
 
-def quiet_us(bus: BusTable) -> int:
+def quiet_for_us(bus: BusTable) -> int:
     """The limit after the last section or goal, microseconds."""
     return LOSSY_QUIET_US if bus.loss or bus.omission else QUIET_US

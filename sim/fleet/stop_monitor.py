@@ -52,7 +52,7 @@ class StopMonitor:
         self._up = up if up is not None else lambda: range(robots)
         self._mute, self._hearers, self._now_us = mute, hearers, now_us
         self._silence_stops = silence_stops
-        self.bound_us = beat_of(robots).silence_for_us + REACTION_US
+        self.bound_for_us = beat_of(robots).silence_for_us + REACTION_US
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
         self._pressed_at_us: dict[int, int] = {}
         self._by: dict[int, int] = {}  # press -> the robot that was pressed
@@ -77,7 +77,7 @@ class StopMonitor:
     ) -> None:
         """A stop that all these robots have to obey. `unheard`: robots that must obey only because
         the pressed robot, `by`, is silent to them."""
-        number = self.checker.press(now_us, self.bound_us, slots)
+        number = self.checker.press(now_us, self.bound_for_us, slots)
         self._pressed_at_us[number], self._by[number] = now_us, by
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
         self._know[number] = set(slots) - set(unheard)
@@ -106,13 +106,13 @@ class StopMonitor:
         """Whether all robots receive each other."""
         return self._now_us() >= self._disturbed_ends_at_us and bool(self._hearers())
 
-    def level(self, bound_us: int) -> int | None:
-        """A device that all robots receive begins to send a stop: no robot may move from `bound_us`
+    def level(self, bound_for_us: int) -> int | None:
+        """A device that all robots receive begins to send a stop: no robot may move from `bound_for_us`
         until it ends. None if the receivers cannot be determined."""
         if not self.calm:
             return None
         slots = self._hearers()
-        number = self.checker.press(self._now_us(), bound_us, slots)
+        number = self.checker.press(self._now_us(), bound_for_us, slots)
         self._levels[number] = set(slots)
         return number
 

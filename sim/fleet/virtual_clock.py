@@ -80,13 +80,13 @@ class WallLoop(asyncio.SelectorEventLoop):
     """Real time that begins at 0, like virtual time."""
 
     def __init__(self) -> None:
-        self._zero_s = 0.0
+        self._zero_at_s = 0.0
         super().__init__()
-        self._zero_s = super().time()
+        self._zero_at_s = super().time()
 
     def time(self) -> float:
         """Seconds since this loop began."""
-        return super().time() - self._zero_s
+        return super().time() - self._zero_at_s
 
 
 async def elapse(seconds: float) -> None:

@@ -38,12 +38,12 @@ class LiveRecording(Recording):
         self._lengths, self._data = bytearray(bytes(FRAMES)), bytearray(bytes(8 * FRAMES))
         self._fine = NoteRing(FINE_BYTES, FINE_ROWS)
         self._coarse = NoteRing(COARSE_BYTES, COARSE_ROWS)
-        self._coarse_us: dict[int, int] = {}
+        self._coarse_at_us: dict[int, int] = {}
 
     def write(self, t_us: int, frame: Frame) -> None:
         at = self.count % FRAMES
-        newest_us = self.t_us(self.count - 1) if self.count else t_us
-        self._t_us[at], self._identifiers[at] = max(t_us, newest_us), frame.identifier
+        newest_at_us = self.t_us(self.count - 1) if self.count else t_us
+        self._t_us[at], self._identifiers[at] = max(t_us, newest_at_us), frame.identifier
         self._lengths[at] = len(frame.data)
         self._data[8 * at : 8 * at + 8] = frame.data.ljust(8, b"\0")
         self.digest.write(t_us, frame)
@@ -63,13 +63,13 @@ class LiveRecording(Recording):
         """Keep an intent in the fine ring, and now and then in the coarse one."""
         self._fine.append(t_us, intent)
         slot = int(intent["slot"])
-        if t_us - self._coarse_us.get(slot, t_us - COARSE_US) >= COARSE_US:
-            self._coarse_us[slot] = t_us
+        if t_us - self._coarse_at_us.get(slot, t_us - COARSE_US) >= COARSE_US:
+            self._coarse_at_us[slot] = t_us
             self._coarse.append(t_us, intent)
 
     def intents_at(self, now_us: int) -> Notes:
         """For old times, the newest intent of each robot, as if it were sent then."""
-        if now_us - FINE_US >= self._fine.from_us:
+        if now_us - FINE_US >= self._fine.begin_at_us:
             return self._fine.between(now_us - FINE_US, now_us)
         return [(now_us, note) for _, note in self._coarse.between(now_us - COARSE_US, now_us)]
 
@@ -106,19 +106,19 @@ class NoteRing:
             self.first += 1
 
     @property
-    def from_us(self) -> int:
+    def begin_at_us(self) -> int:
         """Time of the oldest note that is kept; 0 if there is none."""
         return self._t_us[self.first % self._rows] if self.count else 0
 
-    def between(self, from_us: int, until_us: int) -> Notes:
+    def between(self, begin_at_us: int, end_at_us: int) -> Notes:
         """Values later than the first time and not later than the second; oldest first."""
         rows = range(self.first, self.count)
 
         def time_of(number: int) -> int:
             return self._t_us[number % self._rows]
 
-        begin = bisect_right(rows, from_us, key=time_of)
-        end = bisect_right(rows, until_us, key=time_of)
+        begin = bisect_right(rows, begin_at_us, key=time_of)
+        end = bisect_right(rows, end_at_us, key=time_of)
         return [self._note(number) for number in rows[begin:end]]
 
     def _note(self, number: int) -> tuple[int, dict[str, Any]]:

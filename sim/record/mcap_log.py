@@ -76,8 +76,8 @@ def _import() -> None:
 class McapLog:
     """A `LogWriter` that also accepts intents, things and traces."""
 
-    def __init__(self, path: Path, scene: Scene | None = None, begun_us: int = 0) -> None:
-        """`begun_us`: time of the outline. Raises McapMissing; OSError if it cannot be written."""
+    def __init__(self, path: Path, scene: Scene | None = None, begin_at_us: int = 0) -> None:
+        """`begin_at_us`: time of the outline. Raises McapMissing; OSError if it cannot be written."""
         _import()
         from mcap.writer import Writer
 
@@ -88,14 +88,14 @@ class McapLog:
         self._can = self._writer.register_channel(CAN_TOPIC, "cdr", can)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._drawn_us: dict[int, int] = {}
+        self._drawn_at_us: dict[int, int] = {}
         self.scene = scene
         if scene is not None:
             data = json.dumps(scene).encode()
-            begun_ns = begun_us * 1000
-            self._writer.add_attachment(begun_ns, begun_ns, FILE, "application/json", data)
+            begin_at_ns = begin_at_us * 1000
+            self._writer.add_attachment(begin_at_ns, begin_at_ns, FILE, "application/json", data)
             self._add(
-                "/scene", SCENE_UPDATE, begun_us, {"entities": [outline(scene)], "deletions": []}
+                "/scene", SCENE_UPDATE, begin_at_us, {"entities": [outline(scene)], "deletions": []}
             )
 
     @property
@@ -116,8 +116,8 @@ class McapLog:
         """Append an intent to the topic of its robot, and now and then its picture to `/scene`."""
         slot = int(intent["slot"])
         self._add(f"/robots/{slot}", INTENT, t_us, intent_message(intent))
-        if t_us - self._drawn_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
-            self._drawn_us[slot] = t_us
+        if t_us - self._drawn_at_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
+            self._drawn_at_us[slot] = t_us
             radius_m = float((self.scene or {}).get("radius_m", 0.5))
             entity = robot_entity(t_us, intent, radius_m)
             self._add("/scene", SCENE_UPDATE, t_us, {"entities": [entity], "deletions": []})

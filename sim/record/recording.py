@@ -34,7 +34,7 @@ class Recording:
         )
         self.forgets = False  # drops old data at any time: see `sim.record.live_recording`
         self.digest = FramesDigest()
-        self._since_us = 0
+        self._begin_at_us = 0
         self._t_us, self._identifiers = array("q"), array("I")
         self._lengths, self._data = bytearray(), bytearray()
 
@@ -52,7 +52,7 @@ class Recording:
     def follow(self, clock: Callable[[], int]) -> None:
         """`clock`: microseconds, on the clock of the coming frames. Time continues on a silent
         bus."""
-        self.clock, self._since_us = clock, clock()
+        self.clock, self._begin_at_us = clock, clock()
 
     def close(self) -> None:
         """Nothing more will come: a player may stop at the end."""
@@ -67,7 +67,7 @@ class Recording:
         )
         self.first += DROP
         for notes in (self.intents, self.things):
-            del notes[: bisect_left(notes, self.from_us, key=lambda note: note[0])]
+            del notes[: bisect_left(notes, self.begin_at_us, key=lambda note: note[0])]
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
         """Keep an intent of one robot, see `sim.record.robot_intent`."""
@@ -94,29 +94,29 @@ class Recording:
         return self._t_us[number - self.first]
 
     @property
-    def from_us(self) -> int:
+    def begin_at_us(self) -> int:
         """Time of the oldest frame that is kept, or since when nothing was heard."""
-        return self.t_us(self.first) if self.count > self.first else self._since_us
+        return self.t_us(self.first) if self.count > self.first else self._begin_at_us
 
     @property
-    def until_us(self) -> int:
+    def end_at_us(self) -> int:
         """The time of the newest row of any kind; of a live bus: now."""
         if self.clock is not None and not self.ended:
-            return max(self.clock(), self._newest_us or 0)
+            return max(self.clock(), self._newest_at_us or 0)
         ends = [self.t_us(self.count - 1)] if self.count > self.first else [0]
         ends += [notes[-1][0] for notes in (self.intents, self.things) if notes]
         return max(ends)
 
     @property
-    def quiet_us(self) -> int:
+    def quiet_for_us(self) -> int:
         """Time since the newest frame of a live bus; 0 for a recording."""
         if self.clock is None or self.ended:
             return 0
-        newest_us = self._newest_us
-        return self.until_us - (self._since_us if newest_us is None else newest_us)
+        newest_at_us = self._newest_at_us
+        return self.end_at_us - (self._begin_at_us if newest_at_us is None else newest_at_us)
 
     @property
-    def _newest_us(self) -> int | None:
+    def _newest_at_us(self) -> int | None:
         return self.t_us(self.count - 1) if self.count > self.first else None
 
 

@@ -61,10 +61,10 @@ def observation_of(data: bytes) -> Observation | None:
 
 
 class BodyServer:
-    """Runs in the world's process. `zero_us`: the loop's time at which the world's time is 0."""
+    """Runs in the world's process. `zero_at_us`: the loop's time at which the world's time is 0."""
 
-    def __init__(self, world: World, zero_us: int) -> None:
-        self.world, self.zero_us = world, zero_us
+    def __init__(self, world: World, zero_at_us: int) -> None:
+        self.world, self.zero_at_us = world, zero_at_us
         # May be replaced by one with an arm and a battery.
         self.body: Callable[[int], Body] = world.body
         self.malformed = 0
@@ -82,8 +82,8 @@ class BodyServer:
         self.server.close()
 
     def now_us(self) -> int:
-        """Microseconds of the world, which began at `zero_us` of the loop."""
-        return round(asyncio.get_running_loop().time() * 1e6) - self.zero_us
+        """Microseconds of the world, which began at `zero_at_us` of the loop."""
+        return round(asyncio.get_running_loop().time() * 1e6) - self.zero_at_us
 
     def take(self, data: bytes, link: Link) -> None:
         """Obey a drive command or a greeting, and answer with what the body senses. Anything
@@ -144,8 +144,8 @@ class RemoteBody(Link):
         self.slot = slot
         self.seen: Observation | None = None
         self.first = asyncio.Event()
-        self._behind_us: float | None = None  # how far the world's clock is behind ours
-        self._heard_us = 0
+        self._behind_for_us: float | None = None  # how far the world's clock is behind ours
+        self._heard_at_us = 0
 
     def take(self, message: bytes) -> None:
         seen = None
@@ -156,10 +156,10 @@ class RemoteBody(Link):
             return
         now_us = round(asyncio.get_running_loop().time() * 1e6)
         behind_us: float = now_us - seen.sensed_at_us
-        if self._behind_us is not None:
-            drifted_us = self._behind_us + (now_us - self._heard_us) * DRIFT_SHARE
+        if self._behind_for_us is not None:
+            drifted_us = self._behind_for_us + (now_us - self._heard_at_us) * DRIFT_SHARE
             behind_us = min(behind_us, drifted_us)
-        self._behind_us, self._heard_us = behind_us, now_us
+        self._behind_for_us, self._heard_at_us = behind_us, now_us
         self.seen = seen._replace(sensed_at_us=round(seen.sensed_at_us + behind_us))
         self.first.set()
 

@@ -105,18 +105,18 @@ class BridgedSegments:
         """What the robots of a segment report now, see `SegmentHost.state`."""
         return self.hosts[number].ask({"do": "state"})
 
-    def wait(self, what: str, holds: Callable[[], bool], limit_s: float = BOOT_S) -> float:
+    def wait(self, what: str, holds: Callable[[], bool], limit_for_s: float = BOOT_S) -> float:
         """Wait until `holds` is true, and return how long that took, in seconds. AssertionError
-        with the state of all segments if it was not within `limit_s`."""
+        with the state of all segments if it was not within `limit_for_s`."""
         begun_s = time.monotonic()
         while not holds():
             waited_s = time.monotonic() - begun_s
-            states = {k: self.state(k) for k in self.hosts} if waited_s > limit_s else {}
-            assert waited_s <= limit_s, f"{what}: not within {limit_s} s; {states}"
+            states = {k: self.state(k) for k in self.hosts} if waited_s > limit_for_s else {}
+            assert waited_s <= limit_for_s, f"{what}: not within {limit_for_s} s; {states}"
             time.sleep(LOOK_S)
         return time.monotonic() - begun_s
 
-    def wait_reached(self, others: int, limit_s: float = BOOT_S) -> float:
+    def wait_reached(self, others: int, limit_for_s: float = BOOT_S) -> float:
         """Wait until all robots of all segments know that this many other segments are reached;
         returns seconds."""
 
@@ -124,9 +124,9 @@ class BridgedSegments:
             states = [self.state(number) for number in self.hosts]
             return all(s["joined"] and s["reached"] == others for s in states)
 
-        return self.wait(f"{others} segments reached", reached, limit_s)
+        return self.wait(f"{others} segments reached", reached, limit_for_s)
 
-    def press_and_wait(self, number: int, slot: int = 0, limit_s: float = 10.0) -> float:
+    def press_and_wait(self, number: int, slot: int = 0, limit_for_s: float = 10.0) -> float:
         """Arm all, press; milliseconds until the last robot of all segments had its zero
         command."""
         for host in self.hosts.values():
@@ -141,7 +141,7 @@ class BridgedSegments:
             last_us = max((t for h in halts for t in h.values()), default=0)
             return all(len(h) == ROBOTS for h in halts)
 
-        self.wait("everybody stands", all_halted, limit_s)
+        self.wait("everybody stands", all_halted, limit_for_s)
         return (last_us - float(pressed_us)) / 1e3
 
     def close(self) -> None:

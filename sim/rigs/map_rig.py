@@ -66,9 +66,9 @@ class MapFleet:
 
     def run(self, duration_us: int) -> None:
         """Let this much virtual time pass: members send when they are due, and the wire delivers."""
-        end_us = self.now_us + duration_us
-        while self.now_us < end_us:
-            times = [end_us, *(m.due_at_us for m in self.members.values())]
+        end_at_us = self.now_us + duration_us
+        while self.now_us < end_at_us:
+            times = [end_at_us, *(m.due_at_us for m in self.members.values())]
             if self.wire.next_at_us is not None:
                 times.append(self.wire.next_at_us)
             self.now_us = max(self.now_us, min(times))

@@ -80,7 +80,7 @@ class SegmentFleet:
         self.wires: dict[int, Segment] = {}
         self.shells: dict[tuple[int, int], PeerRunner] = {}
         self.gateways: dict[int, list[GatewayShell]] = {}
-        self.halted_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
+        self.halted_at_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
         self.bits: Counter[int] = Counter()  # on each wire
         self.bridged: Counter[int] = Counter()  # bits of each wire sent by gateways
         for number in self.segments:
@@ -130,7 +130,7 @@ class SegmentFleet:
 
         def watch(now_us: int, effect: Effect) -> None:
             if type(effect) is Drive and not (effect.vx_m_s or effect.vy_m_s or effect.turn_rad_s):
-                self.halted_us[place] = now_us
+                self.halted_at_us[place] = now_us
 
         shell = self.swarm.shell(peer, CanBus(bus), None, None, watch)
         self.swarm.start(shell)
@@ -175,13 +175,13 @@ class SegmentFleet:
 
     def run(self, duration_us: int, until: Callable[[], bool] | None = None) -> bool:
         """Let time pass; with `until`, stop when the condition holds (checked every 10 ms)."""
-        end_us = self.swarm.now_us() + duration_us
+        end_at_us = self.swarm.now_us() + duration_us
 
         def script() -> Script[bool]:
-            while self.swarm.now_us() < end_us:
+            while self.swarm.now_us() < end_at_us:
                 if until is not None and until():
                     return True
-                yield end_us if until is None else min(self.swarm.now_us() + 10_000, end_us)
+                yield end_at_us if until is None else min(self.swarm.now_us() + 10_000, end_at_us)
             return until is None or until()
 
         return self.swarm.run(script())
@@ -218,15 +218,15 @@ class SegmentFleet:
     @property
     def share(self) -> dict[int, tuple[float, float]]:
         """The load of each wire since `count_from_here`: (all frames, those of gateways)."""
-        span_us = self.swarm.now_us() - self._since_us
+        span_us = self.swarm.now_us() - self._window_at_us
         bits = {k: (self.bits[k], self.bridged[k]) for k in self.segments}
         return {k: (a * BIT_US / span_us, b * BIT_US / span_us) for k, (a, b) in bits.items()}
 
-    _since_us = 0
+    _window_at_us = 0
 
     def count_from_here(self) -> None:
         """Begin the counts of bits on the buses again, from now on."""
-        self._since_us = self.swarm.now_us()
+        self._window_at_us = self.swarm.now_us()
         self.bits.clear()
         self.bridged.clear()
 

@@ -61,7 +61,7 @@ class SimulatedBackbone:
     def _deliver(self, sender: "BackboneNode", node: "BackboneNode", message: Publish) -> None:
         at_us = self.swarm.now_us() + self._rng.randint(*DELAY_US)
         lane = id(sender), message.kind in URGENT
-        at_us = node.last_us[lane] = max(at_us, node.last_us.get(lane, 0))
+        at_us = node.last_at_us[lane] = max(at_us, node.last_at_us.get(lane, 0))
         self.swarm.at(at_us, lambda: node.hear(message.data))
 
 
@@ -70,7 +70,7 @@ class BackboneNode:
 
     def __init__(self, backbone: SimulatedBackbone, segment: int) -> None:
         self.backbone, self.segment, self.open = backbone, segment, True
-        self.last_us: dict[tuple[int, bool], int] = {}
+        self.last_at_us: dict[tuple[int, bool], int] = {}
         self._callback: Callable[[bytes], None] | None = None
 
     def publish(self, message: Publish) -> None:

@@ -30,13 +30,13 @@ LIMIT_US = 3_000_000
 class Heard(NamedTuple):
     """One press: when the last robot was commanded to stand, and what the bus did meanwhile."""
 
-    last_us: int  # from the press; LIMIT_US if some robot never received it
+    last_for_us: int  # from the press; LIMIT_US if some robot never received it
     errors: int  # frames destroyed on the wire
     missed: int  # copies that the worst receiver missed
     dry: int  # times that every copy was lost and only the source's next repeat helped
 
     @property
-    def bound_us(self) -> int:
+    def bound_for_us(self) -> int:
         """Upper limit of the time of the last robot, given what the bus did.
 
         It is the sum of the frame on the wire; the stop itself; if copies were missed, the frame
@@ -52,7 +52,7 @@ class Heard(NamedTuple):
 class StopFrame(NamedTuple):
     """A stop frame, from any sender."""
 
-    end_us: int
+    end_at_us: int
     receivers: frozenset[int]
     errors: int  # on the wire until then
 
@@ -74,30 +74,30 @@ class StopFleet:
             safety.start(0)
             safety.members(everybody, frozenset(), 0)
             self.safeties.append(safety)
-        self.stood_us: dict[int, int] = {}
+        self.stood_at_us: dict[int, int] = {}
         self._copies: list[StopFrame] = []
         self._poses: list[tuple[int, int]] = []
-        self._pose_us = beat_of(robots).pose_period_us
+        self._pose_period_us = beat_of(robots).pose_period_us
         for slot in range(robots):
-            heappush(self._poses, (self.rng.randrange(self._pose_us), slot))
+            heappush(self._poses, (self.rng.randrange(self._pose_period_us), slot))
         self.now_us = 0
 
     def press(self) -> Heard:
         """One press by any robot, at a random moment of the bus."""
-        at_us = 2_000 + self.rng.randrange(self._pose_us)
+        at_us = 2_000 + self.rng.randrange(self._pose_period_us)
         self._run(at_us)
         errors = self.wire.errors
         presser = self.rng.randrange(len(self.safeties))
         free = frozenset(range(len(self.safeties))) - {presser}
         self._effects(presser, self.safeties[presser].press(Reason.PERSON_IN_FIELD, at_us, free))
-        end_us = at_us + LIMIT_US
-        while len(self.stood_us) < len(self.safeties) and self.now_us < end_us:
-            self._step(end_us)
-        last_us = max(self.stood_us.values()) - at_us
-        if len(self.stood_us) < len(self.safeties):
-            last_us = LIMIT_US
-        worst = max(self.stood_us, key=lambda slot: self.stood_us[slot])
-        return Heard(last_us, self.wire.errors - errors, *self._misses(worst))
+        end_at_us = at_us + LIMIT_US
+        while len(self.stood_at_us) < len(self.safeties) and self.now_us < end_at_us:
+            self._step(end_at_us)
+        last_for_us = max(self.stood_at_us.values()) - at_us
+        if len(self.stood_at_us) < len(self.safeties):
+            last_for_us = LIMIT_US
+        worst = max(self.stood_at_us, key=lambda slot: self.stood_at_us[slot])
+        return Heard(last_for_us, self.wire.errors - errors, *self._misses(worst))
 
     def _misses(self, slot: int) -> tuple[int, int]:
         """(copies missed, dry rounds) until this robot received one. Ready copies follow each other
@@ -108,23 +108,23 @@ class StopFleet:
             if before is not None:
                 ready_us = FRAME_US + (copy.errors - before.errors) * BROKEN_US
                 ready_us += FRAME_US if missed == 1 else 0
-                dry += copy.end_us - before.end_us > ready_us
+                dry += copy.end_at_us - before.end_at_us > ready_us
             before = copy
             if self.nodes[slot] in copy.receivers:
                 break
             missed += 1
         return missed, dry
 
-    def _run(self, until_us: int) -> None:
-        while self.now_us < until_us:
-            self._step(until_us)
+    def _run(self, end_at_us: int) -> None:
+        while self.now_us < end_at_us:
+            self._step(end_at_us)
 
-    def _step(self, until_us: int) -> None:
+    def _step(self, end_at_us: int) -> None:
         wire = self.wire
         if not wire.nodes[self.filler].queue:
             low = encode(StateSyncResponse(1, 1, 1, 1, 1, 1), 250)
             wire.submit(self.filler, Frame(low.identifier, self.rng.randbytes(8)), self.now_us)
-        times = [until_us, self._poses[0][0]]
+        times = [end_at_us, self._poses[0][0]]
         if wire.next_at_us is not None:
             times.append(wire.next_at_us)
         times += [safety.due_at_us for safety in self.safeties]
@@ -133,7 +133,7 @@ class StopFleet:
             self._deliver(delivery)
         while self._poses[0][0] <= self.now_us:
             due_at_us, slot = heappop(self._poses)
-            heappush(self._poses, (due_at_us + self._pose_us, slot))
+            heappush(self._poses, (due_at_us + self._pose_period_us, slot))
             stopped = self.safeties[slot].latched
             pose = Pose(
                 self.rng.uniform(-50, 50), slot, 1.0, 2.0, 3, stopped, due_at_us // 50_000 & 255
@@ -159,7 +159,7 @@ class StopFleet:
         effect: Effect
         for effect in effects:
             if isinstance(effect, Drive):
-                self.stood_us.setdefault(slot, self.now_us)
+                self.stood_at_us.setdefault(slot, self.now_us)
             elif isinstance(effect, Send):
                 frame = encode(effect.message, ADDRESS + slot, effect.destination)
                 self.wire.submit(self.nodes[slot], frame, self.now_us)

@@ -46,7 +46,7 @@ class SyncFleet:
         self.islands: list[set[int]] = [set()]
         self.now_us = 0
         self.sent: Counter[str] = Counter()  # sync frames sent by members, by kind
-        self.first_us = self.last_us = -1  # sync frames on the bus
+        self.first_at_us = self.last_at_us = -1  # sync frames on the bus
         self._due: list[tuple[int, int]] = []  # (time, slot) of heartbeats; a member's has slot
         for slot in range(size):
             self.boot(slot)
@@ -68,7 +68,7 @@ class SyncFleet:
         self.wire.partition(*({self.members[s].node for s in island} for island in islands))
         self.see()
 
-    def part(self, operations: int, left: int, every_us: int) -> None:
+    def part(self, operations: int, left: int, period_us: int) -> None:
         """After a common history, the first `left` peers are cut off; each side writes half."""
         peers = len(self.members)
         for section in range(200):
@@ -78,7 +78,7 @@ class SyncFleet:
         for k in range(operations // 2):
             self.write(k % left, 1000 + k, None)
             self.write(left + k % (peers - left), 2000 + k, None)
-            self.run(every_us)
+            self.run(period_us)
         self.run(3 * S)
 
     def heal(self) -> None:
@@ -115,15 +115,15 @@ class SyncFleet:
 
     def run(self, duration_us: int, until_equal: bool = False) -> bool:
         """Let time pass; with `until_equal`, stop when all replicas of each island are equal."""
-        end_us = self.now_us + duration_us
-        while self.now_us < end_us:
+        end_at_us = self.now_us + duration_us
+        while self.now_us < end_at_us:
             if until_equal and self.equal:
                 return True
-            self._step(end_us)
+            self._step(end_at_us)
         return self.equal
 
-    def _step(self, end_us: int) -> None:
-        times = [end_us, self._due[0][0]]
+    def _step(self, end_at_us: int) -> None:
+        times = [end_at_us, self._due[0][0]]
         if self.wire.next_at_us is not None:
             times.append(self.wire.next_at_us)
         times += [d for m in self.members.values() if (d := m.sync.due_at_us) is not None]
@@ -149,9 +149,9 @@ class SyncFleet:
         for message in messages:
             frame = encode(message, ADDRESS + member.slot)
             self.sent[type(message).__name__] += 1
-            if self.first_us < 0:
-                self.first_us = self.now_us
-            self.last_us = self.now_us
+            if self.first_at_us < 0:
+                self.first_at_us = self.now_us
+            self.last_at_us = self.now_us
             self.wire.submit(member.node, frame, self.now_us)
 
     def _deliver(self, delivery: Delivery) -> None:
@@ -187,4 +187,4 @@ class SyncFleet:
     def count_from_here(self) -> None:
         """Begin the counts of frames and bits again."""
         self.sent.clear()
-        self.first_us = self.last_us = -1
+        self.first_at_us = self.last_at_us = -1

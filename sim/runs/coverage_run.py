@@ -176,8 +176,8 @@ class ReplanAuditor:
             units = [rounds.ground.unit(n) for n in rounds.course.todo.tolist()]
             # Cells covered since the round began, by this plan, are not a fault of the plan.
             truth = self.cluster.grid_world.truth
-            first_us, by = truth.first_us[rounds.course.todo], truth.by[rounds.course.todo]
-            before = (first_us != NONE) & (first_us < rounds.begun_us)
+            first_at_us, by = truth.first_at_us[rounds.course.todo], truth.by[rounds.course.todo]
+            before = (first_at_us != NONE) & (first_at_us < rounds.begun_at_us)
             known = sum(
                 robot.peer.progress.has(*unit)
                 for unit, was in zip(units, before.tolist(), strict=True) if was
@@ -193,7 +193,7 @@ class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
     """Switches whole peers on over a grid, and judges covered cells, contacts and new plans."""
 
     kind = CoverageOutcome
-    quiet_us = QUIET_US
+    quiet_for_us = QUIET_US
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> CoverageFleet:
         """Also begins to compare plans."""
@@ -206,13 +206,13 @@ class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
 
     def progress(self, cluster: CoverageFleet) -> RunProgress:
         """Cells covered of all free ones."""
-        covered = cluster.grid_world.truth.first_us != NONE
+        covered = cluster.grid_world.truth.first_at_us != NONE
         done, now_s = int(np.count_nonzero(covered)), cluster.host.now_us() / S
         return RunProgress(now_s, done, covered.size, done / covered.size, states_of(cluster))
 
     def measure(self, cluster: CoverageFleet) -> dict[str, Any]:
         truth, setting, witness = cluster.grid_world.truth, self.setting, self.witness
-        late = truth.first_us[sorted(cluster.reachable())]
+        late = truth.first_at_us[sorted(cluster.reachable())]
         starts = [
             cell for slot, cell in enumerate(setting.instance.starts)
             if not any(f.kind == "join" and f.robot == slot for f in setting.scenario.fault)

@@ -123,12 +123,12 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
     """Runs a warehouse until every task is delivered, or cannot be reached."""
 
     kind = DeliveryOutcome
-    quiet_us = QUIET_US
+    quiet_for_us = QUIET_US
     tracks: dict[int, list[TrackPoint]]  # after the run
     watch: Callable[[DeliveryFleet], None] | None = None  # gets the fleet twice a second
     forever = False  # more tasks may come at any time
     ended = False  # a person ended the run
-    _hope_us = 0  # when a place could last be reached
+    _hope_at_us = 0  # when a place could last be reached
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> DeliveryFleet:
         """Robots with arms and batteries, on the floor of the warehouse."""
@@ -144,10 +144,10 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
             self.watch(cluster)
         left = cluster.truth.dropoff.keys() - cluster.truth.delivered_at_us.keys()
         if not left or left != cluster.unreachable:
-            self._hope_us = cluster.host.now_us()
+            self._hope_at_us = cluster.host.now_us()
 
     def is_over(self, cluster: DeliveryFleet, scripts: Sequence[Handle]) -> bool:
-        done = cluster.finished or cluster.host.now_us() - self._hope_us > CUT_OFF_US
+        done = cluster.finished or cluster.host.now_us() - self._hope_at_us > CUT_OFF_US
         over = all(script.done() for script in scripts) and done
         return (over and not self.forever) or self.ended
 
@@ -183,7 +183,7 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
             "rounds": sum(m.dispatch.round.streamed for m in missions),
             "agreements": max((m.agreement.rounds for m in missions), default=0),
             "ahead": sum(m.paths.used for m in missions),
-            "waited_s": sum(m.waited_us for m in missions) / S,
+            "waited_s": sum(m.waited_for_us for m in missions) / S,
         }
 
 

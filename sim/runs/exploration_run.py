@@ -48,7 +48,7 @@ class InstantMapSync(MapSync):
     """News reach all maps immediately and without a frame."""
 
     fleet: "list[InstantMapSync]"
-    hold_us = 0
+    hold_for_us = 0
     now_us = 0
 
     def see(self, patch: int, values: Values, level: int) -> None:
@@ -205,8 +205,8 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
     seen."""
 
     kind = ExplorationOutcome
-    look_us, compare_us = 250 * MS, 50 * MS
-    quiet_us = 2 * QUIET_US
+    look_period_us, compare_period_us = 250 * MS, 50 * MS
+    quiet_for_us = 2 * QUIET_US
     tracks: dict[int, list[TrackPoint]]  # after the run
 
     def __init__(
@@ -225,8 +225,8 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
         self.films: list[FilmFrame] = []
         # seconds, the report that the first robot would give.
         self.reports: list[tuple[float, str]] = []
-        self._most_s = self._overlap = np.inf  # when 95 % were seen, and the overlap then
-        self._done_us = self._last_us = 0  # when the fleet was done; when the run was over
+        self._most_at_s = self._overlap = np.inf  # when 95 % were seen, and the overlap then
+        self._done_at_us = self._over_at_us = 0  # when the fleet was done; when the run was over
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> ExplorationFleet:
         """Also counts the frames of maps on the wire."""
@@ -240,18 +240,18 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
             self.map_bytes += 8
 
     def look(self, cluster: ExplorationFleet) -> None:
-        now_us = self._last_us = cluster.host.now_us()
+        now_us = self._over_at_us = cluster.host.now_us()
         for sync in cluster.at_once:
             sync.now_us = now_us
         self.seen.look(cluster.missions)
         self._note(cluster, now_us / S)
-        if self.seen.share >= MOST and self._most_s == np.inf:
-            self._most_s, self._overlap = now_us / S, self.seen.overlap
-        if not (cluster.finished and self._done_us):
-            self._done_us = now_us
+        if self.seen.share >= MOST and self._most_at_s == np.inf:
+            self._most_at_s, self._overlap = now_us / S, self.seen.overlap
+        if not (cluster.finished and self._done_at_us):
+            self._done_at_us = now_us
 
     def is_over(self, cluster: ExplorationFleet, scripts: Sequence[Handle]) -> bool:
-        quiet = cluster.host.now_us() >= self._done_us + QUIET_US
+        quiet = cluster.host.now_us() >= self._done_at_us + QUIET_US
         return (super().is_over(cluster, scripts) and quiet) or self.seen.share >= self.until
 
     def is_settled(self, cluster: ExplorationFleet) -> bool:
@@ -280,7 +280,7 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
 
     def measure(self, cluster: ExplorationFleet) -> dict[str, Any]:
         setting, now_s = self.setting, cluster.host.now_us() / S
-        end_s, equal_s = self._done_us / S, now_s - self._last_us / S
+        end_s, equal_s = self._done_at_us / S, now_s - self._over_at_us / S
         self.tracks = points_of(cluster)
         first = cluster.missions[cluster.running[0].slot]
         self.joined = first.chart.fleet
@@ -296,7 +296,7 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
             **of_bodies(cluster),
             "explored": int(np.count_nonzero(known & truth)) / self.seen.cells,
             "right": int(np.count_nonzero(right & known)) / max(int(np.count_nonzero(known)), 1),
-            "time_95_s": self._most_s,
+            "time_95_s": self._most_at_s,
             "time_s": end_s,
             "overlap": self._overlap,
             "overlap_end": self.seen.overlap,
@@ -304,7 +304,7 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
             "maps_equal": cluster.maps_equal and equal_s <= QUIET_US / S,
             "map_load": self.map_bits * wire.bit_us / (end_s * 1e6),
             "map_bytes_per_m2": self.map_bytes / (self.seen.cells * setting.geometry.cell_m**2),
-            "bus_load": wire.worst_us / (now_s * 1e6),
+            "bus_load": wire.worst_for_us / (now_s * 1e6),
             "tasks": dict(tasks),
             "switched": sum(mission.switched for mission in cluster.missions.values()),
         }

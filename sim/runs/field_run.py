@@ -19,7 +19,7 @@ class WorkRun(MissionRun[SetupT, Cluster, FieldOutcome]):
     """A run whose sections are worked, whatever the world is."""
 
     kind = FieldOutcome
-    look_us = 1 * S
+    look_period_us = 1 * S
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
         """A plain cluster."""
@@ -64,7 +64,7 @@ class FieldRun(WorkRun[FieldSetup]):
             "reachable": ground.share,
             "reached": truth.reached,
             "unreached": ground.unreached,
-            "makespan_s": truth.last_us / 1e6,
+            "makespan_s": truth.last_at_us / 1e6,
             "worked_twice": truth.twice,
             "work_m": field.work_m,
             "implement_contacts": len(met),

@@ -78,29 +78,29 @@ class NavigationRun(MissionRun[NavigationSetup, Cluster, NavigationOutcome]):
     """Lets robots go to their goals, and records which path each one followed when."""
 
     kind = NavigationOutcome
-    compare_us = 50 * MS
+    compare_period_us = 50 * MS
     tracks: dict[int, NDArray[np.float64]]  # after the run; (n, 4): microseconds, x, y, -
     followed: dict[int, list[FollowedPath]]
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
         """A plain cluster; arrivals are noted by section."""
-        self._done_us: dict[int, int] = {}  # section -> when its robot reported it done
+        self._done_at_us: dict[int, int] = {}  # section -> when its robot reported it done
         return Cluster(self.setting, channel, record, host)
 
     def recorded(self, recorder: Recorder) -> Record:
         def record(slot: int, now_us: int, effect: Effect) -> None:
             recorder(slot, now_us, effect)
             if isinstance(effect, Trace) and effect.machine == "claim" and effect.event == "DONE":
-                self._done_us.setdefault(int(effect.source[1:]), now_us)
+                self._done_at_us.setdefault(int(effect.source[1:]), now_us)
 
         return record
 
     def is_over(self, cluster: Cluster, scripts: Sequence[Handle]) -> bool:
-        return len(self._done_us) == self.setting.section_count
+        return len(self._done_at_us) == self.setting.section_count
 
     def progress(self, cluster: Cluster) -> RunProgress:
         """Goals reached of all."""
-        done, total = len(self._done_us), self.setting.section_count
+        done, total = len(self._done_at_us), self.setting.section_count
         now_s = cluster.host.now_us() / S
         return RunProgress(now_s, done, total, done / max(total, 1), states_of(cluster))
 
@@ -117,7 +117,7 @@ class NavigationRun(MissionRun[NavigationSetup, Cluster, NavigationOutcome]):
         )
         return {
             **of_bodies(cluster),
-            "finished": len(self._done_us) == self.setting.section_count,
+            "finished": len(self._done_at_us) == self.setting.section_count,
             "arrived_s": last_s,
             "legs": tuple(legs),
             "rounds": max(e.agreement.rounds for e in errands.values()),
@@ -126,34 +126,34 @@ class NavigationRun(MissionRun[NavigationSetup, Cluster, NavigationOutcome]):
         }
 
     def _legs(self, slot: int) -> list[GoalResult]:
-        found, since_us = [], 0
+        found, start_at_us = [], 0
         for number in range(len(self.setting.goals[slot])):
-            done_us = self._done_us.get(slot * GOALS_MAX + number)
-            until_us = done_us if done_us is not None else 1 << 62
-            paths = [p for p in self.followed[slot] if since_us <= p.t_us < until_us]
+            done_at_us = self._done_at_us.get(slot * GOALS_MAX + number)
+            end_at_us = done_at_us if done_at_us is not None else 1 << 62
+            paths = [p for p in self.followed[slot] if start_at_us <= p.t_us < end_at_us]
             found.append(
                 GoalResult(
                     slot,
                     number,
-                    inf if done_us is None else done_us / 1e6,
-                    rmse_m(self.tracks[slot], paths, until_us),
+                    inf if done_at_us is None else done_at_us / 1e6,
+                    rmse_m(self.tracks[slot], paths, end_at_us),
                     sum(p.why in ("lost", "blocked") for p in paths),
                     sum(p.why == "plan" for p in paths),
                 )
             )
-            since_us = until_us
+            start_at_us = end_at_us
         return found
 
 
-def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], until_us: int) -> float:
+def rmse_m(track: NDArray[np.float64], paths: list[FollowedPath], end_at_us: int) -> float:
     """Root mean square of the distance to the polyline (not to its vertices) followed at the time.
 
     `track` (n, 4): microseconds, x, y, and a column that is not used. nan if nothing was driven.
     """
     squares: list[float] = []
     for k, path in enumerate(paths):
-        end_us = paths[k + 1].t_us if k + 1 < len(paths) else until_us
-        rows = track[(track[:, 0] >= path.t_us) & (track[:, 0] <= end_us)]
+        last_at_us = paths[k + 1].t_us if k + 1 < len(paths) else end_at_us
+        rows = track[(track[:, 0] >= path.t_us) & (track[:, 0] <= last_at_us)]
         squares += [to_polyline_m((x, y), path.points) ** 2 for _, x, y, _ in rows.tolist()]
     return sqrt(sum(squares) / len(squares)) if squares else float("nan")
 

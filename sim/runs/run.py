@@ -16,7 +16,7 @@ from sim.can.frame_counter import FrameCounter
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
-from sim.fleet.settling import quiet_us
+from sim.fleet.settling import quiet_for_us
 from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
 from sim.fleet.virtual_clock import run_virtual
@@ -43,8 +43,9 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
     """Make it, optionally set `told` and `attach`, and call `run` once."""
 
     kind: ClassVar[type[Any]]  # the outcome, a NamedTuple
-    look_us: ClassVar[int] = 500 * MS  # how often the end is checked and progress is reported
-    compare_us: ClassVar[int] = 100 * MS  # how often replicas are compared after the end
+    # how often the end is checked and progress is reported
+    look_period_us: ClassVar[int] = 500 * MS
+    compare_period_us: ClassVar[int] = 100 * MS  # how often replicas are compared after the end
 
     def __init__(
         self, setting: SetupT, out: Path | None = None,
@@ -52,7 +53,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         attach: Callable[[FleetT], None] | None = None,
     ) -> None:  # fmt: skip
         """`out`: folder for trace.jsonl and can.log. `logs`: more files for the frames. `told` is
-        called every `look_us`. `attach` gets the fleet before any robot is switched on."""
+        called every `look_period_us`. `attach` gets the fleet before any robot is switched on."""
         self.setting, self.out, self.told, self.attach = setting, out, told, attach
         self.logs = logs
         self.tally = FrameCounter()
@@ -75,7 +76,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         """The fields that this outcome adds to `_common`, or has instead of them."""
 
     def is_over(self, cluster: FleetT, scripts: Sequence[Handle]) -> bool:
-        """Whether the run has come to its end; asked every `look_us`."""
+        """Whether the run has come to its end; asked every `look_period_us`."""
         return all(script.done() for script in scripts) and cluster.finished
 
     def is_settled(self, cluster: FleetT) -> bool:
@@ -83,7 +84,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         return cluster.replicas_equal
 
     def look(self, cluster: FleetT) -> None:
-        """Observe the fleet; called every `look_us`, before `is_over`."""
+        """Observe the fleet; called every `look_period_us`, before `is_over`."""
 
     def scripts(self, cluster: FleetT, faults: Script[None]) -> list[Handle]:
         """Start what happens beside the robots; the run lasts until all of it has happened."""
@@ -94,9 +95,9 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         return recorder
 
     @property
-    def quiet_us(self) -> int:
+    def quiet_for_us(self) -> int:
         """The limit for `is_settled` after the end."""
-        return quiet_us(self.setting.scenario.bus)
+        return quiet_for_us(self.setting.scenario.bus)
 
     # ---------------------------------------------------------------- the run
 
@@ -163,7 +164,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
     def _until_over(self, cluster: FleetT, scripts: Sequence[Handle]) -> Script[None]:
         host, limit_us = cluster.host, round(self.setting.time_limit_s * S)
         while host.now_us() < limit_us:
-            yield host.now_us() + self.look_us
+            yield host.now_us() + self.look_period_us
             cluster.check()
             for script in scripts:
                 script.check()
@@ -175,9 +176,9 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
 
     def _until_settled(self, cluster: FleetT) -> Script[None]:
         host = cluster.host
-        until_us = host.now_us() + self.quiet_us
-        while not self.is_settled(cluster) and host.now_us() < until_us:
-            yield host.now_us() + self.compare_us
+        end_at_us = host.now_us() + self.quiet_for_us
+        while not self.is_settled(cluster) and host.now_us() < end_at_us:
+            yield host.now_us() + self.compare_period_us
 
     def _common(self, cluster: FleetT, recorder: Recorder) -> dict[str, Any]:
         """The fields that outcomes have alike, measured from the world's truth and the wire."""
@@ -193,8 +194,8 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
             "replicas_equal": cluster.replicas_equal,
             "frames": dict(self.tally.kinds.most_common()),
             "malformed": self.tally.malformed,
-            "bus_load": wire.busy_us / max(now_us, 1),  # share of the bus in use, exact bits
-            "bus_load_worst_case": wire.worst_us / max(now_us, 1),  # at worst-case stuffing
+            "bus_load": wire.busy_for_us / max(now_us, 1),  # share of the bus in use, exact bits
+            "bus_load_worst_case": wire.worst_for_us / max(now_us, 1),  # at worst-case stuffing
             "claims_lost": recorder.lost,
             "trace_hash": recorder.digest,
             "simulated_s": now_us / S,

@@ -142,10 +142,12 @@ def _row(path: Path, number: int, row: Any) -> TaskRow:
     return TaskRow((found[0], found[1]), (found[2], found[3]), found[4])
 
 
-def random_tasks(cells: list[XY], count: int, over_s: float, rng: Random) -> list[TaskRow]:
-    """Transports between random cells, in the order in which they appear within `over_s`."""
+def random_tasks(cells: list[XY], count: int, within_for_s: float, rng: Random) -> list[TaskRow]:
+    """Transports between random cells, in the order in which they appear within `within_for_s`."""
     rows = []
     for _ in range(count):
         pickup, dropoff = rng.sample(cells, 2)
-        rows.append(TaskRow(pickup, dropoff, rng.uniform(0.0, over_s) if over_s else 0.0))
+        rows.append(
+            TaskRow(pickup, dropoff, rng.uniform(0.0, within_for_s) if within_for_s else 0.0)
+        )
     return sorted(rows, key=lambda row: row.at_s)

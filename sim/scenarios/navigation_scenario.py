@@ -120,7 +120,7 @@ def _dropped(scenario: NavigationScenario, floor: Floor) -> list[TemporaryObstac
         return list(
             random_temporary_obstacle_generator(
                 scenario.run.seed, area, table.every_s, table.lasting_s, table.size_m,
-                until_s=min(table.until_s, scenario.run.time_limit_s),
+                end_at_s=min(table.until_s, scenario.run.time_limit_s),
             )
         )  # fmt: skip
     except ValueError as problem:

@@ -11,8 +11,10 @@ WAYS_FACTOR: Final = 5.0
 START_S: Final = 600.0  # to boot, to drive from the gate, and to wait for a lease or an operator
 
 
-def time_limit_s(field: Field, robots: int, speed_m_s: float, last_fault_s: float = 0.0) -> float:
-    """Simulated seconds. `robots`: those that work to the end; `last_fault_s`: when the faults
+def time_limit_s(
+    field: Field, robots: int, speed_m_s: float, last_fault_at_s: float = 0.0
+) -> float:
+    """Simulated seconds. `robots`: those that work to the end; `last_fault_at_s`: when the faults
     end."""
     workers = max(1, min(robots, len(field.sections)))
-    return START_S + last_fault_s + WAYS_FACTOR * field.work_m / (workers * speed_m_s)
+    return START_S + last_fault_at_s + WAYS_FACTOR * field.work_m / (workers * speed_m_s)

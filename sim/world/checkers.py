@@ -31,15 +31,15 @@ class Violation(NamedTuple):
 
 class _Watch(NamedTuple):
     slots: frozenset[int]
-    silent_us: int  # from here on no command to move may be in force
-    still_us: int  # from here on no body may move
+    silent_at_us: int  # from here on no command to move may be in force
+    still_at_us: int  # from here on no body may move
 
 
-def lapse_us(lapsed_us: int | None, silent_us: int) -> int:
-    """How long after `silent_us` the last command ends of a robot that died or hung before it."""
-    if lapsed_us is None or lapsed_us >= silent_us:
+def lapse_for_us(lapsed_at_us: int | None, silent_at_us: int) -> int:
+    """How long after `silent_at_us` the last command ends of a robot that died or hung before it."""
+    if lapsed_at_us is None or lapsed_at_us >= silent_at_us:
         return 0
-    return max(0, lapsed_us + ACTUATOR_TTL_US - silent_us)
+    return max(0, lapsed_at_us + ACTUATOR_TTL_US - silent_at_us)
 
 
 class MotionAfterStopChecker:
@@ -53,23 +53,29 @@ class MotionAfterStopChecker:
         self.world = world
         self.violations: list[Violation] = []
         self._watches: dict[int, _Watch] = {}
-        self._lapsed_us: dict[int, int] = {}
+        self._lapsed_at_us: dict[int, int] = {}
         self._pressed = 0
         world.guards.append(self)
 
     def press(
-        self, t_us: int, bound_us: int, slots: Collection[int], standing_us: int | None = None
+        self,
+        t_us: int,
+        bound_for_us: int,
+        slots: Collection[int],
+        standing_for_us: int | None = None,
     ) -> int:
         """A stop pressed at `t_us`; returns the number to release it by.
 
-        All commands to `slots` must end within `bound_us`, and all of these robots must stand after
-        `standing_us` more (default: their longest braking time).
+        All commands to `slots` must end within `bound_for_us`, and all of these robots must stand after
+        `standing_for_us` more (default: their longest braking time).
         """
-        braking_us = [round(self.world.robots[slot].chassis.stopping_s * 1e6) for slot in slots]
-        longest_us = max(braking_us, default=0) if standing_us is None else standing_us
+        braking_us = [round(self.world.robots[slot].chassis.stopping_for_s * 1e6) for slot in slots]
+        longest_us = max(braking_us, default=0) if standing_for_us is None else standing_for_us
         self._pressed += 1
-        silent_us = t_us + bound_us
-        self._watches[self._pressed] = _Watch(frozenset(slots), silent_us, silent_us + longest_us)
+        silent_at_us = t_us + bound_for_us
+        self._watches[self._pressed] = _Watch(
+            frozenset(slots), silent_at_us, silent_at_us + longest_us
+        )
         self.world.guard()
         return self._pressed
 
@@ -83,7 +89,7 @@ class MotionAfterStopChecker:
     def lapses(self, slot: int, now_us: int) -> None:
         """The robot has died or hangs, so its last command holds until it expires in the
         actuator."""
-        self._lapsed_us[slot] = now_us
+        self._lapsed_at_us[slot] = now_us
         self.world.guard()
 
     def limits(self) -> dict[int, tuple[float, float]]:
@@ -91,10 +97,10 @@ class MotionAfterStopChecker:
         limits: dict[int, tuple[float, float]] = {}
         for watch in self._watches.values():
             for slot in watch.slots:
-                silent_us, still_us = limits.get(slot, (inf, inf))
-                late_us = lapse_us(self._lapsed_us.get(slot), watch.silent_us)
-                silent_us = min(silent_us, watch.silent_us + late_us)
-                limits[slot] = silent_us, min(still_us, watch.still_us + late_us)
+                silent_at_us, still_at_us = limits.get(slot, (inf, inf))
+                late_for_us = lapse_for_us(self._lapsed_at_us.get(slot), watch.silent_at_us)
+                silent_at_us = min(silent_at_us, watch.silent_at_us + late_for_us)
+                limits[slot] = silent_at_us, min(still_at_us, watch.still_at_us + late_for_us)
         return limits
 
     def look(self, world: World) -> None:
@@ -103,11 +109,11 @@ class MotionAfterStopChecker:
             return
         now_us = world.now_us
         begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
-        for slot, (silent_us, still_us) in sorted(self.limits().items()):
+        for slot, (silent_at_us, still_at_us) in sorted(self.limits().items()):
             body = world.robots[slot]
-            if begun_us >= silent_us and body.commanded_us == begun_us:
+            if begun_us >= silent_at_us and body.commanded_at_us == begun_us:
                 self._add(now_us, slot, "told to move after a stop")
-            if now_us >= still_us and body.moved_us == now_us:
+            if now_us >= still_at_us and body.moved_at_us == now_us:
                 self._add(now_us, slot, "moves after a stop")
 
     def _add(self, t_us: int, slot: int, what: str) -> None:
@@ -136,11 +142,11 @@ class ExclusiveWorkChecker:
         at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
         found: list[Violation] = []
         for slot, track in sorted(tracks.items()):
-            worked_us = self.truth.worked_us(track)
-            mine = worked_us != NEVER_US
+            worked_at_us = self.truth.worked_at_us(track)
+            mine = worked_at_us != NEVER_US
             sections = self.section_of[self.truth.line_of[mine]]
             instants, counts = np.unique(
-                np.column_stack((sections, worked_us[mine] // S)), axis=0, return_counts=True
+                np.column_stack((sections, worked_at_us[mine] // S)), axis=0, return_counts=True
             )
             for section, second in instants[counts >= self.least].tolist():
                 other = at.setdefault((section, second), slot)

@@ -90,18 +90,18 @@ def _move(motion, push, inertia):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def guarded(rows, motion, limits, moved_us, now_us):  # type: ignore[no-untyped-def]
+def guarded(rows, motion, limits, moved_at_us, now_us):  # type: ignore[no-untyped-def]
     """After a step: record which robots move, and return whether one broke its guard's limits.
 
     `rows` (robots, columns of `drive_trains`), `motion` (robots, 7), `limits` (robots, 2), the
-    microseconds from which it may get no command, and from which it must stand, `moved_us`
+    microseconds from which it may get no command, and from which it must stand, `moved_at_us`
     (robots,), when each moved last.
     """
     found = False
     begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
     for i in range(motion.shape[0]):
         if motion[i, VX] ** 2 + motion[i, VY] ** 2 > STANDING_M_S**2:
-            moved_us[i] = now_us
+            moved_at_us[i] = now_us
             found |= now_us >= limits[i, STILL_US]
         found |= rows[i, COMMANDED_US] == begun_us and begun_us >= limits[i, SILENT_US]
     return found
@@ -109,20 +109,20 @@ def guarded(rows, motion, limits, moved_us, now_us):  # type: ignore[no-untyped-
 
 @njit(cache=True, error_model="numpy")
 def glide(  # type: ignore[no-untyped-def]
-    rows, motion, keys, push, inertia, floats, ints, obstacles, moved_us, nearest, limits,
-    now_us, until_us, rolled, near_m,
+    rows, motion, keys, push, inertia, floats, ints, obstacles, moved_at_us, nearest, limits,
+    now_us, end_at_us, rolled, near_m,
 ):  # fmt: skip
-    """Make steps from `now_us`, none beyond `until_us`, until something must be handled.
+    """Make steps from `now_us`, none beyond `end_at_us`, until something must be handled.
 
     `rolled`: the wheels have turned for the first one. `near_m` is the gap below which the physics
     engine takes over. Each robot has one row of `rows`, `motion` (robots, 7), `keys`, `push` and
-    `inertia` (robots, 3), `limits` and `moved_us`; `nearest` (2,) is updated as in
+    `inertia` (robots, 3), `limits` and `moved_at_us`; `nearest` (2,) is updated as in
     `contacts.watch`. `floats`, `ints` and `obstacles` are those of `walls`. Returns the new time,
     times `CODES`, and why.
     """
     while True:
         if not rolled:
-            if now_us + STEP_US > until_us:
+            if now_us + STEP_US > end_at_us:
                 return now_us * CODES + DONE
             if roll(rows, motion, keys, now_us, push):
                 return now_us * CODES + SWITCHED
@@ -131,7 +131,7 @@ def glide(  # type: ignore[no-untyped-def]
             return now_us * CODES + NEAR
         _move(motion, push, inertia)
         now_us += STEP_US
-        if guarded(rows, motion, limits, moved_us, now_us):
+        if guarded(rows, motion, limits, moved_at_us, now_us):
             return now_us * CODES + GUARDED
         if now_us % TRACK_US == 0:
             return now_us * CODES + DONE

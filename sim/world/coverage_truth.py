@@ -37,7 +37,7 @@ class Coverage(NamedTuple):
     share: float  # of the area asked for
     twice: float  # share worked by two robots or more
     again: float  # share worked again by a robot that had worked it before
-    last_us: int  # when the last cell was first worked
+    last_at_us: int  # when the last cell was first worked
     uncovered: Floats  # (n, 2): centres of the cells never worked
     area_m2: float  # the area asked for
     worked_m2: dict[int, float]  # of that area, by each robot
@@ -64,12 +64,12 @@ def coverage(
     shape = raster.cells.shape
     robots = np.zeros(shape, dtype=np.uint8)
     again = np.zeros(shape, dtype=np.bool_)
-    first_us = np.full(shape, NEVER_US)
+    first_at_us = np.full(shape, NEVER_US)
     worked_m2: dict[int, float] = {}
     place = np.array([raster.west_m, raster.south_m, raster.cell_m])
     for slot, track in sorted(tracks.items()):
         driven = np.full(shape, -1.0, dtype=np.float32)
-        _sweep(strokes_of(track), width_m, place, raster.cells, first_us, driven, again)
+        _sweep(strokes_of(track), width_m, place, raster.cells, first_at_us, driven, again)
         mine = driven >= 0.0
         robots += mine
         worked_m2[slot] = float(np.count_nonzero(mine)) * raster.cell_m**2
@@ -80,7 +80,7 @@ def coverage(
         share=float(np.count_nonzero(worked)) / max(asked, 1),
         twice=float(np.count_nonzero(robots > 1)) / max(asked, 1),
         again=float(np.count_nonzero(again)) / max(asked, 1),
-        last_us=int(first_us[worked].max()) if worked.any() else 0,
+        last_at_us=int(first_at_us[worked].max()) if worked.any() else 0,
         uncovered=raster.centres(raster.cells & ~worked),
         area_m2=raster.area_m2,
         worked_m2=worked_m2,
@@ -154,7 +154,7 @@ def cells_near(a, b, margin, origin, side, count):  # type: ignore[no-untyped-de
 
 
 @njit(cache=True, error_model="numpy")
-def _sweep(strokes, width, place, cells, first_us, driven, again):  # type: ignore[no-untyped-def]
+def _sweep(strokes, width, place, cells, first_at_us, driven, again):  # type: ignore[no-untyped-def]
     """Mark the cells under the bar along each stroke, and under its swing before it."""
     west, south, side = place
     rows, columns = cells.shape
@@ -181,4 +181,4 @@ def _sweep(strokes, width, place, cells, first_us, driven, again):  # type: igno
                     if before >= 0.0 and way - before > AGAIN_WIDTHS * width:
                         again[r, c] = True
                     driven[r, c] = way
-                    first_us[r, c] = min(first_us[r, c], np.int64(t_us))
+                    first_at_us[r, c] = min(first_at_us[r, c], np.int64(t_us))

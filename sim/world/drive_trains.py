@@ -74,7 +74,7 @@ class Chassis(NamedTuple):
         )
 
     @property
-    def stopping_s(self) -> float:
+    def stopping_for_s(self) -> float:
         """Upper limit of the time from full speed to standing wheels after a command to stand."""
         margin = 1.0 if self.kind is DriveTrain.ACKERMANN else MARGIN
         braking_m_s2 = min(margin * self.braking_m_s2, TRACTION_M_S2)

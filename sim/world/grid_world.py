@@ -46,7 +46,7 @@ class GridBody(RobotBody):
         world, row = self.world, self.index
         world.advance(now_us)
         x_m, y_m = world.now(row, now_us)
-        vx, vy = world.speeds[row].tolist() if now_us < world.until_us[row] else (0.0, 0.0)
+        vx, vy = world.speeds[row].tolist() if now_us < world.drive_ends_at_us[row] else (0.0, 0.0)
         return Observation(x_m, y_m, 0.0, vx, vy, bodies=world.seen(row, x_m, y_m, now_us),
                            sensed_at_us=now_us)  # fmt: skip
 
@@ -54,16 +54,16 @@ class GridBody(RobotBody):
         """Follow a velocity from now on, without delay, until the command expires."""
         world, row = self.world, self.index
         world.positions[row] = world.now(row, now_us)
-        world.since_us[row] = now_us
+        world.placed_at_us[row] = now_us
         world.speeds[row] = command.vx_m_s, command.vy_m_s
-        world.until_us[row] = now_us + ACTUATOR_TTL_US
+        world.drive_ends_at_us[row] = now_us + ACTUATOR_TTL_US
 
 
 @dataclass(slots=True)
 class GridTruth:
     """What was really covered, and by which robot; how near bodies came, and what they drove into."""
 
-    first_us: NDArray[np.int64]  # by cell number: when it was covered, -1: not yet
+    first_at_us: NDArray[np.int64]  # by cell number: when it was covered, -1: not yet
     by: NDArray[np.int16]  # the robot that covered it first
     contacts: set[tuple[int, int]] = field(default_factory=set)
     through_walls: int = 0  # checks at which a centre was in a wall
@@ -79,13 +79,13 @@ class GridWorld(World):
     def __init__(self, ground: CellMap, radius_m: float) -> None:
         super().__init__([])
         self.ground, self.radius_m = ground, radius_m
-        self.positions = np.empty((0, 2))  # at `since_us`
+        self.positions = np.empty((0, 2))  # at `placed_at_us`
         self.speeds = np.empty((0, 2))
-        self.since_us = np.empty(0, dtype=np.int64)
-        self.until_us = np.empty(0, dtype=np.int64)
+        self.placed_at_us = np.empty(0, dtype=np.int64)
+        self.drive_ends_at_us = np.empty(0, dtype=np.int64)
         count = len(ground)
         self.truth = GridTruth(np.full(count, NONE, np.int64), np.full(count, NONE, np.int16))
-        self._looked_us = 0
+        self._looked_at_us = 0
         self._centres = np.array([ground.centre(n) for n in range(count)]).reshape(-1, 2)
 
     def guard(self) -> None:
@@ -97,18 +97,18 @@ class GridWorld(World):
         self.robots[slot] = GridBody(self, slot, len(self.robots))
         self.positions = np.vstack((self.positions, self._centres[number]))
         self.speeds = np.vstack((self.speeds, (0.0, 0.0)))
-        self.since_us = np.append(self.since_us, now_us)
-        self.until_us = np.append(self.until_us, now_us)
+        self.placed_at_us = np.append(self.placed_at_us, now_us)
+        self.drive_ends_at_us = np.append(self.drive_ends_at_us, now_us)
 
     def now(self, row: int, now_us: int) -> tuple[float, float]:
         """Where the body in that row is at `now_us`, metres east and north. It stands from the end
         of its command on."""
-        seconds = (min(now_us, int(self.until_us[row])) - int(self.since_us[row])) / 1e6
+        seconds = (min(now_us, int(self.drive_ends_at_us[row])) - int(self.placed_at_us[row])) / 1e6
         (x_m, y_m), (vx, vy) = self.positions[row].tolist(), self.speeds[row].tolist()
         return x_m + vx * seconds, y_m + vy * seconds
 
     def _all(self, now_us: int) -> NDArray[np.float64]:
-        seconds = (np.minimum(now_us, self.until_us) - self.since_us) / 1e6
+        seconds = (np.minimum(now_us, self.drive_ends_at_us) - self.placed_at_us) / 1e6
         places: NDArray[np.float64] = self.positions + self.speeds * seconds[:, None]
         return places
 
@@ -136,9 +136,9 @@ class GridWorld(World):
 
     def advance(self, now_us: int) -> None:
         """Judge everything up to now."""
-        while self._looked_us + LOOK_US <= now_us:
-            self._looked_us += LOOK_US
-            self._look(self._looked_us)
+        while self._looked_at_us + LOOK_US <= now_us:
+            self._looked_at_us += LOOK_US
+            self._look(self._looked_at_us)
 
     def _look(self, now_us: int) -> None:
         """Judge contacts and covered cells from the exact positions at this instant."""
@@ -171,5 +171,5 @@ class GridWorld(World):
                 continue
             truth.at[slot] = number
             truth.steps += 1
-            if truth.first_us[number] == NONE:
-                truth.first_us[number], truth.by[number] = now_us, slot
+            if truth.first_at_us[number] == NONE:
+                truth.first_at_us[number], truth.by[number] = now_us, slot

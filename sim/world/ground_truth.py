@@ -25,7 +25,7 @@ class Contact:
     against: str  # "robot 3", "fence", "box 7", "outside"
     x_m: float  # position of the first robot at the start
     y_m: float
-    until_us: int = 0
+    last_at_us: int = 0
 
 
 class _Line:

@@ -16,10 +16,11 @@ from agent.interface.ports import Body, Observation, VisibleParcel
 
 Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles parcels and charges only while slower than this
-# The tables in `to_plain`, by task or by slot.
-KEPT = (
-    "lies", "aboard", "dropoff", "delivered_at_us", "appeared_at_us", "battery", "lowest",
-)  # fmt: skip
+# The tables in `to_plain`, by task or by slot: key in the file, and attribute.
+KEPT = {
+    "lies": "lies", "aboard": "aboard", "dropoff": "dropoff", "delivered_us": "delivered_at_us",
+    "appeared_us": "appeared_at_us", "battery": "battery", "lowest": "lowest",
+}  # fmt: skip
 BAY_M = 0.5  # reach of the contacts from a bay's middle
 
 
@@ -59,7 +60,7 @@ class Parcels:
 
     def to_plain(self) -> dict[str, Any]:
         """The present truth as plain values; see `recall`."""
-        kept = {name: sorted(getattr(self, name).items()) for name in KEPT}
+        kept = {key: sorted(getattr(self, name).items()) for key, name in KEPT.items()}
         return {
             **kept, "events": self.events, "empty": sorted(self.empty),
             "works": [bay.works for bay in self.bays],
@@ -68,10 +69,10 @@ class Parcels:
     def recall(self, said: dict[str, Any]) -> None:
         """Continue from the result of `to_plain`. KeyError, TypeError, ValueError if it is not
         valid."""
-        for name in KEPT:
+        for key, name in KEPT.items():
             known = {
-                int(key): tuple(value) if isinstance(value, list) else value
-                for key, value in said[name]
+                int(number): tuple(value) if isinstance(value, list) else value
+                for number, value in said[key]
             }
             setattr(self, name, known)
         self.events = [Handled(*event) for event in said["events"]]
@@ -169,7 +170,7 @@ class CarrierBody:
     def __init__(self, body: Body, slot: int, parcels: Parcels, now_us: Callable[[], int]) -> None:
         self._body, self._slot, self._parcels, self._now_us = body, slot, parcels, now_us
         self._last: Observation | None = None
-        self._last_us = now_us()
+        self._last_at_us = now_us()
         self._arm: tuple[int, int] | None = None  # parcel, and since when
 
     def sense(self, now_us: int) -> Observation | None:
@@ -181,8 +182,8 @@ class CarrierBody:
         t_us, at = self._now_us(), (seen.x_m, seen.y_m)
         still = hypot(seen.vx_m_s, seen.vy_m_s) < STILL_M_S
         metres = 0.0 if self._last is None else _gap(at, (self._last.x_m, self._last.y_m))
-        left = self._parcels.drain(self._slot, metres, (t_us - self._last_us) / S, at, still)
-        self._last, self._last_us = seen, t_us
+        left = self._parcels.drain(self._slot, metres, (t_us - self._last_at_us) / S, at, still)
+        self._last, self._last_at_us = seen, t_us
         if not still:
             self._arm = None
         load = self._parcels.aboard.get(self._slot, -1)

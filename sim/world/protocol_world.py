@@ -15,7 +15,7 @@ from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, Mot
 from agent.interface.motion_controller import MotionController
 from agent.interface.ports import NOTHING_SEEN, Neighbour, Observation
 from crdt import Phase
-from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_us
+from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_for_us
 from sim.world.drive_trains import Chassis
 from sim.world.robot_body import RobotBody
 from sim.world.world import World
@@ -39,7 +39,7 @@ class Watch(NamedTuple):
     """A stop in force: which robots it binds, and from when."""
 
     slots: frozenset[int]
-    silent_us: int  # after this, no command to move may be in force
+    silent_at_us: int  # after this, no command to move may be in force
 
 
 class CommandChecker:
@@ -48,13 +48,13 @@ class CommandChecker:
     def __init__(self) -> None:
         self.violations: list[Violation] = []
         self._watches: dict[int, Watch] = {}
-        self._lapsed_us: dict[int, int] = {}
+        self._lapsed_at_us: dict[int, int] = {}
         self._pressed = 0
 
-    def press(self, t_us: int, bound_us: int, slots: Collection[int]) -> int:
+    def press(self, t_us: int, bound_for_us: int, slots: Collection[int]) -> int:
         """Returns the number to release it by."""
         self._pressed += 1
-        self._watches[self._pressed] = Watch(frozenset(slots), t_us + bound_us)
+        self._watches[self._pressed] = Watch(frozenset(slots), t_us + bound_for_us)
         return self._pressed
 
     def release(self, number: int, slots: Collection[int] | None = None) -> None:
@@ -66,18 +66,18 @@ class CommandChecker:
     def lapses(self, slot: int, now_us: int) -> None:
         """The robot has died or hangs, so its last command holds until it expires in the
         actuator."""
-        self._lapsed_us[slot] = now_us
+        self._lapsed_at_us[slot] = now_us
 
-    def moved(self, slot: int, until_us: int) -> None:
+    def moved(self, slot: int, end_at_us: int) -> None:
         """A command to move was in force until then."""
         for watch in self._watches.values():
-            if until_us > watch.silent_us and slot in watch.slots:
-                late_us = lapse_us(self._lapsed_us.get(slot), watch.silent_us)
-                if until_us <= watch.silent_us + late_us:
+            if end_at_us > watch.silent_at_us and slot in watch.slots:
+                late_for_us = lapse_for_us(self._lapsed_at_us.get(slot), watch.silent_at_us)
+                if end_at_us <= watch.silent_at_us + late_for_us:
                     continue
                 if len(self.violations) < VIOLATIONS_MAX:
                     self.violations.append(
-                        Violation("S1", until_us, (slot,), "told to move after a stop")
+                        Violation("S1", end_at_us, (slot,), "told to move after a stop")
                     )
                 return
 
@@ -90,7 +90,7 @@ class StationaryBody(RobotBody):
         self.parade = parade
         self.x_m, self.y_m = SPACING_M * (slot % 12), SPACING_M * (slot // 12)
         self._tool_on = False
-        self._moving_us = -ACTUATOR_TTL_US  # the newest command to move
+        self._moving_at_us = -ACTUATOR_TTL_US  # the newest command to move
         self._moving = False
 
     def sense(self, now_us: int) -> Observation:
@@ -103,11 +103,11 @@ class StationaryBody(RobotBody):
 
     def drive(self, command: Drive, now_us: int) -> None:
         if self._moving:
-            until_us = self._moving_us + ACTUATOR_TTL_US
-            self.parade.moved(self.slot, now_us if now_us < until_us else until_us)
+            end_at_us = self._moving_at_us + ACTUATOR_TTL_US
+            self.parade.moved(self.slot, now_us if now_us < end_at_us else end_at_us)
         self._moving = command.vx_m_s != 0.0 or command.vy_m_s != 0.0 or command.turn_rad_s != 0.0
         if self._moving:
-            self._moving_us = now_us
+            self._moving_at_us = now_us
         self._tool_on = command.tool_on
 
     @property
@@ -157,10 +157,10 @@ class ProtocolWorld(World):
         self._checkers.append(CommandChecker())
         return self._checkers[-1]
 
-    def moved(self, slot: int, until_us: int) -> None:
-        """Tell the checkers that a robot has a command to move that is in force until `until_us`."""
+    def moved(self, slot: int, end_at_us: int) -> None:
+        """Tell the checkers that a robot has a command to move that is in force until `end_at_us`."""
         for checker in self._checkers:
-            checker.moved(slot, until_us)
+            checker.moved(slot, end_at_us)
 
     def works(self, slot: int, section: int, now_us: int) -> None:
         """A robot has its implement down in a section."""
@@ -190,7 +190,7 @@ class TimedMission(Mission):
         self._order = [(first + k) % sections for k in range(sections)]
         self._section: int | None = None
         self._worked: set[int] = set()  # units worked of this section, since it was started
-        self._unit_us = 0  # when the present unit will be done
+        self._unit_ends_at_us = 0  # when the present unit will be done
         self._lifted = True
 
     @property
@@ -230,10 +230,10 @@ class TimedMission(Mission):
         assert section is not None
         down = self.parade.stands[self.slot].tool_on  # what the body did in the period that ends
         if self._lifted:
-            self._lifted, self._unit_us = False, now_us + UNIT_US
+            self._lifted, self._unit_ends_at_us = False, now_us + UNIT_US
         elif down:
             self.parade.works(self.slot, section, now_us)
-        if now_us < self._unit_us:
+        if now_us < self._unit_ends_at_us:
             return WORKING
         return self._next(section, view)
 
@@ -245,7 +245,7 @@ class TimedMission(Mission):
             covered = (left.pop(0),)
             self._worked.update(covered)
             self.parade.worked.add((section, covered[0]))
-        self._unit_us = view.now_us + UNIT_US
+        self._unit_ends_at_us = view.now_us + UNIT_US
         if not left:
             self._section = None
         return WORKING._replace(covered=covered, finished=not left, near_end=len(left) <= 2)

@@ -35,7 +35,7 @@ class BodyRows(Protocol):
 
     motion: NDArray[Any]
     rows: NDArray[Any]
-    moved_us: NDArray[Any]
+    moved_at_us: NDArray[Any]
     places: Any  # the bytes of `motion`
     commands: Any  # the bytes of `rows`
     now_us: int
@@ -84,14 +84,14 @@ class RobotBody:
         return hypot(vx_m_s, vy_m_s)
 
     @property
-    def commanded_us(self) -> int:
+    def commanded_at_us(self) -> int:
         """Beginning of the last step in which a command to move was in force; -1: never."""
         return int(self.world.rows[self.index, COMMANDED_US])
 
     @property
-    def moved_us(self) -> int:
+    def moved_at_us(self) -> int:
         """End of the last step after which the body moved; -1: never."""
-        return int(self.world.moved_us[self.index])
+        return int(self.world.moved_at_us[self.index])
 
     def sense(self, now_us: int) -> Observation:
         """Advance the world to `now_us`, and return what the sensors of this body see there."""

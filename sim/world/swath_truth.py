@@ -42,7 +42,7 @@ class LineTruth:
         self._place = np.array([*low, side_m])
         self.line_of: NDArray[np.int64] = self._table[:, 4].astype(np.int64)
 
-    def worked_us(self, track: Track | Sequence[TrackPoint] | Floats) -> NDArray[np.int64]:
+    def worked_at_us(self, track: Track | Sequence[TrackPoint] | Floats) -> NDArray[np.int64]:
         """When each sample was first worked by the robot of this track, (samples,); `NEVER_US`:
         never.
 

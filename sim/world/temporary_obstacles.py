@@ -24,8 +24,8 @@ DRAWS_MAX = 1_000  # for a position in the area; an area that fails this often h
 class TemporaryObstacle(NamedTuple):
     """A box with the instants at which it appears and vanishes, and where it may stand."""
 
-    birth_us: int
-    expiry_us: int
+    birth_at_us: int
+    expiry_at_us: int
     places: tuple[XY, ...]  # in order of preference
     width_m: float
     depth_m: float
@@ -40,13 +40,13 @@ class TemporaryObstacle(NamedTuple):
 def random_temporary_obstacle_generator(
     seed: int | str,
     area: Polygon | MultiPolygon,
-    every_s: float = 20.0,
-    lasting_s: tuple[float, float] = (5.0, 40.0),
+    mean_period_s: float = 20.0,
+    lasts_for_s: tuple[float, float] = (5.0, 40.0),
     size_m: tuple[float, float] = (0.5, 1.5),
-    from_s: float = 0.0,
-    until_s: float = 3600.0,
+    begin_at_s: float = 0.0,
+    end_at_s: float = 3600.0,
 ) -> Iterator[TemporaryObstacle]:
-    """Boxes in the area, in order of birth: one every `every_s` on average, at random instants.
+    """Boxes in the area, in order of birth: one every `mean_period_s` on average, at random instants.
 
     ValueError if the area has no room for the largest box.
     """
@@ -54,15 +54,15 @@ def random_temporary_obstacle_generator(
     inside = area.buffer(-size_m[1] * 0.75)
     if inside.is_empty:
         raise ValueError(f"no room for a box of {size_m[1]} m in this area")
-    now_s = from_s
+    now_s = begin_at_s
     while True:
-        now_s += rng.expovariate(1.0 / every_s)
-        if now_s >= until_s:
+        now_s += rng.expovariate(1.0 / mean_period_s)
+        if now_s >= end_at_s:
             return
-        birth_us = round(now_s * 1e6)
+        birth_at_us = round(now_s * 1e6)
         yield TemporaryObstacle(
-            birth_us=birth_us,
-            expiry_us=birth_us + round(rng.uniform(*lasting_s) * 1e6),
+            birth_at_us=birth_at_us,
+            expiry_at_us=birth_at_us + round(rng.uniform(*lasts_for_s) * 1e6),
             places=tuple(_place(rng, inside) for _ in range(PLACES)),
             width_m=rng.uniform(*size_m),
             depth_m=rng.uniform(*size_m),
@@ -95,12 +95,12 @@ def schedule(
                 number = world.add_box(
                     x_m, y_m, obstacle.width_m, obstacle.depth_m, obstacle.heading_rad
                 )
-                world.at(obstacle.expiry_us, partial(world.remove_box, number))
+                world.at(obstacle.expiry_at_us, partial(world.remove_box, number))
                 appeared.append(obstacle._replace(places=((x_m, y_m),)))
                 return
 
     for obstacle in obstacles:
-        world.at(obstacle.birth_us, partial(come, obstacle))
+        world.at(obstacle.birth_at_us, partial(come, obstacle))
     return appeared
 
 

@@ -108,7 +108,8 @@ class World:
         self.motion = np.empty((0, 7))
         # Byte views of both arrays, to read or write one row.
         self.commands = self.places = memoryview(b"")
-        self.moved_us = np.empty(0, dtype=np.int64)  # the last step at whose end each robot moved
+        # The last step at whose end each robot moved.
+        self.moved_at_us = np.empty(0, dtype=np.int64)
         self._seed = seed
         self._keys = np.empty(0, dtype=np.uint64)
         self._side = np.empty(0, dtype=np.int8)  # of the fences, where each robot was placed
@@ -158,7 +159,7 @@ class World:
         self.rows = np.vstack((self.rows, row_of(chassis)))
         self.motion = np.vstack((self.motion, (*at, heading_rad, 0.0, 0.0, 0.0, radius_m)))
         self.commands, self.places = self.rows.data.cast("B"), self.motion.data.cast("B")
-        self.moved_us = np.append(self.moved_us, np.int64(-1))
+        self.moved_at_us = np.append(self.moved_at_us, np.int64(-1))
         self._side = np.append(self._side, np.int8(0))
         self._side[-1] = self._sides()[-1]
         self._physics.add_robot(*at, heading_rad, radius_m)
@@ -247,19 +248,19 @@ class World:
                 due_at_us = self._due[0][0] + STEP_US - 1 if self._due else now_us
                 self._glide(min(now_us, due_at_us), False)
 
-    def _glide(self, until_us: int, rolled: bool) -> None:
+    def _glide(self, end_at_us: int, rolled: bool) -> None:
         """Advance to that time, or until something must be handled."""
         fences = self._solid
         came = glide(
             self.rows, self.motion, self._keys, self._push, self._physics.inertia, fences.floats,
-            fences.ints, self._standing, self.moved_us, self._nearest, self._limits, self.now_us,
-            until_us, rolled, NEAR_M,
+            fences.ints, self._standing, self.moved_at_us, self._nearest, self._limits, self.now_us,
+            end_at_us, rolled, NEAR_M,
         )  # fmt: skip
         self.now_us, why = divmod(came, CODES)
         self._put = True
         if why == SWITCHED:
             self._record()
-            self._glide(until_us, True)
+            self._glide(end_at_us, True)
         elif why == NEAR:
             self._engine_steps = ENGINE_STEPS
             self._collide(False)
@@ -292,7 +293,7 @@ class World:
             self._engine_steps = ENGINE_STEPS
         if found or self._touching:
             self._judge(self._touches[:found].tolist())
-        self._end_step(guarded(self.rows, self.motion, self._limits, self.moved_us, self.now_us))
+        self._end_step(guarded(self.rows, self.motion, self._limits, self.moved_at_us, self.now_us))
 
     def _end_step(self, is_guarded: bool) -> None:
         if is_guarded:
@@ -315,10 +316,10 @@ class World:
             key = (int(first), int(second))
             contact = self._touching.get(key) or self._begin(*key)
             contact.depth_m = max(contact.depth_m, depth_m)
-            contact.until_us = self.now_us
+            contact.last_at_us = self.now_us
             self._touching[key] = contact
         for key, contact in list(self._touching.items()):
-            if contact.until_us + APART_US < self.now_us:
+            if contact.last_at_us + APART_US < self.now_us:
                 del self._touching[key]
 
     def _begin(self, first: int, second: int) -> Contact:

@@ -39,7 +39,7 @@ class WorldMemory:
         self._file = path.open("r+b", buffering=0)
         self._kept_bytes = self._recall(path)  # size of the lines that stay
         self._file.truncate(self._kept_bytes)
-        self._kept_us = self._now_us
+        self._kept_at_us = self._now_us
         begun = self.now_us > 0
         self._told = {s: len(b.track) - 1 if begun else 0 for s, b in world.robots.items()}
         self._contacts = len(world.contacts)
@@ -57,7 +57,7 @@ class WorldMemory:
             "poses": {s: [*b.position, b.heading_rad] for s, b in world.robots.items()},
             "tracks": {s: b.track.settled_from(self._told[s]) for s, b in world.robots.items()},
             "newest": {s: b.track.newest for s, b in world.robots.items()},
-            "contacts": [asdict(contact) for contact in world.contacts[self._contacts :]],
+            "contacts": [_kept(contact) for contact in world.contacts[self._contacts :]],
         }
         if self.parcels is not None:
             line["parcels"] = self.parcels.to_plain()
@@ -67,8 +67,8 @@ class WorldMemory:
             raise OSError(ENOSPC, strerror(ENOSPC))
         # Remove the rest of a longer line, in case we stop before the next write.
         self._file.truncate()
-        if world.now_us - self._kept_us >= KEEP_US:
-            self._kept_us, self._kept_bytes = world.now_us, self._kept_bytes + len(data)
+        if world.now_us - self._kept_at_us >= KEEP_US:
+            self._kept_at_us, self._kept_bytes = world.now_us, self._kept_bytes + len(data)
             self._told = {slot: len(body.track) - 1 for slot, body in world.robots.items()}
             self._contacts = len(world.contacts)
 
@@ -92,7 +92,7 @@ class WorldMemory:
                 }
                 new = {int(s): [float(v) for v in flat] for s, flat in line["tracks"].items()}
                 last = {int(s): [float(v) for v in flat] for s, flat in line["newest"].items()}
-                touched = [Contact(**contact) for contact in line["contacts"]]
+                touched = [_contact(kept) for kept in line["contacts"]]
                 if not places.keys() == new.keys() == last.keys() == tracks.keys():
                     break
                 of_parcels = line["parcels"] if self.parcels is not None else None
@@ -129,3 +129,17 @@ def _lines(path: Path) -> Iterator[tuple[dict[str, Any], int]]:
                 yield line, end
     except (ValueError, RecursionError):
         return
+
+
+def _kept(contact: Contact) -> dict[str, Any]:
+    """A contact with the keys of the file."""
+    kept = asdict(contact)
+    kept["until_us"] = kept.pop("last_at_us")
+    return kept
+
+
+def _contact(kept: dict[str, Any]) -> Contact:
+    """KeyError or TypeError if `kept` is not what `_kept` returns."""
+    return Contact(
+        **{k: v for k, v in kept.items() if k != "until_us"}, last_at_us=kept["until_us"]
+    )

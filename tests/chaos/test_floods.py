@@ -12,7 +12,7 @@ LOWEST = 0x4D
 def test_item_2_nobody_drives_on_through_a_flood_under_any_policy(policy: str) -> None:
     result = Trial(Flood(1, 3, policy, LOWEST, 8, 8.0, 1.0, ((4.0, 0),))).run()
     assert not result.late, result
-    assert result.wire_s < 1.0 and result.fleet_s < 5.0, result
+    assert result.wire_for_s < 1.0 and result.fleet_for_s < 5.0, result
 
 
 def test_item_2_a_fleet_goes_on_by_itself_after_a_flood() -> None:
@@ -29,5 +29,5 @@ def test_item_2_the_fault_is_seen_when_robots_go_on_unheard() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_item_2_drawn_floods(seed: int) -> None:
-    result = Trial(draw(seed, 3, longest_s=15.0)).run()
+    result = Trial(draw(seed, 3, longest_for_s=15.0)).run()
     assert not result.broken, result

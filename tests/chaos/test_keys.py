@@ -152,7 +152,7 @@ def test_proofs_nobody_asked_for_are_refused(keys: Path) -> None:
             cluster.inject(Freshness(OPERATOR, n, n))
         await elapse(0.5)
         rings = [r.peer.safety.authority.keyring for r in cluster.running]
-        assert not any(ring._proven_us for ring in rings if ring is not None)
+        assert not any(ring._proven_at_us for ring in rings if ring is not None)
         assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for _, e in seen)
 
     play(keys, story)

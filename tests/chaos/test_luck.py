@@ -29,7 +29,7 @@ STORIES = sorted((Path(__file__).parent / "stories").glob("*.toml"))
 def test_every_rule_is_kept(profile: str, seed: int) -> None:
     verdict = judge(draw(seed, profile))
     assert verdict.ok, f"profile {profile}, seed {seed}: {verdict.broken}"
-    assert verdict.simulated_s > span_of(draw(seed, profile)).calm_s
+    assert verdict.simulated_s > span_of(draw(seed, profile)).calm_at_s
 
 
 @pytest.mark.parametrize("path", STORIES, ids=lambda path: path.stem)
@@ -66,7 +66,7 @@ def test_a_failure_is_made_small() -> None:
         return crash in candidate.fault
 
     small, runs = shrink(scenario, fails)
-    drawn = [fault for fault in small.fault if fault.at_s <= span_of(small).calm_s]
+    drawn = [fault for fault in small.fault if fault.at_s <= span_of(small).calm_at_s]
     assert drawn == [crash] and runs <= 80
     assert small.fleet.robots <= scenario.fleet.robots
 

@@ -205,8 +205,8 @@ def test_being_sent_elsewhere() -> None:
         for frame in frames if command is Command.SET_GOAL else ():
             cluster.order(frame)
         order(cluster, command, goal_check(frames[0].value, frames[1].value))
-        loop, until_s = asyncio.get_running_loop(), asyncio.get_running_loop().time() + 90
-        while loop.time() < until_s and ReportKind.ARRIVED not in matters(reports):
+        loop, end_at_s = asyncio.get_running_loop(), asyncio.get_running_loop().time() + 90
+        while loop.time() < end_at_s and ReportKind.ARRIVED not in matters(reports):
             await elapse(0.5)
         assert matters(reports)[-1] is ReportKind.ARRIVED
         x_m, y_m = cluster.world.body(ROBOT).position
@@ -296,9 +296,9 @@ def test_boxes_that_come_and_go_are_never_touched(seed: int) -> None:
         boxes = random_temporary_obstacle_generator(
             seed,
             FieldSetup(cluster.scenario).field.polygon,
-            every_s=5.0,
-            from_s=10.0,
-            until_s=200.0,
+            mean_period_s=5.0,
+            begin_at_s=10.0,
+            end_at_s=200.0,
         )
         schedule(cluster.world, boxes)
         rng = Random(seed)

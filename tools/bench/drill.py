@@ -91,10 +91,10 @@ class Place:
         elif self._stood_us < 0:
             self._stood_us = now_us
 
-    def moved_until_us(self, expiry_us: int) -> int:
+    def moved_until_us(self, expiry_at_us: int) -> int:
         """The end of the latest command to move."""
-        expires_us = self._moving_us + expiry_us
-        return expires_us if self._stood_us < 0 else min(self._stood_us, expires_us)
+        expires_at_us = self._moving_us + expiry_at_us
+        return expires_at_us if self._stood_us < 0 else min(self._stood_us, expires_at_us)
 
 
 class ProtocolFleet:

@@ -20,8 +20,8 @@ SAID_EVERY = 100  # trials, on standard error
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     """Robots that moved after the bound of a press in a flood, and how soon wire and fleet recover."""
-    count, longest_s = (QUICK_TRIALS, QUICK_LONGEST_S) if quick else (TRIALS, LONGEST_S)
-    floods = [draw(seed * TRIALS + k, longest_s=longest_s) for k in range(count)]
+    count, longest_for_s = (QUICK_TRIALS, QUICK_LONGEST_S) if quick else (TRIALS, LONGEST_S)
+    floods = [draw(seed * TRIALS + k, longest_for_s=longest_for_s) for k in range(count)]
     results: list[Result] = []
     cpu_s = 0.0
     with workers(cpu_count() or 1) as pool:
@@ -36,7 +36,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
                 print(f"{len(results)} of {count} trials, {broken} broken, {cpu_s:.0f} CPU s",
                       file=sys.stderr, flush=True)  # fmt: skip
     yield from _summed_up(
-        results, f"floods of 1 to {longest_s:g} s, N = 3, 6, 20, all policies", cpu_s
+        results, f"floods of 1 to {longest_for_s:g} s, N = 3, 6, 20, all policies", cpu_s
     )
 
 
@@ -51,11 +51,11 @@ def _summed_up(results: list[Result], scope: str, cpu_s: float) -> Iterator[Figu
     for name, times in (
         (
             "wire carries every robot's frames after a flood",
-            [min(r.wire_s, NEVER_S) for r in results],
+            [min(r.wire_for_s, NEVER_S) for r in results],
         ),
         (
             "fleet works after a flood, or its reset and start",
-            [min(r.fleet_s, NEVER_S) for r in results],
+            [min(r.fleet_for_s, NEVER_S) for r in results],
         ),
     ):
         yield Figure(f"{name}, p99", percentile(times, 0.99), "s", "", None, "", scope)
@@ -72,10 +72,10 @@ def _trial(flood: Flood) -> tuple[Result, float]:
 
 
 def _told(result: Result) -> str:
-    again = f"python -m tools.bench.floods {result.flood.seed} {result.flood.longest_s:g}"
+    again = f"python -m tools.bench.floods {result.flood.seed} {result.flood.longest_for_s:g}"
     return f"{result}\n    again: {again}"
 
 
 if __name__ == "__main__":
-    longest_s = float(sys.argv[2]) if len(sys.argv) > 2 else LONGEST_S
-    print(Trial(draw(int(sys.argv[1]), longest_s=longest_s)).run())
+    longest_for_s = float(sys.argv[2]) if len(sys.argv) > 2 else LONGEST_S
+    print(Trial(draw(int(sys.argv[1]), longest_for_s=longest_for_s)).run())

@@ -104,7 +104,7 @@ class ForgeryAttack:
 
     def stale(self) -> EmergencyReset | None:
         """A frame that was held back, and then overtaken by a newer one or by the session's end."""
-        proven_us = self.keyring._proven_us.get(OPERATOR, -SESSION_US)
+        proven_us = self.keyring._proven_at_us.get(OPERATOR, -SESSION_US)
         over = self.now_us - proven_us > SESSION_US
         newest = self.keyring.heard.get(OPERATOR, 0)
         old = [frame for counter, frame in self.held[-20:] if over or counter < newest]

@@ -125,12 +125,12 @@ def map_jumps(recording: Recording, seed: int) -> Figure:
     player.playing = False
     for _ in range(JUMPS):
         begun_s = time.process_time()
-        player.seek(rng.randrange(recording.from_us, recording.until_us))
+        player.seek(rng.randrange(recording.begin_at_us, recording.end_at_us))
         player.advance(0.0, WAIT_S)
         times.append(time.process_time() - begun_s)
     worst_s = max(times)
     return Figure("jump to any time of a recording, longest", worst_s * 1000, "ms", "", None, "",
-                  f"CPU time, {JUMPS} jumps over {recording.until_us / 1e6:.0f} s of {ROBOTS} robots, "
+                  f"CPU time, {JUMPS} jumps over {recording.end_at_us / 1e6:.0f} s of {ROBOTS} robots, "
                   f"median {statistics.median(times) * 1000:.0f} ms")  # fmt: skip
 
 

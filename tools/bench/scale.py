@@ -68,7 +68,7 @@ def presses(count: int, seed: int) -> Iterator[Figure]:
             for number in (1, 2, 3):
                 way = ("--listen", endpoint) if number == 1 else ("--zenoh", endpoint)
                 fleet.start_gateway(number, *way, area=write_area(Path(folder), number, 3))
-            fleet.wait_reached(2, limit_s=120.0)
+            fleet.wait_reached(2, limit_for_s=120.0)
             took_ms = sorted(fleet.press_and_wait(1 + k % 3) for k in range(count))
     finally:
         fleet.close()
@@ -103,13 +103,13 @@ def order(
     fleet.count_from_here()
     _load(fleet, Random(f"{seed}/load"), span_us)
     shares = list(fleet.share.values())
-    fleet.halted_us.clear()
+    fleet.halted_at_us.clear()
     presser = fleet.shells[1, 0]
     pressed_us = fleet.swarm.now_us()
     presser.operate(Press(Reason.PERSON_IN_FIELD))
     everybody = len(fleet.shells)
-    heard = fleet.run(S, lambda: len(fleet.halted_us) == everybody)
-    stopped_us = max(fleet.halted_us.values()) - pressed_us if heard else S
+    heard = fleet.run(S, lambda: len(fleet.halted_at_us) == everybody)
+    stopped_us = max(fleet.halted_at_us.values()) - pressed_us if heard else S
     gc.collect()
     grown = _resident() - before
     found = {

@@ -64,13 +64,13 @@ def presses(total: int, seed: int) -> Iterator[Figure]:
                 for k in range(count)
             ]
             done += count
-            above += sum(heard.last_us > heard.bound_us for heard in rows)
-            unheard += sum(heard.last_us >= LIMIT_US for heard in rows)
-            worst = max(rows, key=lambda heard: heard.last_us)
+            above += sum(heard.last_for_us > heard.bound_for_us for heard in rows)
+            unheard += sum(heard.last_for_us >= LIMIT_US for heard in rows)
+            worst = max(rows, key=lambda heard: heard.last_for_us)
             yield Figure(
                 f"press to last zero command, {robots} robots, {rate:.0%} omissions and errors",
-                worst.last_us / 1000, "ms", f"<= {worst.bound_us / 1000:g} (computed)",
-                all(heard.last_us <= heard.bound_us for heard in rows),
+                worst.last_for_us / 1000, "ms", f"<= {worst.bound_for_us / 1000:g} (computed)",
+                all(heard.last_for_us <= heard.bound_for_us for heard in rows),
                 "bound from the errors, missed copies and dry rounds of each press",
                 f"{count} presses, saturated bus, safeties on the wire model",
             )  # fmt: skip

@@ -26,7 +26,7 @@ def heals(seeds: range) -> Iterator[Figure]:
     frames, times_s, equal = [], [], True
     for seed in seeds:
         fleet = SyncFleet(50, seed)
-        fleet.part(100, left=25, every_us=20_000)
+        fleet.part(100, left=25, period_us=20_000)
         fleet.count_from_here()
         fleet.heal()
         healed_us = fleet.now_us

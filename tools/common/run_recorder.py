@@ -24,9 +24,9 @@ class RunRecorder:
 
     def __init__(
         self, setting: FleetSetup, out: Path, recording: Recording | None = None,
-        begun_us: int = 0, told: Callable[[str], None] = say, limit: Limit | None = None,
+        begin_at_us: int = 0, told: Callable[[str], None] = say, limit: Limit | None = None,
     ) -> None:  # fmt: skip
-        """`recording`: of a map that shows the run meanwhile. `begun_us`: time of the first line, on
+        """`recording`: of a map that shows the run meanwhile. `begin_at_us`: time of the first line, on
         the clock that `write` is given. `told`: one line where the disk takes no more. `limit`: of the
         size of the MCAP; None: there is none. Raises OSError, here and nowhere else."""
         self.scene = scene_of(setting)
@@ -37,9 +37,9 @@ class RunRecorder:
         self._ending = Ending(MCAP, told)
         try:
             if limit is None:
-                self.mcap = McapLog(out / MCAP, self.scene, begun_us)
+                self.mcap = McapLog(out / MCAP, self.scene, begin_at_us)
             else:
-                self.mcap = PartedLog(out / MCAP, self._part, begun_us, limit, told)
+                self.mcap = PartedLog(out / MCAP, self._part, begin_at_us, limit, told)
         except McapMissing:
             (out / MCAP).unlink(missing_ok=True)  # of an earlier run, not of this one
         if recording is not None:

@@ -36,9 +36,9 @@ class PageUpdates:
         recording = player.recording
         told: dict[str, Any] = {
             "kind": "now", "jumped": jumped, "t": round(now_s, 3),
-            "from": player.index.from_us / 1e6, "until": round(recording.until_us / 1e6, 3),
+            "from": player.index.begin_at_us / 1e6, "until": round(recording.end_at_us / 1e6, 3),
             "ended": recording.ended, "playing": player.playing, "speed": player.speed,
-            "follow": player.follow, "quiet": round(recording.quiet_us / 1e6, 1),
+            "follow": player.follow, "quiet": round(recording.quiet_for_us / 1e6, 1),
             "load": round(watcher.share, 4),
             "frames": dict(list(watcher.recent.items())[:KINDS_MAX]),
             "total": sum(watcher.recent.values()),

@@ -43,23 +43,23 @@ class Reader:
     def __init__(self, recording: Recording) -> None:
         self.recording = recording
         self.watcher = Watcher(recording.scene)
-        self.frame, self.t_us = recording.first, recording.from_us
+        self.frame, self.t_us = recording.first, recording.begin_at_us
 
-    def read(self, until_us: int, budget_s: float) -> bool:
+    def read(self, end_at_us: int, budget_s: float) -> bool:
         """Hear everything up to then; False where the time was not enough."""
         recording, watcher = self.recording, self.watcher
         end_s = perf_counter() + budget_s
-        if self.frame < recording.first and recording.from_us <= until_us:
+        if self.frame < recording.first and recording.begin_at_us <= end_at_us:
             self.frame = recording.first  # what was between is forgotten
         while recording.first <= self.frame < recording.count:
             t_us, frame = recording[self.frame]
-            if t_us > until_us:
+            if t_us > end_at_us:
                 break
             watcher.hear(t_us / 1e6, frame)
             self.frame, self.t_us = self.frame + 1, t_us
             if self.frame % LOOK == 0 and perf_counter() > end_s:
                 return False
-        self.t_us = max(self.t_us, until_us)
+        self.t_us = max(self.t_us, end_at_us)
         watcher.now_s = self.t_us / 1e6
         watcher.forget(watcher.now_s)
         return True
@@ -88,10 +88,13 @@ class Index:
         reader, recording = self.reader, self.recording
         while reader.frame < recording.count and perf_counter() < end_s:
             due_at_us = (
-                self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.from_us
+                self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.begin_at_us
             )
             left_s = end_s - perf_counter()
-            if reader.read(min(due_at_us, recording.until_us), left_s) and reader.t_us >= due_at_us:
+            if (
+                reader.read(min(due_at_us, recording.end_at_us), left_s)
+                and reader.t_us >= due_at_us
+            ):
                 state = zlib.compress(pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL), FAST)
                 self.snapshots.append(Snapshot(reader.t_us, reader.frame, state))
                 if recording.forgets:
@@ -112,9 +115,9 @@ class Index:
         self.snapshots = [*kept, *self.snapshots[1:][-1:]]
 
     @property
-    def from_us(self) -> int:
+    def begin_at_us(self) -> int:
         """From where on something can be shown."""
-        oldest_us = self.recording.from_us
+        oldest_us = self.recording.begin_at_us
         return min(oldest_us, self.snapshots[0].t_us) if self.snapshots else oldest_us
 
     def _note(self) -> None:
@@ -140,11 +143,11 @@ class Player:
         self.index, self.recording = index, index.recording
         self.reader = Reader(self.recording)
         self.follow, self.playing, self.speed = follow, True, speed
-        self.goal_us = float(self.recording.from_us)  # where the person wants to be
+        self.goal_us = float(self.recording.begin_at_us)  # where the person wants to be
         self.caught_up = True  # and is
         self.jumps = 0  # how often the past was loaded again
         if follow:
-            self.seek(self.recording.until_us)
+            self.seek(self.recording.end_at_us)
 
     @property
     def watcher(self) -> Watcher:
@@ -154,7 +157,7 @@ class Player:
     def seek(self, t_us: int) -> None:
         """Go there; back or far ahead by the nearest snapshot."""
         recording = self.recording
-        t_us = min(max(t_us, self.index.from_us), recording.until_us)
+        t_us = min(max(t_us, self.index.begin_at_us), recording.end_at_us)
         snapshot = self.index.before(t_us)
         ahead = snapshot is not None and snapshot.t_us > self.reader.t_us
         if t_us < self.reader.t_us or ahead or self.reader.frame < recording.first:
@@ -173,13 +176,13 @@ class Player:
 
     def advance(self, elapsed_s: float, budget_s: float) -> None:
         """Time goes on; reading may lag behind and catches up."""
-        until_us = self.recording.until_us
+        end_at_us = self.recording.end_at_us
         if self.follow:
-            if until_us - self.reader.t_us > 2 * SNAPSHOT_US:
-                self.seek(until_us)
-            self.goal_us = float(until_us)
+            if end_at_us - self.reader.t_us > 2 * SNAPSHOT_US:
+                self.seek(end_at_us)
+            self.goal_us = float(end_at_us)
         elif self.playing and self.caught_up:
-            self.goal_us = min(self.goal_us + elapsed_s * 1e6 * self.speed, float(until_us))
+            self.goal_us = min(self.goal_us + elapsed_s * 1e6 * self.speed, float(end_at_us))
         self._over_the_forgotten()
         self.caught_up = self.reader.read(round(self.goal_us), budget_s)
         self._beside()

@@ -35,7 +35,7 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
                       "its reproduction with headland run, and report that.")  # fmt: skip
         yield _campaign(evidence)
         return
-    history = History(evidence.zero_us)
+    history = History(evidence.zero_at_us)
     for number in range(recording.first, recording.count):
         t_us, frame = recording[number]
         history.hear(t_us / 1e6, frame)
@@ -45,7 +45,7 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
     marks = [*faults, *(e for e in history.seen if e.kind in ("stop", "reset"))]
     bitrate = (scene or {}).get("bitrate", history.load.bitrate)
     yield _tracks(scene, history)
-    yield from _planned(scene, followed(recording.intents, evidence.zero_us))
+    yield from _planned(scene, followed(recording.intents, evidence.zero_at_us))
     yield _sections(history, marks)
     yield _load(history, bitrate if isinstance(bitrate, int) and bitrate > 0 else 250_000, marks)
     yield _states(history, marks)

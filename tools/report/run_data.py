@@ -18,7 +18,7 @@ class RunEvidence(NamedTuple):
     recording: Recording | None  # none: a campaign, which keeps verdicts and no frames
     figures: dict[str, Any]  # of report.json; empty: there is none
     campaign: dict[str, Any]  # of chaos.json
-    zero_us: int  # when the run began, on the clock of its frames
+    zero_at_us: int  # when the run began, on the clock of its frames
 
     @property
     def name(self) -> str:
@@ -50,8 +50,8 @@ def gather(source: Path) -> RunEvidence:
     if not recording.count:
         raise SourceError(f"{source}: there is no frame in it: not a CAN log, or nothing was said")
     # Virtual time begins at 0; a launch or a real bus has the clock of its computer.
-    zero_us = 0 if "trace_hash" in figures else recording.from_us
-    return RunEvidence(source, recording, figures, campaign, zero_us)
+    zero_at_us = 0 if "trace_hash" in figures else recording.begin_at_us
+    return RunEvidence(source, recording, figures, campaign, zero_at_us)
 
 
 def _plain(path: Path) -> dict[str, Any]:

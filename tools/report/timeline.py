@@ -72,9 +72,9 @@ class History(Inspector):
     """An inspector that also keeps every position, every state with its span, and the load of each
     second."""
 
-    def __init__(self, zero_us: int = 0) -> None:
+    def __init__(self, zero_at_us: int = 0) -> None:
         super().__init__()
-        self.zero_s = zero_us / 1e6
+        self.zero_at_s = zero_at_us / 1e6
         self.places: dict[int, list[BusAddress]] = {}
         self.states: list[TimelineSpan] = []
         self.held: list[TimelineSpan] = []  # sections
@@ -87,7 +87,7 @@ class History(Inspector):
     def hear(self, t_s: float, frame: Frame) -> None:
         """Take one frame, and note what has changed by it. `t_s` is seconds on the clock of the
         recording."""
-        t_s -= self.zero_s
+        t_s -= self.zero_at_s
         pgn = Identifier.unpack(frame.identifier).pgn
         kind = NAMES.get(pgn, f"PGN {pgn:04X}")
         self.loads.setdefault(int(t_s // 1), Counter())[kind] += worst_bits(len(frame.data))

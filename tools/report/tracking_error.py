@@ -50,7 +50,7 @@ class Following(NamedTuple):
         return max((sample.off_m for sample in self.samples), default=float("nan"))
 
 
-def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_us: int) -> list[Following]:
+def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_at_us: int) -> list[Following]:
     """From a recording's intents; what makes no sense in them is passed over."""
     robots: dict[int, Following] = {}
     now: dict[
@@ -74,7 +74,7 @@ def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_us: int) -> lis
             if speed_m_s >= MOVES_M_S:
                 off_m = float(_distances(here[None, :], rest).min())
                 robot.samples.append(
-                    Sample((t_us - zero_us) / 1e6, float(here[0]), float(here[1]), off_m, tool)
+                    Sample((t_us - zero_at_us) / 1e6, float(here[0]), float(here[1]), off_m, tool)
                 )
         now[slot] = (t_us, rest)
     return [robots[slot] for slot in sorted(robots)]

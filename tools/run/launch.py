@@ -101,16 +101,16 @@ class Launch:
         bus = self._bus(port)
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
-        begun_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
+        begin_at_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
         log = PartedLog(
             self.out / "can.log",
             lambda path, _: CandumpWriter(path),
-            begun_us,
+            begin_at_us,
             self.log_limit,
             told,
         )
         keeping = RunRecorder(
-            self.setting, self.out, begun_us=begun_us, told=told, limit=self.log_limit
+            self.setting, self.out, begin_at_us=begin_at_us, told=told, limit=self.log_limit
         )
         text = Ending("can.log", told)
 
@@ -122,8 +122,8 @@ class Launch:
             await bus.start([keep, self._heard])
         except OSError as problem:
             raise BusError(problem.strerror or str(problem)) from None
-        zero_us = round(loop.time() * 1e6) - memory.now_us
-        bodies = BodyServer(self.world, zero_us)
+        zero_at_us = round(loop.time() * 1e6) - memory.now_us
+        bodies = BodyServer(self.world, zero_at_us)
         path = await bodies.start()
         where = {
             "host": HOST, "port": bus.port, "channel": CHANNEL, **identity(),

@@ -57,7 +57,7 @@ class HaulLaunch(Launch):
         }
         bodies.body = carriers.__getitem__
         scripts = [self.depot.calls(), *self.depot.events()]
-        return [asyncio.create_task(follow(script, bodies.zero_us)) for script in scripts]
+        return [asyncio.create_task(follow(script, bodies.zero_at_us)) for script in scripts]
 
     def _sections(self) -> frozenset[int]:
         """Tasks come while it goes on."""

@@ -44,7 +44,7 @@ def test_a_short_task_waits_for_the_new_plan_and_a_long_one_goes_on(
     mission.dispatch.itinerary = [task]
     choice = mission.choose(view(now_us))
     assert (choice is not None) is proceeds
-    assert (mission.waited_us > 0) is not proceeds
+    assert (mission.waited_for_us > 0) is not proceeds
     after = mission.choose(view(now_us + 60 * S))
     # a robot that waits, waits for the plan
     assert after is not None or mission.dispatch.round.active

@@ -84,12 +84,12 @@ def test_no_way_is_no_block_and_the_robot_turns_round(way: FrontierPath) -> None
 
 def test_driving_ends_at_the_station_and_says_when(way: FrontierPath) -> None:
     (x_m, y_m), now_us = START, 0
-    while not way.arrived_us:
+    while not way.arrived_at_us:
         wish = way.drive(view(x_m, y_m, now_us))
         x_m, y_m, now_us = x_m + 0.05 * wish.vx_m_s, y_m + 0.05 * wish.vy_m_s, now_us + 50_000
         assert not way.stuck(now_us)
         assert now_us < 30_000_000, f"after 30 s at {x_m:.2f}, {y_m:.2f}"
-    assert dist((x_m, y_m), STATION) < AT_M and way.arrived_us == now_us - 50_000
+    assert dist((x_m, y_m), STATION) < AT_M and way.arrived_at_us == now_us - 50_000
     assert way.drive(view(x_m, y_m, now_us)) == TURN_ROUND
 
 

@@ -23,9 +23,9 @@ def test_a_cut_is_a_partition_in_order(jobs: list[SectionJob], parts: int) -> No
 @given(jobs_of, st.integers(1, 12))
 def test_no_run_is_longer_than_its_share_and_one_job(jobs: list[SectionJob], parts: int) -> None:
     if jobs:
-        total_s, longest_s = sum(j.work_s for j in jobs), max(j.work_s for j in jobs)
+        total_s, longest_s = sum(j.work_for_s for j in jobs), max(j.work_for_s for j in jobs)
         for run in cut(jobs, parts):
-            assert sum(j.work_s for j in run) <= total_s / parts + longest_s + 1e-6
+            assert sum(j.work_for_s for j in run) <= total_s / parts + longest_s + 1e-6
 
 
 @settings(deadline=None)  # the kernel of the assignment is compiled at the first

@@ -250,7 +250,7 @@ def test_obstacles_that_overlap_come_and_go_independently(seed: int) -> None:
             grid.remove(int(rng.integers(3)), int(rng.integers(3)))
         expected = np.zeros((30, 30), dtype=np.bool_)
         for obstacle in grid.obstacles.values():
-            assert obstacle.expires_us > now_us
+            assert obstacle.expires_at_us > now_us
             if obstacle.stands(now_us):
                 r, c = np.ogrid[:30, :30]
                 dx = np.maximum(

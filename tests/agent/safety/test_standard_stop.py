@@ -92,8 +92,8 @@ def test_a1_more_buttons_than_addresses_only_stand_longer() -> None:
     assert len(buttons) == BUTTONS_MAX
     for name in range(3 * BUTTONS_MAX):
         buttons.on_message(0, name, False, AllImplementsStop(1, Switch.PERMIT), S)
-    assert buttons.until_us() > S, "those for which there was no room cannot permit"
-    assert buttons.until_us() <= 3 * BUTTONS_MAX + HOLD_US
+    assert buttons.ends_at_us() > S, "those for which there was no room cannot permit"
+    assert buttons.ends_at_us() <= 3 * BUTTONS_MAX + HOLD_US
 
 
 def pressed_robot() -> tuple[Peer, list[tuple[int, AllImplementsStop]]]:
@@ -101,9 +101,9 @@ def pressed_robot() -> tuple[Peer, list[tuple[int, AllImplementsStop]]]:
     peer, said = peer_in(State.IDLE, None), list[tuple[int, AllImplementsStop]]()
     now_us = 0
 
-    def run(until_us: int) -> None:
+    def run(ends_at_us: int) -> None:
         nonlocal now_us
-        while now_us < until_us:
+        while now_us < ends_at_us:
             now_us = max(now_us + 1, peer.due_at_us)
             said.extend((now_us, m) for m in standard_frames(peer.step(Timer(), now_us)))
 

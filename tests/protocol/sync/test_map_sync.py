@@ -78,6 +78,6 @@ def test_the_share_of_the_bus_is_kept_and_shared_out() -> None:
         for slot in range(8):
             fleet.look(slot)
     fleet.run(5 * S)
-    assert fleet.wire.worst_us < 0.15 * 5 * S
+    assert fleet.wire.worst_for_us < 0.15 * 5 * S
     told = np.array([m.counts["news"] for m in fleet.members.values()])
     assert told.min() > 0.8 * told.max(), "all of them come to speak"

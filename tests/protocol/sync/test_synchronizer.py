@@ -43,7 +43,7 @@ def test_two_halves_become_equal(size: int, seed: int) -> None:
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_hundred_operations_cost_little_more_than_a_hundred_frames(seed: int) -> None:
     fleet = SyncFleet(50, seed)
-    fleet.part(100, left=20, every_us=10_000)
+    fleet.part(100, left=20, period_us=10_000)
     fleet.count_from_here()
     fleet.heal()
     assert fleet.run(2 * S, until_equal=True), f"seed {seed}"

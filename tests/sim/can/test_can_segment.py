@@ -184,5 +184,5 @@ def test_who_speaks_into_silence_is_not_waited_for_and_nothing_else_changes(seed
     for wire in (ahead, in_time):
         told[id(wire)] += drain(wire)
     assert told[id(ahead)] == told[id(in_time)], f"seed {seed}"
-    counts = [(w.frames, w.busy_us, w.worst_us, w.by_group) for w in (ahead, in_time)]
+    counts = [(w.frames, w.busy_for_us, w.worst_for_us, w.by_group) for w in (ahead, in_time)]
     assert counts[0] == counts[1], f"seed {seed}"

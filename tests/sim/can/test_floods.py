@@ -36,7 +36,7 @@ def test_item_2_a_wire_goes_on_when_its_sender_goes_in_the_middle_of_a_frame(ful
     heard = drain(wire)
     assert len(heard) == (QUEUE_MAX if full else 3)
     assert all(delivery.receivers == (other,) for delivery in heard)
-    assert wire.busy_us <= heard[-1].t_us
+    assert wire.busy_for_us <= heard[-1].t_us
 
 
 def test_item_2_a_stop_finds_its_place_in_a_queue_that_is_full() -> None:
@@ -86,5 +86,5 @@ def test_a_flood_without_events_is_the_same_as_one_frame_by_frame(seed: int) -> 
         told[id(wire)] += drain(wire)
     others = [[d for d in told[id(wire)] if d.sender != 4] for wire in wires]
     assert others[0] == others[1], f"seed {seed}"
-    counts = [(w.frames, w.busy_us, w.worst_us, w.by_group, w.nodes[4].sent) for w in wires]
+    counts = [(w.frames, w.busy_for_us, w.worst_for_us, w.by_group, w.nodes[4].sent) for w in wires]
     assert counts[0] == counts[1], f"seed {seed}"

@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.fleet.settling import LOSSY_QUIET_US, QUIET_US, quiet_us
+from sim.fleet.settling import LOSSY_QUIET_US, QUIET_US, quiet_for_us
 from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
 from sim.scenarios.scenario import BusTable
@@ -17,5 +17,7 @@ def test_m27_the_documented_corridor_ends_with_equal_replicas() -> None:
 
 
 def test_m27_only_a_bus_that_loses_frames_is_waited_for() -> None:
-    assert quiet_us(BusTable()) == QUIET_US
-    assert quiet_us(BusTable(loss=0.3)) == quiet_us(BusTable(omission=0.1)) == LOSSY_QUIET_US
+    assert quiet_for_us(BusTable()) == QUIET_US
+    assert (
+        quiet_for_us(BusTable(loss=0.3)) == quiet_for_us(BusTable(omission=0.1)) == LOSSY_QUIET_US
+    )

@@ -31,8 +31,8 @@ def test_the_newest_frames_are_kept_in_a_ring() -> None:
     recording = LiveRecording()
     for k in range(2500):
         recording.write(k * 1000, Frame(0x18FF1080 + k % 7, bytes([k % 256] * (k % 9))))
-        assert recording.until_us == k * 1000 and recording.count == k + 1
-    assert (recording.first, recording.from_us) == (1500, 1_500_000)
+        assert recording.end_at_us == k * 1000 and recording.count == k + 1
+    assert (recording.first, recording.begin_at_us) == (1500, 1_500_000)
     for k in range(recording.first, recording.count):
         wanted = Frame(0x18FF1080 + k % 7, bytes([k % 256] * (k % 9)))
         assert recording[k] == (k * 1000, wanted) and recording.t_us(k) == k * 1000
@@ -78,7 +78,7 @@ def test_a_day_of_a_live_bus_is_kept_in_fixed_memory() -> None:
     assert sizes[-1][0] < 2 * sizes[0][0] + 100 and sizes[-1][0] < 300, sizes
     assert sizes[-1][1] < 1_000_000 and len(recording.intents) + len(index.events) == 0
     assert recording.count - recording.first == 1000
-    assert index.from_us <= SNAPSHOT_US + STEP_S * S, "the first minute can be looked at"
+    assert index.begin_at_us <= SNAPSHOT_US + STEP_S * S, "the first minute can be looked at"
     player = Player(index, False, 1.0)
     for t_us in (now_us // 4, now_us // 2, now_us - 3600 * S, now_us - 100 * S, now_us):
         player.playing = False

@@ -115,7 +115,7 @@ def test_a_full_recording_forgets_its_oldest(monkeypatch: pytest.MonkeyPatch) ->
     for k in range(recording.first, recording.count):
         t_us, frame = recording[k]
         assert (t_us, frame) == (k * 1000, Frame(0x18FF1080 + k % 7, bytes([k % 256] * (k % 9))))
-    assert recording.intents[0][0] >= recording.from_us == recording.first * 1000
+    assert recording.intents[0][0] >= recording.begin_at_us == recording.first * 1000
 
 
 @given(st.lists(st.tuples(st.integers(0, (1 << 29) - 1), st.binary(max_size=8)), max_size=20))

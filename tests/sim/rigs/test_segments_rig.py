@@ -291,7 +291,7 @@ def test_the_same_seed_gives_the_same_run() -> None:
         fleet.run(4 * S)
         press(fleet, 1)
         fleet.run(S)
-        said = [sorted(fleet.bits.items()), sorted(fleet.bridged.items()), fleet.halted_us]
+        said = [sorted(fleet.bits.items()), sorted(fleet.bridged.items()), fleet.halted_at_us]
         fleet.end()
         return [*said, fleet.backbone.messages]
 

@@ -44,7 +44,7 @@ def test_a_robot_that_never_heard_is_found_at_the_bound() -> None:
     told = [v.t_us for v in found if v.what.startswith("told")]
     assert told[0] == 2_000_000 + BOUND_US + 10_000
     moved = [v.t_us for v in found if v.what.startswith("moves")]
-    braking_us = round(Chassis().stopping_s * 1e6)
+    braking_us = round(Chassis().stopping_for_s * 1e6)
     assert told[0] < moved[0] <= 2_000_000 + BOUND_US + braking_us + 10_000
 
 

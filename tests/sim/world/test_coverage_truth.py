@@ -147,11 +147,11 @@ def test_a_lap_inside_the_fence_and_swaths_cover_all_that_can_be_asked_for() -> 
     raster = sample_points(field, WIDTH_M, 0.2, 0.1)
     result = coverage(raster, {0: track(points)}, WIDTH_M)
     assert result.share == 1.0, result.uncovered[:5]
-    assert result.last_us <= (len(points) - 1) * 100_000
+    assert result.last_at_us <= (len(points) - 1) * 100_000
 
 
 def test_nothing_driven_is_nothing_worked() -> None:
     raster = sample_points(box(0, 0, 20, 20), WIDTH_M, 0.2)
     result = coverage(raster, {0: Track(), 1: track([(5, 5, True)])}, WIDTH_M)
-    assert result.share == 0.0 and result.last_us == 0
+    assert result.share == 0.0 and result.last_at_us == 0
     assert len(result.uncovered) == pytest.approx(result.area_m2 / 0.0625)

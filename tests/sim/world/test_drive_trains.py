@@ -175,7 +175,7 @@ def test_a_tractor_cannot_turn_on_the_spot() -> None:
 def test_stands_within_the_stated_time(kind: DriveTrain, speed: float) -> None:
     chassis = Chassis(kind=kind, slip=0.02)
     world, _ = drive(chassis, Drive(9.0 * speed, 0.0), 4.0)
-    begun_us = world.now_us
-    world.body(0).drive(Drive(0.0, 0.0), begun_us)
-    world.advance(begun_us + round(chassis.stopping_s * 1e6))
+    begin_at_us = world.now_us
+    world.body(0).drive(Drive(0.0, 0.0), begin_at_us)
+    world.advance(begin_at_us + round(chassis.stopping_for_s * 1e6))
     assert hypot(*world.motion[0, 3:5]) < 1e-3

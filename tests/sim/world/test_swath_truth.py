@@ -28,7 +28,7 @@ def units_worked(
     truth = LineTruth(lines, tolerance_m)
     worked = np.zeros(len(truth.line_of), dtype=np.bool_)
     for track in tracks.values():
-        worked |= truth.worked_us(track) != NEVER_US
+        worked |= truth.worked_at_us(track) != NEVER_US
     hits = np.bincount(truth.line_of, weights=worked, minlength=len(lines))
     return hits / np.maximum(np.bincount(truth.line_of, minlength=len(lines)), 1)
 
@@ -60,7 +60,7 @@ def test_several_robots_share_a_line() -> None:
 
 def test_when_a_line_was_worked() -> None:
     truth = LineTruth([[(0.0, 0.0), (10.0, 0.0)]], 0.1)
-    at_us = truth.worked_us(track((0.0, 0.0, 10.0, 0.0, True), (10.0, 0.0, 0.0, 0.0, True)))
+    at_us = truth.worked_at_us(track((0.0, 0.0, 10.0, 0.0, True), (10.0, 0.0, 0.0, 0.0, True)))
     assert 0 < at_us.min() <= 200_000 and 3_900_000 <= at_us.max() <= 4_100_000
 
 

@@ -14,13 +14,17 @@ AREA = box(0.0, 0.0, 30.0, 20.0).difference(box(10.0, 5.0, 15.0, 15.0))
 
 
 def test_the_seed_says_where_and_when() -> None:
-    a = list(random_temporary_obstacle_generator(1, AREA, every_s=5.0, until_s=200.0))
-    assert a == list(random_temporary_obstacle_generator(1, AREA, every_s=5.0, until_s=200.0))
-    assert a != list(random_temporary_obstacle_generator(2, AREA, every_s=5.0, until_s=200.0))
+    a = list(random_temporary_obstacle_generator(1, AREA, mean_period_s=5.0, end_at_s=200.0))
+    assert a == list(
+        random_temporary_obstacle_generator(1, AREA, mean_period_s=5.0, end_at_s=200.0)
+    )
+    assert a != list(
+        random_temporary_obstacle_generator(2, AREA, mean_period_s=5.0, end_at_s=200.0)
+    )
     assert 20 <= len(a) <= 60
-    assert [o.birth_us for o in a] == sorted(o.birth_us for o in a)
+    assert [o.birth_at_us for o in a] == sorted(o.birth_at_us for o in a)
     for obstacle in a:
-        assert 5_000_000 <= obstacle.expiry_us - obstacle.birth_us <= 40_000_000
+        assert 5_000_000 <= obstacle.expiry_at_us - obstacle.birth_at_us <= 40_000_000
         assert all(AREA.contains(Point(spot).buffer(0.75)) for spot in obstacle.places)
 
 
@@ -35,7 +39,7 @@ def test_they_appear_away_from_robots_and_leave(seed: int) -> None:
     for slot in range(4):
         world.add_robot(slot, (3.0 + 6.0 * slot, 3.0), 0.5, Chassis())
     plan = random_temporary_obstacle_generator(
-        seed, AREA, every_s=1.0, lasting_s=(2.0, 6.0), until_s=40.0
+        seed, AREA, mean_period_s=1.0, lasts_for_s=(2.0, 6.0), end_at_s=40.0
     )
     appeared = schedule(world, plan, clearance_m=1.0)
     standing: list[int] = []
@@ -54,5 +58,5 @@ def test_they_appear_away_from_robots_and_leave(seed: int) -> None:
         standing.append(len(world._shapes))
     assert len(appeared) > 15 and max(standing) >= 2
     assert standing[-1] == 0, "all have left"
-    alive = sum(o.expiry_us - o.birth_us for o in appeared) / 50_000
+    alive = sum(o.expiry_at_us - o.birth_at_us for o in appeared) / 50_000
     assert sum(standing) == pytest.approx(alive, rel=0.02)

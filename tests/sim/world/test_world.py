@@ -92,7 +92,7 @@ def test_a_command_expires_and_the_wheels_brake_to_zero() -> None:
     assert world.motion[0, 3] > 2.3 and body.tool_on
     world.advance(given_us + ACTUATOR_TTL_US + STEP_US)
     assert not body.tool_on, "the implement rises with the command that held it down"
-    world.advance(given_us + ACTUATOR_TTL_US + round(chassis.stopping_s * 1e6))
+    world.advance(given_us + ACTUATOR_TTL_US + round(chassis.stopping_for_s * 1e6))
     assert hypot(*world.motion[0, 3:5]) < 1e-9
     there = body.position
     world.advance(10_000_000)
@@ -118,7 +118,7 @@ def test_pushed_against_a_wall_it_touches_and_stays_out(kind: DriveTrain, speed:
     world.advance(15_000_000)
     assert [(c.first, c.second, c.against) for c in world.contacts] == [(0, None, "fence")]
     assert 0.0 < world.contacts[0].depth_m < 0.06
-    assert world.contacts[0].until_us == pytest.approx(15_000_000, abs=200_000)
+    assert world.contacts[0].last_at_us == pytest.approx(15_000_000, abs=200_000)
     assert body.position[0] == pytest.approx(19.5, abs=0.003)
 
 

@@ -49,7 +49,7 @@ def test_work_at_the_border_is_known_on_the_other_side(segments: BridgedSegments
 
 def test_a_stop_passes_in_both_directions(segments: BridgedSegments) -> None:
     for number in (1, 2):
-        segments.press_and_wait(number, limit_s=LIMIT_S)
+        segments.press_and_wait(number, limit_for_s=LIMIT_S)
     for host in segments.hosts.values():
         host.ask({"do": "arm"})
 
@@ -57,7 +57,7 @@ def test_a_stop_passes_in_both_directions(segments: BridgedSegments) -> None:
 def test_gateways_are_back_when_their_bus_is(segments: BridgedSegments) -> None:
     segments.restart_host(2)
     segments.wait_reached(1, LIMIT_S)
-    segments.press_and_wait(1, limit_s=LIMIT_S)
+    segments.press_and_wait(1, limit_for_s=LIMIT_S)
     for host in segments.hosts.values():
         host.ask({"do": "arm"})
 
@@ -65,7 +65,7 @@ def test_gateways_are_back_when_their_bus_is(segments: BridgedSegments) -> None:
 def test_a_killed_gateway_is_replaced(segments: BridgedSegments) -> None:
     leader = segments.gateways[2][0]
     leader.process.kill()
-    segments.press_and_wait(1, limit_s=LIMIT_S)  # whichever it was, a stop passes at once
+    segments.press_and_wait(1, limit_for_s=LIMIT_S)  # whichever it was, a stop passes at once
     for host in segments.hosts.values():
         host.ask({"do": "arm"})
     segments.wait_reached(1, LIMIT_S)

@@ -115,6 +115,6 @@ def test_a_link_that_carries_one_way(segments: BridgedSegments) -> None:
 
 def test_a_killed_gateway(segments: BridgedSegments) -> None:
     segments.gateways[3][0].process.kill()
-    segments.press_and_wait(2, limit_s=LIMIT_S)
+    segments.press_and_wait(2, limit_for_s=LIMIT_S)
     arm(segments)
     segments.wait_reached(2, LIMIT_S)

@@ -153,8 +153,8 @@ async def cut_and_heal(yard: Yard) -> None:
 def test_a_bus_is_cut_in_two_and_healed(tmp_path: Path) -> None:
     async def story() -> None:
         yard, loop = Yard(), asyncio.get_running_loop()
-        zero_us = round(loop.time() * 1e6)
-        bodies = BodyServer(yard.world, zero_us)
+        zero_at_us = round(loop.time() * 1e6)
+        bodies = BodyServer(yard.world, zero_at_us)
         path = await bodies.start()
         bodies.relay.keep = yard.told
         stepping = asyncio.create_task(bodies.run())

@@ -75,7 +75,7 @@ def test_a_jump_shows_what_playing_would_have_shown(run: Path) -> None:
     player.playing = False
     rng = random.Random(seed)
     for _ in range(25):
-        t_us = rng.randrange(recording.from_us, recording.until_us)
+        t_us = rng.randrange(recording.begin_at_us, recording.end_at_us)
         player.seek(t_us)
         while not player.caught_up:
             player.advance(0.0, 1e-4)  # too little time for it: it goes on at the next

@@ -422,12 +422,12 @@ def test_a_quiet_bus_is_told_with_its_age() -> None:
     now_us = 5_000_000
     recording = Recording()
     recording.follow(lambda: now_us)
-    assert recording.quiet_us == 0
+    assert recording.quiet_for_us == 0
     recording.write(now_us, Frame(0x18FF1080, b"12345678"))
     now_us = 12_000_000
-    assert recording.quiet_us == 7_000_000 and recording.until_us == now_us
+    assert recording.quiet_for_us == 7_000_000 and recording.end_at_us == now_us
     recording.close()
-    assert recording.quiet_us == 0 and recording.until_us == 5_000_000
+    assert recording.quiet_for_us == 0 and recording.end_at_us == 5_000_000
 
 
 def test_each_address_has_a_token_of_its_own() -> None:

@@ -285,19 +285,19 @@ def test_what_cannot_be_done_is_one_line(
 
 def test_times_of_a_real_bus_begin_at_its_first_frame(tmp_path: Path) -> None:
     """A computer's clock; a press by a panel; a robot that does not answer."""
-    begun_us = 1_700_000_000_000_000
+    begin_at_us = 1_700_000_000_000_000
     log = CandumpWriter(tmp_path / "can.log")
-    log.write(begun_us, encode(Member(4, 1, 7), 0x84))
+    log.write(begin_at_us, encode(Member(4, 1, 7), 0x84))
     for k in range(40):
-        log.write(begun_us + k * 100_000, encode(Pose(1.0, 2.0, 0.0, 0.0, 1, False, 255), 0x84))
+        log.write(begin_at_us + k * 100_000, encode(Pose(1.0, 2.0, 0.0, 0.0, 1, False, 255), 0x84))
         if k == 10:
-            log.write(begun_us + 1_000_001, encode(EmergencyStop(200, 1, 1, 1), 0xF0))
+            log.write(begin_at_us + 1_000_001, encode(EmergencyStop(200, 1, 1, 1), 0xF0))
         if k == 30:
-            log.write(begun_us + 3_000_001, encode(EmergencyReset(200, 1, 1, 201), 0xF1))
+            log.write(begin_at_us + 3_000_001, encode(EmergencyReset(200, 1, 1, 201), 0xF1))
     log.close()
     evidence = gather(tmp_path)
     assert isinstance(evidence.recording, Recording)
-    history = History(evidence.zero_us)
+    history = History(evidence.zero_at_us)
     for k in range(evidence.recording.count):
         t_us, frame = evidence.recording[k]
         history.hear(t_us / 1e6, frame)
