@@ -28,6 +28,9 @@ WORDS = {
     "horizon": "the duration for which collisions are avoided; the word of ORCA",
     "makespan": "the duration of a plan; the word of scheduling",
     "latency": "a duration by its meaning",
+    "burst": "bus time that may be used at once; the word of a token bucket",
+    "cost": "bus time of a transmission; the word of a token bucket",
+    "tokens": "bus time that is left; the word of a token bucket",
     "bit": "the duration of a bit on the bus; the word of CAN",
     "dt": "a time step; the symbol of mechanics",
 }

@@ -132,7 +132,7 @@ class FleetCoordinationEngine:
         self.slot, self.silence = int(digits), silence
         self.sections = SectionNames()
         self._rng = Random(self.slot if seed is None else seed)
-        self._shell: PeerRunner | None = None
+        self._runner: PeerRunner | None = None
         self._task: asyncio.Task[None] | None = None
         self._changed = asyncio.Event()
         self._on_state: list[Callable[[str], Any]] = []
@@ -165,8 +165,8 @@ class FleetCoordinationEngine:
         self.first_boot = self.journal is None
         keyring = keyring_of(self.keys, self.slot, token_bytes(KEY_SIZE))
         peer = make_peer(identity, self._rng, PeerRunner.now_us(), recalled, keyring=keyring)
-        self._shell = PeerRunner(peer, self.bus, None, self.journal, self._effect)
-        self._task = asyncio.create_task(self._shell.run(), name=f"peer {self.tractor_id}")
+        self._runner = PeerRunner(peer, self.bus, None, self.journal, self._effect)
+        self._task = asyncio.create_task(self._runner.run(), name=f"peer {self.tractor_id}")
         try:
             await self._wait(lambda: peer.lifecycle.state is not State.DISCONNECTED, JOIN_TIMEOUT_S)
         except TimeoutError:
@@ -177,9 +177,9 @@ class FleetCoordinationEngine:
         """Leave the fleet with a farewell and stop the engine. A latched stop stays latched,
         durably.
         """
-        if self._shell is None:
+        if self._runner is None:
             return
-        self._shell.operate(Leave())
+        self._runner.operate(Leave())
         await asyncio.sleep(0)
         await self._cancel()
 
@@ -187,7 +187,7 @@ class FleetCoordinationEngine:
         if self._task is not None:
             self._task.cancel()
             await asyncio.gather(self._task, return_exceptions=True)
-        self._task = self._shell = None
+        self._task = self._runner = None
 
     # ---------------------------------------------------------------- tasks
 
@@ -368,7 +368,7 @@ class FleetCoordinationEngine:
         Read it in each control period before commanding the wheels: it includes all stops and other
         causes. It is 0.0 while the engine is not started.
         """
-        if self._shell is None or self._peer.safety.severity >= Severity.PAUSE:
+        if self._runner is None or self._peer.safety.severity >= Severity.PAUSE:
             return 0.0
         return CREEP_M_S if self._peer.safety.severity is Severity.SLOW else inf
 
@@ -388,13 +388,13 @@ class FleetCoordinationEngine:
         while, because a network cut has a leader on each side. Never use it for stopping, claims or
         maps.
         """
-        slot = None if self._shell is None else self._peer.leader
+        slot = None if self._runner is None else self._peer.leader
         return None if slot is None else self._name(slot)
 
     @property
     def is_leader(self) -> bool:
         """Whether this machine is the elected leader; see `leader`."""
-        return self._shell is not None and self._peer.leads
+        return self._runner is not None and self._peer.leads
 
     def get_field_allocation_state(self) -> FieldAllocationCRDT:
         """The current, merged view of the field allocation."""
@@ -402,7 +402,7 @@ class FleetCoordinationEngine:
 
     def get_current_state(self) -> str:
         """The name of this machine's state, as in `State`; DISCONNECTED before the start."""
-        return State.DISCONNECTED.name if self._shell is None else self._peer.lifecycle.state.name
+        return State.DISCONNECTED.name if self._runner is None else self._peer.lifecycle.state.name
 
     # ---------------------------------------------------------------- events
 
@@ -428,14 +428,14 @@ class FleetCoordinationEngine:
 
     @property
     def _peer(self) -> Peer:
-        if self._shell is None:
+        if self._runner is None:
             raise RuntimeError("the engine is not started: await engine.start() first")
-        return self._shell.peer
+        return self._runner.peer
 
     def _operate(self, call: Input) -> None:
         _ = self._peer
-        assert self._shell is not None
-        self._shell.operate(call)
+        assert self._runner is not None
+        self._runner.operate(call)
 
     def _name(self, slot: int) -> str:
         return f"{self.prefix}{slot:0{self.width}d}"

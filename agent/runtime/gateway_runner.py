@@ -41,7 +41,7 @@ class Backbone(Protocol):
         ...
 
 
-class GatewayShell:
+class GatewayRunner:
     """Runs one gateway on a bus and a backbone."""
 
     def __init__(
@@ -64,32 +64,32 @@ class GatewayShell:
         self._timer_at_us = 0
         self._open = True
 
-    def begin(self) -> None:
+    def start(self) -> None:
         """Subscribe to bus and backbone, and set the first timer."""
-        self.bus.subscribe(self._frame)
-        self.backbone.subscribe(self._message)
+        self.bus.subscribe(self._on_frame)
+        self.backbone.subscribe(self._on_message)
         self._arm()
 
-    def end(self) -> None:
-        """End without a farewell; another candidate notices the silence."""
+    def stop(self) -> None:
+        """Stop without a farewell; another candidate notices the silence."""
         self._open = False
         if self._timer is not None:
             self._timer.cancel()
         self.backbone.close()
         self.bus.close()
 
-    def _frame(self, frame: Frame) -> None:
+    def _on_frame(self, frame: Frame) -> None:
         if self._open:
-            self._perform(self.gateway.receive(frame, self._clock()))
+            self._perform(self.gateway.on_frame(frame, self._clock()))
 
-    def _message(self, data: bytes) -> None:
+    def _on_message(self, data: bytes) -> None:
         if self._open:
-            self._perform(self.gateway.hear(data, self._clock()))
+            self._perform(self.gateway.on_backbone_message(data, self._clock()))
 
-    def _due(self) -> None:
+    def _on_timer(self) -> None:
         self._timer = None
         if self._open:
-            self._perform(self.gateway.tick(self._clock()))
+            self._perform(self.gateway.on_tick(self._clock()))
 
     def _perform(self, effects: Sequence[Out]) -> None:
         for effect in effects:
@@ -112,4 +112,4 @@ class GatewayShell:
                 return  # the timer fires earlier, finds nothing due, and is set again
             self._timer.cancel()
         self._timer_at_us = due_at_us
-        self._timer = self._at(due_at_us, self._due)
+        self._timer = self._at(due_at_us, self._on_timer)

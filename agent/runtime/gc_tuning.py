@@ -8,7 +8,7 @@ built by then live until the process ends, so there is nothing to collect in the
 import gc
 
 
-def leave_standing() -> None:
+def freeze_gc() -> None:
     """Call once in a process with real-time duties, when all is built and before it starts work."""
     gc.collect()
     gc.freeze()

@@ -137,7 +137,7 @@ class PeerRunner:
             self.perform(self.peer.step(call, self.clock()))
         self._nudge()
 
-    def _arrive(self, frame: Frame) -> None:
+    def _on_frame(self, frame: Frame) -> None:
         """A frame, on the thread of the loop: processed immediately, unless this process is
         frozen.
         """
@@ -148,14 +148,14 @@ class PeerRunner:
                 self._inbox.append(frame)
             return
         try:
-            self._hear(frame)
+            self._process(frame)
         except (
             Exception
         ) as problem:  # a broken invariant of ours: it must end the task, not a callback
             self._failure = problem
             self._nudge()
 
-    def _hear(self, frame: Frame) -> bool:
+    def _process(self, frame: Frame) -> bool:
         """Process a frame; returns whether the peer's deadline may have changed."""
         effects = self.peer.step(Received(frame), self.clock())
         if effects:
@@ -178,7 +178,7 @@ class PeerRunner:
     async def run(self) -> None:
         """Run until cancelled. Raises the exception of a broken invariant, if there is one."""
         loop, peer = asyncio.get_running_loop(), self.peer
-        self.bus.subscribe(self._arrive)
+        self.bus.subscribe(self._on_frame)
         while True:
             self._armed_at_us = peer.due_at_us
             self._wake, self._listening = loop.create_future(), True
@@ -192,15 +192,15 @@ class PeerRunner:
             if self._freeze_ends_at_us:
                 await asyncio.sleep(max(0, self._freeze_ends_at_us - self.clock()) / 1e6)
                 self.thaw()
-            self.turn()
+            self.on_tick()
 
     def thaw(self) -> None:
         """End the freeze and process the waiting frames."""
         self._freeze_ends_at_us = 0
         while self._inbox:
-            self._hear(self._inbox.popleft())
+            self._process(self._inbox.popleft())
 
-    def turn(self) -> None:
+    def on_tick(self) -> None:
         """Give the peer the state of the bus, an observation and the time, if it is due."""
         now_us, peer = self.clock(), self.peer
         if now_us >= self._armed_at_us or now_us >= peer.due_at_us:

@@ -27,7 +27,7 @@ from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from agent.runtime.files.key_file import FLEET, KeyFileError
 from agent.runtime.files.key_file import read as read_keys
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gc_tuning import freeze_gc
 from agent.runtime.mission_parts import carrier_of, delivery_parts, field_parts, values_of
 from agent.runtime.peer_factory import (
     NO_MISSION,
@@ -216,7 +216,7 @@ async def _take_part(
     started: Callable[[PeerRunner], None] | None,
 ) -> None:
     """From the first frame to the farewell."""
-    leave_standing()
+    freeze_gc()
     running = asyncio.create_task(runner.run())
     watching = asyncio.create_task(body.watch(runner.peer))
     ending = asyncio.create_task(end.wait())

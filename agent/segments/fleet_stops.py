@@ -78,36 +78,38 @@ class FleetStops(Part):
         return {notices.StopsChanged: self._changed, notices.StopsAsked: self._asked}
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        if self.behind:
-            self.see(ctx.live, ctx.now_us)
-        return self.tick(ctx.now_us)
+        if self.is_behind:
+            self.observe(ctx.live, ctx.now_us)
+        return self.outgoing(ctx.now_us)
 
-    def overhear_pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Outputs:
+    def on_pose(self, source: int, slot: int | None, m: Pose, now_us: int) -> Outputs:
         """A robot that moves while we hold a stop of another segment does not know that stop."""
-        return self.tell(now_us) if self.holds_far and not m.stopped else NOTHING
+        return self.outgoing_repeats(now_us) if self.holds_far and not m.stopped else NOTHING
 
     def _stop(self, source: int, slot: int | None, m: FleetStop, now_us: int) -> Outputs:
         if slot is None:
             doubted = self.senders.doubted(source, m, now_us)
             if doubted is not None:
                 return doubted
-        effects = self.receive_stop(m, now_us)
+        effects = self.on_stop(m, now_us)
         return [*effects, notices.Latched(f"a stop from address {source}")]
 
     def _reset(self, ctx: StepContext, header: Header, m: FleetReset) -> Outputs:
-        return self.receive_reset(m, ctx.now_us)
+        return self.on_reset(m, ctx.now_us)
 
     def _changed(self, ctx: StepContext, notice: notices.StopsChanged) -> Outputs:
-        self.see(ctx.live, ctx.now_us)
-        return self.tick(ctx.now_us)
+        self.observe(ctx.live, ctx.now_us)
+        return self.outgoing(ctx.now_us)
 
     def _asked(self, ctx: StepContext, notice: notices.StopsAsked) -> Outputs:
         """Asked by a gateway, by an operator's device, or by a robot that has just joined."""
-        return self.tell(ctx.now_us) if notice.from_gateway or self.holds_far else NOTHING
+        return (
+            self.outgoing_repeats(ctx.now_us) if notice.from_gateway or self.holds_far else NOTHING
+        )
 
     # ---------------------------------------------------------------- what happened here
 
-    def see(self, live: Iterable[int], now_us: int) -> None:
+    def observe(self, live: Iterable[int], now_us: int) -> None:
         """Schedule what the other segments have to know; call it after any press or clear.
 
         `live`: slots of the live members. The robot in the first place sends first.
@@ -129,8 +131,8 @@ class FleetStops(Part):
         self.holds_far = self.safety.far.latched
 
     @property
-    def behind(self) -> bool:
-        """Whether a stop was pressed or cleared since `see`."""
+    def is_behind(self) -> bool:
+        """Whether a stop was pressed or cleared since `observe`."""
         return self.safety.stops.active is not self._pressed
 
     @property
@@ -139,20 +141,20 @@ class FleetStops(Part):
             return FOREVER
         return min((*self._stop_due_at_us.values(), *self._reset_due_at_us.values()))
 
-    def tick(self, now_us: int) -> Sequence[Effect]:
+    def outgoing(self, now_us: int) -> Sequence[Effect]:
         """The stops and resets that are due now, for all segments."""
         if now_us < self.due_at_us:
             return ()
         effects: list[Effect] = []
         for dot in [d for d, due_at_us in self._stop_due_at_us.items() if due_at_us <= now_us]:
             del self._stop_due_at_us[dot]
-            effects.append(Send(self.say_stop(self._everywhere(dot))))
+            effects.append(Send(self.stop_frame(self._everywhere(dot))))
         for far in [d for d, due_at_us in self._reset_due_at_us.items() if due_at_us <= now_us]:
             del self._reset_due_at_us[far]
-            effects += [Send(half) for half in self.say_reset(far)]
+            effects += [Send(half) for half in self.reset_frames(far)]
         return effects
 
-    def tell(self, now_us: int) -> Sequence[Effect]:
+    def outgoing_repeats(self, now_us: int) -> Sequence[Effect]:
         """Repetitions of up to `TOLD_MAX` stops that we hold, in the form for all segments.
 
         At most one reply in `ANSWER_SPACING_US`; the next one goes on where this one ended.
@@ -163,22 +165,22 @@ class FleetStops(Part):
         held = [*map(self._everywhere, self.safety.stops.active), *self.safety.far.active]
         dots = next_in_rotation(held, self._told, TOLD_MAX)
         self._told = dots[-1] if dots else None
-        return [Send(self.say_stop(dot)._replace(told=True)) for dot in dots]
+        return [Send(self.stop_frame(dot)._replace(told=True)) for dot in dots]
 
-    def say_stop(self, dot: RemoteStopDot) -> FleetStop:
+    def stop_frame(self, dot: RemoteStopDot) -> FleetStop:
         """The frame of a stop, with its tag if the fleet has keys."""
         return plain_stop(dot) if self.tags is None else self.tags.stop(dot)
 
-    def say_reset(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
+    def reset_frames(self, dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
         """Both halves of a reset, with their tags if the fleet has keys."""
         return plain_reset(dot) if self.tags is None else self.tags.reset(dot)
 
     def _everywhere(self, dot: StopDot) -> RemoteStopDot:
         return RemoteStopDot(*dot, self.segment)
 
-    # ---------------------------------------------------------------- what is heard
+    # ---------------------------------------------------------------- from the bus
 
-    def receive_stop(self, m: FleetStop, now_us: int) -> Sequence[Effect]:
+    def on_stop(self, m: FleetStop, now_us: int) -> Sequence[Effect]:
         """A stop of any segment: brake and latch if it is genuine and new.
 
         A stop without a valid tag brakes for `UNAUTHENTICATED_HOLD_US` after its last frame.
@@ -189,7 +191,7 @@ class FleetStops(Part):
             self._stop_due_at_us.pop(near, None)  # another robot has sent it, so we need not
         if self._held(far, near) or (m.told and self._cleared_here(far, near)):
             return ()
-        if m != self.say_stop(far)._replace(told=m.told):
+        if m != self.stop_frame(far)._replace(told=m.told):
             self.refused += 1
             self.safety.raise_cause(
                 StopCause.UNAUTHENTICATED_STOP, now_us, f"{far}", UNAUTHENTICATED_HOLD_US
@@ -217,7 +219,7 @@ class FleetStops(Part):
             return self.safety.far.is_cleared(far)
         return self.safety.stops.is_cleared(near)
 
-    def receive_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
+    def on_reset(self, m: FleetReset, now_us: int) -> Sequence[Effect]:
         """One half of a reset; the stop is cleared when both halves were received and are
         genuine.
         """
@@ -233,7 +235,7 @@ class FleetStops(Part):
         said = [self._halves.get((far, part)) for part in (0, 1)]
         if None in said:
             return ()
-        if said != [half.half for half in self.say_reset(far)]:
+        if said != [half.half for half in self.reset_frames(far)]:
             self.refused += 1
             return ()
         del self._halves[far, 0], self._halves[far, 1]

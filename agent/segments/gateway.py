@@ -72,9 +72,9 @@ Out = Effect | Publish
 class Gateway:
     """One gateway candidate of a segment.
 
-    `receive` takes frames of its own bus, `hear` takes messages of the backbone, and `tick` is
-    called at `due_at_us`. All return effects in order. Times are microseconds on one clock of
-    this gateway.
+    `on_frame` takes frames of its own bus, `on_backbone_message` takes messages of the backbone,
+    and `on_tick` is called at `due_at_us`. All return effects in order. Times are microseconds on
+    one clock of this gateway.
     """
 
     def __init__(
@@ -102,7 +102,7 @@ class Gateway:
         self._told_at_us = -TELL_SPACING_US
         self._stops_differ: Counter[int] = Counter()
         self._sequence = self._turn = 0
-        self._introduced: int | None = None  # the address that we have announced
+        self._announced: int | None = None  # the address that we have announced
         self.origins = Origins(name)  # frames of other makers are not forwarded
 
     @property
@@ -117,14 +117,14 @@ class Gateway:
 
     # ---------------------------------------------------------------- from our segment
 
-    def receive(self, frame: Frame, now_us: int) -> Sequence[Out]:
+    def on_frame(self, frame: Frame, now_us: int) -> Sequence[Out]:
         """A frame of our own bus. A frame that cannot be read is counted and has no effect."""
         source, message = decode_once(frame)
         if isinstance(message, Malformed):
             self.counts[f"malformed {message.reason}"] += 1
             return ()
         if isinstance(message, AddressClaimed | Request):
-            return self._network(source, message, destination_of(frame))
+            return self._on_network_message(source, message, destination_of(frame))
         if type(message) in PROPRIETARY and self.origins.of(source) is Origin.FOREIGN:
             self.counts["foreign"] += 1
             return ()
@@ -135,39 +135,41 @@ class Gateway:
             dot = message.slot, message.incarnation, message.counter
             message = FleetStop(self.segment, *dot, told=message.echo)
         if isinstance(message, FleetStop):
-            return self._stop(source, message, number is not None, now_us)
+            return self._on_stop(source, message, number is not None, now_us)
         if isinstance(message, FleetReset):
-            halves = self.stops.hear_reset(message)
+            halves = self.stops.on_reset(message)
             return self._publish(Kind.RESETS, tuple(halves)) if halves and number is None else ()
         if number is not None:
-            self.candidacy.hear(number, message, now_us)
-        self._hear(source, number, message, now_us)
+            self.candidacy.on_message(number, message, now_us)
+        self._on_message(source, number, message, now_us)
         return ()
 
-    def _network(
+    def _on_network_message(
         self, source: int, message: AddressClaimed | Request, destination: int
     ) -> Sequence[Out]:
         """Track devices by NAME."""
         if isinstance(message, AddressClaimed):
             self.origins.claimed(source, message.name)
             return ()
-        here = self._introduced is not None and destination in (GLOBAL_ADDRESS, self._introduced)
+        here = self._announced is not None and destination in (GLOBAL_ADDRESS, self._announced)
         if here and message.pgn == CLAIM_PGN:
             return [self._send(AddressClaimed(self.name.pack()))]
         return ()
 
-    def _stop(self, source: int, stop: FleetStop, from_gateway: bool, now_us: int) -> Sequence[Out]:
-        news = self.stops.hear_stop(source, stop, now_us)
+    def _on_stop(
+        self, source: int, stop: FleetStop, from_gateway: bool, now_us: int
+    ) -> Sequence[Out]:
+        news = self.stops.on_stop(source, stop, now_us)
         return self._publish(Kind.STOPS, tuple(news)) if news and not from_gateway else ()
 
-    def _hear(self, source: int, number: int | None, message: Message, now_us: int) -> None:
+    def _on_message(self, source: int, number: int | None, message: Message, now_us: int) -> None:
         slot = self._slot_of.get(source) if number is None else number
         if isinstance(message, Member):
             self._slot_of[source] = slot = message.slot
         if slot is not None and number is None:
             self._heard_at_us[slot] = now_us
         if isinstance(message, Pose):
-            self.stops.beat(source, message.stopped, now_us)
+            self.stops.on_pose(source, message.stopped, now_us)
         elif isinstance(message, Heartbeat) and slot is not None:
             if message.leaving:
                 self._heard_at_us.pop(slot, None)
@@ -175,16 +177,16 @@ class Gateway:
                 self.sync.heard_digest(slot, message.digest, now_us)
         elif isinstance(message, MapPatch | MapDigests):
             if self.chart is not None and slot is not None:
-                self.chart.hear(slot, message, now_us)
+                self.chart.on_message(slot, message, now_us)
         elif isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
             before = self.sync.replica.version
             self.sync.on_message(-1 if slot is None else slot, message, now_us)
             if self.sync.replica.version != before:
-                self.border.heard(message, number is not None)
+                self.border.on_message(message, number is not None)
 
     # ---------------------------------------------------------------- from the backbone
 
-    def hear(self, data: bytes, now_us: int) -> Sequence[Out]:
+    def on_backbone_message(self, data: bytes, now_us: int) -> Sequence[Out]:
         """A message of the backbone. One that cannot be read, or that is not news, is counted and
         has no effect.
         """
@@ -198,28 +200,28 @@ class Gateway:
         self.counts[Kind(header.kind).name] += 1
         if header.kind == Kind.STOPS:
             stops = [stop for stop in body if isinstance(stop, FleetStop)]
-            self.stops.receive_stops(stops, now_us)
+            self.stops.on_backbone_stops(stops, now_us)
             if len(stops) >= len(self.stops.stops):
                 self._tell_at_us = None  # another gateway has sent them all
-            return self.tick(now_us)
+            return self.on_tick(now_us)
         if header.kind == Kind.RESETS:
-            self.stops.receive_resets([h for h in body if isinstance(h, FleetReset)], now_us)
+            self.stops.on_backbone_resets([h for h in body if isinstance(h, FleetReset)], now_us)
         elif isinstance(body, Summary):
-            self._summary(header, body, now_us)
+            self._on_summary(header, body, now_us)
         elif header.kind == Kind.MAP:
             for entry in body if self.chart is not None else ():
                 if isinstance(entry, backbone.Entry) and self.chart is not None:
-                    self.chart.receive(header.segment, entry, now_us)
+                    self.chart.on_entry(header.segment, entry, now_us)
         elif self.leads:
-            self._work(header.segment, body, now_us)
+            self._on_work(header.segment, body, now_us)
         return ()
 
-    def _summary(self, header: Header, summary: Summary, now_us: int) -> None:
-        self.reach.hear(header, summary, now_us)
+    def _on_summary(self, header: Header, summary: Summary, now_us: int) -> None:
+        self.reach.on_summary(header, summary, now_us)
         term = summary.heard.get(self.segment, 0)
         if self.candidacy.number is not None and term > self.candidacy.term:
-            self.candidacy.fenced(term, now_us)
-        self.border.compare(header.segment, summary.shared.get(self.segment, 0))
+            self.candidacy.on_fence(term, now_us)
+        self.border.on_digest(header.segment, summary.shared.get(self.segment, 0))
         if summary.stops == self.stops.digest:
             del self._stops_differ[header.segment]
             return
@@ -229,10 +231,10 @@ class Gateway:
             earliest_at_us = self._told_at_us + TELL_SPACING_US
             self._tell_at_us = max(now_us + place * TELL_STEP_US, earliest_at_us)
 
-    def _work(self, source: int, body: Body, now_us: int) -> None:
+    def _on_work(self, source: int, body: Body, now_us: int) -> None:
         before = self.border.version
         entries = [entry for entry in body if isinstance(entry, backbone.Entry)]
-        for section, block in self.border.receive(source, entries):
+        for section, block in self.border.on_entries(source, entries):
             self.sync.changed_here(section, block, now_us)
         self.counts["news"] += self.border.version != before
 
@@ -240,7 +242,7 @@ class Gateway:
 
     @property
     def due_at_us(self) -> int:
-        """When `tick` has something to do next."""
+        """When `on_tick` has something to do next."""
         times = [self.candidacy.due_at_us]
         if self.candidacy.address is not None:
             times += [self.stops.due_at_us, self._look_at_us]
@@ -253,46 +255,46 @@ class Gateway:
                 times += [self._summary_at_us, self._rotate_at_us]
                 if self.chart is not None:
                     times.append(max(self.chart.due_at_us, self._map_at_us))
-                if self.border.waiting:
+                if self.border.has_entries:
                     times.append(self._flush_at_us)
-                if self.border.to_say:
+                if self.border.has_frames:
                     times.append(self._say_at_us)
         return min(times)
 
     _map_at_us = 0  # earliest time of the next frame of the map
     _say_at_us = 0  # when the rate limit lets the next frame of work pass
 
-    def tick(self, now_us: int) -> Sequence[Out]:
+    def on_tick(self, now_us: int) -> Sequence[Out]:
         """Everything that is due now; call it at `due_at_us`."""
         candidacy = self.candidacy
         effects: list[Out] = [
-            *candidacy.tick(len(self.reach.reached(now_us)), self.reach.ever, now_us)
+            *candidacy.on_tick(len(self.reach.reached(now_us)), self.reach.ever, now_us)
         ]
         self.stops.leads = self.leads
         if candidacy.address is None:
             return effects
-        if self._introduced != candidacy.address:
-            self._introduced = candidacy.address
-            effects[:0] = self._introduce()
-        effects += [self._send(message) for message in self.stops.tick(now_us)]
+        if self._announced != candidacy.address:
+            self._announced = candidacy.address
+            effects[:0] = self._announce()
+        effects += [self._send(message) for message in self.stops.on_tick(now_us)]
         if now_us >= self._look_at_us:
-            self._look(now_us)
+            self._observe_members(now_us)
         effects += [self._send(message) for message in self.sync.on_tick(now_us)]
         if self._tell_at_us is not None and now_us >= self._tell_at_us:
             self._tell_at_us, self._told_at_us = None, now_us
-            effects += self._tell_stops()
+            effects += self._publish_stops()
         if self.leads:
             effects += self._lead(now_us)
         else:
             self.border.forget_injections()
         return effects
 
-    def _introduce(self) -> list[Out]:
+    def _announce(self) -> list[Out]:
         """We have an address: announce it, and ask which stops hold the robots here."""
         claim = AddressClaimed(self.name.pack())
         return [self._send(claim), self._send(StateSyncRequest(0, 0, STOPS, 0))]
 
-    def _look(self, now_us: int) -> None:
+    def _observe_members(self, now_us: int) -> None:
         self._look_at_us = now_us + LOOK_US
         live = frozenset(
             s for s, heard_at_us in self._heard_at_us.items() if now_us - heard_at_us < LIVE_US
@@ -303,13 +305,13 @@ class Gateway:
             self.sync.slot = self.sync.divergence.slot = self.candidacy.number
             self.sync.live(live | {self.candidacy.number}, now_us)
         if self.chart is not None:
-            self.chart.live(live, frozenset(self.reach.heard(now_us)))
+            self.chart.observe(live, frozenset(self.reach.heard(now_us)))
 
     def _lead(self, now_us: int) -> list[Out]:
         effects: list[Out] = []
-        if self.border.waiting and now_us >= self._flush_at_us:
+        if self.border.has_entries and now_us >= self._flush_at_us:
             self._flush_at_us = now_us + FLUSH_US
-            for neighbour, entries in self.border.take():
+            for neighbour, entries in self.border.outgoing():
                 effects += self._publish(Kind.WORK, entries, neighbour)
         if now_us >= self._summary_at_us:
             self._summary_at_us = now_us + SUMMARY_US
@@ -317,19 +319,19 @@ class Gateway:
         if now_us >= self._rotate_at_us:
             self._rotate_at_us = now_us + ROTATION_US
             if self._limit.take(FRAME_US, now_us):
-                effects += self._rotate(now_us)
+                effects += self._next_summary(now_us)
         if self.chart is not None and now_us >= max(self.chart.due_at_us, self._map_at_us):
-            near, far = self.chart.tick(self._limit, now_us)
+            near, far = self.chart.on_tick(self._limit, now_us)
             self._map_at_us = now_us + MAP_STEP_US
             effects += [self._send(message) for message in near]
             effects += self._publish(Kind.MAP, tuple(far)) if far else []
-        if self.border.to_say:
+        if self.border.has_frames:
             if self._limit.take(FRAME_US, now_us):
-                effects.append(self._send(self.border.say()))
+                effects.append(self._send(self.border.next_frame()))
             self._say_at_us = self._limit.ready_at_us(FRAME_US, now_us)
         return effects
 
-    def _rotate(self, now_us: int) -> list[Out]:
+    def _next_summary(self, now_us: int) -> list[Out]:
         """The summary of the next other segment, for the robots here."""
         heard = sorted(self.reach.heard(now_us))
         if not heard:
@@ -361,7 +363,7 @@ class Gateway:
 
     # ---------------------------------------------------------------- out
 
-    def _tell_stops(self) -> list[Out]:
+    def _publish_stops(self) -> list[Out]:
         effects: list[Out] = []
         stops = [stop._replace(told=True) for stop in self.stops.stops.values()]
         halves = [half for both in self.stops.resets.values() for half in both.values()]

@@ -94,12 +94,12 @@ class GatewayElection:
 
     @property
     def due_at_us(self) -> int:
-        """When `tick` has something to do next."""
+        """When `on_tick` has something to do next."""
         return self._beat_at_us
 
-    # ---------------------------------------------------------------- hearing
+    # ---------------------------------------------------------------- from the bus
 
-    def hear(self, number: int, message: Message, now_us: int) -> None:
+    def on_message(self, number: int, message: Message, now_us: int) -> None:
         """A frame of another candidate. `number`: the one that its address stands for."""
         if isinstance(message, GatewayBeat) and message.candidate == number:
             if number == self.number and message.lot != self.lot:
@@ -117,13 +117,13 @@ class GatewayElection:
         self.number = None
         self._beat_at_us = now_us + LISTEN_US
 
-    def fenced(self, term: int, now_us: int) -> None:
+    def on_fence(self, term: int, now_us: int) -> None:
         """Other segments know a gateway of ours with a later term."""
         self.election.fence(term, now_us)
 
-    # ---------------------------------------------------------------- speaking
+    # ---------------------------------------------------------------- to the bus
 
-    def tick(self, reached: int, ever: bool, now_us: int) -> Sequence[Effect]:
+    def on_tick(self, reached: int, ever: bool, now_us: int) -> Sequence[Effect]:
         """Our beat and our vote, if they are due.
 
         `reached`: how many other segments are reached now. `ever`: whether one was reached since
@@ -136,7 +136,7 @@ class GatewayElection:
             self._choose(now_us)
         if self.machine.state is not CANDIDATE:
             return ()
-        self._look(now_us)
+        self._observe_candidates(now_us)
         election = self.election
         election.tick(self._live, now_us)
         assert self.number is not None
@@ -166,7 +166,7 @@ class GatewayElection:
         self.election.votes.clear()
         self.election.see(now_us)
 
-    def _look(self, now_us: int) -> None:
+    def _observe_candidates(self, now_us: int) -> None:
         """Check which candidates are live; a change causes a vote."""
         assert self.number is not None
         heard = {

@@ -41,7 +41,7 @@ class MapRelay:
         self.far = MapSync(segment, self.chart, clock, now_us)
         self.refused = 0  # entries that are no frame of a map
 
-    def live(self, robots: frozenset[int], segments: frozenset[int]) -> None:
+    def observe(self, robots: frozenset[int], segments: frozenset[int]) -> None:
         """The slots of robots and the numbers of segments that are received now."""
         self.near.live(robots)
         self.far.live(segments)
@@ -51,11 +51,11 @@ class MapRelay:
         """32 bits of the digest of the whole map."""
         return self.chart.digest & 0xFFFF_FFFF
 
-    def hear(self, slot: int, message: Said, now_us: int) -> None:
+    def on_message(self, slot: int, message: Said, now_us: int) -> None:
         """A frame of the map from our own bus, sent by the robot or gateway `slot`."""
         self.near.on_message(slot, message, now_us)
 
-    def receive(self, segment: int, entry: Entry, now_us: int) -> None:
+    def on_entry(self, segment: int, entry: Entry, now_us: int) -> None:
         """An entry from another segment's gateway. One that is no frame of a map is counted in
         `refused`.
         """
@@ -71,10 +71,10 @@ class MapRelay:
 
     @property
     def due_at_us(self) -> int:
-        """When `tick` has something to do next."""
+        """When `on_tick` has something to do next."""
         return min(self.near.due_at_us, self.far.due_at_us)
 
-    def tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
+    def on_tick(self, limit: TokenBucket, now_us: int) -> tuple[list[Said], list[Entry]]:
         """The frames for our bus, as far as `limit` allows, and the entries for the backbone."""
         near: list[Said] = []
         if self.near.due_at_us <= now_us and limit.take(FRAME_US, now_us):

@@ -23,7 +23,7 @@ ALONE_US = 3 * S
 SUMMARIES_MAX = 64  # summaries of segments that are kept
 
 
-class Heard(NamedTuple):
+class ReceivedSummary(NamedTuple):
     """The newest summary of a segment, and when it was received, microseconds."""
 
     summary: SegmentSummary
@@ -42,7 +42,7 @@ class RemoteSegments(Part):
         self.reached = 0  # number of other segments that the leading gateway reaches
         self.alone = True  # no other segment is reached
         self.ever = False  # one was reached since we started
-        self.summaries: OrderedDict[int, Heard] = OrderedDict()
+        self.summaries: OrderedDict[int, ReceivedSummary] = OrderedDict()
         self._reached_at_us = now_us
 
     @property
@@ -54,7 +54,7 @@ class RemoteSegments(Part):
         return FOREVER if self.alone else self._reached_at_us + ALONE_US
 
     def on_timer(self, ctx: StepContext) -> Outputs:
-        return self._changed() if self.tick(ctx.now_us) else NOTHING
+        return self._changed() if self.on_tick(ctx.now_us) else NOTHING
 
     def may_claim(self, section: int) -> bool:
         """Whether a section may be claimed: its home decides about a borrowed one, so the home must
@@ -65,7 +65,7 @@ class RemoteSegments(Part):
     def _gateway(
         self, ctx: StepContext, header: Header, m: GatewayBeat | SegmentSummary
     ) -> Outputs:
-        return self._changed() if self.hear(m, ctx.now_us) else NOTHING
+        return self._changed() if self.on_message(m, ctx.now_us) else NOTHING
 
     def _changed(self) -> Outputs:
         """Whether other segments are reached has changed: the policy says what that means."""
@@ -83,12 +83,12 @@ class RemoteSegments(Part):
         else:
             self.safety.clear_cause(cause, 0)
 
-    def hear(self, m: GatewayBeat | SegmentSummary, now_us: int) -> bool:
+    def on_message(self, m: GatewayBeat | SegmentSummary, now_us: int) -> bool:
         """Take in a gateway's frame; returns whether this changed `alone`."""
         if isinstance(m, SegmentSummary):
             if m.segment != self.segment:
                 self.summaries.pop(m.segment, None)
-                self.summaries[m.segment] = Heard(m, now_us)
+                self.summaries[m.segment] = ReceivedSummary(m, now_us)
                 if len(self.summaries) > SUMMARIES_MAX:
                     self.summaries.popitem(last=False)
             return False
@@ -99,12 +99,12 @@ class RemoteSegments(Part):
             if m.ever and not self.alone:
                 self.alone = True  # the gateway had reached a segment and reports that it lost it
                 return True
-            return self.tick(now_us)
+            return self.on_tick(now_us)
         self._reached_at_us = now_us
         was, self.alone, self.ever = self.alone, False, True
         return was
 
-    def tick(self, now_us: int) -> bool:
+    def on_tick(self, now_us: int) -> bool:
         """Notice that no segment is reached any more; returns whether this changed `alone`."""
         if self.alone or now_us < self._reached_at_us + ALONE_US:
             return False

@@ -54,7 +54,7 @@ def segments_of(parts: PeerParts, area: Area, policy: SilencePolicy, now_us: int
     stops = FleetStops(area.segment, parts.safety, parts.senders, tags)
     remote = RemoteSegments(area, policy, parts.safety, now_us)
     parts.work.may_claim = remote.may_claim
-    return Segments((stops, remote), SEGMENT_ROUTES, CARRIED, {Pose: stops.overhear_pose})
+    return Segments((stops, remote), SEGMENT_ROUTES, CARRIED, {Pose: stops.on_pose})
 
 
 def remote_segments_of(peer: Peer) -> RemoteSegments:

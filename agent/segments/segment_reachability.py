@@ -60,7 +60,7 @@ class SegmentReachability:
         remote.term = header.term
         return True
 
-    def hear(self, header: Header, summary: Summary, now_us: int) -> None:
+    def on_summary(self, header: Header, summary: Summary, now_us: int) -> None:
         """Take in the summary of another segment; call it after `accepts`."""
         remote = self.remotes[header.segment]
         kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept

@@ -37,7 +37,7 @@ AGAIN_US = 500 * MS  # a stop is repeated this often for a robot that beats "not
 FOREVER = 1 << 62
 
 
-class Said(NamedTuple):
+class Repetition(NamedTuple):
     """A dot that is being sent: remaining repeats, and time of the next."""
 
     left: int
@@ -56,7 +56,7 @@ class StopRelay:
         self.refused = 0  # dots beyond the limit of news
         # Dots whose repeats were all sent without any robot here stopping for them.
         self.disbelieved: set[RemoteStopDot] = set()
-        self._saying: dict[RemoteStopDot, Said] = {}
+        self._repeated: dict[RemoteStopDot, Repetition] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[RemoteStopDot, set[int]] = {}
         self._next_at_us = 0  # we send one stop at a time, regardless of their number
@@ -80,25 +80,25 @@ class StopRelay:
 
     # ---------------------------------------------------------------- from our segment
 
-    def beat(self, address: int, stopped: bool, now_us: int) -> None:
+    def on_pose(self, address: int, stopped: bool, now_us: int) -> None:
         """A robot's pose, from its bus address.
 
         A robot that drives on under an active stop has not received it, so the stop is sent again.
         """
         self._robots[address] = now_us, stopped
-        if stopped or now_us < self._again_at_us or self._saying:
+        if stopped or now_us < self._again_at_us or self._repeated:
             return
         active = [d for d in self.stops if self._active(d) and d not in self.disbelieved]
         if active:
             self._again_at_us = now_us + AGAIN_US
-            self._say(active[-1], True, now_us)
+            self._repeat(active[-1], True, now_us)
 
     def halted(self, now_us: int) -> tuple[int, int]:
         """How many robots were received lately, and how many of them are stopped."""
         lately = [s for heard_at_us, s in self._robots.values() if now_us - heard_at_us < LIVE_US]
         return len(lately), sum(lately)
 
-    def hear_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
+    def on_stop(self, source: int, stop: FleetStop, now_us: int) -> list[FleetStop]:
         """A stop on our bus, from any device. Returns the frames to publish on the backbone.
 
         `source`: its bus address.
@@ -125,7 +125,7 @@ class StopRelay:
             return not stop.told
         return not self._active(dot) and now_us - self._pressed_at_us[dot] >= USED_US
 
-    def hear_reset(self, half: FleetReset) -> list[FleetReset]:
+    def on_reset(self, half: FleetReset) -> list[FleetReset]:
         """One half of a reset on our bus. Returns both halves to publish when the second one is
         new.
         """
@@ -139,7 +139,7 @@ class StopRelay:
 
     # ---------------------------------------------------------------- from the backbone
 
-    def receive_stops(self, stops: Iterable[FleetStop], now_us: int) -> None:
+    def on_backbone_stops(self, stops: Iterable[FleetStop], now_us: int) -> None:
         """Stops from the backbone, to repeat on our bus if they are news."""
         for stop in stops:
             dot = _dot(stop)
@@ -155,9 +155,9 @@ class StopRelay:
                 self._echoes.pop(dot, None)
             if not stop.told:
                 self._pressed_at_us[dot] = now_us
-            self._say(dot, stop.told, now_us)
+            self._repeat(dot, stop.told, now_us)
 
-    def receive_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
+    def on_backbone_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
         """Halves of resets from the backbone; complete ones are sent on our bus."""
         for half in resets:
             known = self.resets.setdefault(_dot(half), {})
@@ -167,9 +167,9 @@ class StopRelay:
                     self._to_reset += known.values()
         self._trim()
 
-    def _say(self, dot: RemoteStopDot, told: bool, now_us: int) -> None:
+    def _repeat(self, dot: RemoteStopDot, told: bool, now_us: int) -> None:
         next_at_us = now_us if self.leads else now_us + STANDBY_US
-        self._saying[dot] = Said(REPEATS_MAX, next_at_us, told)
+        self._repeated[dot] = Repetition(REPEATS_MAX, next_at_us, told)
 
     def _keep(self, dot: RemoteStopDot, stop: FleetStop) -> bool:
         self.stops[dot] = stop._replace(told=False)
@@ -182,7 +182,7 @@ class StopRelay:
                 break
             self.stops.pop(dot, None)
             self.resets.pop(dot, None)
-            self._saying.pop(dot, None)
+            self._repeated.pop(dot, None)
             self._pressed_at_us.pop(dot, None)
             self.disbelieved.discard(dot)
         while len(self.resets) > DOTS_MAX:
@@ -197,34 +197,34 @@ class StopRelay:
 
     @property
     def due_at_us(self) -> int:
-        """When `tick` has something to send next."""
+        """When `on_tick` has something to send next."""
         if self._to_reset:
             return self._next_at_us
-        due_at_us = min((said.next_at_us for said in self._saying.values()), default=FOREVER)
+        due_at_us = min((said.next_at_us for said in self._repeated.values()), default=FOREVER)
         return max(due_at_us, self._next_at_us) if due_at_us < FOREVER else FOREVER
 
-    def tick(self, now_us: int) -> list[FleetStop | FleetReset]:
+    def on_tick(self, now_us: int) -> list[FleetStop | FleetReset]:
         """The frames to send now: at most one stop, or the halves of one reset, twice in case one
         is missed.
         """
         if now_us < self.due_at_us:
             return []
         self._next_at_us = now_us + STOP_REPEAT_US
-        for dot, said in sorted(self._saying.items(), key=lambda item: item[1].next_at_us):
+        for dot, said in sorted(self._repeated.items(), key=lambda item: item[1].next_at_us):
             if said.next_at_us > now_us:
                 break
             enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
-            if said.left <= 0 or enough or self._leader_said(dot):
-                del self._saying[dot]
+            if said.left <= 0 or enough or self._leader_sent(dot):
+                del self._repeated[dot]
                 if said.left <= 0 and self.halted(now_us)[1] == 0:
                     self.disbelieved.add(dot)  # without a valid tag it held only while it was sent
                 continue
-            self._saying[dot] = Said(said.left - 1, now_us + STOP_REPEAT_US, said.told)
+            self._repeated[dot] = Repetition(said.left - 1, now_us + STOP_REPEAT_US, said.told)
             return [self.stops[dot]._replace(told=said.told)]
         halves, self._to_reset = self._to_reset[:2], self._to_reset[2:]
         return [*halves, *halves]
 
-    def _leader_said(self, dot: RemoteStopDot) -> bool:
+    def _leader_sent(self, dot: RemoteStopDot) -> bool:
         return not self.leads and any(a >= GATEWAY_ADDRESS for a in self._echoes.get(dot, ()))
 
     def _all_stand(self, dot: RemoteStopDot, now_us: int) -> bool:

@@ -61,7 +61,7 @@ class WorkRelay:
 
     # ---------------------------------------------------------------- our segment
 
-    def heard(self, message: Work, from_gateway: bool) -> None:
+    def on_message(self, message: Work, from_gateway: bool) -> None:
         """A work frame on our bus, which the reader has merged into the replica.
 
         A frame of another gateway is not sent back to where it came from."""
@@ -92,11 +92,11 @@ class WorkRelay:
     # ---------------------------------------------------------------- to a neighbour
 
     @property
-    def waiting(self) -> bool:
+    def has_entries(self) -> bool:
         """Whether there are entries for the backbone."""
         return any(self._outbox.values())
 
-    def take(self) -> Iterable[tuple[int, tuple[Entry, ...]]]:
+    def outgoing(self) -> Iterable[tuple[int, tuple[Entry, ...]]]:
         """For each neighbour the entries to publish now, at most `ENTRIES_MAX` each."""
         for neighbour, changes in self._outbox.items():
             if changes:
@@ -133,7 +133,7 @@ class WorkRelay:
         """A counter of changes to shared sections."""
         return self._version
 
-    def receive(self, source: int, entries: Iterable[Entry]) -> Iterable[tuple[int, int | None]]:
+    def on_entries(self, source: int, entries: Iterable[Entry]) -> Iterable[tuple[int, int | None]]:
         """Merge entries of the neighbour `source`. Returns (section, block) of each change; block
         None stands for the register.
 
@@ -229,12 +229,12 @@ class WorkRelay:
     # ---------------------------------------------------------------- on our segment
 
     @property
-    def to_say(self) -> bool:
+    def has_frames(self) -> bool:
         """Whether there are frames for our bus."""
         return bool(self._inject)
 
-    def say(self) -> Work:
-        """The next frame for our bus; call it only if `to_say`. Robots join a claim as any other
+    def next_frame(self) -> Work:
+        """The next frame for our bus; call it only if `has_frames`. Robots join a claim as any other
         announcement.
         """
         change = next(iter(self._inject))
@@ -285,7 +285,7 @@ class WorkRelay:
         segment = self.area.segment_of(claim.owner)
         return segment if segment in (self.area.segment, neighbour) else home
 
-    def compare(self, neighbour: int, theirs: int) -> None:
+    def on_digest(self, neighbour: int, theirs: int) -> None:
         """Compare a neighbour's digest with ours; after two differences in a row with nothing
         pending, send.
 

@@ -52,15 +52,15 @@ class BatchedRunner(PeerRunner):
         super().freeze(for_s)
         self._attend()
 
-    def turn(self) -> None:
+    def on_tick(self) -> None:
         self._catch_up()
-        super().turn()
+        super().on_tick()
         self._attend()
 
-    def _hear(self, frame: Frame) -> bool:
+    def _process(self, frame: Frame) -> bool:
         if self._shelf:
             self._catch_up()
-        changed = super()._hear(frame)
+        changed = super()._process(frame)
         if changed:
             self._attend()
         return changed

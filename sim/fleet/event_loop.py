@@ -49,7 +49,7 @@ class SimulatedRunner(BatchedRunner):
 
     def begin(self) -> None:
         """Do what the first step of `PeerRunner.run` does."""
-        self.bus.subscribe(self._arrive)
+        self.bus.subscribe(self._on_frame)
         self._arm()
 
     def end(self) -> None:
@@ -126,7 +126,7 @@ class SimulatedRunner(BatchedRunner):
             self._turn_over()
 
     def _turn_over(self) -> None:
-        self.turn()
+        self.on_tick()
         self._nudged = False
         self._arm()
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from agent.interface.effects import Drive, Effect
 from agent.peer.inputs import Claim, Finish, Press
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gc_tuning import freeze_gc
 from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
@@ -59,7 +59,7 @@ class SegmentHost:
         """Serve on `port` (0: any free one, which is printed), and answer each line of input until
         it ends."""
         await self.hub.start("0.0.0.0", port)
-        leave_standing()
+        freeze_gc()
         self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
         print(json.dumps({"port": self.hub.port}), flush=True)
         reader = asyncio.StreamReader()

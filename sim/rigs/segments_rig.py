@@ -15,7 +15,7 @@ from agent.interface.effects import Drive, Effect
 from agent.interface.identity import SilencePolicy
 from agent.peer.inputs import Claim, Cover, Finish
 from agent.peer.peer import Peer
-from agent.runtime.gateway_runner import GatewayShell
+from agent.runtime.gateway_runner import GatewayRunner
 from agent.runtime.peer_factory import MissionParts, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.gateway import Gateway
@@ -79,7 +79,7 @@ class SegmentFleet:
         self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
         self.wires: dict[int, Segment] = {}
         self.shells: dict[tuple[int, int], PeerRunner] = {}
-        self.gateways: dict[int, list[GatewayShell]] = {}
+        self.gateways: dict[int, list[GatewayRunner]] = {}
         self.halted_at_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
         self.bits: Counter[int] = Counter()  # on each wire
         self.bridged: Counter[int] = Counter()  # bits of each wire sent by gateways
@@ -136,14 +136,14 @@ class SegmentFleet:
         self.swarm.start(shell)
         self.shells[place] = shell
 
-    def add_gateway(self, number: int) -> GatewayShell:
+    def add_gateway(self, number: int) -> GatewayRunner:
         """Switch another gateway on in the segment with this number."""
         boot = self.rng.getrandbits(32)
         name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
         swarm, chart = self.swarm, None
         if self.geometry is not None:
             chart = MapRelay(number, self.geometry, MergeOrder.DECAYED, swarm.now_us())
-        shell = GatewayShell(
+        shell = GatewayRunner(
             Gateway(self.areas[number], name, boot, swarm.now_us(), chart),
             CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
             self.backbone.attach(number),
@@ -151,7 +151,7 @@ class SegmentFleet:
             swarm.at,
         )
         self.gateways[number].append(shell)
-        swarm.soon(shell.begin)
+        swarm.soon(shell.start)
         return shell
 
     # ---------------------------------------------------------------- acting
@@ -164,13 +164,13 @@ class SegmentFleet:
         """The cores of a segment's robots, in slot order."""
         return [self.peer(number, slot) for slot in range(self.robots)]
 
-    def leader(self, number: int) -> GatewayShell | None:
+    def leader(self, number: int) -> GatewayRunner | None:
         """The gateway that leads a segment now."""
         return next((g for g in self.gateways[number] if g.gateway.leads), None)
 
-    def kill_gateway(self, shell: GatewayShell) -> None:
+    def kill_gateway(self, shell: GatewayRunner) -> None:
         """Switch a gateway off for good."""
-        shell.end()
+        shell.stop()
         self.gateways[shell.gateway.segment].remove(shell)
 
     def run(self, duration_us: int, until: Callable[[], bool] | None = None) -> bool:
@@ -209,7 +209,7 @@ class SegmentFleet:
             shell.bus.close()
         for gateways in self.gateways.values():
             for gateway in gateways:
-                gateway.end()
+                gateway.stop()
         for number in self.segments:
             forget(self.channel(number))
 

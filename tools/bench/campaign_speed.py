@@ -46,12 +46,12 @@ def measured(profile: str, runs: int, seed: int, interpreted: bool = False) -> C
 def campaign(profile: str, runs: int, seed: int) -> Campaign:
     """Here and now: every rule is judged, as `headland chaos` does it."""
     compiled = use()
-    from agent.runtime.gc_tuning import leave_standing
+    from agent.runtime.gc_tuning import freeze_gc
     from sim.chaos.verdict import judge
     from tools.chaos.planted_bug_hunt import warm_up
 
     warm_up()  # before any clock starts
-    leave_standing()
+    freeze_gc()
     begun_s = time.process_time()
     verdicts = [judge(_drawn(profile, s)) for s in range(seed, seed + runs)]
     return Campaign(

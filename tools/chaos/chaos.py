@@ -15,7 +15,7 @@ from rich.console import Console
 from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gc_tuning import freeze_gc
 from sim.chaos.fault_profiles import PROFILES, draw
 from sim.chaos.planted_bugs import MUTANTS
 from sim.chaos.shrink import shrink
@@ -52,7 +52,7 @@ def chaos(
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     jobs = jobs or os.cpu_count() or 1
-    leave_standing()  # and the workers inherit it
+    freeze_gc()  # and the workers inherit it
     if mutants:
         rows = hunt_all(console, only, jobs, seconds, out, as_json, numbers.start)
         found = sum(row["found"] for row in rows)

@@ -14,8 +14,8 @@ from typing import Any
 
 from agent.interface.ports import Bus
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
-from agent.runtime.gateway_runner import GatewayShell
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gateway_runner import GatewayRunner
+from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
@@ -134,9 +134,9 @@ async def carry(
     def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
         return loop.call_at(t_us / 1e6, call)
 
-    shell = GatewayShell(gateway, bus, backbone, now_us, at)
-    leave_standing()
-    shell.begin()
+    shell = GatewayRunner(gateway, bus, backbone, now_us, at)
+    freeze_gc()
+    shell.start()
     shown: object = None
     while not end.is_set():
         status = {**gateway.status(now_us()), "bus": bus.health.name}
@@ -148,7 +148,7 @@ async def carry(
             await asyncio.wait_for(end.wait(), 0.2)
         except TimeoutError:
             continue
-    shell.end()
+    shell.stop()
 
 
 def _line(status: dict[str, Any]) -> str:

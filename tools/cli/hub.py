@@ -12,7 +12,7 @@ from ipaddress import ip_address
 
 from rich.console import Console
 
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gc_tuning import freeze_gc
 from sim.can.simulated_bus import segment
 from sim.can.socketcand_beacon import announce
 from sim.can.socketcand_server import Hub
@@ -45,7 +45,7 @@ async def _serve(
         sys.stdout.flush()
     if not loopback(host):
         print(OPEN, file=sys.stderr)
-    leave_standing()
+    freeze_gc()
     saying = asyncio.create_task(announce(host, served.port, CHANNEL)) if announced else None
     await end.wait()
     if saying is not None:

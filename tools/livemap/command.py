@@ -19,7 +19,7 @@ from agent.runtime.files.given_file import (
     read_json,
 )
 from agent.runtime.files.key_file import OPERATOR, KeyFileError, read
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gc_tuning import freeze_gc
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
@@ -140,7 +140,7 @@ async def serve(server: "MapServer", listener: socket.socket) -> None:
     )  # fmt: skip
     index = asyncio.create_task(server.keep_index())
     web = uvicorn.Server(config)
-    leave_standing()  # the page presses stops, too
+    freeze_gc()  # the page presses stops, too
     try:
         await web.serve([listener])
     finally:

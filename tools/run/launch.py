@@ -16,7 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from agent.interface.lifecycle import State
-from agent.runtime.gc_tuning import leave_standing
+from agent.runtime.gc_tuning import freeze_gc
 from protocol.frames.frame import Frame
 from sim.files.candump import CandumpWriter
 from sim.files.log_parts import LAUNCH_LIMIT, PartedLog
@@ -145,7 +145,7 @@ class Launch:
             if self.page_port is not None:
                 await self._start_map()
             await self._start_all(bus.port, path)
-            leave_standing()
+            freeze_gc()
             finished = await self._watch(end, seconds)
             self.latched = self._latched()
         finally:

@@ -47,7 +47,7 @@ class Fleet:
         return [t.by for t in told if t is not None]
 
     def leaders(self) -> list[str | None]:
-        return [engine.leader() for engine in self.engines if engine._shell is not None]
+        return [engine.leader() for engine in self.engines if engine._runner is not None]
 
 
 @asynccontextmanager

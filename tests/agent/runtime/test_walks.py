@@ -105,7 +105,7 @@ def test_a_stop_reaches_the_actuator_in_few_calls() -> None:
     bus, body = Bus(), StandingBody()
     runner = PeerRunner(peer, bus, body, None, clock=lambda: S)
     runner._listening = True
-    bus.subscribe(runner._arrive)
+    bus.subscribe(runner._on_frame)
     stop = encode(EmergencyStop(1, 1, 1, Reason.PERSON_IN_FIELD), 141)
     with walked(StopController.receive_stop, StandingBody.drive) as calls:
         bus.callback(stop)

@@ -28,17 +28,17 @@ def test_every_state_and_event() -> None:
 def turn(candidates: list[GatewayElection], now_us: int) -> None:
     """Each sends what is due, and the others receive its beats."""
     for own in candidates:
-        for effect in own.tick(0, False, now_us):
+        for effect in own.on_tick(0, False, now_us):
             if isinstance(effect, Send) and isinstance(effect.message, GatewayBeat):
                 for other in candidates:
                     if other is not own:
-                        other.hear(effect.message.candidate, effect.message, now_us)
+                        other.on_message(effect.message.candidate, effect.message, now_us)
 
 
 def test_of_two_with_one_number_the_higher_lot_takes_another() -> None:
     candidates = [GatewayElection(lot, lot, 0) for lot in (7, 9)]
     for own in candidates:  # neither hears the first beat of the other
-        own.tick(0, False, LISTEN_US)
+        own.on_tick(0, False, LISTEN_US)
     assert [own.number for own in candidates] == [NUMBERS[0]] * 2
     for now_us in range(LISTEN_US + BEAT_US, 10 * LISTEN_US, BEAT_US):
         turn(candidates, now_us)
