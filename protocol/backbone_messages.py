@@ -32,7 +32,7 @@ ENTRIES_MAX = 64  # per message, so that no message blocks a link for long
 MESSAGE_MAX = 1 << 16  # bytes; longer messages are not ours
 
 
-class Kind(IntEnum):
+class BackboneKind(IntEnum):
     """What the body of a message holds."""
 
     STOPS = 1
@@ -42,7 +42,7 @@ class Kind(IntEnum):
     MAP = 5
 
 
-class Header(NamedTuple):
+class BackboneHeader(NamedTuple):
     """The sender: segment, its gateway's term and number, and which of its messages this is."""
 
     kind: int
@@ -85,17 +85,20 @@ Body = tuple[FleetStop, ...] | tuple[FleetReset, ...] | Summary | tuple[Entry, .
 HEADER_BITS = (U8, U16, U16, U8, U32, U32)
 SUMMARY_BITS = (U8, U8, U8, U16, U16, U32, U32, U32)
 ENTRY_BITS = (U8, U16, U16, U16, U8)
-FRAMES: dict[int, FrameLayout[Any]] = {Kind.STOPS: FLEET_STOP, Kind.RESETS: FLEET_RESET}
+FRAMES: dict[int, FrameLayout[Any]] = {
+    BackboneKind.STOPS: FLEET_STOP,
+    BackboneKind.RESETS: FLEET_RESET,
+}
 
 
 class Message(NamedTuple):
     """A header and the body that its kind names."""
 
-    header: Header
+    header: BackboneHeader
     body: Body
 
 
-def pack(header: Header, body: Body) -> bytes:
+def pack(header: BackboneHeader, body: Body) -> bytes:
     """The bytes of a message; equal messages have equal bytes.
 
     Raises ValueError if a number does not fit, and AssertionError if there are too many elements.
@@ -130,17 +133,17 @@ def unpack(data: bytes) -> Message | None:
 def _message(reader: StrictReader) -> Message:
     if reader.count(8) != 8 or reader.numbers((U8,)) != [VERSION]:
         raise ValueError("version")
-    header = Header(*reader.numbers(HEADER_BITS))
+    header = BackboneHeader(*reader.numbers(HEADER_BITS))
     if header.segment not in SEGMENTS:
         raise ValueError("segment")
     match header.kind:
-        case Kind.STOPS | Kind.RESETS:
+        case BackboneKind.STOPS | BackboneKind.RESETS:
             layout = FRAMES[header.kind]
             frames = [_frame(reader.value()) for _ in range(reader.count(FRAMES_MAX))]
             return Message(header, tuple(map(layout.unpack, frames)))
-        case Kind.SUMMARY:
+        case BackboneKind.SUMMARY:
             return Message(header, _summary(reader.value()))
-        case Kind.WORK | Kind.MAP:
+        case BackboneKind.WORK | BackboneKind.MAP:
             entries = [_entry(reader.value()) for _ in range(reader.count(ENTRIES_MAX))]
             return Message(header, tuple(entries))
     raise ValueError("kind")

@@ -29,7 +29,7 @@ RETRIES_MAX = 2  # how often a CTS requests lost packets again (J1939-21: at mos
 WORDS_MAX = 20
 
 
-class Control(IntEnum):
+class TransportControl(IntEnum):
     """The first byte of a TP.CM frame, with the numbers of the standard."""
 
     RTS = 16
@@ -184,9 +184,9 @@ class Transport:
         if destination == GLOBAL_ADDRESS:
             session.due_at_us = now_us + BAM_GAP_US
             session.queue.extend(range(1, session.packets + 1))
-            return [_manage(Control.BAM, head + b"\xff", pgn, GLOBAL_ADDRESS)]
+            return [_manage(TransportControl.BAM, head + b"\xff", pgn, GLOBAL_ADDRESS)]
         session.due_at_us = now_us + T3_US
-        return [_manage(Control.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
+        return [_manage(TransportControl.RTS, head + bytes((GRANT_PACKETS,)), pgn, destination)]
 
     def on_tick(self, now_us: int) -> Iterable[OutgoingFrame]:
         """Send packets that are due; end sessions that have timed out."""
@@ -232,17 +232,18 @@ class Transport:
         broadcast = destination == GLOBAL_ADDRESS
         if isinstance(m, TransportData):
             return self._data(source, broadcast, m, now_us)
-        if broadcast != (m.control == Control.BAM):  # all other controls are between two devices
+        # All controls but BAM are between two devices.
+        if broadcast != (m.control == TransportControl.BAM):
             self.counts["malformed"] += 1
             return (), None
         match m.control:
-            case Control.BAM | Control.RTS:
+            case TransportControl.BAM | TransportControl.RTS:
                 return self._announced(source, broadcast, m, now_us), None
-            case Control.CTS:
+            case TransportControl.CTS:
                 return self._granted(source, m, now_us), None
-            case Control.END:
+            case TransportControl.END:
                 return self._acknowledged(source, m), None
-            case Control.ABORT:
+            case TransportControl.ABORT:
                 self._aborted(source, m)
                 return (), None
         self.counts["malformed"] += 1
@@ -278,7 +279,7 @@ class Transport:
         # the standard.
         session.due_at_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
         body = bytes((count, session.expected, 0xFF, 0xFF))
-        return _manage(Control.CTS, body, session.pgn, source)
+        return _manage(TransportControl.CTS, body, session.pgn, source)
 
     def _data(
         self, source: int, broadcast: bool, m: TransportData, now_us: int
@@ -331,7 +332,7 @@ class Transport:
         if broadcast:
             return (), arrived
         body = session.size.to_bytes(2, "little") + bytes((session.packets, 0xFF))
-        return [_manage(Control.END, body, session.pgn, source)], arrived
+        return [_manage(TransportControl.END, body, session.pgn, source)], arrived
 
     def _overdue(
         self, key: tuple[int, bool], session: _Receiving, now_us: int
@@ -392,9 +393,9 @@ class Transport:
             del self._receiving[source, False]
 
 
-def _manage(control: Control, body: bytes, pgn: int, destination: int) -> OutgoingFrame:
+def _manage(control: TransportControl, body: bytes, pgn: int, destination: int) -> OutgoingFrame:
     return OutgoingFrame(TransportManagement(control, body, pgn), destination)
 
 
 def _abort(reason: Abort, pgn: int, destination: int) -> OutgoingFrame:
-    return _manage(Control.ABORT, bytes((reason, 0xFF, 0xFF, 0xFF)), pgn, destination)
+    return _manage(TransportControl.ABORT, bytes((reason, 0xFF, 0xFF, 0xFF)), pgn, destination)

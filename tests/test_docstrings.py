@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from tools.build import docstring_checker
-from tools.build.docstring_checker import LAYERS, SOURCED, Source, check, failures_in, restates
+from tools.build.docstring_checker import LAYERS, SOURCED, ParsedFile, check, failures_in, restates
 from tools.common.fingerprint import ROOT
 
 # Percent of the docstrings of each package that must pass. Raise a floor with its package.
@@ -80,7 +80,7 @@ def reasons(monkeypatch: pytest.MonkeyPatch, folder: Path, text: str) -> dict[st
     monkeypatch.setattr(docstring_checker, "ROOT", folder)
     path = folder / "module.py"
     path.write_text(text, encoding="utf-8")
-    return {failure.name: failure.reasons for failure in failures_in(Source(path))[1]}
+    return {failure.name: failure.reasons for failure in failures_in(ParsedFile(path))[1]}
 
 
 PLAIN = '''

@@ -6,12 +6,14 @@ added or compared by mistake.
 
 import ast
 import re
-from collections.abc import Iterator
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).parents[1]
+LAYERS = ["crdt", "protocol", "agent", "sim", "tools"]
 TIMED = ["crdt", "protocol", "agent", "sim"]
 UNIT = re.compile(r"_(ns|us|ms|s)$")
 FORM = re.compile(r"(^|_)(at|for|now)_(ns|us|ms|s)$")
@@ -58,9 +60,15 @@ NAMES = {
     ),
 }  # fmt: skip
 
+# Class names that more than one module of the product defines, with the reason why that is clear.
+SHARED = {
+    "FleetTable": "the table [fleet] of robot files; that of scenarios extends it",
+    "WarehouseTable": "the table [warehouse] of robot files; that of scenarios extends it",
+}
 
-def _files() -> Iterator[Path]:
-    for layer in TIMED:
+
+def _files(layers: Iterable[str] = TIMED) -> Iterator[Path]:
+    for layer in layers:
         yield from sorted((ROOT / layer).rglob("*.py"))
 
 
@@ -131,3 +139,21 @@ def test_every_accepted_name_of_a_time_is_in_use() -> None:
 )
 def test_what_the_rule_finds(name: str, clear: bool) -> None:
     assert _is_clear(name) == clear
+
+
+def _class_names() -> dict[str, list[str]]:
+    """The modules that define each class name; classes inside classes and functions do not count."""
+    modules = defaultdict(list)
+    for path in _files(LAYERS):
+        for node in ast.parse(path.read_text()).body:
+            if isinstance(node, ast.ClassDef):
+                modules[node.name].append(str(path.relative_to(ROOT)))
+    return modules
+
+
+def test_a_class_name_means_one_thing() -> None:
+    shared = {name: paths for name, paths in _class_names().items() if len(paths) > 1}
+    new = {name: paths for name, paths in shared.items() if name not in SHARED}
+    assert not new, f"one of each needs a name of its own, or SHARED the reason: {new}"
+    gone = SHARED.keys() - shared.keys()
+    assert not gone, f"remove from SHARED: {sorted(gone)}"

@@ -25,8 +25,8 @@ from agent.interface.mission import (
     MotionRequest,
     Record,
 )
-from agent.mapf.agreement_phase import Phase
-from crdt import Phase as Claimed
+from agent.mapf.agreement_phase import AgreementPhase
+from crdt import Phase
 from protocol.frames.agreement_frames import AgreementMessage, AgreementReply
 from protocol.frames.messages import Message
 
@@ -85,7 +85,7 @@ class GridWork(Mission):
     def over(self) -> bool:
         """Our plan is at its end, or we have no part in it, and nothing is left for later."""
         rounds = self.agreement
-        if rounds.phase is not Phase.GO or rounds.course is None or rounds.later:
+        if rounds.phase is not AgreementPhase.GO or rounds.course is None or rounds.later:
             return False
         return rounds.me == NONE or not rounds.course.reaches(self._step + 1)
 
@@ -104,7 +104,7 @@ class GridWork(Mission):
             self._round, self._step, self._turn = rounds.round, 0, 0
             self._onward = False
             self._meet_wreck(view)
-        gathering = rounds.phase is not Phase.GO
+        gathering = rounds.phase is not AgreementPhase.GO
         if gathering:
             self._tell_of_silent(view)
         self._at_once = gathering
@@ -345,12 +345,10 @@ class GridWork(Mission):
 
     def _choice(self, section: int, view: FleetView) -> ClaimRequest | None:
         phase = view.allocation.phase_of(section)
-        if phase is Claimed.FREE:
+        if phase is Phase.FREE:
             return ClaimRequest(section, 0)
         gone = view.allocation.owner_of(section) not in view.live
-        return (
-            ClaimRequest(section, 0, takeover=True) if gone and phase is not Claimed.DONE else None
-        )
+        return ClaimRequest(section, 0, takeover=True) if gone and phase is not Phase.DONE else None
 
     def _coming(self, view: FleetView) -> int | None:
         """The section of the next cell that we are to cover."""

@@ -28,7 +28,7 @@ from numpy.typing import NDArray
 from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
 from agent.interface.config import LEASE_US, MS, S
-from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
+from agent.mapf.agreement_phase import CALM_US, AgreementPhase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 from protocol.state_machine import StateMachine, matrix
@@ -56,7 +56,7 @@ class CoveragePlanEvent(Enum):
     AGREED = "every live robot has computed the same plan"
 
 
-FREE, GATHER, AGREE, GO = Phase
+FREE, GATHER, AGREE, GO = AgreementPhase
 stay = None
 
 # fmt: off
@@ -126,7 +126,7 @@ class CoverageAgreement:
         self._said: dict[AgreementKind, tuple[object, int, int]] = {}  # what, how often, when
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> AgreementPhase:
         """How far the round is, or FREE before the first one."""
         return self.machine.state
 

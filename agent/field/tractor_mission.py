@@ -24,7 +24,7 @@ from agent.motion.tractor_tracker import (
 )
 from agent.paths.dubins import shortest_m
 from agent.paths.route import Route
-from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
+from agent.paths.tractor_route import Piece, TurnRoute, VehiclePose, sampled
 
 BEND_HALF_M = 0.6  # a bend is rounded over this length on both sides
 BESIDE_M = 0.5  # further from the leg the implement is up: that may be another robot's section
@@ -106,7 +106,7 @@ class TractorMission(FieldMission):
     def idle(self, view: FleetView) -> MotionRequest:
         """Stand still, but not where another robot works."""
         self.heading_to, self.follow, self.joined = None, None, False
-        here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
+        here = VehiclePose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         near = [
             (n.pose.x_m, n.pose.y_m)
             for n in view.neighbours.values()
@@ -130,7 +130,7 @@ class TractorMission(FieldMission):
     def _drive(
         self, view: FleetView, only_approach: bool = False
     ) -> tuple[MotionRequest, list[int]]:
-        here = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
+        here = VehiclePose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         covered: list[int] = []
         self._notice_stuck(view, here)
         while True:
@@ -149,7 +149,7 @@ class TractorMission(FieldMission):
         tool = bool(self.leg.units) and self.follow.gap_m <= BESIDE_M
         return _wish(here, self.follow.command(), tool), covered
 
-    def _next(self, view: FleetView, here: Pose, only_approach: bool) -> bool:
+    def _next(self, view: FleetView, here: VehiclePose, only_approach: bool) -> bool:
         """Begin the next leg, or the path to it. False: there is nothing to drive now.
 
         `only_approach`: do not begin a leg with units.
@@ -157,13 +157,13 @@ class TractorMission(FieldMission):
         if not self.legs:
             return False
         first, second = self.legs[0].points[:2]
-        start = Pose(*first, heading_of(first, second))
+        start = VehiclePose(*first, heading_of(first, second))
         if self.joined and only_approach:
             return False
         if self.joined:
             self.leg, self.joined = self.legs.pop(0), False
             way, end_m_s = smooth_way(list(self.leg.points), BEND_HALF_M), 0.0
-            if self.turns.piece_is_free(Pose(*way[-1, :3]), Piece(0.0, ROOM_M)):
+            if self.turns.piece_is_free(VehiclePose(*way[-1, :3]), Piece(0.0, ROOM_M)):
                 end_m_s = LEAVE_M_S
         else:
             if view.now_us < self._again_at_us:
@@ -193,7 +193,7 @@ class TractorMission(FieldMission):
         if self.leg.units and self.section is not None:
             self.legs = self._legs(self.section, view)
 
-    def _notice_stuck(self, view: FleetView, here: Pose) -> None:
+    def _notice_stuck(self, view: FleetView, here: VehiclePose) -> None:
         """No progress: go round the standing robots, or work another leg first."""
         if self.follow is None or distance_m(here[:2], self._anchor) > MOVED_M:
             self._anchor, self._anchor_at_us = here[:2], view.now_us
@@ -215,7 +215,7 @@ class TractorMission(FieldMission):
         """The uncovered stretches of the section, each next by the shortest turn."""
         left = self._stretches(section, view, last=False)
         left = left or self._stretches(section, view, last=True)
-        at = Pose(view.here.x_m, view.here.y_m, view.here.heading_rad)
+        at = VehiclePose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         legs: list[WorkLeg] = []
         while left:
             k, leg = min(
@@ -224,7 +224,7 @@ class TractorMission(FieldMission):
             )
             left.pop(k)
             legs.append(leg)
-            at = Pose(*leg.points[-1], heading_of(leg.points[-2], leg.points[-1]))
+            at = VehiclePose(*leg.points[-1], heading_of(leg.points[-2], leg.points[-1]))
         return legs
 
 
@@ -232,11 +232,11 @@ def _turned(leg: WorkLeg) -> WorkLeg:
     return WorkLeg(leg.points[::-1], leg.units[::-1])
 
 
-def _start(leg: WorkLeg) -> Pose:
-    return Pose(*leg.points[0], heading_of(leg.points[0], leg.points[1]))
+def _start(leg: WorkLeg) -> VehiclePose:
+    return VehiclePose(*leg.points[0], heading_of(leg.points[0], leg.points[1]))
 
 
-def _wish(here: Pose, command: tuple[float, float] | None, tool_on: bool) -> MotionRequest:
+def _wish(here: VehiclePose, command: tuple[float, float] | None, tool_on: bool) -> MotionRequest:
     if command is None:
         return STILL
     speed_m_s, turn_rad_s = command

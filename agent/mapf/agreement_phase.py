@@ -14,7 +14,7 @@ NUMBERS = 1 << 16
 CALM_US = 2 * S  # repeat interval once all robots have probably received a message
 
 
-class Phase(Enum):
+class AgreementPhase(Enum):
     """Where one robot is in a round of agreement."""
 
     FREE = "no round: nothing has been agreed, or it is over"

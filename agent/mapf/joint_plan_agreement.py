@@ -28,7 +28,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.interface.config import MS, S
-from agent.mapf.agreement_phase import CALM_US, Phase, after, ahead
+from agent.mapf.agreement_phase import CALM_US, AgreementPhase, after, ahead
 from agent.mapf.lacam import JointPlan, Precedence, planned
 from agent.mapf.lattice import FINE, Lattice, components
 from agent.mapf.linear_assignment import assigned
@@ -57,7 +57,7 @@ class JointPlanEvent(Enum):
     WITHDRAWN = "we do not receive a robot that others receive, so we cannot agree with all"
 
 
-FREE, GATHER, AGREE, GO = Phase
+FREE, GATHER, AGREE, GO = AgreementPhase
 stay = None
 
 # fmt: off
@@ -149,7 +149,7 @@ class JointPlanAgreement:
     # ---------------------------------------------------------------- what is to be done
 
     @property
-    def phase(self) -> Phase:
+    def phase(self) -> AgreementPhase:
         """How far the round is, or FREE if there is none."""
         return self.machine.state
 

@@ -5,7 +5,7 @@ from math import hypot
 
 from agent.motion.tractor_tracker import SteeringLimits, TractorTracker
 from agent.paths.dubins import step
-from agent.paths.tractor_route import Piece, Point, Pose, TurnRoute, sampled
+from agent.paths.tractor_route import Piece, Point, TurnRoute, VehiclePose, sampled
 
 LENGTHS_M = (3.0, 5.0, 8.0)  # of the arcs and straights that are tried
 ENOUGH_M = 9.0  # a larger distance from the other robot is no better
@@ -24,7 +24,7 @@ class EscapeManoeuvre:
         self.follow: TractorTracker | None = None
 
     def go(
-        self, here: Pose, away_from: Iterable[Point], everybody: Iterable[Point]
+        self, here: VehiclePose, away_from: Iterable[Point], everybody: Iterable[Point]
     ) -> tuple[float, float] | None:
         """Speed (negative: backward) and turn rate of the escape, metres and radians a second.
 
@@ -43,7 +43,9 @@ class EscapeManoeuvre:
             return None
         return self.follow.command()
 
-    def find(self, here: Pose, away_from: list[Point], everybody: list[Point]) -> Piece | None:
+    def find(
+        self, here: VehiclePose, away_from: list[Point], everybody: list[Point]
+    ) -> Piece | None:
         """The piece that ends furthest from the robots that need the room, without a collision.
 
         None if no piece brings us further away, within a metre. Forward is preferred to backward by
@@ -67,7 +69,7 @@ class EscapeManoeuvre:
                         best = (score, piece)
         return best[1] if best is not None and best[0] > now_m - 1.0 else None
 
-    def _clear(self, here: Pose, piece: Piece, everybody: list[Point]) -> bool:
+    def _clear(self, here: VehiclePose, piece: Piece, everybody: list[Point]) -> bool:
         steps = max(1, int(abs(piece.length_m) / STEP_M))
         for other in everybody:
             least_m = min(

@@ -22,7 +22,7 @@ from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
 from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import SteeringLimits
-from agent.paths.tractor_route import Pose, TurnRoute
+from agent.paths.tractor_route import TurnRoute, VehiclePose
 
 DISC_M = 0.2  # extra disc radius for the tracking error and the swing into an arc
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)  # of the wanted speed, tried in this order
@@ -70,7 +70,7 @@ class TractorMotion(HolonomicMotion):
         Called once each control period. The curvature of the request is kept at any share.
         """
         rows, others = self._rows(here, neighbours, now_us)
-        pose = Pose(here.x_m, here.y_m, here.heading_rad)
+        pose = VehiclePose(here.x_m, here.y_m, here.heading_rad)
         places = {o.slot: (here.x_m + o.dx_m, here.y_m + o.dy_m) for o in others}
         if now_us < self._wait_ends_at_us:
             wish = self._out_of_the_way(pose, places)
@@ -107,7 +107,7 @@ class TractorMotion(HolonomicMotion):
                 return share
         return 0.0
 
-    def _stalled(self, pose: Pose, wish: MotionRequest, now_us: int) -> bool:
+    def _stalled(self, pose: VehiclePose, wish: MotionRequest, now_us: int) -> bool:
         wants = wish.vx_m_s != 0.0 or wish.vy_m_s != 0.0
         moved_m = hypot(pose.x_m - self._anchor[0], pose.y_m - self._anchor[1])
         if moved_m > GOT_ON_M or not wants:
@@ -115,7 +115,7 @@ class TractorMotion(HolonomicMotion):
         return now_us - self._anchor_at_us >= PATIENCE_US
 
     def _decide(
-        self, pose: Pose, wish: MotionRequest, close: list[NearbyRobot],
+        self, pose: VehiclePose, wish: MotionRequest, close: list[NearbyRobot],
         places: Mapping[int, tuple[float, float]],
         now_us: int,
     ) -> MotionRequest:  # fmt: skip
@@ -136,7 +136,7 @@ class TractorMotion(HolonomicMotion):
         return self._out_of_the_way(pose, places)
 
     def _out_of_the_way(
-        self, pose: Pose, places: Mapping[int, tuple[float, float]]
+        self, pose: VehiclePose, places: Mapping[int, tuple[float, float]]
     ) -> MotionRequest:
         other = places.get(self._for)
         if other is None or (

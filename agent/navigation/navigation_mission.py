@@ -24,7 +24,7 @@ from agent.interface.mission import (
     Record,
 )
 from agent.interface.ports import Neighbour, Observation
-from agent.mapf.agreement_phase import Phase
+from agent.mapf.agreement_phase import AgreementPhase
 from agent.mapf.joint_plan_agreement import JointPlanAgreement
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import RANGE_M, DynamicObstacles
@@ -32,7 +32,7 @@ from agent.motion.path_tracker import PathTracker
 from agent.navigation.path_lookahead import PathLookahead
 from agent.navigation.replan_policy import Replanning
 from agent.navigation.silent_robots import DEAD_US, SilentRobots
-from crdt import Phase as Claimed
+from crdt import Phase
 from protocol.frames.agreement_frames import AgreementMessage, AgreementReply, SilentPosition
 from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
@@ -137,7 +137,7 @@ class NavigationMission(Mission):
     def choose(self, view: FleetView) -> ClaimRequest | None:
         first = self.slot * GOALS_MAX
         for section in range(first, first + len(self.goals.get(self.slot, ()))):
-            if view.allocation.phase_of(section) is Claimed.FREE:
+            if view.allocation.phase_of(section) is Phase.FREE:
                 return ClaimRequest(section, 0)
         return None
 
@@ -253,7 +253,7 @@ class NavigationMission(Mission):
         """The motion that is wanted now, and whether the goal has been reached."""
         if self.agreement.bound:
             self._tracker, self._planned = None, True  # afterwards we begin from somewhere else
-            wish = self._along_plan(view) if self.agreement.phase is Phase.GO else HOLD
+            wish = self._along_plan(view) if self.agreement.phase is AgreementPhase.GO else HOLD
             return wish, self._at_goal((view.here.x_m, view.here.y_m))
         if self.goal is None:
             return HOLD, False

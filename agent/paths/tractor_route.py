@@ -20,7 +20,7 @@ RUN_UPS_M = (1.5, 1.0, 0.5)  # lengths of the straight before the goal that are 
 RUN_UP_M = 1.0  # a shorter run-up is taken only if it saves more than this
 
 
-class Pose(NamedTuple):
+class VehiclePose(NamedTuple):
     """Where the middle of a body is, and where its nose points: counter-clockwise from x."""
 
     x_m: float
@@ -47,7 +47,11 @@ class TurnRoute:
         self.place = np.array([origin_x_m, origin_y_m, cell_m])
 
     def way(
-        self, start: Pose, goal: Pose, bodies: Sequence[Point] = (), reach_m: float = 0.0
+        self,
+        start: VehiclePose,
+        goal: VehiclePose,
+        bodies: Sequence[Point] = (),
+        reach_m: float = 0.0,
     ) -> list[Piece] | None:
         """Pieces from start to goal, with a straight run-up where there is room; None: no way was
         found.
@@ -61,7 +65,7 @@ class TurnRoute:
         for run_up_m in RUN_UPS_M:
             if not piece_is_free(blocked, self.place, *goal, 0.0, -run_up_m):
                 continue
-            before = Pose(*step(*goal, 0.0, -run_up_m))
+            before = VehiclePose(*step(*goal, 0.0, -run_up_m))
             pieces = self._search(blocked, start, before)
             if pieces is None:
                 break
@@ -77,11 +81,13 @@ class TurnRoute:
         """Whether the middle of the body may be at a place; no other bodies are considered."""
         return bool(is_free(self.blocked, self.place, *at))
 
-    def piece_is_free(self, at: Pose, piece: Piece) -> bool:
+    def piece_is_free(self, at: VehiclePose, piece: Piece) -> bool:
         """Whether a piece from a pose stays on free cells; no other bodies are considered."""
         return bool(piece_is_free(self.blocked, self.place, *at, *piece))
 
-    def _search(self, blocked: NDArray[np.bool_], start: Pose, goal: Pose) -> list[Piece] | None:
+    def _search(
+        self, blocked: NDArray[np.bool_], start: VehiclePose, goal: VehiclePose
+    ) -> list[Piece] | None:
         here, there = np.array(start), np.array(goal)
         found = search(blocked, self.place, here, there, self.radius_m, False)
         if not found.shape[0]:
@@ -96,7 +102,7 @@ class TurnRoute:
             self._disc(blocked, x_m, y_m, reach_m, True)
         return blocked
 
-    def _open(self, blocked: NDArray[np.bool_], at: Pose) -> None:
+    def _open(self, blocked: NDArray[np.bool_], at: VehiclePose) -> None:
         if not is_free(blocked, self.place, at.x_m, at.y_m):
             self._disc(blocked, at.x_m, at.y_m, 2.5 * self.place[2], False)
 
@@ -120,7 +126,7 @@ def cost_m(pieces: Sequence[Piece]) -> float:
     )
 
 
-def sampled(start: Pose, pieces: Sequence[Piece]) -> NDArray[np.float64]:
+def sampled(start: VehiclePose, pieces: Sequence[Piece]) -> NDArray[np.float64]:
     """(n, 5): x, y, heading, curvature and gear (1 or -1) every `SAMPLE_M` or less."""
     rows: list[tuple[float, float, float, float, float]] = []
     at = start
@@ -132,5 +138,5 @@ def sampled(start: Pose, pieces: Sequence[Piece]) -> NDArray[np.float64]:
         for k in range(1, steps + 1):
             pose = step(*at, piece.curvature_1_m, piece.length_m * k / steps)
             rows.append((*pose, piece.curvature_1_m, gear))
-        at = Pose(*step(*at, piece.curvature_1_m, piece.length_m))
+        at = VehiclePose(*step(*at, piece.curvature_1_m, piece.length_m))
     return np.array(rows).reshape(-1, 5)

@@ -16,7 +16,7 @@ from agent.peer import notices
 from agent.peer.member_conflicts import Conflicts
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
-from agent.peer.self_health import POOR, Reading, SelfKnowledge, Source, health, readings
+from agent.peer.self_health import POOR, HealthSource, Reading, SelfKnowledge, health, readings
 from agent.peer.sense_freshness import Senses
 from agent.safety.stop_cause import StopCause, about, further
 from agent.safety.stop_controller import StopController
@@ -66,7 +66,7 @@ class Announcements(Part):
         self.heartbeats_a_standstill = max(1, STANDSTILL_US // beat.heartbeat_period_us)
         self._cause = 0  # index of the cause reported next
         self.counter = FIRST_COUNTER
-        self._poor: frozenset[Source] = frozenset()  # poor sources at our last heartbeat
+        self._poor: frozenset[HealthSource] = frozenset()  # poor sources at our last heartbeat
         self._live: frozenset[int] = frozenset()
         self._others: list[int] = []
 

@@ -72,7 +72,7 @@ class Hold(NamedTuple):
     """The permission to move is withdrawn."""
 
 
-class Claim(NamedTuple):
+class ClaimSection(NamedTuple):
     """Claim this section, if this robot may work and the section is free."""
 
     section: int
@@ -118,7 +118,7 @@ class EndRelease(NamedTuple):
 
 
 OperatorCall = (
-    Press | ManualReset | Start | Hold | Claim | ReleaseSection | Finish | Cover | Leave | ReleaseStops
-    | EndRelease
+    Press | ManualReset | Start | Hold | ClaimSection | ReleaseSection | Finish | Cover | Leave
+    | ReleaseStops | EndRelease
 )  # fmt: skip
 Input = Received | Heard | Sensed | Timer | BusState | DiskFailed | OperatorCall

@@ -15,7 +15,7 @@ from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, St
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.network_frames import (
     Acknowledgment,
-    Control,
+    AcknowledgmentControl,
     RepetitionRateRequest,
     Request,
     TransportData,
@@ -135,7 +135,7 @@ def _refused(source: int, destination: int, pgn: int) -> Sequence[Effect]:
     """Refuse a group that is not served, or a rate request: no group of ours changes its rate."""
     if destination == GLOBAL_ADDRESS:  # J1939-21: no NACK to a global request
         return ()
-    return [Send(Acknowledgment(Control.NACK, 0xFF, source, pgn & 0x3FFFF))]
+    return [Send(Acknowledgment(AcknowledgmentControl.NACK, 0xFF, source, pgn & 0x3FFFF))]
 
 
 def _sends(out: Iterable[OutgoingFrame]) -> Sequence[Effect]:

@@ -48,7 +48,7 @@ class SectionWork(Part):
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
         return {
-            inputs.Claim: lambda ctx, c: self.claim(ClaimRequest(*c), ctx.now_us),
+            inputs.ClaimSection: lambda ctx, c: self.claim(ClaimRequest(*c), ctx.now_us),
             inputs.ReleaseSection: lambda ctx, c: self.release(c.section, ctx.now_us),
             inputs.Finish: lambda ctx, c: self.finish(c.section, ctx.now_us),
             notices.WorkGivenBack: lambda ctx, n: self.give_back_all(ctx.now_us),

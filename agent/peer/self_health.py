@@ -24,7 +24,7 @@ FAILED: Final = 0.0  # it does not work
 POOR: Final = DEGRADED  # a source at this value or below is reported in the traces
 
 
-class Source(Enum):
+class HealthSource(Enum):
     """What a reading of a robot's health is about."""
 
     BATTERY = "battery"
@@ -39,7 +39,7 @@ class Reading(NamedTuple):
     """The reading of one source. `share`: 0.0 failed to 1.0 healthy."""
 
     share: float
-    source: Source
+    source: HealthSource
     why: str  # empty if it is fine
 
 
@@ -82,16 +82,16 @@ OF_BUS: Final[Mapping[Health, tuple[float, str]]] = {
 }
 
 # Causes that a fault of this robot raises. All others come from people, other robots or the field.
-OF_CAUSE: Final[Mapping[StopCause, tuple[float, Source]]] = {
-    StopCause.BUS_OFF: (FAILED, Source.BUS),
-    StopCause.ERROR_PASSIVE: (HOLDS, Source.BUS),  # for 1 s: no burst
-    StopCause.UNHEARD: (HOLDS, Source.BUS),  # its beats do not leave, or are not reflected
-    StopCause.ADDRESS_LOST: (HOLDS, Source.BUS),
-    StopCause.DISK_ERROR: (FAILED, Source.DISK),  # an error while writing, a full disk among them
-    StopCause.BOOT_UNCONFIRMED: (HOLDS, Source.DISK),  # it has lost what it had written
-    StopCause.SENSES_OLD: (HOLDS, Source.SENSES),  # lower while they are old; see `_senses`
-    StopCause.PLACE_FROZEN: (FAILED, Source.SENSES),  # the sensed place is wrong
-    StopCause.LATE_TICK: (DEGRADED, Source.COMPUTER),
+OF_CAUSE: Final[Mapping[StopCause, tuple[float, HealthSource]]] = {
+    StopCause.BUS_OFF: (FAILED, HealthSource.BUS),
+    StopCause.ERROR_PASSIVE: (HOLDS, HealthSource.BUS),  # for 1 s: no burst
+    StopCause.UNHEARD: (HOLDS, HealthSource.BUS),  # its beats do not leave, or are not reflected
+    StopCause.ADDRESS_LOST: (HOLDS, HealthSource.BUS),
+    StopCause.DISK_ERROR: (FAILED, HealthSource.DISK),  # a write failed, or the disk is full
+    StopCause.BOOT_UNCONFIRMED: (HOLDS, HealthSource.DISK),  # it has lost what it had written
+    StopCause.SENSES_OLD: (HOLDS, HealthSource.SENSES),  # lower while they are old; see `_senses`
+    StopCause.PLACE_FROZEN: (FAILED, HealthSource.SENSES),  # the sensed place is wrong
+    StopCause.LATE_TICK: (DEGRADED, HealthSource.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({
     StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT,
@@ -105,9 +105,9 @@ def readings(known: Known) -> list[Reading]:
     """The reading of each available source, worst first."""
     found = [Reading(*_bus(known.bus)), _senses(known)]
     if known.battery is not None:
-        found.append(_told(known.battery, Source.BATTERY, "charged to"))
+        found.append(_told(known.battery, HealthSource.BATTERY, "charged to"))
     if known.machine is not None:
-        found.append(_told(known.machine, Source.MACHINE, "says of itself"))
+        found.append(_told(known.machine, HealthSource.MACHINE, "says of itself"))
     for cause in known.causes:
         if cause in OF_CAUSE:
             share, source = OF_CAUSE[cause]
@@ -120,12 +120,12 @@ def health(known: Known) -> float:
     return readings(known)[0].share
 
 
-def _bus(controller: Health) -> tuple[float, Source, str]:
+def _bus(controller: Health) -> tuple[float, HealthSource, str]:
     share, why = OF_BUS[controller]
-    return share, Source.BUS, why
+    return share, HealthSource.BUS, why
 
 
-def _told(share: float, source: Source, word: str) -> Reading:
+def _told(share: float, source: HealthSource, word: str) -> Reading:
     """A share that comes from outside the core. NaN counts as a failed source."""
     share = min(max(share, FAILED), FINE) if share == share else FAILED
     return Reading(share, source, "" if share == FINE else f"{word} {share:.0%}")
@@ -134,17 +134,17 @@ def _told(share: float, source: Source, word: str) -> Reading:
 def _senses(known: Known) -> Reading:
     """Fine for one control period, then falling to 0.5 at the age that stops the robot, then failed."""
     if not known.senses_expected:
-        return Reading(FINE, Source.SENSES, "")
+        return Reading(FINE, HealthSource.SENSES, "")
     age_us = known.sense_age_us
     if age_us is None:
-        return Reading(FAILED, Source.SENSES, "nothing is sensed")
+        return Reading(FAILED, HealthSource.SENSES, "nothing is sensed")
     if not 0 <= age_us <= AGE_MAX_US:
-        return Reading(FAILED, Source.SENSES, f"sensed {age_us / 1000:.0f} ms ago")
+        return Reading(FAILED, HealthSource.SENSES, f"sensed {age_us / 1000:.0f} ms ago")
     if age_us <= CONTROL_PERIOD_US:
-        return Reading(FINE, Source.SENSES, "")
+        return Reading(FINE, HealthSource.SENSES, "")
     late = (age_us - CONTROL_PERIOD_US) / (AGE_MAX_US - CONTROL_PERIOD_US)
     share = FINE - (FINE - DEGRADED) * late
-    return Reading(share, Source.SENSES, f"sensed {age_us / 1000:.0f} ms ago")
+    return Reading(share, HealthSource.SENSES, f"sensed {age_us / 1000:.0f} ms ago")
 
 
 def health_table() -> str:

@@ -28,7 +28,7 @@ from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.ports import Bus, Journal, Observation
 from agent.peer.inputs import (
-    Claim,
+    ClaimSection,
     EndRelease,
     Finish,
     Input,
@@ -230,7 +230,7 @@ class FleetCoordinationEngine:
         if peer.lifecycle.state not in (State.IDLE, State.WORKING):
             self.refusal = f"in state {peer.lifecycle.state.name}"
             return False
-        self._operate(Claim(section, 0))
+        self._operate(ClaimSection(section, 0))
         if peer.allocation.owner_of(section) != self.slot:
             return False
         settled_s = 2.0 * CONTENTION_US / S

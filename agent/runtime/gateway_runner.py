@@ -17,7 +17,7 @@ from protocol.frames.frame import Frame
 log = logging.getLogger(__name__)
 
 
-class Timer(Protocol):
+class TimerHandle(Protocol):
     """A call that was scheduled for later."""
 
     def cancel(self) -> object:
@@ -50,7 +50,7 @@ class GatewayRunner:
         bus: Bus,
         backbone: Backbone,
         clock: Callable[[], int],
-        at: Callable[[int, Callable[[], None]], Timer],
+        at: Callable[[int, Callable[[], None]], TimerHandle],
         on_effect: Callable[[int, Out], None] | None = None,
     ) -> None:
         """`clock`: the time in microseconds. `at`: schedules a call for a time in microseconds.
@@ -60,7 +60,7 @@ class GatewayRunner:
         self.on_effect = on_effect
         self.frames = 0  # count of frames sent on our bus
         self._clock, self._at = clock, at
-        self._timer: Timer | None = None
+        self._timer: TimerHandle | None = None
         self._timer_at_us = 0
         self._open = True
 

@@ -54,7 +54,7 @@ class RobotTable(Table):
     segment: int = Field(default=0, ge=0)  # of a fleet of several segments; 0: there are no others
 
 
-class BusTable(Table):
+class RobotBusTable(Table):
     """A python-can interface; `options` are passed to it."""
 
     interface: str = "socketcan"
@@ -96,7 +96,7 @@ class RobotFile(Table):
     field: FieldTable | None = None
     warehouse: CarrierTable | None = None
     mission: FactoryTable | None = None
-    bus: BusTable = BusTable()
+    bus: RobotBusTable = RobotBusTable()
     body: FactoryTable = FactoryTable(factory="agent.runtime.robot_body:StandingBody")
     folder: Path = Field(Path(), exclude=True)  # file names are relative to this folder
 

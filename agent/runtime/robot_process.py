@@ -38,7 +38,7 @@ from agent.runtime.peer_factory import (
 )
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import FactoryError, RobotBody, called
-from agent.runtime.robot_file import BusTable, CarrierTable, RobotError, RobotFile
+from agent.runtime.robot_file import CarrierTable, RobotBusTable, RobotError, RobotFile
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
 from crdt import FieldAllocationCRDT
@@ -136,7 +136,7 @@ def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
         raise RobotError(f"robot {slot}: its journal is not to be had: {problem}") from None
 
 
-async def _bus(table: BusTable, slot: int) -> Bus:
+async def _bus(table: RobotBusTable, slot: int) -> Bus:
     """The bus; one behind a socketcand server reconnects by itself. Raises RobotError."""
     options = table.options
     try:

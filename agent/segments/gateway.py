@@ -24,7 +24,7 @@ from agent.segments.stop_relay import LIVE_US, StopRelay
 from agent.segments.token_bucket import TokenBucket
 from agent.segments.work_relay import FLUSH_US, WorkRelay
 from protocol import backbone_messages as backbone
-from protocol.backbone_messages import Body, Header, Kind, Summary
+from protocol.backbone_messages import BackboneHeader, BackboneKind, Body, Summary
 from protocol.frames.codec import Malformed, decode_once, destination_of
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.frame import Frame
@@ -61,7 +61,7 @@ STOPS_PER_MESSAGE = 64
 class Publish(NamedTuple):
     """Put one message on the backbone. Stops go before everything else."""
 
-    kind: Kind
+    kind: BackboneKind
     data: bytes
     target: int = 0  # the segment that it concerns; 0: all
 
@@ -138,7 +138,11 @@ class Gateway:
             return self._on_stop(source, message, number is not None, now_us)
         if isinstance(message, FleetReset):
             halves = self.stops.on_reset(message)
-            return self._publish(Kind.RESETS, tuple(halves)) if halves and number is None else ()
+            return (
+                self._publish(BackboneKind.RESETS, tuple(halves))
+                if halves and number is None
+                else ()
+            )
         if number is not None:
             self.candidacy.on_message(number, message, now_us)
         self._on_message(source, number, message, now_us)
@@ -160,7 +164,7 @@ class Gateway:
         self, source: int, stop: FleetStop, from_gateway: bool, now_us: int
     ) -> Sequence[Out]:
         news = self.stops.on_stop(source, stop, now_us)
-        return self._publish(Kind.STOPS, tuple(news)) if news and not from_gateway else ()
+        return self._publish(BackboneKind.STOPS, tuple(news)) if news and not from_gateway else ()
 
     def _on_message(self, source: int, number: int | None, message: Message, now_us: int) -> None:
         slot = self._slot_of.get(source) if number is None else number
@@ -197,18 +201,18 @@ class Gateway:
         header, body = message
         if not self.reach.accepts(header, now_us):
             return ()
-        self.counts[Kind(header.kind).name] += 1
-        if header.kind == Kind.STOPS:
+        self.counts[BackboneKind(header.kind).name] += 1
+        if header.kind == BackboneKind.STOPS:
             stops = [stop for stop in body if isinstance(stop, FleetStop)]
             self.stops.on_backbone_stops(stops, now_us)
             if len(stops) >= len(self.stops.stops):
                 self._tell_at_us = None  # another gateway has sent them all
             return self.on_tick(now_us)
-        if header.kind == Kind.RESETS:
+        if header.kind == BackboneKind.RESETS:
             self.stops.on_backbone_resets([h for h in body if isinstance(h, FleetReset)], now_us)
         elif isinstance(body, Summary):
             self._on_summary(header, body, now_us)
-        elif header.kind == Kind.MAP:
+        elif header.kind == BackboneKind.MAP:
             for entry in body if self.chart is not None else ():
                 if isinstance(entry, backbone.Entry) and self.chart is not None:
                     self.chart.on_entry(header.segment, entry, now_us)
@@ -216,7 +220,7 @@ class Gateway:
             self._on_work(header.segment, body, now_us)
         return ()
 
-    def _on_summary(self, header: Header, summary: Summary, now_us: int) -> None:
+    def _on_summary(self, header: BackboneHeader, summary: Summary, now_us: int) -> None:
         self.reach.on_summary(header, summary, now_us)
         term = summary.heard.get(self.segment, 0)
         if self.candidacy.number is not None and term > self.candidacy.term:
@@ -312,10 +316,10 @@ class Gateway:
         if self.border.has_entries and now_us >= self._flush_at_us:
             self._flush_at_us = now_us + FLUSH_US
             for neighbour, entries in self.border.outgoing():
-                effects += self._publish(Kind.WORK, entries, neighbour)
+                effects += self._publish(BackboneKind.WORK, entries, neighbour)
         if now_us >= self._summary_at_us:
             self._summary_at_us = now_us + SUMMARY_US
-            effects += self._publish(Kind.SUMMARY, self.summary(now_us))
+            effects += self._publish(BackboneKind.SUMMARY, self.summary(now_us))
         if now_us >= self._rotate_at_us:
             self._rotate_at_us = now_us + ROTATION_US
             if self._limit.take(FRAME_US, now_us):
@@ -324,7 +328,7 @@ class Gateway:
             near, far = self.chart.on_tick(self._limit, now_us)
             self._map_at_us = now_us + MAP_STEP_US
             effects += [self._send(message) for message in near]
-            effects += self._publish(Kind.MAP, tuple(far)) if far else []
+            effects += self._publish(BackboneKind.MAP, tuple(far)) if far else []
         if self.border.has_frames:
             if self._limit.take(FRAME_US, now_us):
                 effects.append(self._send(self.border.next_frame()))
@@ -368,15 +372,17 @@ class Gateway:
         stops = [stop._replace(told=True) for stop in self.stops.stops.values()]
         halves = [half for both in self.stops.resets.values() for half in both.values()]
         for at in range(0, len(stops), STOPS_PER_MESSAGE):
-            effects += self._publish(Kind.STOPS, tuple(stops[at : at + STOPS_PER_MESSAGE]))
+            effects += self._publish(BackboneKind.STOPS, tuple(stops[at : at + STOPS_PER_MESSAGE]))
         for at in range(0, len(halves), STOPS_PER_MESSAGE):
-            effects += self._publish(Kind.RESETS, tuple(halves[at : at + STOPS_PER_MESSAGE]))
+            effects += self._publish(
+                BackboneKind.RESETS, tuple(halves[at : at + STOPS_PER_MESSAGE])
+            )
         return effects
 
-    def _publish(self, kind: Kind, body: Body, target: int = 0) -> list[Out]:
+    def _publish(self, kind: BackboneKind, body: Body, target: int = 0) -> list[Out]:
         self._sequence = self._sequence + 1 & 0xFFFF_FFFF
         number = self.candidacy.number
-        header = Header(
+        header = BackboneHeader(
             kind, self.segment, self.candidacy.term, 0 if number is None else number, self.boot,
             self._sequence,
         )  # fmt: skip

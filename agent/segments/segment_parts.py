@@ -10,7 +10,7 @@ from agent.interface.identity import SilencePolicy
 from agent.peer.part import Senders
 from agent.peer.peer import Peer, Segments
 from agent.peer.peer_parts import PeerParts
-from agent.peer.routing import Route, Routes
+from agent.peer.routing import MessageRoute, Routes
 from agent.segments.fleet_stops import FleetStops
 from agent.segments.remote_segments import RemoteSegments
 from agent.segments.segment_area import Area
@@ -27,10 +27,10 @@ from protocol.frames.work_frames import (
 )
 
 SEGMENT_ROUTES: Routes = {
-    FleetStop: Route(FleetStops, Senders.URGENT),
-    FleetReset: Route(FleetStops, Senders.ANYONE),
-    GatewayBeat: Route(RemoteSegments, Senders.GATEWAY),
-    SegmentSummary: Route(RemoteSegments, Senders.GATEWAY),
+    FleetStop: MessageRoute(FleetStops, Senders.URGENT),
+    FleetReset: MessageRoute(FleetStops, Senders.ANYONE),
+    GatewayBeat: MessageRoute(RemoteSegments, Senders.GATEWAY),
+    SegmentSummary: MessageRoute(RemoteSegments, Senders.GATEWAY),
 }
 # What a gateway brings from other segments, as if one of its robots were a member here.
 CARRIED = frozenset((

@@ -8,7 +8,7 @@ from collections import Counter
 from dataclasses import dataclass, field
 
 from agent.interface.config import S
-from protocol.backbone_messages import Header, Kind, Summary
+from protocol.backbone_messages import BackboneHeader, BackboneKind, Summary
 
 GONE_US = 2 * S  # four summaries are missing
 SEGMENTS_MAX = 4096  # segments kept, a few hundred bytes each; larger fleets are not supported
@@ -34,14 +34,14 @@ class SegmentReachability:
         self.counts: Counter[str] = Counter()
         self.ever = False
 
-    def accepts(self, header: Header, now_us: int) -> bool:
+    def accepts(self, header: BackboneHeader, now_us: int) -> bool:
         """Whether to read a message: no echo, no duplicate, and not from a gateway that has been
         replaced.
         """
         if header.segment == self.segment:
             self.counts["echo"] += 1
             return False
-        if header.kind in (Kind.STOPS, Kind.RESETS):
+        if header.kind in (BackboneKind.STOPS, BackboneKind.RESETS):
             return True  # accept them from any gateway: they are idempotent and urgent
         remote = self.remotes.get(header.segment)
         if remote is None:
@@ -60,7 +60,7 @@ class SegmentReachability:
         remote.term = header.term
         return True
 
-    def on_summary(self, header: Header, summary: Summary, now_us: int) -> None:
+    def on_summary(self, header: BackboneHeader, summary: Summary, now_us: int) -> None:
         """Take in the summary of another segment; call it after `accepts`."""
         remote = self.remotes[header.segment]
         kept = summary._replace(heard={}, shared={})  # what grows with the fleet is not kept

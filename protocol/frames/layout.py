@@ -31,7 +31,7 @@ TURNS = 1 << 20
 Choices = tuple[tuple[int, str], ...]  # raw value, name
 
 
-class Field(NamedTuple):
+class FrameField(NamedTuple):
     """One field: `bits` wide, or `repeat` elements of `bits` each. Made by the functions below.
 
     The value of a raw number is `raw * scale + offset`, or `raw / parts`.
@@ -68,22 +68,22 @@ class Field(NamedTuple):
 def integer(
     name: str, bits: int, meaning: str = "", unit: str = "", accepted: Sequence[int] | None = None,
     signal: str = "", subfields: tuple[tuple[str, int, int], ...] = (),
-) -> Field:  # fmt: skip
+) -> FrameField:  # fmt: skip
     """An unsigned number. Other raw values than those in `accepted` make a frame malformed."""
-    return Field(
+    return FrameField(
         name, bits, meaning, unit, accepted=accepted, signal=signal, subfields=subfields
     )  # fmt: skip
 
 
-def flag(name: str, meaning: str = "") -> Field:
+def flag(name: str, meaning: str = "") -> FrameField:
     """One bit, as a bool."""
-    return Field(name, 1, meaning, boolean=True)
+    return FrameField(name, 1, meaning, boolean=True)
 
 
 def choice(
     name: str, bits: int, choices: type[IntEnum] | Choices, meaning: str = "",
     strict: bool = True, signal: str = "", as_enum: bool = False,
-) -> Field:  # fmt: skip
+) -> FrameField:  # fmt: skip
     """A number whose values have names. With `strict`, any other value makes a frame malformed."""
     enumeration = choices if as_enum and isinstance(choices, type) else None
     if isinstance(choices, type):
@@ -93,7 +93,7 @@ def choice(
         accepted: Sequence[int] = range(len(values))
     else:
         accepted = values
-    return Field(
+    return FrameField(
         name, bits, meaning, choices=choices, accepted=accepted if strict else None,
         enumeration=enumeration, signal=signal,
     )  # fmt: skip
@@ -102,38 +102,38 @@ def choice(
 def scaled(
     name: str, bits: int, scale: float, unit: str, meaning: str = "", offset: float = 0,
     cyclic: bool = False, clamped: bool = False, unavailable: bool = False,
-) -> Field:  # fmt: skip
+) -> FrameField:  # fmt: skip
     """A measure in steps of `scale` from `offset`, rounded to the nearest step, ties upwards.
 
     `scale` and `offset` are numbers of `unit`, which may be empty for a dimensionless measure.
     """
-    return Field(
+    return FrameField(
         name, bits, meaning, unit, scale=scale, offset=offset, cyclic=cyclic, clamped=clamped,
         unavailable=unavailable,
     )  # fmt: skip
 
 
-def share(name: str, bits: int, parts: int, meaning: str = "") -> Field:
+def share(name: str, bits: int, parts: int, meaning: str = "") -> FrameField:
     """A number from 0.0 to 1.0 in steps of 1 / `parts`, rounded as `round` does; more is malformed."""
-    return Field(
+    return FrameField(
         name, bits, meaning, parts=parts, scale=1 / parts, clamped=True, accepted=range(parts + 1)
     )
 
 
-def integers(name: str, bits: int, count: int, meaning: str = "") -> Field:
+def integers(name: str, bits: int, count: int, meaning: str = "") -> FrameField:
     """A tuple of `count` unsigned numbers of `bits` each."""
-    return Field(name, bits, meaning, repeat=count)
+    return FrameField(name, bits, meaning, repeat=count)
 
 
-def octets(name: str, count: int, meaning: str = "") -> Field:
+def octets(name: str, count: int, meaning: str = "") -> FrameField:
     """`count` bytes; fewer are filled up with 0xFF when encoding."""
-    return Field(name, 8, meaning, repeat=count, octets=True)
+    return FrameField(name, 8, meaning, repeat=count, octets=True)
 
 
-def reserved(bits: int, ones: bool = False, checked: bool = False) -> Field:
+def reserved(bits: int, ones: bool = False, checked: bool = False) -> FrameField:
     """Bits without a meaning, sent as 0 or, as J1939 requires, as 1. Ignored unless `checked`."""
     value = (1 << bits) - 1 if ones else 0
-    return Field("", bits, reserved=value, accepted=(value,) if checked else None)
+    return FrameField("", bits, reserved=value, accepted=(value,) if checked else None)
 
 
 class Signal(NamedTuple):
@@ -162,7 +162,7 @@ class FrameLayout(Generic[M]):
 
     def __init__(
         self, kind: type[M], name: str, *, pgn: int, priority: int, sender: str,
-        fields: tuple[Field, ...],
+        fields: tuple[FrameField, ...],
     ) -> None:  # fmt: skip
         self.kind = kind
         self.name = name  # as the mission and the standards spell it
@@ -175,7 +175,7 @@ class FrameLayout(Generic[M]):
         assert sorted(names) == sorted(self.kind._fields), f"fields of {name}"
         self.pack, self.unpack = self._pack_first, self._unpack_first
 
-    def placed(self) -> Iterator[tuple[Field, int]]:
+    def placed(self) -> Iterator[tuple[FrameField, int]]:
         """Each field with its lowest bit."""
         starts = accumulate((field.width for field in self.fields), initial=0)
         return zip(self.fields, starts, strict=False)
@@ -229,7 +229,7 @@ class FrameLayout(Generic[M]):
         return self.unpack(data)
 
 
-def _gaps(field: Field, start: int) -> Iterator[Signal]:
+def _gaps(field: FrameField, start: int) -> Iterator[Signal]:
     """The bits of a field that are in none of its subfields: always 0."""
     end = 0
     for _, first, bits in (*field.subfields, ("", field.bits, 0)):
@@ -241,7 +241,7 @@ def _gaps(field: Field, start: int) -> Iterator[Signal]:
 class _Element(NamedTuple):
     """What is packed as one number, or as one `bytes`."""
 
-    field: Field
+    field: FrameField
     raw: str  # the variable that holds its raw value; of reserved bits: the value
     start: int
     bits: int
@@ -275,7 +275,7 @@ class _Word(NamedTuple):
 class _Writer:
     """Writes the source of a codec."""
 
-    def __init__(self, fields: tuple[Field, ...], order: tuple[str, ...]) -> None:
+    def __init__(self, fields: tuple[FrameField, ...], order: tuple[str, ...]) -> None:
         self.order = order  # of the values in the message
         self.fields = fields
         self.elements = list(_elements(fields))
@@ -317,7 +317,7 @@ class _Writer:
             elif field.parts or field.scale != 1:
                 yield from self._steps(field, top)
 
-    def _steps(self, field: Field, top: int) -> Iterator[str]:
+    def _steps(self, field: FrameField, top: int) -> Iterator[str]:
         """Statements that turn a measure into a raw number; `int` rounds down what is positive."""
         name = field.name
         if field.parts:
@@ -401,7 +401,7 @@ class _Writer:
         if wrong:
             yield f"if {' or '.join(wrong)}: raise ValueError('range')"
 
-    def _value(self, field: Field) -> str:
+    def _value(self, field: FrameField) -> str:
         """The expression of what the message has, from raw values."""
         elements = self._of(field)
         raws = [e.raw if field.accepted is not None else self._read(e) for e in elements]
@@ -423,11 +423,11 @@ class _Writer:
             return f"({raw}) * {field.scale!r}{moved}"
         return raw
 
-    def _of(self, field: Field) -> list[_Element]:
+    def _of(self, field: FrameField) -> list[_Element]:
         return [element for element in self.elements if element.field is field]
 
 
-def _outside(raw: str, field: Field) -> str:
+def _outside(raw: str, field: FrameField) -> str:
     """The condition that a raw value is not accepted; empty if every value is."""
     accepted = field.accepted
     if not isinstance(accepted, range):
@@ -438,7 +438,7 @@ def _outside(raw: str, field: Field) -> str:
     return " or ".join(part for part in (below, above) if part)
 
 
-def _elements(fields: tuple[Field, ...]) -> Iterator[_Element]:
+def _elements(fields: tuple[FrameField, ...]) -> Iterator[_Element]:
     start = 0
     for field in fields:
         if field.reserved is not None:

@@ -60,7 +60,7 @@ REPETITION_RATE_REQUEST = FrameLayout(
 )  # fmt: skip
 
 
-class Control(IntEnum):
+class AcknowledgmentControl(IntEnum):
     """The answer of an ACKNOWLEDGMENT."""
 
     ACK = 0
@@ -84,7 +84,7 @@ class Acknowledgment(NamedTuple):
 ACKNOWLEDGMENT = FrameLayout(
     Acknowledgment, "ACKNOWLEDGMENT", pgn=0xE800, priority=6, sender=ANY_DEVICE,
     fields=(
-        choice("control", 8, Control),
+        choice("control", 8, AcknowledgmentControl),
         integer("group_function", 8, "0xFF: none"),
         reserved(16, ones=True),
         integer("address", 8, "of the device that asked"),

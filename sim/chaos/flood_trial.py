@@ -51,7 +51,7 @@ class Flood(NamedTuple):
     longest_for_s: float = 0.0  # the upper limit with which it was drawn
 
 
-class Result(NamedTuple):
+class FloodResult(NamedTuple):
     """What one flood did to a fleet."""
 
     flood: Flood
@@ -101,7 +101,7 @@ class Trial:
         self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
         self.cluster.stops.bound_for_us = beat_of(flood.robots).silence_for_us + REACTION_US
 
-    def run(self) -> Result:
+    def run(self) -> FloodResult:
         """Play the trial to its end."""
         self.cluster.boot_all()
         try:
@@ -109,7 +109,7 @@ class Trial:
         finally:
             self.cluster.end()
 
-    def _story(self) -> Script[Result]:
+    def _story(self) -> Script[FloodResult]:
         flood, world = self.flood, self.cluster.world
         yield from self._until(self._at_work, round(WORK_MAX_S * S))
         yield self.swarm.now_us() + round(WORK_S * S)
@@ -142,7 +142,7 @@ class Trial:
             reset.cancel()
         late = {slot for violation in self.cluster.stops.violations for slot in violation.slots}
         found_us = inf if fleet_us == inf else self._now_us() - begin_at_us
-        return Result(flood, len(late), wire_us / S, found_us / S, moved_m)
+        return FloodResult(flood, len(late), wire_us / S, found_us / S, moved_m)
 
     def _send(self, bus: FieldBus, end_at_us: int) -> Script[None]:
         """Send without pause, or for its share of each period."""

@@ -37,7 +37,7 @@ from protocol.sync.digest_comparison import Divergence
 from protocol.sync.synchronizer import Synchronizer
 from sim.fleet.simulated_disk import LogJournal
 from sim.world.drive_trains import EXPIRES_US
-from sim.world.robot_body import RobotBody
+from sim.world.robot_body import SimulatedBody
 
 
 @dataclass(frozen=True)
@@ -169,7 +169,7 @@ def _straight_on(right: Any) -> Any:
 def _never_expires_body(right: Any) -> Any:
     """The command stays in force for the whole run."""
 
-    def drive(self: RobotBody, command: Drive, now_us: int) -> None:
+    def drive(self: SimulatedBody, command: Drive, now_us: int) -> None:
         right(self, command, now_us)
         self.world.rows[self.index, EXPIRES_US] = float("inf")
 
@@ -333,7 +333,7 @@ MUTANTS: dict[str, Mutant] = {
     "covered-too-soon": Mutant("units that were not worked count", FieldMission, "_passed", _early),
     "avoidance-off": Mutant("nobody avoids anybody", HolonomicMotion, "drive", _straight_on),
     "commands-never-expire": Mutant(
-        "the actuator keeps the last command", RobotBody, "drive", _never_expires_body, "crash"
+        "the actuator keeps the last command", SimulatedBody, "drive", _never_expires_body, "crash"
     ),
     "address-kept": Mutant(
         "a lost address is kept without a claim", AddressClaim, "_move", _keeps_address, "claims"

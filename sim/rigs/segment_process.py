@@ -18,7 +18,7 @@ from random import Random
 from typing import Any
 
 from agent.interface.effects import Drive, Effect
-from agent.peer.inputs import Claim, Finish, Press
+from agent.peer.inputs import ClaimSection, Finish, Press
 from agent.runtime.gc_tuning import freeze_gc
 from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
@@ -92,7 +92,7 @@ class SegmentHost:
                 return {"halts": self.halts}
             case "claim":
                 section = int(order["section"])
-                self.shells[order["slot"]].operate(Claim(section, 3))
+                self.shells[order["slot"]].operate(ClaimSection(section, 3))
                 return {}
             case "finish":
                 section = int(order["section"])

@@ -13,7 +13,7 @@ import can
 
 from agent.interface.effects import Drive, Effect
 from agent.interface.identity import SilencePolicy
-from agent.peer.inputs import Claim, Cover, Finish
+from agent.peer.inputs import ClaimSection, Cover, Finish
 from agent.peer.peer import Peer
 from agent.runtime.gateway_runner import GatewayRunner
 from agent.runtime.peer_factory import MissionParts, identity_of, keyring_of, make_peer
@@ -189,7 +189,7 @@ class SegmentFleet:
     def finish(self, number: int, slot: int, section: int, units: int = 3) -> None:
         """An operation as by a fast robot: claim, start, cover, done."""
         shell = self.shells[number, slot]
-        shell.operate(Claim(section, 3))
+        shell.operate(ClaimSection(section, 3))
 
         def work() -> Script[None]:
             due_at_us = self.swarm.now_us() + 5_000_000

@@ -7,11 +7,11 @@ from collections.abc import Callable
 from random import Random
 
 from agent.segments.gateway import Publish
-from protocol.backbone_messages import Kind
+from protocol.backbone_messages import BackboneKind
 from sim.fleet.event_loop import EventLoop
 
 DELAY_US = (300, 3_000)  # from end to end; Zenoh over one switch takes 0.3 to 1 ms
-URGENT = (Kind.STOPS, Kind.RESETS)
+URGENT = (BackboneKind.STOPS, BackboneKind.RESETS)
 
 
 class SimulatedBackbone:

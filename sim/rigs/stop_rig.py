@@ -27,7 +27,7 @@ BROKEN_US = FRAME_US + ERROR_US  # a frame that is destroyed at its end, and the
 LIMIT_US = 3_000_000
 
 
-class Heard(NamedTuple):
+class PressResult(NamedTuple):
     """One press: when the last robot was commanded to stand, and what the bus did meanwhile."""
 
     last_for_us: int  # from the press; LIMIT_US if some robot never received it
@@ -82,7 +82,7 @@ class StopFleet:
             heappush(self._poses, (self.rng.randrange(self._pose_period_us), slot))
         self.now_us = 0
 
-    def press(self) -> Heard:
+    def press(self) -> PressResult:
         """One press by any robot, at a random moment of the bus."""
         at_us = 2_000 + self.rng.randrange(self._pose_period_us)
         self._run(at_us)
@@ -97,7 +97,7 @@ class StopFleet:
         if len(self.stood_at_us) < len(self.safeties):
             last_for_us = LIMIT_US
         worst = max(self.stood_at_us, key=lambda slot: self.stood_at_us[slot])
-        return Heard(last_for_us, self.wire.errors - errors, *self._misses(worst))
+        return PressResult(last_for_us, self.wire.errors - errors, *self._misses(worst))
 
     def _misses(self, slot: int) -> tuple[int, int]:
         """(copies missed, dry rounds) until this robot received one. Ready copies follow each other

@@ -17,7 +17,7 @@ from agent.interface.config import ACTUATOR_TTL_US, MS
 from agent.interface.effects import Drive
 from agent.interface.ports import Observation
 from sim.world.drive_trains import Chassis
-from sim.world.robot_body import RobotBody
+from sim.world.robot_body import SimulatedBody
 from sim.world.world import World
 
 LOOK_US = 50 * MS
@@ -26,7 +26,7 @@ COVERED = 0.1  # of a cell, the same as a robot's own criterion
 Cell = tuple[int, int]
 
 
-class GridBody(RobotBody):
+class GridBody(SimulatedBody):
     """One robot's position, its command, and the time of the command."""
 
     world: "GridWorld"

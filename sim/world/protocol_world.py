@@ -17,7 +17,7 @@ from agent.interface.ports import NOTHING_SEEN, Neighbour, Observation
 from crdt import Phase
 from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_for_us
 from sim.world.drive_trains import Chassis
-from sim.world.robot_body import RobotBody
+from sim.world.robot_body import SimulatedBody
 from sim.world.world import World
 
 SPEED_M_S = 2.5
@@ -82,7 +82,7 @@ class CommandChecker:
                 return
 
 
-class StationaryBody(RobotBody):
+class StationaryBody(SimulatedBody):
     """A body that never leaves its place and records whether it was commanded to move or to work."""
 
     def __init__(self, parade: "ProtocolWorld", slot: int) -> None:

@@ -46,11 +46,11 @@ class BodyRows(Protocol):
     def ranges(self, index: int) -> tuple[float, ...]:
         """Metres that each ray of the robot in that row sees."""
 
-    def place(self, body: "RobotBody", x_m: float, y_m: float, heading_rad: float) -> None:
+    def place(self, body: "SimulatedBody", x_m: float, y_m: float, heading_rad: float) -> None:
         """Put a body somewhere else, at rest."""
 
 
-class RobotBody:
+class SimulatedBody:
     """The body of one robot: it senses from, and commands, its row of the world's arrays."""
 
     def __init__(

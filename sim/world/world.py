@@ -45,7 +45,7 @@ from sim.world.drive_trains import COLUMNS, STEP_S, STEP_US, TOOL, Chassis, roll
 from sim.world.ground_truth import Contact
 from sim.world.lidar import RANGE, Lidar, scan, scan_all
 from sim.world.pymunk_engine import Physics
-from sim.world.robot_body import RobotBody
+from sim.world.robot_body import SimulatedBody
 from sim.world.step_engine import Engine
 from sim.world.walls import (
     BOX,
@@ -59,7 +59,7 @@ from sim.world.walls import (
     ring_edges,
 )
 
-__all__ = ["STEP_US", "RobotBody", "World"]
+__all__ = ["STEP_US", "SimulatedBody", "World"]
 
 # A run with more has failed long before; `contacts_lost` counts the rest.
 CONTACTS_MAX: Final = 10_000
@@ -97,7 +97,7 @@ class World:
         """`rings`: closed outlines that no robot passes, fences and holes alike, metres."""
         self.now_us = 0
         self.lidar = lidar
-        self.robots: dict[int, RobotBody] = {}
+        self.robots: dict[int, SimulatedBody] = {}
         self.contacts: list[Contact] = []
         self.contacts_lost = 0
         self.guards: list[Guard] = []  # call `guard` when their limits change
@@ -138,7 +138,7 @@ class World:
         for a, b in edges:
             self._physics.add_wall(a, b)
 
-    def body(self, slot: int) -> RobotBody:
+    def body(self, slot: int) -> SimulatedBody:
         """The body of a robot that was added."""
         return self.robots[slot]
 
@@ -149,11 +149,11 @@ class World:
 
     def add_robot(
         self, slot: int, at: XY, radius_m: float, chassis: Chassis, heading_rad: float = 0.0
-    ) -> RobotBody:
+    ) -> SimulatedBody:
         """Put a robot at `at`, metres east and north, at rest. Its slot may not be in the world
         yet."""
         assert slot not in self.robots
-        robot = self.robots[slot] = RobotBody(self, slot, len(self.robots), radius_m, chassis)
+        robot = self.robots[slot] = SimulatedBody(self, slot, len(self.robots), radius_m, chassis)
         key = blake2b(f"{self._seed}/wheels/{slot}".encode(), digest_size=8).digest()
         self._keys = np.append(self._keys, np.frombuffer(key, dtype=np.uint64))
         self.rows = np.vstack((self.rows, row_of(chassis)))
@@ -168,7 +168,7 @@ class World:
         robot.track.add(self.now_us, *at, False)
         return robot
 
-    def place(self, robot: RobotBody, x_m: float, y_m: float, heading_rad: float) -> None:
+    def place(self, robot: SimulatedBody, x_m: float, y_m: float, heading_rad: float) -> None:
         """Place a robot elsewhere: a fault, not a drive."""
         self.motion[robot.index, :3] = x_m, y_m, heading_rad
         self._put = True

@@ -20,12 +20,12 @@ from protocol.transport import (
     SIZE_MAX,
     T2_US,
     Abort,
-    Control,
     OutgoingFrame,
     ReceivedMessage,
     SendingEvent,
     SendingState,
     Transport,
+    TransportControl,
 )
 from tests.state_tables import check_table
 
@@ -137,7 +137,7 @@ def test_loss_ends_in_the_whole_message_or_in_none(seed: int, loss: float) -> No
 @settings(max_examples=200, deadline=None)
 @given(st.lists(st.tuples(
     st.integers(0, 253), st.booleans(), st.booleans(), st.binary(min_size=8, max_size=8),
-    st.sampled_from([*Control, 0, 200]), st.integers(0, 2_000_000)), max_size=80))  # fmt: skip
+    st.sampled_from([*TransportControl, 0, 200]), st.integers(0, 2_000_000)), max_size=80))  # fmt: skip
 def test_made_up_frames_are_counted_and_bounded(
     frames: list[tuple[int, bool, bool, bytes, int, int]],
 ) -> None:
@@ -162,12 +162,12 @@ def test_made_up_frames_are_counted_and_bounded(
 
 def test_a_second_message_from_one_sender_is_refused_and_the_first_arrives() -> None:
     end = Transport()
-    rts = TransportManagement(Control.RTS, bytes((20, 0, 3, 255)), PGN)
+    rts = TransportManagement(TransportControl.RTS, bytes((20, 0, 3, 255)), PGN)
     list(end.on_message(5, 130, rts, 0))
     out, _ = end.on_message(5, 130, rts._replace(pgn=0xEF00), 1)
     (answer,) = out
     assert isinstance(answer.message, TransportManagement)
-    assert (answer.message.control, answer.message.body[0]) == (Control.ABORT, Abort.BUSY)
+    assert (answer.message.control, answer.message.body[0]) == (TransportControl.ABORT, Abort.BUSY)
     for k in (1, 2, 3):
         _, arrived = end.on_message(5, 130, TransportData(k, bytes(7)), 2)
     assert arrived == ReceivedMessage(5, PGN, bytes(20), False)
@@ -176,7 +176,7 @@ def test_a_second_message_from_one_sender_is_refused_and_the_first_arrives() -> 
 def test_a_receiver_that_asks_for_ever_is_given_up() -> None:
     end = Transport()
     end.send(PGN, bytes(20), 5, 0)
-    cts = TransportManagement(Control.CTS, bytes((1, 1, 255, 255)), PGN)
+    cts = TransportManagement(TransportControl.CTS, bytes((1, 1, 255, 255)), PGN)
     for k in range(1000):
         list(end.on_message(5, 130, cts, k * 1000))
         list(end.on_tick(k * 1000))

@@ -31,7 +31,7 @@ LOSS = 0.3
 XY = tuple[float, float]
 
 
-class Result(NamedTuple):
+class CrossingResult(NamedTuple):
     """How one crossing ended, and after how many simulated seconds."""
 
     finished: bool
@@ -80,7 +80,7 @@ LAYOUTS: dict[str, Callable[[int], tuple[str, list[XY], list[XY]]]] = {
 }
 
 
-def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
+def trial(layout: str, loss: float, agrees: bool, seed: int) -> CrossingResult:
     """One crossing with `loss`, a share of all frames from 0 to 1; without `agrees` robots have
     avoidance alone."""
     drawing, starts, goals = LAYOUTS[layout](seed)
@@ -90,7 +90,7 @@ def trial(layout: str, loss: float, agrees: bool, seed: int) -> Result:
         time_limit_s=LIMIT_S if agrees else PLAIN_LIMIT_S,
     )  # fmt: skip
     outcome = NavigationRun(setting).run()
-    return Result(outcome.finished, outcome.contacts, outcome.simulated_s)
+    return CrossingResult(outcome.finished, outcome.contacts, outcome.simulated_s)
 
 
 def figures(quick: bool) -> Iterator[Figure]:
@@ -113,7 +113,9 @@ def figures(quick: bool) -> Iterator[Figure]:
     yield from crowd.figures(quick)
 
 
-def _shares(layout: str, loss: float, ours: list[Result], plain: list[Result]) -> Iterator[Figure]:
+def _shares(
+    layout: str, loss: float, ours: list[CrossingResult], plain: list[CrossingResult]
+) -> Iterator[Figure]:
     name = layout + (f", {loss:.0%} of messages lost" if loss else "")
     good = sum(r.finished and not r.contacts for r in ours) / len(ours)
     done = sum(r.finished and not r.contacts for r in plain)

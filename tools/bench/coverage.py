@@ -39,7 +39,7 @@ BOUND = "distance-aware lower bound"
 SCOPE = "open makespan by the independent judge; unit steps; state shared without delay"
 
 
-class Run(NamedTuple):
+class PlannedRun(NamedTuple):
     """A planned instance with its score and the bound that no plan can beat."""
 
     instance: Instance
@@ -86,9 +86,9 @@ def by_chance(seeds: int) -> list[Instance]:
     return found
 
 
-def run(instance: Instance) -> Run:
+def run(instance: Instance) -> PlannedRun:
     """Plan an instance, and judge the plan."""
-    return Run(instance, judge(work(instance)), lower_bound(instance.walls, instance.starts))
+    return PlannedRun(instance, judge(work(instance)), lower_bound(instance.walls, instance.starts))
 
 
 def _under(name: str, value: float, target: float | None, against: str, scope: str) -> Figure:
@@ -104,7 +104,9 @@ def _under(name: str, value: float, target: float | None, against: str, scope: s
     )
 
 
-def ratios(runs: list[Run], real: list[Run], chance: list[Run]) -> Iterator[Figure]:
+def ratios(
+    runs: list[PlannedRun], real: list[PlannedRun], chance: list[PlannedRun]
+) -> Iterator[Figure]:
     """Makespan over the bound for each run, and means of the kinds of maps."""
     for one in runs:
         target = 1.45 if one.instance.name in NAMED else None
@@ -123,7 +125,7 @@ def ratios(runs: list[Run], real: list[Run], chance: list[Run]) -> Iterator[Figu
         yield _under(f"coverage {name}", fmean(same), None, BOUND, scope)
 
 
-def against_the_mission(runs: list[Run]) -> Iterator[Figure]:
+def against_the_mission(runs: list[PlannedRun]) -> Iterator[Figure]:
     """Makespan against the safe baseline where that ends, and what its stages do by themselves."""
     many, gate, collided, stuck = [], [], 0, 0
     for one in runs:
@@ -153,7 +155,7 @@ def _from_gate(instance: Instance) -> bool:
     return set(instance.starts) == set(gate_starts(instance.walls, len(instance.starts)))
 
 
-def deaths(runs: list[Run], seeds: int) -> Iterator[Figure]:
+def deaths(runs: list[PlannedRun], seeds: int) -> Iterator[Figure]:
     """One robot becomes a wreck at half time: how much later the others end."""
     worst, repeats = 0.0, 0
     for one in runs:
@@ -170,7 +172,7 @@ def deaths(runs: list[Run], seeds: int) -> Iterator[Figure]:
     yield _under("a death at half time", worst, 1.2, "the same run without a death", scope)
 
 
-def joins(runs: list[Run]) -> Iterator[Figure]:
+def joins(runs: list[PlannedRun]) -> Iterator[Figure]:
     """As many again join in a corner at half time: the rest should take half as long."""
     shares = []
     for one in runs:
@@ -184,7 +186,7 @@ def joins(runs: list[Run]) -> Iterator[Figure]:
     yield _under("twice as many robots from half time on", fmean(shares), None, against, scope)
 
 
-def turns(runs: list[Run]) -> Iterator[Figure]:
+def turns(runs: list[PlannedRun]) -> Iterator[Figure]:
     """What planning with a cost of turns gains over planning without, on the published maps."""
     for one in runs:
         if one.instance.name in NAMED:

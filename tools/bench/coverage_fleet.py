@@ -32,7 +32,7 @@ SPLIT_S = 60.0
 ROBOTS = 8
 
 
-class Drive(NamedTuple):
+class FleetRun(NamedTuple):
     """One run of whole peers over an instance."""
 
     instance: Instance
@@ -47,14 +47,14 @@ class Drive(NamedTuple):
 
 def drive(
     instance: Instance, seed: int = 1, faults: Sequence[Fault] = (), loss: float = 0.0
-) -> Drive:
+) -> FleetRun:
     """Let whole peers cover an instance. `loss` is a share of all frames from 0 to 1."""
     cells = int((~instance.walls).sum())
     limit_s = 300.0 + 3.0 * cells * STEP_S / len(instance.starts)
     setting = CoverageSetup.made(
         instance, seed=seed, faults=faults, loss=loss, time_limit_s=limit_s
     )  # fmt: skip
-    return Drive(instance, CoverageRun(setting).run())
+    return FleetRun(instance, CoverageRun(setting).run())
 
 
 def scattered(side: int, robots: int, seed: int) -> Instance:
@@ -82,7 +82,7 @@ def _ratio(name: str, value: float, target: float | None, against: str, scope: s
     return Figure(name, round(value, 3), "ratio", text, holds, against, scope)
 
 
-def on_maps(instances: Sequence[Instance], seed: int, done: list[Drive]) -> Iterator[Figure]:
+def on_maps(instances: Sequence[Instance], seed: int, done: list[FleetRun]) -> Iterator[Figure]:
     """For each map the makespan over the bound and over instant sharing. Drives are appended to
     `done`."""
     ratios = []
@@ -101,7 +101,7 @@ def on_maps(instances: Sequence[Instance], seed: int, done: list[Drive]) -> Iter
         yield _ratio("whole peers on published maps, mean", fmean(ratios), 1.35, BOUND, SCOPE)
 
 
-def on_fields(instances: Sequence[Instance], seed: int, done: list[Drive]) -> Iterator[Figure]:
+def on_fields(instances: Sequence[Instance], seed: int, done: list[FleetRun]) -> Iterator[Figure]:
     """The same as one figure for real fields; none if there are no fields. Drives are appended to
     `done`."""
     if not instances:
@@ -116,7 +116,9 @@ def on_fields(instances: Sequence[Instance], seed: int, done: list[Drive]) -> It
     yield _ratio("whole peers on fields, worst", max(ratios), 1.35, BOUND, scope)
 
 
-def with_trouble(instance: Instance, seed: int, done: list[Drive], quick: bool) -> Iterator[Figure]:
+def with_trouble(
+    instance: Instance, seed: int, done: list[FleetRun], quick: bool
+) -> Iterator[Figure]:
     """A death, a split, joins and a noisy bus (the last two not when quick), on one map."""
     plain = drive(instance, seed)
     half_s = plain.outcome.makespan_s / 2
@@ -172,7 +174,7 @@ def figures(
     quick: bool, seed: int, maps: Sequence[Instance], fields: Sequence[Instance]
 ) -> Iterator[Figure]:
     """`maps`, `fields`: with targets; when quick only the smallest map is driven."""
-    done: list[Drive] = []
+    done: list[FleetRun] = []
     small = sorted(maps, key=lambda instance: instance.walls.size)
     yield from on_maps(small[:1] if quick else small, seed, done)
     if not quick:
@@ -183,7 +185,7 @@ def figures(
     yield from _faults(done)
 
 
-def _faults(done: Sequence[Drive]) -> Iterator[Figure]:
+def _faults(done: Sequence[FleetRun]) -> Iterator[Figure]:
     outcomes = [one.outcome for one in done]
     faults = sum(o.contacts + o.through_walls + o.uncovered for o in outcomes)
     yield Figure(

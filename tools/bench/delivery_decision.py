@@ -36,7 +36,7 @@ SENDER = 249  # of the order
 KNOWN_US = 6_000 * MS  # the fleet has been together for this time
 
 
-class Fleet(NamedTuple):
+class KnownFleet(NamedTuple):
     """What all peers know alike: where each robot is, what it is at, what it means to do."""
 
     house: Warehouse
@@ -45,7 +45,7 @@ class Fleet(NamedTuple):
     allocation: FieldAllocationCRDT
 
 
-def fleet(floor: Floor, costs: CostMatrix, seed: int) -> Fleet:
+def fleet(floor: Floor, costs: CostMatrix, seed: int) -> KnownFleet:
     """50 robots, each at the first of its tasks."""
     rng = Random(f"{seed}/decision")
     house = Warehouse(floor, Carrier(1.0, 5.0))
@@ -60,13 +60,13 @@ def fleet(floor: Floor, costs: CostMatrix, seed: int) -> Fleet:
     for slot, own in enumerate(plan):
         if own:
             allocation.apply(own[0], pack(0, Phase.STARTED, 0, 1, slot))
-    return Fleet(house, plan, starts, allocation)
+    return KnownFleet(house, plan, starts, allocation)
 
 
 class OnePeer:
     """The mission of one of them, as its peer would use it."""
 
-    def __init__(self, of: Fleet, slot: int) -> None:
+    def __init__(self, of: KnownFleet, slot: int) -> None:
         self.fleet, self.slot, self.now_us = of, slot, 0
         self.mission = DeliveryMission(slot, of.house.twin(), of.starts[slot], 1.0, 1.6, 0, slot)
         self.mission.section = of.plan[slot][0] if of.plan[slot] else None

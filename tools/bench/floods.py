@@ -8,7 +8,7 @@ from collections.abc import Iterator
 from os import cpu_count
 from time import process_time
 
-from sim.chaos.flood_trial import RECOVER_US, Flood, Result, Trial, draw
+from sim.chaos.flood_trial import RECOVER_US, Flood, FloodResult, Trial, draw
 from tools.bench.figure import Figure, percentile
 from tools.chaos.campaign import workers
 
@@ -22,7 +22,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     """Robots that moved after the bound of a press in a flood, and how soon wire and fleet recover."""
     count, longest_for_s = (QUICK_TRIALS, QUICK_LONGEST_S) if quick else (TRIALS, LONGEST_S)
     floods = [draw(seed * TRIALS + k, longest_for_s=longest_for_s) for k in range(count)]
-    results: list[Result] = []
+    results: list[FloodResult] = []
     cpu_s = 0.0
     with workers(cpu_count() or 1) as pool:
         for future in [pool.submit(_trial, flood) for flood in floods]:
@@ -40,7 +40,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     )
 
 
-def _summed_up(results: list[Result], scope: str, cpu_s: float) -> Iterator[Figure]:
+def _summed_up(results: list[FloodResult], scope: str, cpu_s: float) -> Iterator[Figure]:
     count, limit_s = len(results), RECOVER_US / 1e6
     presses = sum(len(result.flood.presses) for result in results)
     flood_s = sum(result.flood.for_s for result in results)
@@ -66,12 +66,12 @@ def _summed_up(results: list[Result], scope: str, cpu_s: float) -> Iterator[Figu
     yield Figure("processor time", cpu_s / count, "CPU s a trial", "", None, "", scope)
 
 
-def _trial(flood: Flood) -> tuple[Result, float]:
+def _trial(flood: Flood) -> tuple[FloodResult, float]:
     begun_s = process_time()
     return Trial(flood).run(), process_time() - begun_s
 
 
-def _told(result: Result) -> str:
+def _told(result: FloodResult) -> str:
     again = f"python -m tools.bench.floods {result.flood.seed} {result.flood.longest_for_s:g}"
     return f"{result}\n    again: {again}"
 

@@ -30,7 +30,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.figure import Figure
 from tools.bench.kernels import agent_table as column
-from tools.bench.kernels.orca_fleet import Fleet
+from tools.bench.kernels.orca_fleet import OrcaFleet
 
 SEED = 20
 AGENTS, CIRCLE_M = 250, 200.0
@@ -106,10 +106,10 @@ def unlike(agents: NDArray[np.float32], theirs: Any) -> int:
 def circle(rvo: Any, steps: int) -> Iterator[Figure]:
     """CPU time of all agents crossing a circle, against pyrvo if `rvo` is not None, and whether all
     bits are equal."""
-    Fleet(on_circle(), DT_S).step()  # compiles
+    OrcaFleet(on_circle(), DT_S).step()  # compiles
     agents = on_circle()
     goals = -agents[:, : column.Y + 1].copy()
-    fleet = Fleet(agents, DT_S)
+    fleet = OrcaFleet(agents, DT_S)
     places = [(x, y) for x, y in agents[:, : column.Y + 1].tolist()]
     peer = rvo and simulator(rvo, DT_S, RANGE_M, RADIUS_M, SPEED_M_S, HORIZON_S, places)
     ours_s = theirs_s = 0.0

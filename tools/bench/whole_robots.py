@@ -25,7 +25,7 @@ from sim.world.world import World
 from tools.bench.figure import Figure
 from tools.bench.kernels import agent_table as column
 from tools.bench.kernels.occupancy_fleet import OccupancyFleet
-from tools.bench.kernels.orca_fleet import Fleet
+from tools.bench.kernels.orca_fleet import OrcaFleet
 
 SIDE_M, ROBOTS, RAYS, RANGE_M = 30.0, 100, 36, 4.0
 RADIUS_M, SPEED_M_S, ACCELERATION_M_S2 = 0.3, 1.0, 2.0
@@ -60,7 +60,7 @@ def solid() -> NDArray[np.bool_]:
     return blocked
 
 
-class Result(NamedTuple):
+class RobotsResult(NamedTuple):
     """What came of the robots, and how much faster than real time they were simulated."""
 
     times_real: float
@@ -87,7 +87,7 @@ class Crowd:
         agents[:, column.NEIGHBOURS] = NEIGHBOURS_MAX
         agents[:, column.HORIZON], agents[:, column.WALL_HORIZON] = HORIZON_S, WALL_HORIZON_S
         walls = obstacle_tree([boundary[::-1], *racks()])
-        self.fleet = Fleet(agents, CONTROL_PERIOD_US / S, walls)
+        self.fleet = OrcaFleet(agents, CONTROL_PERIOD_US / S, walls)
         self.trackers: list[PathTracker | None] = [None] * ROBOTS
         self.goals = [self._goal() for _ in range(ROBOTS)]
         self.reached = 0
@@ -150,7 +150,7 @@ class Crowd:
         return any(blocked[int(y / CELL_M), int(x / CELL_M)] for x, y, _, _ in ahead)
 
 
-def race(seed: int, seconds: float) -> Result:
+def race(seed: int, seconds: float) -> RobotsResult:
     """Simulate so many seconds of a hundred robots on one core."""
     crowd = Crowd(seed)
     for _ in range(20):  # compiles, and fills the first maps
@@ -161,7 +161,7 @@ def race(seed: int, seconds: float) -> Result:
         crowd.tick()
     spent_s = process_time() - start_s
     world = crowd.world
-    return Result(seconds / spent_s, len(world.contacts), crowd.reached, world.closest_m)
+    return RobotsResult(seconds / spent_s, len(world.contacts), crowd.reached, world.closest_m)
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:

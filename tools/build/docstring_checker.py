@@ -137,7 +137,7 @@ class Alias(NamedTuple):
     words: str  # its comment
 
 
-class Source:
+class ParsedFile:
     """One parsed file: its comments, its type aliases, its classes, and where its names come from."""
 
     def __init__(self, path: Path) -> None:
@@ -185,15 +185,15 @@ class Source:
 
 
 @cache
-def source_of(module: str) -> Source | None:
+def source_of(module: str) -> ParsedFile | None:
     """The parsed module of a dotted name; None where it is not one of the project's own."""
     path = ROOT / (module.replace(".", "/") + ".py")
     if not path.exists():
         path = ROOT / module.replace(".", "/") / "__init__.py"
-    return Source(path) if path.exists() else None
+    return ParsedFile(path) if path.exists() else None
 
 
-class Kind(NamedTuple):
+class AnnotationKind(NamedTuple):
     """What an annotation is made of."""
 
     array: bool
@@ -202,11 +202,13 @@ class Kind(NamedTuple):
     words: str  # comments of aliases, and texts in the annotation: the help of an option
 
 
-def kind_of(source: Source, annotation: ast.expr | None) -> Kind:
+def kind_of(source: ParsedFile, annotation: ast.expr | None) -> AnnotationKind:
     """Looks through aliases, unions and containers. A `Callable` or a `type` holds no value."""
     array = real = whole = False
     words = []
-    stack: list[tuple[Source, ast.expr, bool]] = [(source, annotation, True)] if annotation else []
+    stack: list[tuple[ParsedFile, ast.expr, bool]] = (
+        [(source, annotation, True)] if annotation else []
+    )
     while stack:
         here, node, bare = stack.pop()
         if isinstance(node, ast.Constant):
@@ -239,10 +241,10 @@ def kind_of(source: Source, annotation: ast.expr | None) -> Kind:
             elif name not in ("Callable", "type", "Literal"):
                 inner = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
                 stack += [(here, part, False) for part in inner]
-    return Kind(array, real, whole, " ".join(words))
+    return AnnotationKind(array, real, whole, " ".join(words))
 
 
-def _alias(source: Source, name: str) -> tuple[Source, Alias] | None:
+def _alias(source: ParsedFile, name: str) -> tuple[ParsedFile, Alias] | None:
     if name in source.aliases:
         return source, source.aliases[name]
     module, original = source.imported.get(name, ("", ""))
@@ -282,7 +284,7 @@ def _paragraphs(text: str) -> list[str]:
     return [paragraph.strip() for paragraph in re.split(r"\n\s*\n", text)]
 
 
-def _module_describes(source: Source, name: str) -> bool:
+def _module_describes(source: ParsedFile, name: str) -> bool:
     """Whether the docstring of the module has a paragraph with `name` in backticks and a shape."""
     return any(
         f"`{name}`" in paragraph or f"`{name}[" in paragraph
@@ -291,7 +293,7 @@ def _module_describes(source: Source, name: str) -> bool:
     )
 
 
-def _states_units(source: Source) -> bool:
+def _states_units(source: ParsedFile) -> bool:
     return any(text.startswith("Units:") for text in _paragraphs(source.words))
 
 
@@ -299,10 +301,12 @@ class Parameter(NamedTuple):
     """A parameter, or the result, whose name is empty."""
 
     name: str
-    kind: Kind
+    kind: AnnotationKind
 
 
-def parameters(source: Source, function: ast.FunctionDef | ast.AsyncFunctionDef) -> list[Parameter]:
+def parameters(
+    source: ParsedFile, function: ast.FunctionDef | ast.AsyncFunctionDef
+) -> list[Parameter]:
     """All but self and cls. One without a type is an array if the function subscripts it."""
     arguments = function.args
     given = [*arguments.posonlyargs, *arguments.args, *arguments.kwonlyargs]
@@ -318,7 +322,7 @@ def parameters(source: Source, function: ast.FunctionDef | ast.AsyncFunctionDef)
             continue
         if argument.annotation is None and kernel:
             array = argument.arg in subscripted
-            kind = Kind(array, False, not array, "")
+            kind = AnnotationKind(array, False, not array, "")
         else:
             kind = kind_of(source, argument.annotation)
         found.append(Parameter(argument.arg, kind))
@@ -345,7 +349,7 @@ def _raised(function: ast.AST) -> Iterator[str]:
 
 
 def judge(
-    source: Source,
+    source: ParsedFile,
     function: ast.FunctionDef | ast.AsyncFunctionDef,
     name: str,
     around: str = "",
@@ -384,7 +388,7 @@ def judge(
     return reasons
 
 
-def _shapes(source: Source, values: list[Parameter], text: str) -> Iterator[str]:
+def _shapes(source: ParsedFile, values: list[Parameter], text: str) -> Iterator[str]:
     arrays = [value for value in values if value.kind.array]
     for name, kind in arrays:
         if SHAPE.search(kind.words) or (name and _module_describes(source, name)):
@@ -394,7 +398,7 @@ def _shapes(source: Source, values: list[Parameter], text: str) -> Iterator[str]
         yield f"shape: of {name or 'the result'}"
 
 
-def _units(source: Source, given: list[Parameter], text: str) -> Iterator[str]:
+def _units(source: ParsedFile, given: list[Parameter], text: str) -> Iterator[str]:
     for name, kind in given:
         if kind.real and not _has_unit(name):
             if not UNIT.search(f"{text} {kind.words}") and not _states_units(source):
@@ -405,10 +409,10 @@ def _units(source: Source, given: list[Parameter], text: str) -> Iterator[str]:
                 yield f"unit: what {name} counts or numbers"
 
 
-def _bases(source: Source, node: ast.ClassDef) -> Iterator[tuple[Source, ast.ClassDef]]:
+def _bases(source: ParsedFile, node: ast.ClassDef) -> Iterator[tuple[ParsedFile, ast.ClassDef]]:
     for base in node.bases:
         name = ast.unparse(base).partition("[")[0]
-        here: Source | None = source
+        here: ParsedFile | None = source
         if name in source.imported:
             module, name = source.imported[name]
             here = source_of(module)
@@ -417,7 +421,7 @@ def _bases(source: Source, node: ast.ClassDef) -> Iterator[tuple[Source, ast.Cla
             yield from _bases(here, here.classes[name])
 
 
-def _inherits_docstring(source: Source, node: ast.ClassDef, name: str) -> bool:
+def _inherits_docstring(source: ParsedFile, node: ast.ClassDef, name: str) -> bool:
     return any(
         isinstance(item, ast.FunctionDef | ast.AsyncFunctionDef)
         and item.name == name
@@ -427,7 +431,7 @@ def _inherits_docstring(source: Source, node: ast.ClassDef, name: str) -> bool:
     )
 
 
-def failures_in(source: Source) -> tuple[int, list[Failure]]:
+def failures_in(source: ParsedFile) -> tuple[int, list[Failure]]:
     """How many docstrings of a file were checked, and those that fail."""
     checked, failures = 0, []
 
@@ -449,7 +453,7 @@ def failures_in(source: Source) -> tuple[int, list[Failure]]:
 
 
 def _judge_class(
-    source: Source,
+    source: ParsedFile,
     node: ast.ClassDef,
     note: Callable[[ast.AST, str, Iterable[str]], None],
 ) -> None:

@@ -132,11 +132,11 @@ def _fleets() -> None:
     from sim.world.world import World
     from tools.bench.kernels.agent_table import AGENT_COLUMNS
     from tools.bench.kernels.occupancy_fleet import OccupancyFleet
-    from tools.bench.kernels.orca_fleet import Fleet
+    from tools.bench.kernels.orca_fleet import OrcaFleet
 
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
     walls = obstacle_tree([ring[::-1]])
-    Fleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
+    OrcaFleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
     OrcaSolver(0.5, 2.0, 1.0, 4.0, 0.05, np.zeros((0, 4)), walls=walls).among_known(
         (5.0, 5.0), (0.0, 0.0), (1.0, 0.0), 0.0
     )
@@ -147,13 +147,13 @@ def _fleets() -> None:
 
 
 def _turns() -> None:
-    from agent.paths.tractor_route import Pose, TurnRoute
+    from agent.paths.tractor_route import TurnRoute, VehiclePose
 
     blocked = np.zeros((80, 80), dtype=bool)
     blocked[:4] = True
     route = TurnRoute(blocked, 0.0, 0.0, 0.25, 1.8)
-    route.way(Pose(3.0, 3.0, 0.0), Pose(9.0, 9.0, 1.0))
-    route.way(Pose(9.0, 1.2, -1.57), Pose(9.0, 1.2, 1.57))
+    route.way(VehiclePose(3.0, 3.0, 0.0), VehiclePose(9.0, 9.0, 1.0))
+    route.way(VehiclePose(9.0, 1.2, -1.57), VehiclePose(9.0, 1.2, 1.57))
 
 
 # Longest first: two processes then end at about the same time.

@@ -19,7 +19,7 @@ from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
-from protocol.backbone_messages import Kind
+from protocol.backbone_messages import BackboneKind
 from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
@@ -43,19 +43,19 @@ class ZenohBackbone:
         self.sent += 1
         target = f"/{message.target}" if message.target else ""
         key = f"headland/{self.fleet}/{self.segment}/{message.kind.name.lower()}{target}"
-        self.link.put(key, message.data, message.kind in (Kind.STOPS, Kind.RESETS))
+        self.link.put(key, message.data, message.kind in (BackboneKind.STOPS, BackboneKind.RESETS))
 
     def subscribe(self, callback: Callable[[bytes], None]) -> None:
         """Call `callback` with each message that is meant for all segments, or for this one."""
 
-        def key(kind: Kind) -> str:
+        def key(kind: BackboneKind) -> str:
             return f"headland/{self.fleet}/*/{kind.name.lower()}"
 
-        for kind in (Kind.STOPS, Kind.RESETS):
+        for kind in (BackboneKind.STOPS, BackboneKind.RESETS):
             self.link.subscribe(key(kind), callback, keep=True)
-        for kind in (Kind.SUMMARY, Kind.MAP):
+        for kind in (BackboneKind.SUMMARY, BackboneKind.MAP):
             self.link.subscribe(key(kind), callback)
-        self.link.subscribe(f"{key(Kind.WORK)}/{self.segment}", callback)
+        self.link.subscribe(f"{key(BackboneKind.WORK)}/{self.segment}", callback)
 
     def close(self) -> None:
         """Leave the backbone: nothing is sent or received any more."""

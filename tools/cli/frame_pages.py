@@ -3,7 +3,7 @@
 from inspect import getdoc
 from typing import Any
 
-from protocol.frames.layout import Field, FrameLayout
+from protocol.frames.layout import FrameField, FrameLayout
 from protocol.frames.messages import GROUPS
 
 LARGE = 1 << 16  # a number from here on is written as a power of two
@@ -43,7 +43,7 @@ def _sender(group: FrameLayout[Any]) -> str:
     return f"{group.sender}s" if group.sender else "any device"
 
 
-def _row(field: Field, start: int) -> str:
+def _row(field: FrameField, start: int) -> str:
     """A field's row in the table of its frame."""
     end = start + field.width - 1
     bits = f"{start}" if start == end else f"{start} to {end}"
@@ -54,7 +54,7 @@ def _row(field: Field, start: int) -> str:
     return f"| {bits} | {field.name} | {_values(field)} | {meaning} |"
 
 
-def _values(field: Field) -> str:
+def _values(field: FrameField) -> str:
     """The values of a field, in words."""
     if field.choices:
         listed = ", ".join(f"{raw} {name}" for raw, name in field.choices)

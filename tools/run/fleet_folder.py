@@ -32,7 +32,7 @@ LOGS = (*WRITTEN, "robot*.log", "bus.json", "places.toml")
 FLEET_BYTES_MAX = 64 * 1024
 
 
-class Fleet(NamedTuple):
+class FleetFolder(NamedTuple):
     """A folder that this launch holds alone, with what earlier launches of the fleet left."""
 
     folder: Path
@@ -53,7 +53,7 @@ def identity_of(setting: AnySetting) -> str:
     return blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> Fleet:
+def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> FleetFolder:
     """Where this fleet is launched. Raises FolderError and OSError."""
     identity = identity_of(setting)
     locks: list[IO[str]] = []
@@ -88,10 +88,10 @@ def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> Fleet:
         for lock in locks:
             lock.close()
         raise
-    return Fleet(folder, launches, going_on, said, tuple(locks))
+    return FleetFolder(folder, launches, going_on, said, tuple(locks))
 
 
-def end_fleet(fleet: Fleet, setting: AnySetting) -> None:
+def end_fleet(fleet: FleetFolder, setting: AnySetting) -> None:
     """Its work is done and no robot is latched, so the next launch is a new fleet."""
     _write(fleet.folder, identity_of(setting), over=True)
 

@@ -35,7 +35,7 @@ from tools.common.process_identity import identity
 from tools.common.run_recorder import RunRecorder
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.language.places import Places
-from tools.run.fleet_folder import TRUTH, Fleet, end_fleet
+from tools.run.fleet_folder import TRUTH, FleetFolder, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.run.launch_setup import AnySetting, robot_document
 
@@ -63,7 +63,7 @@ class Launch:
     endless = False  # whether it goes on when all is done, because more may come
 
     def __init__(
-        self, setting: AnySetting, name: str, fleet: Fleet, console: Console, keys: Path | None,
+        self, setting: AnySetting, name: str, fleet: FleetFolder, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
         self.operator_key: str | None = (

@@ -14,7 +14,7 @@ from agent.coverage.plan_agreement import (
     FleetSnapshot,
 )
 from agent.interface.config import MS, S
-from agent.mapf.agreement_phase import Phase
+from agent.mapf.agreement_phase import AgreementPhase
 from crdt import Progress
 from protocol.frames.agreement_frames import ACCORD, AgreementKind, AgreementMessage, AgreementReply
 from tests.state_tables import check_table
@@ -63,7 +63,7 @@ class Table:
 def test_all_go_by_one_plan(loss: float) -> None:
     table = Table(5, 3, loss)
     table.run(8 * S)
-    assert all(r.phase is Phase.GO for r in table.rounds.values())
+    assert all(r.phase is AgreementPhase.GO for r in table.rounds.values())
     assert len(table.plans(*range(5))) == 1
 
 
@@ -151,7 +151,7 @@ def test_words_out_of_range_do_nothing(say: AgreementKind) -> None:
 
 
 def test_every_phase_and_event() -> None:
-    free, gather, agree, go = Phase
+    free, gather, agree, go = AgreementPhase
     begun, gathered, changed, agreed = CoveragePlanEvent
     check_table(COVERAGE_PLAN_TABLE, free, {
         (free, begun, gather), (agree, begun, gather), (go, begun, gather),

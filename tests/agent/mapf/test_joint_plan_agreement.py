@@ -3,7 +3,7 @@
 from random import Random
 
 from agent.interface.config import MS, S
-from agent.mapf.agreement_phase import Phase
+from agent.mapf.agreement_phase import AgreementPhase
 from agent.mapf.joint_plan_agreement import JOINT_PLAN_TABLE, JointPlanAgreement, JointPlanEvent
 from agent.mapping.building import Floor
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
@@ -55,7 +55,7 @@ class Fleet:
     def _move(self, slot: int) -> None:
         own = self.agreements[slot]
         if (
-            own.phase is Phase.GO
+            own.phase is AgreementPhase.GO
             and self.now_us % S == slot * BEAT_US
             and own.permitted > own.index
         ):
@@ -87,7 +87,7 @@ def test_two_that_call_at_once_have_called_one_round() -> None:
         own.call(0)
     fleet.run(1.0)
     assert [own.round for own in fleet.agreements] == [1, 1]
-    assert [own.phase for own in fleet.agreements] == [Phase.GO] * 2
+    assert [own.phase for own in fleet.agreements] == [AgreementPhase.GO] * 2
     assert fleet.agreements[0].plan == fleet.agreements[1].plan
 
 
@@ -110,7 +110,7 @@ def test_who_refuses_is_an_obstacle() -> None:
     assert fleet.at == [(3.5, 0.5), (2.5, 0.5)]
     route = fleet.agreements[0].route
     assert FLOOR.lattice.nearest((2.5, 0.5)) not in route, "round it, not over it"
-    assert fleet.agreements[0].phase is Phase.FREE
+    assert fleet.agreements[0].phase is AgreementPhase.FREE
 
 
 def test_where_a_refusal_leaves_no_way_nobody_moves_and_the_round_ends() -> None:
@@ -119,7 +119,7 @@ def test_where_a_refusal_leaves_no_way_nobody_moves_and_the_round_ends() -> None
     fleet.agreements[0].call(0)
     fleet.run(5.0)
     assert fleet.at[1] == (8.5, 2.5)
-    assert all(own.phase is Phase.FREE for own in fleet.agreements)
+    assert all(own.phase is AgreementPhase.FREE for own in fleet.agreements)
 
 
 def test_a_round_does_not_wait_for_the_dead() -> None:
@@ -140,7 +140,7 @@ def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
     own.on_message(1, AgreementMessage(2, AgreementKind.PLACE, 0, 60_000, 60_000, 0), 0)
     assert 1 not in own._places
     own.on_message(1, AgreementMessage(3, AgreementKind.AT, 0, 9, 0, 0), 0)
-    assert own.round == 3 and own.phase is Phase.GATHER
+    assert own.round == 3 and own.phase is AgreementPhase.GATHER
 
 
 def test_who_learns_late_where_a_body_stands_plans_anew_in_the_same_round() -> None:
@@ -149,7 +149,7 @@ def test_who_learns_late_where_a_body_stands_plans_anew_in_the_same_round() -> N
     fleet.dead, fleet.unaware = {2}, {1}
     fleet.agreements[0].call(0)
     fleet.run(2.0)
-    assert {own.phase for own in fleet.agreements[:2]} == {Phase.AGREE}
+    assert {own.phase for own in fleet.agreements[:2]} == {AgreementPhase.AGREE}
     fleet.unaware = set()
     fleet.run(20.0)
     assert [own.round for own in fleet.agreements[:2]] == [1, 1]
@@ -183,7 +183,7 @@ def test_nobody_is_sent_to_a_node_that_is_nearer_to_a_body_than_avoidance_lets_i
 
 
 def test_every_phase_and_event() -> None:
-    free, gather, agree, go = Phase
+    free, gather, agree, go = AgreementPhase
     begun, gathered, agreed, arrived, withdrawn = JointPlanEvent
     check_table(JOINT_PLAN_TABLE, free, {
         (free, begun, gather), (agree, begun, gather), (go, begun, gather),

@@ -10,7 +10,7 @@ from shapely.geometry import box
 from agent.interface.effects import Drive
 from agent.interface.vehicle import DriveTrain
 from agent.motion.tractor_tracker import SteeringLimits, TractorTracker, smooth_way
-from agent.paths.tractor_route import Piece, Pose, sampled
+from agent.paths.tractor_route import Piece, VehiclePose, sampled
 from sim.world.drive_trains import TRACTOR, Chassis
 from sim.world.world import World
 
@@ -21,7 +21,7 @@ PIVOT = Chassis(kind=DriveTrain.DIFFERENTIAL)
 
 
 def follow(
-    way: NDArray[np.float64], start: Pose, chassis: Chassis = TRACTOR, seed: int = 1
+    way: NDArray[np.float64], start: VehiclePose, chassis: Chassis = TRACTOR, seed: int = 1
 ) -> NDArray[np.float64]:
     """(n, 2) along, off the way at each control period until it arrives."""
     limits = LIMITS if chassis.kind is DriveTrain.ACKERMANN else PIVOT_LIMITS
@@ -45,8 +45,8 @@ def follow(
 @pytest.mark.parametrize("chassis", [TRACTOR, PIVOT], ids=["ackermann", "differential"])
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_half_a_metre_off_is_closed_without_swinging(chassis: Chassis, seed: int) -> None:
-    way = sampled(Pose(0.0, 0.0, 0.0), [Piece(0.0, 40.0)])
-    rows = follow(way, Pose(0.0, 0.5, 0.0), chassis, seed)
+    way = sampled(VehiclePose(0.0, 0.0, 0.0), [Piece(0.0, 40.0)])
+    rows = follow(way, VehiclePose(0.0, 0.5, 0.0), chassis, seed)
     assert np.abs(rows[rows[:, 0] > 10.0, 1]).max() < 0.04
     assert rows[:, 1].min() > -0.1, "it hardly overshoots"
 
@@ -54,8 +54,10 @@ def test_half_a_metre_off_is_closed_without_swinging(chassis: Chassis, seed: int
 @pytest.mark.parametrize("chassis", [TRACTOR, PIVOT], ids=["ackermann", "differential"])
 def test_a_row_end_turn_leads_onto_the_line(chassis: Chassis) -> None:
     quarter = Piece(BEND, pi / 2 / BEND)
-    way = sampled(Pose(0, 0, 0), [Piece(0, 10), quarter, Piece(0, 0.4), quarter, Piece(0, 12)])
-    rows = follow(way, Pose(0.0, 0.0, 0.0), chassis)
+    way = sampled(
+        VehiclePose(0, 0, 0), [Piece(0, 10), quarter, Piece(0, 0.4), quarter, Piece(0, 12)]
+    )
+    rows = follow(way, VehiclePose(0.0, 0.0, 0.0), chassis)
     end_m = rows[-1, 0]
     assert np.abs(rows[:, 1]).max() < 0.15
     assert np.abs(rows[rows[:, 0] > end_m - 11.0, 1]).max() < 0.08, "a metre after the turn"
@@ -63,7 +65,7 @@ def test_a_row_end_turn_leads_onto_the_line(chassis: Chassis) -> None:
 
 def test_a_three_point_turn() -> None:
     pieces = [Piece(0, 5), Piece(BEND, 2), Piece(-BEND, -2), Piece(BEND, 1), Piece(0, 3)]
-    rows = follow(sampled(Pose(0, 0, 0), pieces), Pose(0.0, 0.0, 0.0))
+    rows = follow(sampled(VehiclePose(0, 0, 0), pieces), VehiclePose(0.0, 0.0, 0.0))
     assert np.abs(rows[:, 1]).max() < 0.2 and abs(rows[-1, 1]) < 0.05
 
 
@@ -72,7 +74,7 @@ def test_a_ring_round_a_hole_within_the_tolerance(clockwise: bool) -> None:
     """Two metres round its corners, nearly the tightest it can do, at the tolerance of the work."""
     ring = list(box(-3, -4, 6, 4).buffer(2.0).exterior.coords)
     way = smooth_way(ring if clockwise else ring[::-1], 0.6)
-    rows = follow(way, Pose(*way[0, :3]))
+    rows = follow(way, VehiclePose(*way[0, :3]))
     assert np.abs(rows[:, 1]).max() < 0.1
     line = box(-3, -4, 6, 4).buffer(2.0).exterior
     off = [line.distance(point) for point in _points(way)]
@@ -80,7 +82,7 @@ def test_a_ring_round_a_hole_within_the_tolerance(clockwise: bool) -> None:
 
 
 def test_pushed_aside_it_knows() -> None:
-    way = sampled(Pose(0, 0, 0), [Piece(0, 20)])
+    way = sampled(VehiclePose(0, 0, 0), [Piece(0, 20)])
     tracker = TractorTracker(way, LIMITS)
     tracker.locate(3.0, 0.1, 0.0)
     assert not tracker.lost
@@ -91,7 +93,7 @@ def test_pushed_aside_it_knows() -> None:
 
 
 def test_it_slows_for_bends_and_stops_at_a_change_of_direction() -> None:
-    way = sampled(Pose(0, 0, 0), [Piece(0, 10), Piece(BEND, 3), Piece(0, -3)])
+    way = sampled(VehiclePose(0, 0, 0), [Piece(0, 10), Piece(BEND, 3), Piece(0, -3)])
     tracker = TractorTracker(way, LIMITS)
     shift = int(np.flatnonzero(np.diff(way[:, 4]))[0])
     assert tracker.speeds[shift] == 0.0 and tracker.speeds[-1] == 0.0

@@ -6,7 +6,7 @@ import pytest
 
 from agent.interface.mission import FleetView
 from agent.interface.ports import Observation
-from agent.mapf.agreement_phase import Phase
+from agent.mapf.agreement_phase import AgreementPhase
 from agent.mapf.lacam import JointPlan
 from agent.mapping.building import Floor
 from agent.navigation.navigation_mission import FOLLOWED_MAX, NavigationMission
@@ -46,7 +46,7 @@ def test_who_is_driven_over_its_goal_has_been_there(over: bool) -> None:
     goal = lattice.point(route[4]) if over else (13.5, 0.5)
     errands = NavigationMission(0, {0: [goal]}, FLOOR, 1.0, 1.0)
     agreement = errands.agreement
-    agreement.machine.state, agreement.order = Phase.GO, (0,)
+    agreement.machine.state, agreement.order = AgreementPhase.GO, (0,)
     agreement.plan = JointPlan((route,), ((None,) * len(route),))
     agreement.reach(0, 0)
     places_m, speeds_m_s = driven(errands, lattice.point(route[0]))

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.paths.hybrid_a_star import CHECK_M
-from agent.paths.tractor_route import Piece, Pose, TurnRoute, sampled
+from agent.paths.tractor_route import Piece, TurnRoute, VehiclePose, sampled
 
 CELL_M, RADIUS_M = 0.25, 1.8
 WIDTH_M, HEIGHT_M, BORDER_M = 40.0, 30.0, 1.0
@@ -28,7 +28,9 @@ def turns(blocked: NDArray[np.bool_] | None = None) -> TurnRoute:
     return TurnRoute(paddock() if blocked is None else blocked, 0.0, 0.0, CELL_M, RADIUS_M)
 
 
-def check(route: TurnRoute, start: Pose, goal: Pose, pieces: list[Piece] | None) -> NDArray[Any]:
+def check(
+    route: TurnRoute, start: VehiclePose, goal: VehiclePose, pieces: list[Piece] | None
+) -> NDArray[Any]:
     assert pieces
     way = sampled(start, pieces)
     assert hypot(way[-1, 0] - goal.x_m, way[-1, 1] - goal.y_m) < 1e-3
@@ -42,10 +44,10 @@ def check(route: TurnRoute, start: Pose, goal: Pose, pieces: list[Piece] | None)
     return way
 
 
-def poses(margin_m: float) -> st.SearchStrategy[Pose]:
+def poses(margin_m: float) -> st.SearchStrategy[VehiclePose]:
     edge_m = BORDER_M + margin_m
     return st.builds(
-        Pose,
+        VehiclePose,
         st.floats(edge_m, WIDTH_M - edge_m),
         st.floats(edge_m, HEIGHT_M - edge_m),
         st.floats(-pi, pi),
@@ -53,9 +55,10 @@ def poses(margin_m: float) -> st.SearchStrategy[Pose]:
 
 
 @given(poses(0.5), poses(1.2))
-@example(Pose(38.75, 1.5, 1.0), Pose(3.0, 3.0, 0.0))  # a corner in which no long piece is free
+# A corner in which no long piece is free.
+@example(VehiclePose(38.75, 1.5, 1.0), VehiclePose(3.0, 3.0, 0.0))
 @settings(max_examples=25, deadline=None)
-def test_any_pose_leads_to_any_other(start: Pose, goal: Pose) -> None:
+def test_any_pose_leads_to_any_other(start: VehiclePose, goal: VehiclePose) -> None:
     """Nose to the fence, too; the goal has the room that stretches have. Deeper in a corner there are
     poses that a turning circle does not come out of by pieces that are worth driving."""
     route = turns()
@@ -73,7 +76,7 @@ def test_row_ends(apart_m: float, headland_m: float) -> None:
     """From one row into the next: a half circle, a bulb, or back and forth where it is narrow."""
     route = turns()
     east_m = WIDTH_M - BORDER_M - headland_m
-    start, goal = Pose(east_m, 12.0, 0.0), Pose(east_m, 12.0 + apart_m, pi)
+    start, goal = VehiclePose(east_m, 12.0, 0.0), VehiclePose(east_m, 12.0 + apart_m, pi)
     pieces = route.way(start, goal)
     way = check(route, start, goal, pieces)
     if headland_m >= 6.0:
@@ -87,8 +90,8 @@ def test_out_of_a_dead_end_it_backs() -> None:
     row, column = int(10 / CELL_M), int(20 / CELL_M)
     blocked[row : row + 2, column:] = blocked[row + 10 : row + 12, column:] = True
     route = turns(blocked)
-    start = Pose(35.0, 11.5, 0.0)
-    goal = Pose(10.0, 11.5, pi)
+    start = VehiclePose(35.0, 11.5, 0.0)
+    goal = VehiclePose(10.0, 11.5, pi)
     pieces = route.way(start, goal)
     way = check(route, start, goal, pieces)
     assert (way[:, 4] < 0.0).any()
@@ -97,12 +100,12 @@ def test_out_of_a_dead_end_it_backs() -> None:
 def test_no_way_is_said_to_be_none() -> None:
     blocked = paddock()
     blocked[:, 80:82] = True
-    assert turns(blocked).way(Pose(5.0, 15.0, 0.0), Pose(35.0, 15.0, 0.0)) is None
+    assert turns(blocked).way(VehiclePose(5.0, 15.0, 0.0), VehiclePose(35.0, 15.0, 0.0)) is None
 
 
 def test_bodies_are_gone_round() -> None:
     route = turns()
-    start, goal = Pose(5.0, 15.0, 0.0), Pose(35.0, 15.0, 0.0)
+    start, goal = VehiclePose(5.0, 15.0, 0.0), VehiclePose(35.0, 15.0, 0.0)
     way = check(route, start, goal, route.way(start, goal, [(20.0, 15.0)], 2.0))
     assert np.hypot(way[:, 0] - 20.0, way[:, 1] - 15.0).min() > 1.7
     assert len(route.way(start, goal) or []) <= 4, "and are forgotten with the question"

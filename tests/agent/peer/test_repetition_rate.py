@@ -10,7 +10,7 @@ from agent.runtime.peer_factory import make_peer
 from protocol.frames.fleet_frames import HEARTBEAT, Heartbeat
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
-from protocol.frames.network_frames import Acknowledgment, Control
+from protocol.frames.network_frames import Acknowledgment, AcknowledgmentControl
 from protocol.name import fleet_name
 
 ASKS_PGN = 0xCC00  # request for repetition rate, ISO 11783-3
@@ -41,7 +41,7 @@ def _refusals(destination: int, peer: Peer, now_us: int) -> list[Acknowledgment]
 def test_a19_a_request_for_the_standard_heartbeat_is_refused() -> None:
     """On commit 24747e2 there was neither a frame nor a refusal."""
     peer, address, now_us = _joined()
-    refusal = Acknowledgment(Control.NACK, 0xFF, STRANGER, HEARTBEAT_PGN)
+    refusal = Acknowledgment(AcknowledgmentControl.NACK, 0xFF, STRANGER, HEARTBEAT_PGN)
     assert _refusals(address, peer, now_us) == [refusal]
 
 

@@ -11,21 +11,21 @@ from hypothesis import strategies as st
 from crdt.register import Phase
 from protocol.frames.codec import Malformed, decode, encode
 from protocol.frames.frame import Frame
-from protocol.frames.layout import ROBOT, Field, FrameLayout, flag, integer, octets, reserved
+from protocol.frames.layout import ROBOT, FrameField, FrameLayout, flag, integer, octets, reserved
 from protocol.frames.messages import GROUPS, Message
 from protocol.frames.work_frames import PHASES
 
 BY_NAME = pytest.mark.parametrize("layout", GROUPS, ids=lambda layout: layout.name)
 
 
-def accepted(field: Field) -> st.SearchStrategy[int]:
+def accepted(field: FrameField) -> st.SearchStrategy[int]:
     """Raw values of a field, or of one of its elements."""
     if field.accepted is not None:
         return st.sampled_from(field.accepted)
     return st.integers(0, (1 << field.bits) - 1)
 
 
-def value_of(field: Field, raws: list[int]) -> Any:
+def value_of(field: FrameField, raws: list[int]) -> Any:
     if field.octets:
         return bytes(raws)
     if field.repeat:

@@ -18,7 +18,7 @@ from agent.runtime.peer_factory import make_peer
 from agent.runtime.peer_runner import PeerRunner
 from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
-from protocol.frames.network_frames import Acknowledgment, Control
+from protocol.frames.network_frames import Acknowledgment, AcknowledgmentControl
 from protocol.links.bus import CanBus
 from protocol.name import Name, fleet_name
 from sim.can.simulated_bus import FieldBus, forget, segment
@@ -181,6 +181,8 @@ async def test_an_unknown_group_is_refused_to_who_asked_alone() -> None:
         peer = bus.add_peer(0)
         unit = await bus.add_unit(next(names())[0], 200)
         await bus.until(lambda: unit.ready and peer.joining.joined)
-        refusal = encode(Acknowledgment(Control.NACK, 0xFF, 200, 65242), peer.address or 0)
+        refusal = encode(
+            Acknowledgment(AcknowledgmentControl.NACK, 0xFF, 200, 65242), peer.address or 0
+        )
         await asyncio.to_thread(unit.application.send_request, 0, 65242, peer.address)
         await bus.until(lambda: refusal in bus.frames)

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from agent.interface.identity import SilencePolicy
-from agent.peer.inputs import Claim, Heard, ManualReset, Press, Start
+from agent.peer.inputs import ClaimSection, Heard, ManualReset, Press, Start
 from agent.segments.gateway import Publish
 from agent.segments.segment_parts import fleet_stops_of, remote_segments_of
 from crdt.occupancy import Geometry
 from crdt.stops import RemoteStopDot
 from protocol import backbone_messages as backbone
 from protocol.authentication import Keys
-from protocol.backbone_messages import Header, Kind
+from protocol.backbone_messages import BackboneHeader, BackboneKind
 from protocol.fleet_tags import plain_reset
 from protocol.frames.codec import encode
 from protocol.frames.network_frames import AddressClaimed
@@ -175,8 +175,8 @@ def test_only_the_home_decides_about_a_section_at_the_border(fleet: SegmentFleet
     """A robot of segment 1 and one of segment 2 want the same section of 2 at the same moment."""
     lent = 0  # of segment 2, lent to 1
     here = next(s for s, place in fleet.areas[1].borrowed.items() if place == (2, lent))
-    fleet.shells[1, 0].operate(Claim(here, 3))
-    fleet.shells[2, 2].operate(Claim(lent, 3))
+    fleet.shells[1, 0].operate(ClaimSection(here, 3))
+    fleet.shells[2, 2].operate(ClaimSection(lent, 3))
     fleet.run(2 * S)
     guest, host = fleet.peer(1, 0).claims.current, fleet.peer(2, 2).claims.current
     assert (guest is None) != (host is None), f"one of them has it; seed {SEED}"
@@ -189,7 +189,7 @@ def test_a_lent_section_is_not_claimed_by_who_cannot_ask(fleet: SegmentFleet) ->
     here = next(iter(fleet.areas[1].borrowed))
     fleet.backbone.cut({1}, {2, 3})
     assert fleet.run(6 * S, lambda: remote_segments_of(fleet.peer(1, 0)).alone)
-    fleet.shells[1, 0].operate(Claim(here, 3))
+    fleet.shells[1, 0].operate(ClaimSection(here, 3))
     assert fleet.peer(1, 0).allocation.key(here) is None, f"seed {SEED}"
 
 
@@ -209,12 +209,12 @@ def test_a_flood_from_the_backbone_does_not_fill_the_bus(fleet: SegmentFleet) ->
     node = fleet.backbone.attach(9)
     fleet.count_from_here()
     for k in range(2_000):
-        header = Header(Kind.STOPS, 9, 0, 124, 1, k)
+        header = BackboneHeader(BackboneKind.STOPS, 9, 0, 124, 1, k)
         stop = FleetStop(9, k % 100, k >> 8, k & 0xFF)
-        node.publish(Publish(Kind.STOPS, backbone.pack(header, (stop,))))
+        node.publish(Publish(BackboneKind.STOPS, backbone.pack(header, (stop,))))
         entry = backbone.Entry(1, 1, k % 40, 9, 1, bytes(8))
-        work = backbone.pack(Header(Kind.WORK, 9, 0, 124, 1, k), (entry,))
-        node.publish(Publish(Kind.WORK, work))
+        work = backbone.pack(BackboneHeader(BackboneKind.WORK, 9, 0, 124, 1, k), (entry,))
+        node.publish(Publish(BackboneKind.WORK, work))
         fleet.run(2_000)
     shares = [ours for _, ours in fleet.share.values()]
     assert max(shares) <= 0.15, f"{shares}, seed {SEED}"
@@ -226,7 +226,12 @@ def test_tags_hold_from_end_to_end() -> None:
     assert fleet.run(8 * S, lambda: fleet.joined)
     forger = fleet.backbone.attach(9)
     stop = FleetStop(2, 1, 1, 1, tag=0xABCDEF)
-    forger.publish(Publish(Kind.STOPS, backbone.pack(Header(Kind.STOPS, 9, 0, 124, 1, 1), (stop,))))
+    forger.publish(
+        Publish(
+            BackboneKind.STOPS,
+            backbone.pack(BackboneHeader(BackboneKind.STOPS, 9, 0, 124, 1, 1), (stop,)),
+        )
+    )
     fleet.run(200_000)
     assert not fleet.peer(1, 0).safety.latched, "held while it is repeated, never latched"
     assert not fleet.peer(1, 0).safety.may_move
@@ -237,15 +242,15 @@ def test_tags_hold_from_end_to_end() -> None:
     dot = next(iter(fleet.peer(2, 0).safety.far.active))
     for part in (0, 1):
         half = FleetReset(dot.segment, part, *dot[:3], half=0x123456)
-        head = Header(Kind.RESETS, 9, 0, 124, 1, 2 + part)
-        forger.publish(Publish(Kind.RESETS, backbone.pack(head, (half,))))
+        head = BackboneHeader(BackboneKind.RESETS, 9, 0, 124, 1, 2 + part)
+        forger.publish(Publish(BackboneKind.RESETS, backbone.pack(head, (half,))))
     fleet.run(S)
     assert fleet.peer(2, 0).safety.far.latched, "an invented reset clears nothing"
     tags = fleet_stops_of(fleet.peer(1, 0)).tags
     assert tags is not None
     halves = tags.reset(dot)
-    head = Header(Kind.RESETS, 9, 0, 124, 1, 9)
-    forger.publish(Publish(Kind.RESETS, backbone.pack(head, halves)))
+    head = BackboneHeader(BackboneKind.RESETS, 9, 0, 124, 1, 9)
+    forger.publish(Publish(BackboneKind.RESETS, backbone.pack(head, halves)))
     fleet.run(S)
     assert not fleet.peer(2, 0).safety.far.latched, "an operator's does"
     assert not fleet.peer(1, 0).safety.stops.latched, "where it was pressed, too"

@@ -5,7 +5,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tools.bench.kernels import agent_table as column
-from tools.bench.kernels.orca_fleet import Fleet
+from tools.bench.kernels.orca_fleet import OrcaFleet
 
 COUNT = 60
 
@@ -28,9 +28,9 @@ def agents(rng: np.random.Generator, spread: float, step: float) -> column.Agent
 @given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 20.0, 60.0]), st.sampled_from([0.0, 1.0]))
 def test_what_is_kept_changes_nothing(seed: int, spread: float, step: float) -> None:
     rng = np.random.default_rng(seed)
-    fleet = Fleet(agents(rng, spread, step), 0.25)
+    fleet = OrcaFleet(agents(rng, spread, step), 0.25)
     for round_ in range(6):
-        fresh = Fleet(fleet.agents.copy(), 0.25)
+        fresh = OrcaFleet(fleet.agents.copy(), 0.25)
         fresh._order[:] = fleet._order
         fresh.step(move=False)
         fleet.step(move=round_ % 2 == 0)
@@ -43,7 +43,7 @@ def test_what_is_kept_changes_nothing(seed: int, spread: float, step: float) -> 
 
 def test_far_from_everybody() -> None:
     made = agents(np.random.default_rng(1), 4.0, 1.0)
-    fleet = Fleet(made, 0.25)
+    fleet = OrcaFleet(made, 0.25)
     fleet.step()
     made[:, column.X] = np.arange(COUNT) * 100.0
     fleet.step()

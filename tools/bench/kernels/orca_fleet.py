@@ -97,7 +97,7 @@ def fleet_step(agents, order, known, counts, table, root, dt_s, move):  # type: 
             agents[me, Y] += agents[me, VY] * dt_s
 
 
-class Fleet:
+class OrcaFleet:
     """All agents of a simulation, with what is kept from step to step."""
 
     def __init__(self, agents: Agents, dt_s: float, walls: ObstacleTree = NO_WALLS) -> None:
