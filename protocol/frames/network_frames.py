@@ -61,7 +61,7 @@ REPETITION_RATE_REQUEST = FrameLayout(
 
 
 class AcknowledgmentControl(IntEnum):
-    """The answer of an ACKNOWLEDGMENT."""
+    """What a device answers to a request: the control byte of PGN 59392."""
 
     ACK = 0
     NACK = 1
