@@ -6,7 +6,7 @@ and never further from the line than the overlap allows. What was missed is work
 """
 
 from collections.abc import Mapping
-from math import hypot, inf
+from math import copysign, hypot, inf, sqrt
 from typing import Final
 
 from agent.field.displacement_detector import DisplacementDetector
@@ -18,12 +18,20 @@ from agent.field.section_partition import Point
 from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
+from agent.interface.ports import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
 
 ASTRAY_M: Final = 4.0  # further from its line than this swath width, a robot replans its way back
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
+
+SLOW_M_S: Final = 0.05  # below this speed the direction of motion is noise
+ALIGNED_M: Final = 0.05  # a robot that starts this near to its line begins its first unit straight
+# A bar end that begins a unit this much late leaves less than the cells by which work is judged.
+LATE_M: Final = 0.02
+TILT_MIN: Final = 0.1  # sine of a tilt that every field tolerates: control is no more exact
+WAITING_M: Final = 0.1  # this far before its first unit, a robot that drifts sideways waits
 
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
 
@@ -61,7 +69,14 @@ class FieldMission(Mission):
         self.leg = WorkLeg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
+        self.half_m = field.implement_width_m / 2
+        # Sine of the tilt up to which the bar covers the width of its swath without the overlap.
+        reach = 1.0 - field.overlap_m / field.implement_width_m
+        self.tilt_max = max(sqrt(1.0 - reach * reach), TILT_MIN)
+        # How far back on the leg the left and the right end of the lowered bar have been.
+        self.ends_begun_m = inf, inf
         self.lifted = False  # the implement was up since the last check
+        self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector()
         self.headway = Headway()
@@ -240,6 +255,7 @@ class FieldMission(Mission):
                     list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
                 )
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
+                self.ends_begun_m = inf, inf
             self.tracker.locate(here.x_m, here.y_m)
             covered += self._passed(view)
             if not self.tracker.arrived:
@@ -248,13 +264,67 @@ class FieldMission(Mission):
         if self.tracker.gap_m > ASTRAY_M:  # pushed, or giving way to others: another way back
             self._go_astray(view)
             return STILL, covered
-        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
+        vx_m_s, vy_m_s = self._velocity(here)
         # Not sooner: the ground before the leg may be another robot's section.
         on_line = self.tracker.gap_m <= LEAD_M
         tool_on = bool(self.leg.units) and on_line
         return _wish(
             MotionRequest, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
         ), covered
+
+    def _velocity(self, here: Observation) -> Point:
+        """The velocity along the leg, (x, y) metres a second.
+
+        The bar is at right angles to the motion. A robot that drifts sideways waits on its lead-in
+        until both ends of the bar would begin the first unit in time. It does not wait while the
+        bar is up because a body is near.
+        """
+        assert self.tracker is not None
+        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
+        left_m = LEAD_M - self._along_m(here) if self._on_lead_in else 0.0
+        if left_m <= 0.0 or self.up or max(self.ends_begun_m) <= LEAD_M:
+            return vx_m_s, vy_m_s
+        ux, uy = self.tracker.direction
+        forward_m_s, aside_m_s = vx_m_s * ux + vy_m_s * uy, vy_m_s * ux - vx_m_s * uy
+        wait_m = left_m - WAITING_M
+        brake_m_s = copysign(sqrt(2.0 * self.deceleration_m_s2 * abs(wait_m)), wait_m)
+        forward_m_s = min(forward_m_s, brake_m_s)
+        return ux * forward_m_s - uy * aside_m_s, uy * forward_m_s + ux * aside_m_s
+
+    @property
+    def _on_lead_in(self) -> bool:
+        """Whether we are on the first segment of a leg, with units, that is not worked by a
+        steered robot.
+        """
+        tracker = self.tracker
+        return bool(
+            self.turns_on_the_spot and self.leg.units and self.unit == 0
+            and tracker is not None and tracker.piece == 0 and tracker.gap_m <= LEAD_M
+        )  # fmt: skip
+
+    def _along_m(self, here: Observation) -> float:
+        """Arc length on the first segment; negative before it."""
+        assert self.tracker is not None
+        (ax, ay), (ux, uy) = self.tracker.points[0], self.tracker.direction
+        return (here.x_m - ax) * ux + (here.y_m - ay) * uy
+
+    def _observe_bar(self, here: Observation) -> None:
+        """Note how far back on the leg the ends of the lowered bar are."""
+        assert self.tracker is not None
+        speed_m_s, tilt = hypot(here.vx_m_s, here.vy_m_s), 0.0
+        if speed_m_s >= SLOW_M_S:
+            ux, uy = self.tracker.direction
+            tilt = (here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
+            if here.vx_m_s * ux + here.vy_m_s * uy < 0.0:  # backwards: its ends change sides
+                tilt = -tilt
+            if abs(tilt) > self.tilt_max:
+                self.ends_begun_m = inf, inf
+                return
+        elif abs(self.tracker.off_m) > ALIGNED_M:
+            return
+        along_m, ahead_m = self._along_m(here), self.half_m * tilt
+        left_m, right_m = self.ends_begun_m
+        self.ends_begun_m = min(left_m, along_m - ahead_m), min(right_m, along_m + ahead_m)
 
     def _go_astray(self, view: FleetView) -> None:
         """Replan the rest of the work from our current position."""
@@ -267,8 +337,14 @@ class FieldMission(Mission):
         if not self.leg.units:
             return []
         passed = []
+        self.up = self.lifted
         if self.lifted:  # it is lowered here; the part without work may reach into the next unit
             self.lifted, self.lifted_to_m = False, self.tracker.along_m
+            self.ends_begun_m = inf, inf
+            if self.unit == 0 and self.tracker.along_m <= LEAD_M:
+                self.worst_m = 0.0  # the implement was up before the unit only
+        elif self._on_lead_in:
+            self._observe_bar(view.here)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
@@ -289,6 +365,8 @@ class FieldMission(Mission):
         """Whether the implement was down before this place; at a corner, before the turn."""
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
+        if self.unit == 0 and self.turns_on_the_spot:
+            return max(self.ends_begun_m) <= begun_m + LATE_M
         return self.lifted_to_m <= begun_m
 
     def _is_corner(self, at_m: float) -> bool:

@@ -41,12 +41,16 @@ RADII_M = (2.5, 4.5, 7.0)
 
 
 class NearbyRobot(NamedTuple):
-    """A neighbour close by: slot, offset from us in metres (x east, y north), and state."""
+    """A neighbour close by: slot, offset from us in metres (x east, y north), state, and course
+    as a unit vector; (0, 0) if it stands.
+    """
 
     slot: int
     dx_m: float
     dy_m: float
     state: int
+    ux: float = 0.0
+    uy: float = 0.0
 
     @property
     def distance_m(self) -> float:

@@ -13,6 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.avoidance.fence_braking import braking_first
 from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.interface.effects import HALT, Drive
@@ -78,6 +79,9 @@ class HolonomicMotion(MotionController):
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
         fences = np.empty((0, 4)) if fences is None else fences
+        self.fences = np.asarray(fences, dtype=np.float64).reshape(-1, 4)
+        # A larger change of velocity takes the body more than two control periods.
+        self.sudden_m_s = 2 * limits.acceleration_m_s2 * CONTROL_PERIOD_US / S
         self.avoidance = OrcaSolver(
             limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
             horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
@@ -140,7 +144,7 @@ class HolonomicMotion(MotionController):
             rows = self._look(here, rows)
         if self.sensing:
             bodies = [(here.x_m + o.dx_m, here.y_m + o.dy_m, self.limits.radius_m) for o in others]
-            seen = fences_of(here, bodies)
+            self.fences = seen = fences_of(here, bodies)
             self.avoidance.fence(seen)
             if self.giving_way is not None:
                 self.giving_way.fences = seen
@@ -150,11 +154,16 @@ class HolonomicMotion(MotionController):
             other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
         if other is not None:
             wanted, tool_on = other, False
-        if tool_on and self.implement.must_be_up(here, wanted, others):
+        if tool_on and self.implement.must_be_up(here, wanted, others, self.slot):
             tool_on = False
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
+        if hypot(vx_m_s - here.vx_m_s, vy_m_s - here.vy_m_s) > self.sudden_m_s:
+            vx_m_s, vy_m_s = braking_first(
+                here.x_m, here.y_m, here.vx_m_s, here.vy_m_s, vx_m_s, vy_m_s,
+                self.fences, self.limits.radius_m + FENCE_M / 2, self.limits.acceleration_m_s2,
+            )  # fmt: skip
         return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.parcel_action))
 
     def _rows(
@@ -198,7 +207,10 @@ class HolonomicMotion(MotionController):
             combined_m = bodies_m
             if keeps_off and state == State.WORKING:
                 combined_m = self.implement.combined_m(hypot(dx_m, dy_m), bodies_m)
-            others.append(_tuple(NearbyRobot, (slot, dx_m, dy_m, state)))
+            ux, uy = (0.0, 0.0)
+            if speed_m_s > STANDING_M_S:
+                ux, uy = cos(course_rad), sin(course_rad)
+            others.append(_tuple(NearbyRobot, (slot, dx_m, dy_m, state, ux, uy)))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
         self.others = others
         if len(near) > 1:

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from math import hypot
 from typing import Final
 
+from agent.interface.lifecycle import State
 from agent.interface.ports import Observation
 from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
 
@@ -21,6 +22,7 @@ DEPTH_M: Final = 0.25  # of the bar along the course, before and behind the midd
 # How far two robots close in on each other in a control period, plus the rounding of poses.
 AHEAD_M: Final = 0.3
 ASIDE_M: Final = 0.1  # the rounding of poses, and a robot's cross-track error
+COMING_M: Final = 0.15  # how far a robot moves in a control period, with the rounding of its pose
 MOVES_M_S: Final = 0.2  # slower robots keep their last course, and soon take the requested one
 NOT_NEARER_M: Final = 0.02  # a robot that is too near already keeps its distance less this
 
@@ -33,6 +35,7 @@ class Implement:
         `radius_m`: radius of every body.
         """
         self.has = half_m > radius_m
+        self._bar_m = half_m
         self._half_m, self._depth_m = half_m + ASIDE_M, DEPTH_M + AHEAD_M
         self._radius_m = radius_m
         self._course = 0.0, 0.0  # the last one
@@ -50,12 +53,17 @@ class Implement:
         return max(bodies_m, min(self._aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
 
     def must_be_up(
-        self, here: Observation, wanted: tuple[float, float], others: Sequence[NearbyRobot]
+        self,
+        here: Observation,
+        wanted: tuple[float, float],
+        others: Sequence[NearbyRobot],
+        slot: int = 0,
     ) -> bool:
-        """Whether a body is, or may come within a control period, where the bar is.
+        """Whether a body is, or may come within a control period, where the bar is, or whether it
+        meets the bar of a working robot with a lower slot, which keeps its bar down.
 
         `wanted`: the velocity that the mission wants, (x, y) metres a second. `others`: the robots
-        near by.
+        near by. `slot`: ours.
         """
         if not self.has:
             return False
@@ -65,7 +73,31 @@ class Implement:
         courses = [self._course]
         if speed_m_s <= MOVES_M_S and wanted_m_s > 0.0:
             courses.append((wanted[0] / wanted_m_s, wanted[1] / wanted_m_s))
-        return any(self._meets(course, other) for other in others for course in courses)
+        return any(
+            self._meets(course, other)
+            or (other.slot < slot and other.state == State.WORKING and self._crosses(course, other))
+            for other in others
+            for course in courses
+        )
+
+    def _crosses(self, course: tuple[float, float], other: NearbyRobot) -> bool:
+        """Whether our bar overlaps that of a working robot: no line along one of their sides
+        separates them.
+        """
+        ux, uy, vx, vy = *course, other.ux, other.uy
+        if vx == vy == 0.0 or abs(other.dx_m) + abs(other.dy_m) > 4 * self._bar_m:
+            return False
+        along, across = abs(ux * vx + uy * vy), abs(ux * vy - uy * vx)
+        half_m, depth_m = self._bar_m, DEPTH_M + COMING_M
+        aligned_m = depth_m + along * depth_m + across * half_m
+        beside_m = half_m + along * half_m + across * depth_m
+        dx, dy = other.dx_m, other.dy_m
+        return (
+            abs(dx * ux + dy * uy) < aligned_m
+            and abs(dx * uy - dy * ux) < beside_m
+            and abs(dx * vx + dy * vy) < aligned_m
+            and abs(dx * vy - dy * vx) < beside_m
+        )
 
     def _meets(self, course: tuple[float, float], other: NearbyRobot) -> bool:
         ux, uy = course

@@ -83,6 +83,11 @@ class PathTracker:
         self.along_m = self.total_m if self.arrived else max(0.0, self.total_m - 2 * ARRIVED_M)
 
     @property
+    def direction(self) -> Point:
+        """The unit vector of the segment we are on; (0, 0) if only a point is left."""
+        return self._pieces[self.piece][2:4] if self.piece < len(self._pieces) else (0.0, 0.0)
+
+    @property
     def remaining_path(self) -> list[Point]:
         """The points that we have not passed yet, (x, y) metres."""
         return self.points[self.piece + 1 :]

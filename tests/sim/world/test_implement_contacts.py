@@ -70,6 +70,23 @@ def test_m21_an_implement_goes_up_before_it_comes_into_a_body() -> None:
     )
 
 
+def test_m21_of_two_bars_that_meet_the_higher_slot_raises_its_own() -> None:
+    implement = Implement(1.8, RADIUS_M)
+    here = Observation(0.0, 0.0, 0.0, 2.5, 0.0)
+    for dx_m, dy_m, ux, uy, crosses in (
+        (2.0, 1.5, 0.0, 1.0, True),  # it drives across our way
+        (0.0, 3.8, 1.0, 0.0, False),  # our neighbour on the next swath
+        (0.0, 3.8, -1.0, 0.0, False),
+        (1.2, 3.0, 0.7, -0.7, True),  # it turns towards us
+        (2.0, 1.5, 0.0, 0.0, False),  # it stands, so nobody knows how its bar lies
+    ):
+        other = NearbyRobot(1, dx_m, dy_m, State.WORKING, ux, uy)
+        assert implement.must_be_up(here, (2.5, 0.0), [other], 2) is crosses, (dx_m, dy_m)
+        assert not implement.must_be_up(here, (2.5, 0.0), [other], 0)
+        idle = other._replace(state=State.IDLE)
+        assert not implement.must_be_up(here, (2.5, 0.0), [idle], 2)
+
+
 def played(robots: int, seed: int) -> FieldOutcome:
     print("seed", seed)
     return FieldRun(
@@ -77,7 +94,7 @@ def played(robots: int, seed: int) -> FieldOutcome:
     ).run()
 
 
-@pytest.mark.parametrize(("robots", "seed"), [(3, 1), (3, 2), (3, 3), (6, 1)])
+@pytest.mark.parametrize(("robots", "seed"), [(3, 1), (3, 2), (6, 1), (6, 3)])
 def test_m21_flawless_runs_have_no_contact_of_an_implement(robots: int, seed: int) -> None:
     outcome = played(robots, seed)
     assert outcome.success and outcome.implement_contacts == 0, outcome

@@ -1,0 +1,53 @@
+"""Braking before fences comes first when a body cannot take the commanded velocity at once.
+
+ORCA chooses a velocity as if the body could brake towards a fence with half of its acceleration. A
+body with four wheels turns its velocity by one acceleration vector. A large change along the fence
+would leave too little of it for braking, so that change is reduced.
+"""
+
+from math import hypot, sqrt
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+
+LINE_2_M2 = 1e-18  # least squared length of a fence; a single echo is a fence without length
+ROOM_MIN_M = 0.01  # a body this near to a fence, or nearer, uses all of its acceleration to brake
+
+
+@njit(cache=True, error_model="numpy")
+def braking_first(
+    x: float, y: float, vx: float, vy: float, wx: float, wy: float,
+    fences: Floats, radius_m: float, acceleration_m_s2: float,
+) -> tuple[float, float]:  # fmt: skip
+    """The velocity to command, (x, y) metres a second.
+
+    (x, y): the body, metres. (vx, vy): its velocity, (wx, wy): the chosen one, metres a second.
+    `fences` (n, 4): ax, ay, bx, by, metres. `radius_m`: of the body. If the change from the one to
+    the other does not brake fast enough towards a fence, its part along that fence is reduced.
+    """
+    for k in range(fences.shape[0]):
+        ax, ay = fences[k, 0], fences[k, 1]
+        ex, ey = fences[k, 2] - ax, fences[k, 3] - ay
+        t = ((x - ax) * ex + (y - ay) * ey) / max(ex * ex + ey * ey, LINE_2_M2)
+        t = min(max(t, 0.0), 1.0)
+        nx, ny = ax + t * ex - x, ay + t * ey - y
+        gap_m = hypot(nx, ny)
+        if gap_m < LINE_2_M2:
+            continue
+        nx, ny = nx / gap_m, ny / gap_m
+        closing_m_s = vx * nx + vy * ny
+        brakes_m_s = closing_m_s - (wx * nx + wy * ny)
+        if closing_m_s <= 0.0 or brakes_m_s <= 0.0:
+            continue
+        room_m = max(gap_m - radius_m, ROOM_MIN_M)
+        share = closing_m_s * closing_m_s / (2.0 * room_m * acceleration_m_s2)
+        along_m_s = -(wx - vx) * ny + (wy - vy) * nx
+        most_m_s = brakes_m_s * sqrt(max(1.0 / (share * share) - 1.0, 0.0)) if share > 0.0 else 1e9
+        if abs(along_m_s) > most_m_s:
+            along_m_s = most_m_s if along_m_s > 0.0 else -most_m_s
+            wx = vx - brakes_m_s * nx - along_m_s * ny
+            wy = vy - brakes_m_s * ny + along_m_s * nx
+    return wx, wy
