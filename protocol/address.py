@@ -123,7 +123,16 @@ class AddressClaim:
         return min(next_at_us, answer_at_us)
 
     def restart(self, now_us: int) -> None:
-        """Start claiming, after power-up or after a return to the bus."""
+        """Start claiming: after power-up, after a return to the bus, or as a person wishes.
+
+        If no address was left, the claims that we know may be old, so all devices are asked first.
+        """
+        if self.state is CANNOT:
+            self._next_at_us = now_us  # the next try, at once
+        else:
+            self._restart(now_us)
+
+    def _restart(self, now_us: int) -> None:
         self._machine.fire(ClaimEvent.RESTARTED)
         self._answer_at_us = None
         self._next_at_us = now_us + self._rng.randrange(256) * DELAY_STEP_US
@@ -160,7 +169,7 @@ class AddressClaim:
         dropped."""
         self.names.clear()
         self.candidate, self.asks = self.preferred, True
-        self.restart(now_us)
+        self._restart(now_us)
         assert self._next_at_us is not None
         self._next_at_us += ANSWERS_US
 

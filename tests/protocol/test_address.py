@@ -184,6 +184,21 @@ def test_t2_who_cannot_claim_tries_again_and_recovers() -> None:
     assert bus.frames - said < 50
 
 
+def test_a_person_who_resets_a_robot_without_an_address_need_not_wait_for_its_next_try() -> None:
+    """Found by `headland chaos`, profile strangers, seed 1001464: each reset used the old claims, found
+    no address free, and doubled the time to the next try."""
+    bus = Bus(3)
+    machine = bus.add(fleet_name("f", 0), FIRST)
+    bus.run(S)
+    for address in range(FIRST, LAST + 1):
+        bus.put(-1, [AddressMessage(AddressClaimed(0), address)])
+    bus.run(2 * S)
+    assert machine.state is ClaimState.CANNOT
+    machine.restart(bus.now_us)
+    bus.run(bus.now_us + S)
+    assert machine.address == FIRST
+
+
 def test_every_state_and_event() -> None:
     waiting, contending, held, cannot = ClaimState
     restarted, claimed, uncontested, exhausted = ClaimEvent
