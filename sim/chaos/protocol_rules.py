@@ -83,9 +83,15 @@ class ProtocolRules:
         self.units: dict[tuple[int, int], int] = {}
         self.questions: Counter[int] = Counter()  # questions of each robot for entries it lacks
         self.implements_stop_at_us = NEVER_US  # when a robot last sent the standard stop
+        self._said_at_us: dict[StopDot, int] = {}  # when a stop was first sent, by any robot
+        self._resumes_at_us: dict[int, int] = {}  # when the process of a robot runs on
         self._votes: dict[tuple[int, int, int], int] = {}  # voter, election, term -> candidate
         # (election, term, candidate) -> voters.
         self._voters: defaultdict[tuple[int, int, int], set[int]] = defaultdict(set)
+
+    def hangs(self, slot: int, end_at_us: int) -> None:
+        """The process of a robot hangs. Then it reads what was sent meanwhile, in that order."""
+        self._resumes_at_us[slot] = max(end_at_us, self._resumes_at_us.get(slot, NEVER_US))
 
     # ---------------------------------------------------------------- what people do
 
@@ -210,8 +216,12 @@ class ProtocolRules:
             # An old stop may be repeated in the microsecond of the press, before the new one.
             speaker.unnamed = dot in speaker.dots or dot in self.cleared
             speaker.old_name = dot if speaker.unnamed else None
+        said_at_us = self._said_at_us.setdefault(dot, now_us)
         if not speaker.stopped and not speaker.dots:
-            speaker.stopped_at_us = now_us
+            # Orders that a hung robot received after the stop come after it, although it reads all
+            # of them at once.
+            resumes = self._resumes_at_us.get(slot) == now_us
+            speaker.stopped_at_us = said_at_us if resumes else now_us
         speaker.dots.add(dot)
         if stop.slot >= self.robots and stop.slot != PANEL and not self.unknown_device:
             self._add(

@@ -177,8 +177,10 @@ class ScenarioJudge:
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))
-            case kinds.Freeze(robot=robot):
+            case kinds.Freeze(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._lapses, robot))
+                until_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self.witness.words.hangs, robot, until_us))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))

@@ -249,9 +249,13 @@ class FaultPlan:
             yield self._now_us() + round(ORDER_S * S)
 
     def _reset(self) -> Script[None]:
-        """An operator clears all known stops, resets every machine, and then gives the start."""
+        """An operator clears all known stops, resets every machine, and then gives the start.
+
+        An operator cannot know of a stop that was not on the wire yet.
+        """
         cluster = self.cluster
-        dots = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
+        known = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
+        dots = {dot for dot in known if dot.slot not in cluster.stops.unsent}
         for _ in range(1 if cluster.setting.keyring(OPERATOR, "operator") is None else TRIES):
             for dot in sorted(dots):
                 cluster.order(EmergencyReset(*dot, OPERATOR))

@@ -20,11 +20,11 @@ class Receiver:
     """
 
     def __init__(self) -> None:
-        self._blind_ends_at_us = self._frozen_ends_at_us = (
-            self._late_ends_at_us
-        ) = -1  # end of each fault
+        # End of each fault.
+        self._blind_ends_at_us = self._frozen_ends_at_us = self._late_ends_at_us = -1
         self._late_for_us = 0  # delay
-        self._last: Observation | None = None  # sensed before the fault
+        self._place: Observation | None = None  # what the filter repeats when it hangs
+        self._last: Observation | None = None  # what arrived last
         self._way: deque[Observation] = deque(maxlen=HISTORY_MAX)
 
     def blind(self, end_at_us: int) -> None:
@@ -45,11 +45,14 @@ class Receiver:
         )
 
     def tells(self, seen: Observation, world_now_us: int) -> Observation | None:
-        """The observation that arrives when this one is sensed."""
+        """The observation that arrives when this one is sensed.
+
+        It passes the filter, which may hang, then the antenna's driver, then the buffer.
+        """
+        if world_now_us < self._frozen_ends_at_us and self._place is not None:
+            seen = self._place._replace(sensed_at_us=world_now_us)
+        self._place = seen
         last, self._last = self._last, seen
-        if world_now_us < self._frozen_ends_at_us:
-            self._last = seen if last is None else last
-            return self._last._replace(sensed_at_us=world_now_us)
         if world_now_us < self._blind_ends_at_us:
             self._last = last
             return last

@@ -92,6 +92,11 @@ class StopMonitor:
         """Whether a pressed robot has not yet put its stop on the wire."""
         return bool(self._unsent)
 
+    @property
+    def unsent(self) -> frozenset[int]:
+        """Slots of the pressed robots that have not yet put their stop on the wire."""
+        return frozenset(self._by[number] for number in self._unsent)
+
     def sent(self, slot: int, t_us: int) -> None:
         """A stop frame that names this slot as its origin was on the wire, completely."""
         self._unsent -= {

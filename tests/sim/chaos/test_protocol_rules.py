@@ -104,6 +104,25 @@ def test_a_reset_between_a_stop_and_the_next_beat_counts(reset_us: int) -> None:
     assert [broken.rule for broken in rules.broken] == (["S2", "S4"] if reset_us < 1 * S else [])
 
 
+@pytest.mark.parametrize("hangs", [True, False])
+def test_a_hung_robot_reads_a_stop_and_the_start_after_it_at_once(hangs: bool) -> None:
+    """Found by `headland chaos`, profile stop, seed 972170: a robot hung from a stop until after the
+    reset and the start, and read all of them in one microsecond."""
+    rules = ProtocolRules(2)
+    beat = Pose(0.0, 0.0, 0.0, 0.0, State.WORKING, False, 255)
+    rules.said(1, 1 * S, beat)
+    if hangs:
+        rules.hangs(1, 8 * S)
+    rules.said(0, 2 * S, EmergencyStop(0, 1, 1, 1, False, 0, 0))
+    for command in (Command.MANUAL_RESET, Command.START):
+        rules.ordered(EmergencyReset(0, 1, 1, 200), 3 * S)
+        rules.ordered(OperatorCommand(command, 255, 200), 4 * S)
+    rules.said(1, 8 * S, EmergencyStop(0, 1, 1, 1, True, 0, 0))
+    rules.said(1, 8 * S + 50 * MS, beat._replace(stopped=True, state=State.EMERGENCY_STOP))
+    rules.said(1, 8 * S + 100 * MS, beat)
+    assert [broken.rule for broken in rules.broken] == ([] if hangs else ["S2", "S4"])
+
+
 def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
     parade = ProtocolWorld(2, 2)
     parade.works(0, 0, 1 * S)

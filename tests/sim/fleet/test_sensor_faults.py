@@ -1,0 +1,43 @@
+"""Faults of a position receiver, alone and together."""
+
+from agent.interface.ports import Observation
+from sim.fleet.sensor_faults import Receiver
+
+PERIOD_US = 50_000
+
+
+def seen(world_us: int) -> Observation:
+    """A robot that drives east with 1 m/s."""
+    return Observation(world_us / 1e6, 0.0, 0.0, 1.0, 0.0, sensed_at_us=world_us)
+
+
+def arrivals(receiver: Receiver, from_us: int, to_us: int) -> list[tuple[float, int]]:
+    """Place and age of what arrives in each period."""
+    found = []
+    for world_us in range(from_us, to_us, PERIOD_US):
+        arrived = receiver.tells(seen(world_us), world_us)
+        assert arrived is not None
+        found.append((arrived.x_m, world_us - arrived.sensed_at_us))
+    return found
+
+
+def test_a_hung_filter_repeats_the_place_with_new_times() -> None:
+    receiver = Receiver()
+    arrivals(receiver, 0, 1_000_000)
+    receiver.frozen(2_000_000)
+    assert set(arrivals(receiver, 1_000_000, 2_000_000)) == {(0.95, 0)}
+    assert arrivals(receiver, 2_000_000, 2_050_000) == [(2.0, 0)]
+
+
+def test_what_a_hung_filter_repeats_is_delayed_by_a_full_buffer() -> None:
+    """Found by `headland chaos`, profile body, seed 970092: the buffer's delay ended when the filter
+    hung, so the robot drove on although its senses were still late."""
+    receiver = Receiver()
+    arrivals(receiver, 0, 1_000_000)
+    receiver.late(4_000_000, 500_000)
+    arrivals(receiver, 1_000_000, 2_000_000)
+    receiver.frozen(6_000_000)
+    both = arrivals(receiver, 2_000_000, 4_000_000)
+    assert {age_us for _, age_us in both} == {500_000}
+    assert both[-1][0] == 1.95
+    assert set(arrivals(receiver, 4_000_000, 6_000_000)) == {(1.95, 0)}
