@@ -11,6 +11,7 @@ from math import hypot
 from typing import Any
 
 from agent.interface.config import CONTROL_PERIOD_US, MS, S, beat_of
+from agent.interface.effects import Effect
 from agent.motion.implement_clearance import LEAD_M
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
@@ -24,7 +25,7 @@ from sim.chaos.protocol_rules import RuleViolation
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_disk import Disk, LogJournal
-from sim.fleet.simulated_fleet import Cluster
+from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.stop_monitor import motions
 from sim.runs.field_run import FieldRun
 from sim.runs.protocol_run import ProtocolRun
@@ -88,6 +89,8 @@ class ScenarioJudge:
         plain = scenario.with_engine("contact_free")
         self.any_setting = ProtocolSetup(plain) if scenario.mission in DRILLS else FieldSetup(plain)
         self.witness = EffectObserver(scenario.fleet.robots)
+        # Called with robot, time of the simulation and effect, after the checkers.
+        self.on_effect: Record | None = None
         self.broken: list[RuleViolation] = []
         self.outcome: FieldOutcome | None = None
         # Dead robot -> watches of the robots that must stand.
@@ -143,6 +146,8 @@ class ScenarioJudge:
 
     def _attach(self, cluster: Cluster) -> None:
         self.cluster, self.witness.clock = cluster, cluster.host.now_us
+        if self.on_effect is not None:
+            cluster.record = partial(self._observe, self.on_effect)
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
         self.protocol_world = cluster.world if isinstance(cluster.world, ProtocolWorld) else None
@@ -159,6 +164,10 @@ class ScenarioJudge:
             isinstance(f, kinds.Reset) and f.at_s == span.start_at_s for f in self.scenario.fault
         ):
             self._at(round((span.start_at_s + RELEASED_S) * 1e6), self._all_released)
+
+    def _observe(self, on_effect: Record, slot: int, now_us: int, effect: Effect) -> None:
+        self.witness(slot, now_us, effect)
+        on_effect(slot, self.cluster.host.now_us(), effect)
 
     def _at(self, t_us: int, call: Callable[[], object]) -> None:
         assert isinstance(self.cluster.host, EventLoop)

@@ -56,8 +56,13 @@ class Verdict(NamedTuple):
 def judge(scenario: Scenario, first_only: bool = False) -> Verdict:
     """Play one scenario under all checkers. With `first_only` the run ends soon after the first
     violation."""
-    play = ScenarioJudge(scenario, first_only).run()
+    return verdict_of(ScenarioJudge(scenario, first_only).run())
+
+
+def verdict_of(play: ScenarioJudge) -> Verdict:
+    """What came of a run that is over."""
     assert all(broken.rule in RULES for broken in play.broken)
+    scenario = play.scenario
     return Verdict(
         scenario.run.seed, tuple(play.broken), play.faults, scenario.fleet.robots,
         play.outcome.simulated_s if play.outcome else 0.0, play.witness.digest,

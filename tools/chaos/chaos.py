@@ -17,6 +17,7 @@ from rich.table import Table
 
 from agent.runtime.gc_tuning import freeze_gc
 from sim.chaos.fault_profiles import PROFILES, draw
+from sim.chaos.golden_story import difference, golden_path, tell
 from sim.chaos.planted_bugs import MUTANTS
 from sim.chaos.shrink import shrink
 from sim.chaos.verdict import RULES, Verdict, judge
@@ -120,15 +121,19 @@ def tell_report(folder: Path) -> int:
 def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
     """A scenario of its own, with faults written by hand or found by a campaign.
 
-    `golden`: its trace hash is kept beside it, and has to be the same from now on.
+    `golden`: its golden text is written beside it, and has to be the same from now on. Without that,
+    a difference from the text that is there is printed.
     """
     try:
-        verdict = judge(load(str(path)))
+        verdict, played = tell(load(str(path)))
     except ScenarioError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
+    kept = golden_path(path)
     if golden and verdict.ok:
-        path.with_suffix(".trace").write_text(f"{verdict.trace_hash}\n")
+        kept.write_text(played)
+    elif kept.exists() and (changed := difference(kept.read_text(), played, kept.name)):
+        print(f"{changed}\nheadland: played differently than {kept} says", file=sys.stderr)
     if as_json:
         print(dumps(_report([verdict], str(path))))
     else:

@@ -35,7 +35,7 @@ def chaos(
         list[str] | None, typer.Option(help="With --mutants: this planted bug; may be repeated.")
     ] = None,
     golden: Annotated[
-        bool, typer.Option("--golden", help="With --scenario: keep its trace hash beside it.")
+        bool, typer.Option("--golden", help="With --scenario: write its golden text beside it.")
     ] = False,
     report: Annotated[
         Path | None,
