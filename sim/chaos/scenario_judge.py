@@ -15,6 +15,7 @@ from agent.interface.effects import Effect
 from agent.motion.implement_clearance import LEAD_M
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
+from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed
@@ -208,6 +209,14 @@ class ScenarioJudge:
             case kinds.ClockJump(robot=robot):
                 self._at(at_us, self._interrupted)  # for any robot that was pressed
                 self._at(at_us, partial(self.witness.words.leaps, robot))
+            case kinds.Nonsense(what="claims", for_s=for_s):
+                # Robots that it drove from every address try again after `RETRY_MAX_US`.
+                taken_ends_at_us = at_us + round(for_s * S) + RETRY_MAX_US + 2 * S
+                self._at(
+                    at_us, partial(self.cluster.acquaintance.addresses_taken, taken_ends_at_us)
+                )
+            case kinds.Foreign(claims=True):
+                self._at(at_us, self._unsure_of_name)
             case kinds.Foreign(claims=False):
                 self._at(at_us, self.witness.words.without_name)
             case kinds.Babble() if _outranks_claims(fault):
@@ -357,6 +366,12 @@ class ScenarioJudge:
     def _delivered(self, watch: int) -> None:
         if self._delivering.pop(watch, None) is not None:
             self.delivery.release(watch)
+
+    def _unsure_of_name(self) -> None:
+        """A device claims an address while robots may miss the claim."""
+        faults = self.cluster.segment.wire.faults
+        if self._now_us() < self._cut_ends_at_us or faults.loss or faults.omission:
+            self.witness.words.without_name()
 
     def _interrupted(self) -> None:
         """A stop that is being sent may not be sent completely, so only the silence limit

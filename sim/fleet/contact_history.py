@@ -27,6 +27,7 @@ class ContactHistory:
         self._hang_ends_at_us: dict[int, int] = {}
         self._hang_began_at_us: dict[int, int] = {}
         self._doubled_ends_at_us: dict[int, int] = {}
+        self._taken_ends_at_us = 0  # until then, robots may be without an address
 
     def hangs(self, slot: int, now_us: int, end_at_us: int) -> None:
         """Until then the robot sends nothing; it receives everything at once at the end."""
@@ -47,6 +48,10 @@ class ContactHistory:
         silent cannot be known, and afterwards the others have to meet it again."""
         self._doubled_ends_at_us[slot] = max(end_at_us, self._doubled_ends_at_us.get(slot, 0))
         self._met = {pair for pair in self._met if pair[1] != slot}
+
+    def addresses_taken(self, end_at_us: int) -> None:
+        """Until then a device may hold every address, so robots that have not met cannot meet."""
+        self._taken_ends_at_us = max(end_at_us, self._taken_ends_at_us)
 
     def boots(self, slot: int) -> None:
         """A restarted robot has met no other; other robots may have met it before."""
@@ -73,7 +78,11 @@ class ContactHistory:
                 pair = hearer, speaker
                 together_for_us = self._together_for_us.get(pair, 0) + passed_for_us
                 hang_ends_at_us = max(hangs.get(hearer, 0), hangs.get(speaker, 0))
-                hang_ends_at_us = max(hang_ends_at_us, self._doubled_ends_at_us.get(speaker, 0))
+                hang_ends_at_us = max(
+                    hang_ends_at_us,
+                    self._doubled_ends_at_us.get(speaker, 0),
+                    self._taken_ends_at_us,
+                )
                 if hang_ends_at_us > now_us - passed_for_us:
                     together_for_us = max(0, now_us - hang_ends_at_us)
                 self._together_for_us[pair] = 0 if lossy or cut or off else together_for_us

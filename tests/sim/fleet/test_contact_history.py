@@ -61,3 +61,18 @@ def test_one_that_hangs_meets_nobody_meanwhile() -> None:
     assert not known.met(1, 0) and not known.met(0, 1)
     known.look(8 * S + MET_US, nodes)
     assert known.met(1, 0)
+
+
+def test_robots_that_are_driven_from_every_address_meet_later() -> None:
+    """Found by `headland chaos`, profile protocol, seed 1000211: S6 was asked of a robot that restarted
+    while a device had driven the robot that died later from every address."""
+    wire = Wire()
+    nodes = {slot: wire.attach() for slot in range(2)}
+    known = ContactHistory(wire)
+    known.look(10 * S, nodes)
+    known.boots(0)
+    known.addresses_taken(20 * S)
+    known.look(20 * S + MET_US - 1, nodes)
+    assert not known.met(0, 1) and known.met(1, 0)
+    known.look(20 * S + MET_US, nodes)
+    assert known.met(0, 1)
