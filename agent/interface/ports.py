@@ -39,9 +39,8 @@ class Observation(NamedTuple):
     heading_rad: float  # counter-clockwise from east
     vx_m_s: float
     vy_m_s: float
-    ranges_m: tuple[
-        float, ...
-    ] = ()  # one per ray, counter-clockwise from the heading; inf: nothing
+    # One per ray, counter-clockwise from the heading; inf: nothing.
+    ranges_m: tuple[float, ...] = ()
     battery: float = 1.0  # share of a full charge
     bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us
     load: int = -1  # on a carrier, the number of the parcel aboard; -1: none

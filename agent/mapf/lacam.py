@@ -29,9 +29,8 @@ from agent.mapf.plan_schedule import Timetable
 Ints = NDArray[np.int32]
 STEPS_MAX = 20_000  # searched configurations, a few seconds; hard jams of ten take some hundreds
 TRIES_MAX = 16  # plans of which one is taken, and
-TRIED_MAX = (
-    160  # robots in all of them: a robot that computes longer than 0.1 s is missed by the others
-)
+# Robots in all of them: a robot that computes longer than 0.1 s is missed by the others.
+TRIED_MAX = 160
 PUT_BACK_MAX = 200  # robots in each of them: 0.3 ms each among a hundred, most are never needed
 FEW = 10  # robots: the fairest of their tries is good, and waits of more are worth more time than that
 TRIED_SALT = 1 << 16  # between the salts of two tries: rounds are counted in 16 bits
@@ -186,9 +185,8 @@ class JointPlan(NamedTuple):
         count = len(steps[0])
         routes: list[list[int]] = [[] for _ in range(count)]
         turns: list[list[Precedence | None]] = [[] for _ in range(count)]
-        visitor: dict[
-            int, Precedence
-        ] = {}  # node -> its last visitor, and the index in that robot's route
+        # Node -> its last visitor, and the index in that robot's route.
+        visitor: dict[int, Precedence] = {}
         for at in steps:
             moved = [i for i in range(count) if not routes[i] or routes[i][-1] != at[i]]
             waits = [visitor.get(int(at[i])) for i in moved]

@@ -94,9 +94,8 @@ class ObstacleStop:
         self.slot, self.limits, self.lookout = slot, limits, lookout
         self.number = 0  # of the newest question
         self.machine = StateMachine("obstacle question", QUESTION_TABLE, NONE)
-        self.things: frozenset[GroundCell] = (
-            frozenset()
-        )  # ground cells to go round by an operator's answer
+        # Ground cells to go round by an operator's answer.
+        self.things: frozenset[GroundCell] = frozenset()
         self.leave_out = False  # the units under them are not worked
         self._known_as, self._places = self.things, frozenset[Point]()
         self.why = ""  # of the newest question

@@ -17,9 +17,8 @@ Point = tuple[float, float]  # metres east and north in the field
 Floats = NDArray[np.float64]
 NO_WALLS = np.empty((0, 4))
 WALL_M = 0.12  # an echo this near to a wall is the wall: errors of range and position
-BODY_M = (
-    0.25  # an echo this near to a body is the body: its beat is rounded, and it has moved since
-)
+# An echo this near to a body is the body: its beat is rounded, and it has moved since.
+BODY_M = 0.25
 
 
 @njit(cache=True, error_model="numpy")

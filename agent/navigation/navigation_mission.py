@@ -114,9 +114,8 @@ class NavigationMission(Mission):
         # The extrapolated positions of robots last received within `CLOSE_M`, by slot.
         self._around: dict[int, Point] = {}
         self._alone_at_us = 0  # when we last were not a member of the fleet
-        self._vouched_at_us: dict[
-            int, int
-        ] = {}  # slot -> when another robot last reported to receive it
+        # Slot -> when another robot last reported to receive it.
+        self._vouched_at_us: dict[int, int] = {}
         # Number of calls since we last arrived, and the earliest time of the next call.
         self._calls: tuple[int, int] = (0, 0)
 

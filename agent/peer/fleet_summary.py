@@ -23,7 +23,7 @@ from agent.peer.part import StepContext
 from crdt import FieldAllocationCRDT, Phase
 from protocol.transport import SIZE_MAX
 
-BULLETIN_PGN = 0xFF1E  # our own group: the fleet as one peer sees it
+FLEET_SUMMARY_PGN = 0xFF1E  # our own group: the fleet as one peer sees it
 MORE = "more 999"  # room kept for the count of omitted members
 
 
@@ -32,7 +32,7 @@ class MemberRow(NamedTuple):
 
     slot: int
     state: State
-    standing: str  # a name of membership.Standing
+    standing: str  # a name of membership.MemberStatus
     x_m: float
     y_m: float
     speed_m_s: float

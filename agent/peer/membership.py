@@ -89,9 +89,8 @@ class Membership(Part):
         self.silent: frozenset[int] = frozenset()
         self.slot_of: dict[int, int] = {}  # source address -> slot, from MEMBER frames
         self.strangers = 0  # frames of addresses that have not announced a member slot
-        self.last_sign_at_us: dict[
-            int, int
-        ] = {}  # live others -> last sign of life, except newer poses
+        # Live others -> last sign of life, except newer poses.
+        self.last_sign_at_us: dict[int, int] = {}
         self.void_farewells = 0  # farewells of members that kept sending
         self._left_at_us: dict[int, int] = {}
         self._void_at_us: dict[int, int] = {}

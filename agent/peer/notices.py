@@ -44,7 +44,7 @@ class Rejoining(NamedTuple):
 
 
 class ReceivedAgain(NamedTuple):
-    """Our frames are received again, after a while in which nobody received them."""
+    """Our frames are received again, after a while in which no member received them."""
 
 
 class Leaving(NamedTuple):
@@ -115,7 +115,7 @@ class StrangerHeard(NamedTuple):
 
 
 class RobotNamed(NamedTuple):
-    """A device that we wondered about has claimed its address, and may be a robot of ours."""
+    """A device of unknown origin has claimed its address. It may be a robot of ours."""
 
     address: int
 

@@ -1,4 +1,4 @@
-"""Holds the robot while it asks people about an obstacle that nobody announced."""
+"""Holds the robot while it asks people about an unannounced obstacle."""
 
 from collections.abc import Mapping, Sequence
 
@@ -56,7 +56,7 @@ class ObstacleHold:
         return effects
 
     def go_round(self, why: str, now_us: int) -> Sequence[Effect]:
-        """Go round the obstacle in the way, because the operator who gave the order knows of it."""
+        """Go round the obstacle in the way, because the operator that gave the order knows of it."""
         if self.question is None:
             return ()
         asked = self.question.asking

@@ -41,7 +41,7 @@ class Header(NamedTuple):
 
 
 class Senders(Enum):
-    """From whom a message is taken. A frame of another maker's device is refused before that."""
+    """Which senders a message is taken from. A frame of another maker is refused before that."""
 
     URGENT = "anyone, before all checks"
     DEVICE = "any device, also of other makers"

@@ -283,7 +283,7 @@ class Peer:
             self.senses.here, self.membership.live, self.joining.joined,
         )  # fmt: skip
 
-    # ---------------------------------------------------------------- for those who look at it
+    # ---------------------------------------------------------------- for readers
 
     @property
     def address(self) -> int | None:

@@ -17,7 +17,7 @@ from agent.interface.motion_controller import MotionController
 from agent.peer.announcements import Announcements, first_beat_for_us
 from agent.peer.control_cycle import ControlCycle
 from agent.peer.durable_records import DurableRecords
-from agent.peer.fleet_summary import BULLETIN_PGN, compose, write
+from agent.peer.fleet_summary import FLEET_SUMMARY_PGN, compose, write
 from agent.peer.fleet_views import FleetViews
 from agent.peer.frame_origin import Origins
 from agent.peer.journal_recovery import LOST, sensible
@@ -115,7 +115,7 @@ class PeerParts:
             identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining
         )
         self.letters.answer(
-            BULLETIN_PGN,
+            FLEET_SUMMARY_PGN,
             lambda ctx: write(compose(ctx, self.membership, self.allocation)),
             lambda: self.votes.leader == slot,
         )

@@ -1,4 +1,4 @@
-"""The one routing table: which part of a peer handles a message, and from whom it is taken.
+"""The one routing table: which part of a peer handles a message, and which senders it is taken from.
 
 Stops come first, in every state. `docs/how/routes.md` is printed from this table. A fleet of several
 segments adds `agent/segments/segment_parts.py`.
@@ -70,7 +70,7 @@ MEMBER_ONLY = Senders.MEMBER_ONLY
 
 
 class MessageRoute(NamedTuple):
-    """The part that handles a message, and the senders from whom it is taken."""
+    """The part that handles a message, and the senders that it is taken from."""
 
     part: type[Part]
     senders: Senders
@@ -115,7 +115,7 @@ ROUTES: Routes = {
     TransportManagement: MessageRoute(PgnResponder, DEVICE),
     TransportData: MessageRoute(PgnResponder, DEVICE),
 }
-# Messages that no robot handles, and for whom they are.
+# Messages that no robot handles, and which devices they are for.
 NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
     OperatorReport: "operators' devices",
     Acknowledgment: "the device whose request was refused",

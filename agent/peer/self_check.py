@@ -161,12 +161,12 @@ class SelfCheck(Part):
         if self._sent is not None and now_us >= self._stall_at_us:
             return "none of our frames leaves"
         if not others:
-            return "" if self._sent is not None else "nobody is heard, and no frame is confirmed"
+            return "" if self._sent is not None else "no member is heard, and no frame is confirmed"
         limit_for_us = silence_for_us + min(others, ROUND_MAX) * self.beat.pose_period_us
         start_at_us = membership.reflected_at_us
         if self._sent is not None:  # frames are sent; a new member needs time to name us
             start_at_us = max(start_at_us, membership.changed_at_us)
-        return "" if now_us - start_at_us <= limit_for_us else f"none of {others} members hears us"
+        return "" if now_us - start_at_us <= limit_for_us else f"no member of {others} hears us"
 
     def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> Outputs:
         safety = self.safety

@@ -129,7 +129,7 @@ class SenderOrigins(Part):
         asks.urge(source, now_us)
         self.origins.count(origin, message)
         end_at_us = self.doubts.hold(source, message, now_us)
-        why = f"a stop from address {source}, which nobody has claimed"
+        why = f"a stop from address {source}, which no device has claimed"
         held_for_us = max(UNAUTHENTICATED_HOLD_US, end_at_us - now_us)
         self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_for_us)
         return [HALT]
@@ -162,10 +162,10 @@ class SenderOrigins(Part):
             return outputs
         if self.origins.changes(source, m.name):
             outputs.append(notices.ConflictSettled(source))
-        wondered = self.name_discovery.asks.known(source)
+        is_known = self.name_discovery.asks.known(source)
         self.origins.claimed(source, m.name)
         self._claimed_at_us[source] = now_us
-        if wondered:  # it has sent frames: it may be a member that is not known yet
+        if is_known:  # it has sent frames: it may be a member that is not known yet
             outputs.append(notices.RobotNamed(source))
         outputs += [
             notices.HeardAgain(source, stop, at_us) for at_us, stop in self.doubts.end(source)

@@ -285,7 +285,8 @@ class FleetCoordinationEngine:
             raise ValueError("this fleet has keys: give the keyring of an operator key")
         if not peer.safety.keyed and (operator is not None or not keyless):
             raise ValueError(
-                "this fleet has no keys, anybody on the bus releases it: say keyless=True, and no keyring"
+                "this fleet has no keys, so any device on the bus can release it: "
+                "pass keyless=True and no keyring"
             )
         if operator is not None and operator.sender < OPERATOR_FIRST:
             raise ValueError(

@@ -171,7 +171,7 @@ def exploration_parts(
 def coverage_parts(
     slot: int, ground: CellMap, vehicle: Vehicle, rng: Random, turn_cost: float = 0.0
 ) -> MissionParts:
-    """Coverage of a grid of cells. `rng`: a chance that no other robot has."""
+    """Coverage of a grid of cells. `rng`: a random source of this robot alone."""
     return MissionParts(
         GridWork(slot, ground, vehicle.speed_m_s, rng, turn_cost),
         GridGuard(ground.cell_m, vehicle.radius_m, vehicle.speed_m_s),

@@ -1,6 +1,6 @@
 """The one place that makes peers: of robots, of simulated fleets, of the engine, and of tests.
 
-A peer is its identity, its chance, its durable memory, and what its mission brings: `MissionParts`.
+A peer is made from its identity, a random source, its durable memory, and its `MissionParts`.
 A fleet of several segments names its `Area`, and the peer then also knows the other segments.
 """
 

@@ -47,7 +47,7 @@ from protocol.links.bus import open_bus
 from protocol.links.socketcand_link import SocketcandLink
 
 GOODBYE_S = 0.2  # for the farewell frame to leave
-WRONG = 2  # exit code: what is said in one line must be mended first
+WRONG = 2  # exit code of an error that a person has to mend; one line says what it is
 
 
 class Work(NamedTuple):
@@ -127,13 +127,13 @@ def _keys(robot: RobotFile) -> Keys | None:
 
 
 def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
-    """Its durable memory, and what that recalls. Raises RobotError."""
+    """Its durable memory, and the records in it. Raises RobotError."""
     slot = robot.robot.slot
     path = robot.folder / robot.robot.journal / f"robot{slot}.sqlite"
     try:
         return SqliteJournal.opened(path)
     except OSError as problem:
-        raise RobotError(f"robot {slot}: its journal is not to be had: {problem}") from None
+        raise RobotError(f"robot {slot}: its journal cannot be opened: {problem}") from None
 
 
 async def _bus(table: RobotBusTable, slot: int) -> Bus:

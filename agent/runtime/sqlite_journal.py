@@ -140,7 +140,7 @@ class SqliteJournal:
     def opened(cls, path: Path) -> tuple["SqliteJournal", Mapping[str, bytes]]:
         """Open a journal and load it: the journal, and its records by key.
 
-        An unreadable one is put aside for people who want to inspect it. The new one then has one
+        An unreadable one is put aside for people to inspect. The new one then has one
         record, `LOST`, with the reason. Raises OSError.
         """
         try:

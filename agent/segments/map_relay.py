@@ -1,4 +1,4 @@
-"""A gateway's part in the map: one map between two conversations.
+"""A gateway's part in the map: it keeps one map equal on its bus and on the backbone.
 
 On its bus the gateway takes part in the robots' anti-entropy like a robot. On the backbone the
 leading gateways run the same protocol (`protocol/sync/map_sync.py`) with each other. Data learned
@@ -28,7 +28,7 @@ LAYOUTS: dict[int, FrameLayout[Any]] = {PATCH: MAP_PATCH, DIGESTS: MAP_DIGESTS}
 
 
 class MapRelay:
-    """The map as a gateway knows it, with its conversations on the bus and on the backbone."""
+    """The map as a gateway knows it, exchanged on its bus and on the backbone."""
 
     def __init__(self, segment: int, geometry: Geometry, order: MergeOrder, now_us: int) -> None:
         """`segment`: our number, which is our slot on the backbone. `geometry`, `order`: of the

@@ -49,9 +49,8 @@ class FrameField(NamedTuple):
     parts: int = 0  # steps per unit, where that is a whole number
     cyclic: bool = False  # encoded modulo 2^bits
     clamped: bool = False  # encoded as the nearest value that the field has
-    unavailable: bool = (
-        False  # the highest raw value says that there is none; encoded from there on
-    )
+    # The highest raw value says that there is none; encoded from there on.
+    unavailable: bool = False
     accepted: Sequence[int] | None = None  # raw values that are decoded; None: all
     choices: Choices = ()
     enumeration: type[IntEnum] | None = None  # decoded as this

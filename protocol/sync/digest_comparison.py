@@ -36,9 +36,8 @@ class Divergence:
         self._told: dict[int, int] = {}  # live slot -> digest in its latest heartbeat
         self._own_told: int | None = None  # digest in our latest heartbeat
         self._agreed: dict[int, ReplicaVersion] = {}  # slot -> our latest version that it also had
-        self._met: dict[
-            int, int
-        ] = {}  # slot -> sum of our entries when it appeared, until it agrees
+        # Slot -> sum of our entries when it appeared, until it agrees.
+        self._met: dict[int, int] = {}
 
     def see(self, live: frozenset[int]) -> None:
         """Update the set of members that we receive now."""

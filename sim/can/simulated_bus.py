@@ -90,9 +90,8 @@ class Segment:
         self.wire = Wire(seed, 1_000_000 // bitrate)
         self.buses: dict[int, FieldBus] = {}
         self.ears: dict[int, Callable[[Frame], None]] = {}  # callbacks of buses with a subscriber
-        self.shelves: dict[
-            int, list[BufferedBeacon]
-        ] = {}  # buffers of buses that accept deferred beats
+        # Buffers of buses that accept deferred beats.
+        self.buffers: dict[int, list[BufferedBeacon]] = {}
         self.tellers: dict[int, Tap] = {}  # called when a frame of the node has left
         self.taps: list[Tap] = []
         self.taps_lost = 0  # taps that failed to write
@@ -131,7 +130,7 @@ class Segment:
         """Take a node off the wire; the others go on."""
         with self.lock:
             self.wire.detach(node, self.now_us())
-            for those in (self.buses, self.ears, self.shelves, self.tellers):
+            for those in (self.buses, self.ears, self.buffers, self.tellers):
                 those.pop(node, None)
             self.arm()
 
@@ -165,7 +164,7 @@ class Segment:
 
     def pump(self) -> None:
         """Deliver everything that has ended by now."""
-        buses, ears, shelves = self.buses, self.ears, self.shelves
+        buses, ears, buffers = self.buses, self.ears, self.buffers
         tellers, lost = self.tellers, NONE_LOST
         for t_us, frame, sender, receivers in self.wire.advance(self.now_us()):
             for tap in self.taps:
@@ -175,7 +174,7 @@ class Segment:
                     lost = [*lost, (tap, problem)]
             if sender in tellers:
                 tellers[sender](t_us, frame)
-            if shelves:
+            if buffers:
                 beat = calm(frame, t_us)
                 if beat is not None:
                     receivers = self._put(beat, receivers)
@@ -199,13 +198,13 @@ class Segment:
     def _put(self, beat: BufferedBeacon, receivers: tuple[int, ...]) -> tuple[int, ...]:
         """Put a beat into the buffers of receivers that have one; returns the others."""
         others: tuple[int, ...] = ()
-        shelves = self.shelves
+        buffers = self.buffers
         for node in receivers:
-            shelf = shelves.get(node)
-            if shelf is None:
+            buffer = buffers.get(node)
+            if buffer is None:
                 others = (*others, node)
             else:
-                shelf.append(beat)
+                buffer.append(beat)
         return others
 
 
@@ -263,12 +262,12 @@ class FieldBus(BusABC):
         if self._open:
             self.segment.ears[self.node] = callback
 
-    def shelve(self, shelf: list[BufferedBeacon] | None) -> None:
-        """From now on append routine beacons to `shelf` instead of calling back; None: call back."""
-        if shelf is not None and self._open:
-            self.segment.shelves[self.node] = shelf
+    def buffer_beacons(self, buffer: list[BufferedBeacon] | None) -> None:
+        """From now on append routine beacons to `buffer` instead of calling back; None: call back."""
+        if buffer is not None and self._open:
+            self.segment.buffers[self.node] = buffer
         else:
-            self.segment.shelves.pop(self.node, None)
+            self.segment.buffers.pop(self.node, None)
 
     @property
     def sent(self) -> int:

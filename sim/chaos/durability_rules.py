@@ -117,7 +117,7 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
     try:
         stops = StopSet.deserialize(recalled.get(STOPS_KEY, b"\0\0"))
     except ValueError:
-        return "every stop: what is on the disk is none"
+        return "every stop: the record on the disk is no stop set"
     forgotten = {dot for dot in told_stops - stops.active if not stops.is_cleared(dot)}
     if forgotten:
         return f"stops {sorted(forgotten)}"

@@ -86,7 +86,7 @@ PROFILES = {
     "body": Profile((2, 4), (2, 8), {"box": 3.0, "pushed": 3.0, "crash_working": 1.0,
                                      "freeze": 1.0, "estop": 1.0, "blind": 1.5, "frozen": 1.5,
                                      "late": 1.0},
-                    "dropped boxes, pushed robots, lost senses, dead ones in the way"),
+                    "dropped boxes, pushed robots, lost senses, dead robots in the way"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,

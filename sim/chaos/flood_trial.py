@@ -90,7 +90,7 @@ def draw(
 
 
 class Trial:
-    """A fleet at work, a device that floods its bus, and people who press meanwhile."""
+    """A fleet at work, a device that floods its bus, and people that press meanwhile."""
 
     def __init__(self, flood: Flood) -> None:
         self.flood, self.swarm = flood, EventLoop()
@@ -196,8 +196,8 @@ class Trial:
 
     def _works(self) -> bool:
         """Whether all robots receive each other and at least one drives."""
-        everybody = frozenset(range(self.flood.robots))
-        heard = all(robot.peer.membership.live == everybody for robot in self.cluster.running)
+        all_slots = frozenset(range(self.flood.robots))
+        heard = all(robot.peer.membership.live == all_slots for robot in self.cluster.running)
         return heard and self._at_work()
 
     def _sent(self) -> list[int]:

@@ -22,7 +22,6 @@ from sim.scenarios.scenario import Fault, Scenario
 CHECK_US = 10 * S
 DIGITS = 8  # of the hash of the trace so far
 LEFT_OUT = ("sync", "health", "membership")  # they are two thirds of all events
-EVERYBODY = "all"
 
 
 class StoryText:
@@ -56,7 +55,7 @@ class StoryText:
             robots: defaultdict[str, list[int]] = defaultdict(list)
             for slot, events in sorted(by_robot.items()):
                 robots["; ".join(events)].append(slot)
-            rows += [(t_ms, 2, f"{self._named(who):8}{what}") for what, who in robots.items()]
+            rows += [(t_ms, 2, f"{self._named(slots):8}{what}") for what, slots in robots.items()]
         rows.sort(key=lambda row: row[:2])
         return [*(f"{t_ms:>7} {text}" for t_ms, _, text in rows), "", *self._counts()]
 
@@ -70,7 +69,7 @@ class StoryText:
         return [head, *table]
 
     def _named(self, slots: list[int]) -> str:
-        return EVERYBODY if len(slots) == self._robots > 1 else ",".join(map(str, slots))
+        return "all" if len(slots) == self._robots > 1 else ",".join(map(str, slots))
 
 
 def _event(trace: Trace) -> str:

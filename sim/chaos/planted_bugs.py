@@ -251,9 +251,11 @@ MUTANTS: dict[str, Mutant] = {
         "press",
     ),
     "no-echo-single-shot": Mutant(
-        "a stop is said once", StopController, "_press", _single_shot, "press"
+        "a stop is sent once", StopController, "_press", _single_shot, "press"
     ),
-    "silence-unnoticed": Mutant("nobody falls silent", Membership, "tick", _unnoticed, "claims"),
+    "silence-unnoticed": Mutant(
+        "no member ever falls silent", Membership, "tick", _unnoticed, "claims"
+    ),
     "silence-ten-times": Mutant(
         "silence is noticed after ten times the limit",
         Membership,
@@ -265,7 +267,7 @@ MUTANTS: dict[str, Mutant] = {
         "silence does not brake", StopController, "members", _constant(()), "claims"
     ),
     "alone-unheard": Mutant(
-        "frames that do not leave, and nobody who hears, keep nobody from going on",
+        "a robot whose frames do not leave, or that no robot hears, goes on",
         SelfCheck,
         "_unheard",
         _goes_on_unheard,
@@ -288,13 +290,13 @@ MUTANTS: dict[str, Mutant] = {
         "a journal that was rolled back is believed", LogJournal, "_rolled_back", _deaf, "claims"
     ),
     "disk-error-ignored": Mutant(
-        "what the disk did not take is said", PeerRunner, "_persist", _regardless, "claims"
+        "what the disk did not store is sent", PeerRunner, "_persist", _regardless, "claims"
     ),
     "old-senses-believed": Mutant(
-        "the age of what is sensed is not looked at", Senses, "_old", _constant(""), "body"
+        "the age of an observation is not checked", Senses, "_old", _constant(""), "body"
     ),
     "frozen-place-believed": Mutant(
-        "nobody notices that the place does not change", Senses, "_frozen", _constant(""), "body"
+        "a place that does not change is not noticed", Senses, "_frozen", _constant(""), "body"
     ),
     "older-claim-wins": Mutant(
         "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"
@@ -321,7 +323,7 @@ MUTANTS: dict[str, Mutant] = {
         "every digest is the same", Divergence, "outgoing_digest", _constant(7), "split"
     ),
     "progress-unannounced": Mutant(
-        "progress is not told", ProgressAnnouncements, "flush", _constant([]), "split"
+        "progress is not announced", ProgressAnnouncements, "flush", _constant([]), "split"
     ),
     "progress-not-restored": Mutant(
         "progress is not read from the journal",
@@ -331,7 +333,7 @@ MUTANTS: dict[str, Mutant] = {
         "claims",
     ),
     "covered-too-soon": Mutant("units that were not worked count", FieldMission, "_passed", _early),
-    "avoidance-off": Mutant("nobody avoids anybody", HolonomicMotion, "drive", _straight_on),
+    "avoidance-off": Mutant("no robot avoids another", HolonomicMotion, "drive", _straight_on),
     "commands-never-expire": Mutant(
         "the actuator keeps the last command", SimulatedBody, "drive", _never_expires_body, "crash"
     ),
@@ -346,14 +348,14 @@ MUTANTS: dict[str, Mutant] = {
         "devices",
     ),
     "used-stop-ignored": Mutant(
-        "a stop whose name was cleared before is not heard",
+        "a stop whose name was cleared before is ignored",
         StopController,
         "_press_spent",
         _constant(()),
         "devices",
     ),
     "standard-stop-once": Mutant(
-        "the standard stop is said once", OwnButton, "outgoing", _constant(None), "devices"
+        "the standard stop is sent once", OwnButton, "outgoing", _constant(None), "devices"
     ),
     "other-makers-believed": Mutant(
         "every device is one of ours", Origins, "of", _constant(Origin.OURS), "strangers"
@@ -376,7 +378,7 @@ MUTANTS: dict[str, Mutant] = {
         "any section, owner and epoch is joined", Admission, "admits", _constant(True), "strangers"
     ),
     "strangers-unasked": Mutant(
-        "nobody asks who is who", MemberDiscovery, "answer_due", _deaf, "claims"
+        "no robot asks which member has an address", MemberDiscovery, "answer_due", _deaf, "claims"
     ),
 }
 

@@ -158,13 +158,13 @@ class ProtocolRules:
         elif isinstance(message, Heartbeat):
             ahead = (message.operations - speaker.operations) & 0xFFFF
             if speaker.operations >= 0 and ahead >= HALF_U16:
-                self._add("S9", now_us, f"robot {slot} counts its operations back")
+                self._add("S9", now_us, f"robot {slot} counts its operations backwards")
             speaker.operations = message.operations
         elif isinstance(message, TaskClaim | StateSyncResponse):
             m = message
             key = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
             if key < speaker.registers.get(m.section, 0):
-                self._add("S9", now_us, f"robot {slot} takes back what it said of S{m.section}")
+                self._add("S9", now_us, f"robot {slot} takes back what it sent about S{m.section}")
             speaker.registers[m.section] = key
             if kind is TaskClaim:
                 speaker.own[m.section] = key
@@ -196,7 +196,7 @@ class ProtocolRules:
         elif speaker.stopped and not pose.stopped:
             speaker.asks_start = True
             if speaker.reset_at_us < speaker.stopped_at_us:
-                self._add("S2", now_us, f"robot {slot} is released, and nobody has reset it")
+                self._add("S2", now_us, f"robot {slot} is released, and no person has reset it")
         if not pose.stopped and speaker.dots:
             held = speaker.dots - self.cleared
             if held:
@@ -225,7 +225,9 @@ class ProtocolRules:
         speaker.dots.add(dot)
         if stop.slot >= self.robots and stop.slot != PANEL and not self.unknown_device:
             self._add(
-                "S21", now_us, f"robot {slot} tells a stop of {stop.slot}, which is not there"
+                "S21",
+                now_us,
+                f"robot {slot} sends a stop of machine {stop.slot}, which does not exist",
             )
 
     def _claim(
@@ -237,7 +239,7 @@ class ProtocolRules:
         claimed_at_us = speaker.claimed_at_us.pop(section, None)
         waited = claimed_at_us is None or now_us - claimed_at_us >= CONTESTED_US
         if phase is Phase.STARTED and not waited:
-            self._add("S7", now_us, f"robot {slot} starts S{section}, which is contested still")
+            self._add("S7", now_us, f"robot {slot} starts S{section}, which is still contested")
 
     def _vote(
         self, slot: int, speaker: RobotStatements, now_us: int, vote: LeaderElectionVote

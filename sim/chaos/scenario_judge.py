@@ -272,7 +272,9 @@ class ScenarioJudge:
                 del self._lost[address]
         elif t_us >= lost_at_us:
             del self._lost[address]
-            self._add("S18", t_us / 1e6, f"address {address} is lost and spoken from")
+            self._add(
+                "S18", t_us / 1e6, f"a frame comes from address {address}, which its robot has lost"
+            )
 
     def _loses_senses(self, slot: int, end_at_us: int) -> None:
         """S19: it stands until its sensors work again."""
@@ -321,7 +323,7 @@ class ScenarioJudge:
             missing = lost(self.witness.told[slot], disk.load())
             if missing and missing != STANDS and not missing.startswith(("stops", "units")):
                 t_s = self.cluster.host.now_us() / 1e6
-                self._add("S13", t_s, f"robot {slot} says {missing}, and its disk is full")
+                self._add("S13", t_s, f"robot {slot} sends {missing} although its disk is full")
 
     def _excuse(self, slots: tuple[int, ...]) -> None:
         self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
@@ -360,7 +362,7 @@ class ScenarioJudge:
         calm = self._trouble_at_us < pressed_at_us and self._one_bus and self.cluster.is_up(slot)
         if stood and calm and now_us - words.implements_stop_at_us > FORGET_US:
             self._add(
-                "S20", now_us / 1e6, f"robot {slot} stands, and no robot says it to implements"
+                "S20", now_us / 1e6, f"robot {slot} is stopped, and no robot tells the implements"
             )
 
     def _delivered(self, watch: int) -> None:
@@ -465,7 +467,7 @@ class ScenarioJudge:
         up = [robot.slot for robot in self.cluster.running]
         standing = [slot for slot in up if speakers[slot].stopped]
         if standing:
-            self._add("L2", now_us / 1e6, f"robots {standing} still stand stopped")
+            self._add("L2", now_us / 1e6, f"robots {standing} are still stopped")
         votes = [speakers[slot].votes for slot in up]
         for election in sorted({number for known in votes for number in known}):
             newest = [known[election] for known in votes if election in known]
@@ -504,7 +506,9 @@ class ScenarioJudge:
         told = sum(bits.bit_count() for bits in self.witness.words.units.values())
         untold = sum(world.units.values()) - told
         if untold:
-            self._add("L5", world.now_us / 1e6, f"finished, and {untold} units were never told")
+            self._add(
+                "L5", world.now_us / 1e6, f"finished, and {untold} units were never announced"
+            )
 
     def _accounted_for(self, world: World) -> bool:
         """Whether all unworked ground lies around machines that stayed switched off, or where a

@@ -41,9 +41,8 @@ class VfsCall(NamedTuple):
 
     file: str  # name without folder
     kind: str  # write, truncate, delete, sync, ack
-    at: int = (
-        0  # offset of a write, size after a truncation, 1 for a durable deletion, number of an ack
-    )
+    # Offset of a write, size after a truncation, 1 for a durable deletion, number of an ack.
+    at: int = 0
     data: bytes = b""
 
 

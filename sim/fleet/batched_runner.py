@@ -19,7 +19,7 @@ from sim.can.simulated_bus import BufferedBeacon, FieldBus
 
 
 class BatchedRunner(PeerRunner):
-    """A runner that lets beacons wait on a shelf until its peer takes a turn for another reason."""
+    """A runner that buffers beacons until its peer takes a turn for another reason."""
 
     def __init__(
         self,
@@ -34,8 +34,8 @@ class BatchedRunner(PeerRunner):
         super().__init__(peer, bus, body, journal, on_effect, clock)
         wire = self.bus.bus if isinstance(self.bus, CanBus) else None
         self._wire = wire if isinstance(wire, FieldBus) else None
-        self._shelf: list[BufferedBeacon] = []  # buffered beacons, for the next turn
-        self._shelved = False  # whether the bus puts beacons there
+        self._buffered: list[BufferedBeacon] = []  # buffered beacons, for the next turn
+        self._buffering = False  # whether the bus puts beacons there
 
     @property
     def _local(self) -> Callable[[int], int] | None:
@@ -58,7 +58,7 @@ class BatchedRunner(PeerRunner):
         self._attend()
 
     def _process(self, frame: Frame) -> bool:
-        if self._shelf:
+        if self._buffered:
             self._catch_up()
         changed = super()._process(frame)
         if changed:
@@ -68,16 +68,16 @@ class BatchedRunner(PeerRunner):
     def _attend(self) -> None:
         """Buffer beacons, unless we are stopped: then each is an echo or needs an answer."""
         wait = self._listening and not self._freeze_ends_at_us and not self.peer.safety.latched
-        if wait is not self._shelved:
-            self._shelved = wait
+        if wait is not self._buffering:
+            self._buffering = wait
             if self._wire is not None:
-                self._wire.shelve(self._shelf if wait else None)
+                self._wire.buffer_beacons(self._buffered if wait else None)
 
     def _catch_up(self) -> None:
         """Process the buffered beacons."""
-        if self._shelf:
-            effects = self._take(self._shelf)
-            self._shelf.clear()
+        if self._buffered:
+            effects = self._take(self._buffered)
+            self._buffered.clear()
             if effects:
                 self.perform(effects)
 
@@ -85,7 +85,7 @@ class BatchedRunner(PeerRunner):
         """What the peer does with beacons of live members while no stop holds it, without the calls.
 
         A pose is `Membership.on_pose`, a heartbeat what listens to `HeartbeatHeard`. Everything else
-        goes in by the door."""
+        goes through `Peer.step`."""
         peer, local, effects = self.peer, self._local, list[Effect]()
         reports, sync, safety = peer.reports, peer.sync, peer.safety
         membership, own = peer.membership, peer.slot

@@ -15,8 +15,8 @@ MET_US = 3 * S
 
 
 class ContactHistory:
-    """Follows which robots were connected long enough to know each other, and which hang or are
-    doubled."""
+    """Follows which robots were connected long enough to know each other, and which hang or
+    have a double."""
 
     def __init__(self, wire: Wire) -> None:
         self.wire = wire

@@ -55,7 +55,7 @@ class FieldOutcome(NamedTuple):
 
     @property
     def success(self) -> bool:
-        """Whether all reachable ground is worked, nobody touched anything or moved after a stop,
+        """Whether all reachable ground is worked, no robot touched anything or moved after a stop,
         and all replicas are equal."""
         return (
             self.finished

@@ -197,7 +197,7 @@ class StopMonitor:
                 self._unheard[number] |= self._know[number] - {self._by[number]}
                 self._know[number] &= {self._by[number]}
             if number in self._unsent and not self._silence_stops:
-                # The pressed robot may be the one that is cut off, and its silence stops nobody.
+                # The pressed robot may be the one that is cut off, and its silence stops no robot.
                 for other in set(self._stages.get(number, ())) - {self._by[number]}:
                     self._free(number, other)
 

@@ -12,7 +12,7 @@ from typing import TextIO
 from agent.interface.effects import Drive, Effect, Persist, Send, Trace
 from protocol.frames.codec import packed
 
-HANDFUL = 64
+BATCH = 64  # effects that are hashed together
 
 
 class Recorder:
@@ -21,10 +21,9 @@ class Recorder:
 
     def __init__(self, path: Path | None = None) -> None:
         self._hashes: dict[int, blake2b] = {}
-        self._waiting: dict[int, list[bytes]] = {}  # for the hash, which is fed by the handful
-        self._drives: dict[
-            int, tuple[Drive, bytes]
-        ] = {}  # the newest; most are like the one before
+        self._waiting: dict[int, list[bytes]] = {}  # for the hash, which is fed in batches
+        # The newest; most are like the one before.
+        self._drives: dict[int, tuple[Drive, bytes]] = {}
         self._file: TextIO | None = path.open("w", encoding="utf-8") if path is not None else None
         self.lost = 0  # claims and sections lost to a better claim
 
@@ -34,7 +33,7 @@ class Recorder:
             waiting = self._waiting[slot] = []
         if isinstance(effect, Send):
             waiting.append(now_us.to_bytes(8, "little") + packed(effect.message))
-            if len(waiting) >= HANDFUL:
+            if len(waiting) >= BATCH:
                 self._feed(slot)
         elif isinstance(effect, Drive):
             waiting.append(self._drive(slot, effect))

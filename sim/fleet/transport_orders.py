@@ -21,9 +21,8 @@ class TransportClient:
 
     def __init__(self, known: int = 0) -> None:
         """`known`: all robots know tasks below this number from the start."""
-        self.wanted: dict[
-            int, tuple[int, TransportTask]
-        ] = {}  # task number -> index of our order, and the order
+        # Task number -> index of our order, and the order.
+        self.wanted: dict[int, tuple[int, TransportTask]] = {}
         self.robots: set[int] = set()  # source addresses that have reported what they know
         self._first_free = known
         self._sure: dict[int, set[int]] = {}  # task -> robots that know it

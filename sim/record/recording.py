@@ -29,9 +29,8 @@ class Recording:
         self.intents: Notes = []  # one robot each, see `sim.record.robot_intent`
         self.things: Notes = []  # obstacles in the world from then on: {"rows": [...]}
         self.ended = False  # whether nothing more will come
-        self.clock: Callable[[], int] | None = (
-            None  # microseconds, of a live bus: quiet is time, too
-        )
+        # Microseconds, of a live bus: quiet is time, too.
+        self.clock: Callable[[], int] | None = None
         self.forgets = False  # drops old data at any time: see `sim.record.live_recording`
         self.digest = FramesDigest()
         self._begin_at_us = 0

@@ -21,9 +21,8 @@ from tools.bench.figure import Figure
 
 CELL_M, RADIUS_M = 1.0, 0.35
 LIMIT_S = 400.0  # a 5:5 swap takes 70 to 120 s; a run that is not over by now never will be
-PLAIN_LIMIT_S = (
-    60.0  # robots that stand face to face never move again; others are past each other after 30 s
-)
+# Robots that stand face to face never move again; others are past each other after 30 s.
+PLAIN_LIMIT_S = 60.0
 SEEDS, QUICK_SEEDS = 200, 1
 PLAIN_SEEDS, QUICK_PLAIN_SEEDS = 20, 1  # ORCA by itself: its failures take the whole time limit
 DEAR = "swap 5:5"  # in a quick run not by ORCA alone

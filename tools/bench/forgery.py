@@ -42,9 +42,8 @@ class ForgeryAttack:
         self.presser = Keyring(keys, PRESSER, b"")
         self.stranger = Keyring(foreign, OPERATOR, b"")
         self.heard: list[EmergencyReset] = []  # by the robot and the attacker
-        self.held: list[
-            tuple[int, EmergencyReset]
-        ] = []  # counter and frame; the robot never got it
+        # Counter and frame; the robot never got it.
+        self.held: list[tuple[int, EmergencyReset]] = []
         self.stops: list[EmergencyStop] = []
         self.presses = self.legitimate = 0
         self.tried: Counter[str] = Counter()

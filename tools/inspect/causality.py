@@ -24,14 +24,12 @@ from protocol.frames.safety_frames import (
 )
 from protocol.frames.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
 
-STEPS_MAX = (
-    64  # newest steps kept of a section: an epoch has three, and few sections have ten epochs
-)
+# Newest steps kept of a section: an epoch has three, and few sections have ten epochs.
+STEPS_MAX = 64
 RIVALS_MAX = 8  # kept of one step
 NOTES_MAX = 256  # newest stops, orders and farewells
-NEAR_S = (
-    2.0  # longest time from a cause to the release that it leads to: a control period and the bus
-)
+# Longest time from a cause to the release that it leads to: a control period and the bus.
+NEAR_S = 2.0
 Register = TaskClaim | StateSyncResponse
 
 

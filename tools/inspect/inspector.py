@@ -79,9 +79,8 @@ class Seen:
     held: bool = False  # something keeps it from moving
     causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
     question: int = 0  # number of what it asks its operators; 0: nothing
-    goal: tuple[float, float] | None = (
-        None  # place to which an operator has sent it, until it is there
-    )
+    # Place to which an operator has sent it, until it is there.
+    goal: tuple[float, float] | None = None
     incarnation: int = 0
     health: float = 1.0
     operations: int = 0

@@ -22,9 +22,8 @@ from tools.language.intent import (
 from tools.language.places import Places
 from tools.language.question import Question, QuestionReason
 
-ROOM_M = (
-    2.0  # between the places of two robots: a body is up to 1.6 m wide, and ORCA keeps them apart
-)
+# Between the places of two robots: a body is up to 1.6 m wide, and ORCA keeps them apart.
+ROOM_M = 2.0
 ANSWERS = ("wait", "continue", "replan")
 
 

@@ -199,7 +199,7 @@ class CommandSession:
         if self.by == ANY:  # the leader answers; without one any other robot is asked
             asked.insert(0, GLOBAL_ADDRESS)
         for address in asked:
-            text = await self.letters.ask(bulletin.BULLETIN_PGN, address, PEER_S)
+            text = await self.letters.ask(bulletin.FLEET_SUMMARY_PGN, address, PEER_S)
             told = None if text is None else bulletin.read(text)
             if told is not None:
                 return view.as_told(told)._replace(sections={**own.sections})

@@ -20,9 +20,8 @@ class Outcome:
     question: Question | None = None
     # None: not obeyed.
     orders: list[tuple[AuthorizedOrder, str | None]] = field(default_factory=list)
-    stopped: list[int] | None = (
-        None  # robots that confirmed a stop of all; None: none was asked for
-    )
+    # Robots that confirmed a stop of all; None: none was asked for.
+    stopped: list[int] | None = None
     not_stopped: list[int] = field(default_factory=list)
     held: list[int] | None = None  # robots that were held first, because the phrase may be an alarm
     queued: list[str] = field(default_factory=list)

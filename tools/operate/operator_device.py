@@ -41,9 +41,8 @@ from tools.operate.tool_address import DeviceAddress
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
 LEFT_S = 0.5  # silence after a farewell until it is believed: ten beats
-ECHOES_TRIED = (
-    8  # echoes of one robot that are checked for one stop: a forger has 8 guesses of 2^-16
-)
+# Echoes of one robot that are checked for one stop: a forger has 8 guesses of 2^-16.
+ECHOES_TRIED = 8
 NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 ASK_S = 0.25
 

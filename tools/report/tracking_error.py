@@ -53,9 +53,8 @@ class Following(NamedTuple):
 def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_at_us: int) -> list[Following]:
     """From a recording's intents; what makes no sense in them is passed over."""
     robots: dict[int, Following] = {}
-    now: dict[
-        int, tuple[int, Points]
-    ] = {}  # when it was sent, and the line from the piece it is on
+    # When it was sent, and the line from the piece it is on.
+    now: dict[int, tuple[int, Points]] = {}
     for t_us, intent in intents:
         told = _told(intent)
         if told is None:

@@ -41,9 +41,8 @@ from tools.run.launch_setup import AnySetting, robot_document
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
-STRAIGHT_M = (
-    0.02  # largest error of a thinned true track, that of RTK GNSS: one point in 2 s of driving
-)
+# Largest error of a thinned true track, that of RTK GNSS: one point in 2 s of driving.
+STRAIGHT_M = 0.02
 TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # checks in a row at which all is done before the launch ends
 MAP_NICE = 5  # niceness of the map's process; robots go first
@@ -66,9 +65,8 @@ class Launch:
         self, setting: AnySetting, name: str, fleet: FleetFolder, console: Console, keys: Path | None,
         page_port: int | None = None,
     ) -> None:  # fmt: skip
-        self.operator_key: str | None = (
-            None  # file of the map; its page may release and start with it
-        )
+        # File of the map; its page may release and start with it.
+        self.operator_key: str | None = None
         self.fleet, out = fleet, fleet.folder
         self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # number of the segment; 0: the fleet has no others

@@ -7,7 +7,7 @@ from itertools import count
 
 from agent.interface.identity import SilencePolicy
 from agent.peer import fleet_summary as bulletin
-from agent.peer.fleet_summary import BULLETIN_PGN
+from agent.peer.fleet_summary import FLEET_SUMMARY_PGN
 from agent.runtime.engine import FleetCoordinationEngine
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.links.bus import CanBus
@@ -39,10 +39,12 @@ class Fleet:
     async def ask(self) -> list[int]:
         """Ask everybody for the state of the fleet; who answered, within 2 s."""
         self.letters.arrived.clear()
-        await self.letters.ask(BULLETIN_PGN, GLOBAL_ADDRESS, 1.0)
+        await self.letters.ask(FLEET_SUMMARY_PGN, GLOBAL_ADDRESS, 1.0)
         await elapse(1.0)
         told = [
-            bulletin.read(a.data.decode()) for a in self.letters.arrived if a.pgn == BULLETIN_PGN
+            bulletin.read(a.data.decode())
+            for a in self.letters.arrived
+            if a.pgn == FLEET_SUMMARY_PGN
         ]
         return [t.by for t in told if t is not None]
 
@@ -123,7 +125,7 @@ def test_m25_without_a_leader_any_other_peer_still_answers() -> None:
         assert await made.ask() == []
         address = made.engines[2]._peer.address
         assert address is not None
-        text = await made.letters.ask(BULLETIN_PGN, address, 1.0)
+        text = await made.letters.ask(FLEET_SUMMARY_PGN, address, 1.0)
         assert text is not None and bulletin.read(text) is not None
         assert await made.engines[3].claim_section("S9"), "work needs no leader"
         await made.engines[1].broadcast_emergency_stop("SYSTEM_FAULT")
