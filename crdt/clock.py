@@ -58,11 +58,6 @@ class VectorClock:
         """The replica gives no more events: keep its count, and number no event after it."""
         self._retired.add(replica)
 
-    def is_retired(self, replica: int) -> bool:
-        """Whether this clock knows that a replica gives no more events. Not part of the clock's
-        value."""
-        return replica in self._retired
-
     def witness(self, replica: int, low: int, bits: int = 16) -> None:
         """Learn a counter of which only the low bits travelled: the nearest value not below ours.
 

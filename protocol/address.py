@@ -6,7 +6,6 @@ address that it must be sent from, because a claim is sent from the address it c
 Its states and their total table are `ClaimState` and `CLAIM_TABLE`.
 """
 
-from collections.abc import Mapping
 from enum import Enum
 from random import Random
 from typing import NamedTuple
@@ -258,8 +257,3 @@ class AddressClaim:
             self._next_at_us = now_us + self._retry_for_us + self._rng.randrange(S)
             self._retry_for_us = min(2 * self._retry_for_us, RETRY_MAX_US)
         return [AddressMessage(AddressClaimed(self.number), NULL_ADDRESS)]
-
-
-def holders(claim: AddressClaim) -> Mapping[int, Name]:
-    """The NAME that holds each address, as far as this device has received claims."""
-    return {address: Name.unpack(number) for address, number in sorted(claim.names.items())}

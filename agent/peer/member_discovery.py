@@ -60,11 +60,6 @@ class MemberDiscovery:
         """We have an address: ask all, unless we overheard a global request and its answers."""
         return () if self._everybody_asked else [Send(Request(self.pgn))]
 
-    @property
-    def everybody_asked(self) -> bool:
-        """Whether a global request was received since we listen."""
-        return self._everybody_asked
-
     def tick(self, now_us: int) -> Sequence[Effect]:
         """Send at most one request."""
         for address, due_at_us in self._ask_at_us.items():

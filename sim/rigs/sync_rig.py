@@ -22,7 +22,6 @@ from protocol.sync.synchronizer import Said, Synchronizer
 from sim.can.can_segment import Delivery, Wire
 
 ADDRESS = 128
-SILENCE_US = 300_000  # a cut or healed link is detected this much later
 
 
 class SyncMember:
