@@ -13,7 +13,7 @@ from agent.peer import notices
 from agent.peer.fleet_views import FleetViews
 from agent.peer.obstacle_hold import ObstacleHold
 from agent.peer.operator_directive import OperatorDirective
-from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, DirectListener, Outputs, Part, StepContext
 from agent.peer.section_work import SectionWork
 from agent.peer.sense_freshness import Senses
 from agent.peer.stall_watchdog import Advice, Stall
@@ -49,7 +49,7 @@ class ControlCycle(Part):
         self._drove_at_us = 0  # time of the newest command to the actuator
 
     @property
-    def listens(self) -> Mapping[type[Any], Listener]:
+    def listens_direct(self) -> Mapping[type[Any], DirectListener]:
         return {notices.ControlDue: self._control}
 
     @property
@@ -63,9 +63,9 @@ class ControlCycle(Part):
         self.next_at_us += (late_for_us // CONTROL_PERIOD_US + 1) * CONTROL_PERIOD_US
         return [notices.ControlDue(late_for_us)]
 
-    def _control(self, ctx: StepContext, notice: notices.ControlDue) -> Outputs:
+    def _control(self, notice: notices.ControlDue, now_us: int) -> Outputs:
         """From observation to drive, once a control period. The gate is the last step."""
-        mission, motion, here, now_us = self.mission, self.motion, ctx.here, ctx.now_us
+        mission, motion, here = self.mission, self.motion, self.senses.here
         if mission is None or motion is None or here is None:
             return NOTHING
         if now_us > self._drove_at_us + ACTUATOR_TTL_US:
@@ -137,7 +137,8 @@ class ControlCycle(Part):
     def _work(
         self, mission: Mission, view: FleetView, section: int
     ) -> tuple[MotionRequest, Outputs]:
-        wish, outputs = mission.work(view), list[Any]()
+        outputs: list[Any] = []
+        wish = mission.work(view)
         if wish.covered:
             outputs += self.progress.cover(section, wish.covered, view.now_us)
         if wish.finished:

@@ -14,7 +14,7 @@ from agent.interface.effects import HALT, Effect, Send, Trace
 from agent.interface.mission import STILL, FleetView, Mission, MotionRequest
 from agent.peer import inputs, notices
 from agent.peer.obstacle_hold import ObstacleHold
-from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, DirectListener, Handler, Header, Outputs, Part, StepContext
 from agent.safety.stop_controller import StopController
 from protocol.frames.operator_frames import OperatorGoal, OperatorReport, ReportKind, goal_check
 from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand
@@ -50,10 +50,10 @@ class OperatorDirective(Part):
         return {OperatorCommand: self._command, OperatorGoal: self._name}
 
     @property
-    def listens(self) -> Mapping[type[Any], Listener]:
+    def listens_direct(self) -> Mapping[type[Any], DirectListener]:
         return {inputs.Sensed: self._sensed}
 
-    def _sensed(self, ctx: StepContext, fact: inputs.Sensed) -> Outputs:
+    def _sensed(self, fact: inputs.Sensed, now_us: int) -> Outputs:
         if self.home is None and fact.observation is not None:
             self.home = fact.observation.x_m, fact.observation.y_m
         return NOTHING

@@ -19,16 +19,33 @@ from agent.interface.ports import Observation
 FOREVER: Final = 1 << 62  # a deadline that never comes
 
 
-class StepContext(NamedTuple):
-    """What every part may know in this step. It is rebuilt after each part that had an output."""
+class StepContext:
+    """What every part may know in this step. It is rebuilt after each part that had an output.
 
-    slot: int
-    now_us: int
-    state: State
-    may_move: bool  # no stop cause holds the robot
-    here: Observation | None  # the newest reading of our own sensors
-    live: frozenset[int]  # members that are received, with ourselves
-    joined: bool  # we have an address and it is announced, so the others know our slot
+    Not a tuple: several are made in each step, and a compiled class is made and read faster."""
+
+    __slots__ = ("here", "joined", "live", "may_move", "now_us", "slot", "state")
+
+    def __init__(
+        self,
+        slot: int,
+        now_us: int,
+        state: State,
+        may_move: bool,
+        here: Observation | None,
+        live: frozenset[int],
+        joined: bool,
+    ) -> None:
+        """`may_move`: no stop cause holds the robot. `here`: the newest reading of our own sensors.
+        `live`: members that are received, with ourselves. `joined`: we have an address and it is
+        announced, so the others know our slot."""
+        self.slot: Final = slot
+        self.now_us: Final = now_us
+        self.state: Final = state
+        self.may_move: Final = may_move
+        self.here: Final = here
+        self.live: Final = live
+        self.joined: Final = joined
 
 
 class Header(NamedTuple):
@@ -56,6 +73,7 @@ Outputs = Sequence[Output]
 Handler = Callable[[StepContext, Header, Any], Outputs]
 DirectHandler = Callable[[int, int | None, Any, int], Outputs]  # source, slot, message, now_us
 Listener = Callable[[StepContext, Any], Outputs]
+DirectListener = Callable[[Any, int], Outputs]  # notice or input, now_us
 NOTHING: Outputs = ()
 
 
@@ -82,6 +100,13 @@ class Part:
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
         """Notice or input -> listener. Read once."""
+        return {}
+
+    @property
+    def listens_direct(self) -> Mapping[type[Any], DirectListener]:
+        """Notice or input -> listener that gets no snapshot. Read once.
+
+        For what comes in each control period. All listeners of a kind are direct, or none is."""
         return {}
 
     def on_timer(self, ctx: StepContext) -> Outputs:

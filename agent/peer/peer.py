@@ -18,6 +18,7 @@ from agent.peer.part import (
     FOREVER,
     NOTHING,
     DirectHandler,
+    DirectListener,
     Handler,
     Header,
     Listener,
@@ -87,9 +88,13 @@ class Peer:
         self._slot_of = parts.membership.slot_of
         self._routes = bound(self.parts, {**ROUTES, **segments.routes})
         self._listeners: dict[type[Any], list[Listener]] = {}
+        self._direct: dict[type[Any], list[DirectListener]] = {}
         for part in self.parts:
             for kind, listener in part.listens.items():
                 self._listeners.setdefault(kind, []).append(listener)
+            for kind, direct in part.listens_direct.items():
+                self._direct.setdefault(kind, []).append(direct)
+        assert self._listeners.keys().isdisjoint(self._direct), "listeners would lose their order"
         self._timed = [p for p in self.parts if type(p).on_timer is not Part.on_timer]
         self._due = [p for p in self.parts if type(p).due_at_us is not Part.due_at_us]
 
@@ -110,10 +115,12 @@ class Peer:
         elif kind is Leave:
             outputs = [HALT, notices.WorkGivenBack(), notices.Leaving(), notices.Left()]
         else:
-            outputs = [fact]
+            effects: list[Effect] = []
+            self._deliver(fact, effects, now_us)
+            return effects
         if not outputs:
             return NOTHING
-        effects: list[Effect] = []
+        effects = []
         self._settle(outputs, effects, now_us)
         return effects
 
@@ -263,7 +270,15 @@ class Peer:
                 self._deliver(output, effects, now_us)
 
     def _deliver(self, notice: Output, effects: list[Effect], now_us: int) -> None:
-        listeners = self._listeners.get(type(notice))
+        kind = type(notice)
+        direct = self._direct.get(kind)
+        if direct is not None:
+            for tell in direct:
+                outputs = tell(notice, now_us)
+                if outputs:
+                    self._settle(outputs, effects, now_us)
+            return
+        listeners = self._listeners.get(kind)
         if listeners is None:
             return
         ctx: StepContext | None = None

@@ -23,7 +23,7 @@ from agent.interface.effects import HALT, Trace
 from agent.peer import inputs, notices
 from agent.peer.membership import Membership
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import FOREVER, NOTHING, DirectListener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.controller_health import Health
@@ -67,15 +67,12 @@ class SelfCheck(Part):
         self._confirms_at_us = now_us
 
     @property
-    def listens(self) -> Mapping[type[Any], Listener]:
-        return {
-            inputs.BusState: self._bus,
-            notices.ControlDue: lambda ctx, n: self.look(n.late_for_us, ctx.now_us),
-        }
+    def listens_direct(self) -> Mapping[type[Any], DirectListener]:
+        return {inputs.BusState: self._bus, notices.ControlDue: self._period}
 
-    def _bus(self, ctx: StepContext, fact: inputs.BusState) -> Outputs:
+    def _bus(self, fact: inputs.BusState, now_us: int) -> Outputs:
         """The driver's report."""
-        (health, taken, sent), now_us = fact, ctx.now_us
+        health, taken, sent = fact
         was, self._health = self._health, health
         self._refused_at_us = None if taken else _first(self._refused_at_us, now_us)
         self._passive_at_us = _first(self._passive_at_us, now_us) if health is PASSIVE else None
@@ -125,6 +122,9 @@ class SelfCheck(Part):
         if not stuck or self.safety.holds(StopCause.UNHEARD):
             return NOTHING
         return self.look(0, ctx.now_us)
+
+    def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
+        return self.look(notice.late_for_us, now_us)
 
     def look(self, late_for_us: int, now_us: int) -> Outputs:
         """Called once a control period, `late_for_us` after its due time, and when frames are stuck."""

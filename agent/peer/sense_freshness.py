@@ -16,7 +16,7 @@ from agent.interface.effects import HALT, Drive, Effect, Trace
 from agent.interface.motion_controller import MotionController
 from agent.interface.ports import Observation
 from agent.peer import inputs, notices
-from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, DirectListener, Listener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 
@@ -58,13 +58,13 @@ class Senses(Part):
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
-        return {
-            inputs.Sensed: self._take,
-            notices.ControlDue: lambda ctx, n: self.look(ctx.now_us),
-            notices.WasStarted: self._started,
-        }
+        return {notices.WasStarted: self._started}
 
-    def _take(self, ctx: StepContext, fact: inputs.Sensed) -> Outputs:
+    @property
+    def listens_direct(self) -> Mapping[type[Any], DirectListener]:
+        return {inputs.Sensed: self._take, notices.ControlDue: self._period}
+
+    def _take(self, fact: inputs.Sensed, now_us: int) -> Outputs:
         """The current observation, or None."""
         if fact.observation is not None:
             self.here = fact.observation
@@ -88,6 +88,9 @@ class Senses(Part):
         """Restart the check whether the place follows the wheels."""
         self._anchor = None
         return NOTHING
+
+    def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
+        return self.look(now_us)
 
     def look(self, now_us: int) -> list[Effect]:
         """Called once a control period. A robot with neither drive nor senses is not held."""

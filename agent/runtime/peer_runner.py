@@ -27,6 +27,7 @@ log = logging.getLogger(__name__)
 BEAT_PGN = GROUP_OF[Pose].pgn
 # What these messages say is on the disk before it is said, and still known after a restart.
 ON_DISK_FIRST = (TaskClaim, StateSyncResponse, WorkProgress, LeaderElectionVote)
+TIMER = Timer()
 INBOX_MAX = 4096  # frames: two seconds of a full bus; a peer that is further behind drops the rest
 
 
@@ -81,7 +82,8 @@ class PeerRunner:
         If a record could not be made durable, the effects that depend on it are not sent. After that
         only effects that stop the robot are performed.
         """
-        now_us, records, durable = self.clock(), list[Persist](), True
+        now_us, durable = self.clock(), True
+        records: list[Persist] = []
         for effect in effects:
             if isinstance(effect, Persist):
                 records.append(effect)
@@ -210,4 +212,4 @@ class PeerRunner:
                 self.perform(effects)
             if self.body is not None and peer.wants_observation(now_us):
                 peer.step(Sensed(self.body.sense(now_us)), now_us)
-            self.perform(peer.step(Timer(), now_us))
+            self.perform(peer.step(TIMER, now_us))

@@ -86,7 +86,8 @@ class BatchedRunner(PeerRunner):
 
         A pose is `Membership.on_pose`, a heartbeat what listens to `HeartbeatHeard`. Everything else
         goes through `Peer.step`."""
-        peer, local, effects = self.peer, self._local, list[Effect]()
+        peer, local = self.peer, self._local
+        effects: list[Effect] = []
         reports, sync, safety = peer.reports, peer.sync, peer.safety
         membership, own = peer.membership, peer.slot
         slot_of, signs, neighbours = (

@@ -98,9 +98,7 @@ def test_what_a_control_period_drives(cause: StopCause | None) -> None:
     for state in State:
         peer = peer_in(state, cause)
         (drive,) = (
-            e
-            for e in peer.named.control._control(peer.context(0), ControlDue(0))
-            if isinstance(e, Drive)
+            e for e in peer.named.control._control(ControlDue(0), 0) if isinstance(e, Drive)
         )
         moves = state in (State.IDLE, State.WORKING) and peer.safety.may_move
         assert (drive != HALT) is moves, state
