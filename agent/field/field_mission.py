@@ -80,7 +80,7 @@ class FieldMission(Mission):
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector()
         self.headway = Headway()
-        self.worked: set[int] = set()  # units of the current section done since it was begun
+        self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m, speed_m_s)
         bar_m = 0.0
@@ -202,15 +202,15 @@ class FieldMission(Mission):
         """Number of units that no robot has covered and that can be covered."""
         assert self.section is not None
         section = self.section
-        known = view.progress.covered(section.id)
-        for unit in self.worked:
-            if not view.progress.has(section.id, unit):
-                known += 1
+        progress = view.progress
+        # Few are left, so this question of every control period stays cheap in a long section.
+        self.worked = {u for u in self.worked if not progress.has(section.id, u)}
+        known = progress.covered(section.id) + len(self.worked)
         if known == section.units:
             return 0
         blocked = 0
         for unit in self._blocked(view, last=True):
-            if unit not in self.worked and not view.progress.has(section.id, unit):
+            if unit not in self.worked and not progress.has(section.id, unit):
                 blocked += 1
         return section.units - known - blocked
 
