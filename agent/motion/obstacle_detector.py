@@ -82,6 +82,7 @@ class ObstacleDetector:
             return None
         if self.points:
             self._forget(here, now_us)
+            self._explain(here, neighbours, now_us)
         if not self.points and not self._is_strange(here, motions, neighbours, now_us):
             return None
         everything = self._echoes(here, WATCH_M, None)
@@ -200,6 +201,13 @@ class ObstacleDetector:
             passed = distance_m < WATCH_M and min(beside) > distance_m + BEYOND_M
             if passed or now_us - seen_at_us > FORGET_US:
                 del self.points[grain]
+
+    def _explain(self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int) -> None:
+        """Drop points that belong to a robot which has joined since they were seen."""
+        strange = self._strange([p for p, _ in self.points.values()], here, neighbours, now_us)
+        if len(strange) < len(self.points):
+            left = set(strange)
+            self.points = {cell: seen for cell, seen in self.points.items() if seen[0] in left}
 
 
 def middle(grain: GroundCell) -> Point:

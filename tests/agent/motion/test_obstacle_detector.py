@@ -1,0 +1,46 @@
+"""What a robot remembers of unannounced obstacles."""
+
+from math import cos, hypot, inf, pi, sin
+
+import numpy as np
+
+from agent.interface.config import S
+from agent.interface.lifecycle import State
+from agent.interface.ports import Neighbour, Observation
+from agent.motion.obstacle_detector import ObstacleDetector
+from agent.motion.stopping_zone import StoppingZone
+from protocol.frames.fleet_frames import Pose
+
+RADIUS_M, RAYS, BODY = 0.8, 72, (2.2, 0.0)
+AHEAD = ((2.0, 0.0),)
+
+
+def observation() -> Observation:
+    """At (0, 0), with a body of `RADIUS_M` at `BODY`."""
+    ranges = []
+    for k in range(RAYS):
+        ux, uy = cos(2 * pi * k / RAYS), sin(2 * pi * k / RAYS)
+        along_m, across_m = BODY[0] * ux + BODY[1] * uy, abs(BODY[1] * ux - BODY[0] * uy)
+        hit = along_m > 0.0 and across_m < RADIUS_M
+        ranges.append(along_m - (RADIUS_M**2 - across_m**2) ** 0.5 if hit else inf)
+    return Observation(0.0, 0.0, 0.0, 0.0, 0.0, ranges_m=tuple(ranges))
+
+
+def test_a_body_that_joins_is_an_obstacle_no_more() -> None:
+    """Found by `headland chaos`, profile all, seed 1100005: a robot stood before the body of one that
+    was not switched on yet, and went on asking after that one had joined (L5)."""
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), StoppingZone(RADIUS_M, 1.5))
+    here = observation()
+    seen = detector.observe(here, AHEAD, {}, 0)
+    assert seen is not None and hypot(seen.x_m - 1.4, seen.y_m) < 0.15
+    joined = Neighbour(Pose(*BODY, 0.0, 0.0, State.IDLE, False, 0), 1 * S)
+    assert detector.observe(here, AHEAD, {1: joined}, 1 * S) is None
+    assert not detector.points
+
+
+def test_what_stands_beside_a_robot_stays_in_mind() -> None:
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), StoppingZone(RADIUS_M, 1.5))
+    here = observation()
+    beside = Neighbour(Pose(BODY[0], 2.5, 0.0, 0.0, State.IDLE, False, 0), 0)
+    assert detector.observe(here, AHEAD, {1: beside}, 0) is not None
+    assert detector.observe(here, AHEAD, {1: beside}, 1 * S) is not None
