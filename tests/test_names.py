@@ -54,8 +54,9 @@ NAMES = {
     ),
     **dict.fromkeys(["cost_ms", "rate_ms"], "a field of a frame, as documents and DBC files name it"),
     **dict.fromkeys(
-        ["after_ms", "before_ms", "dock_ms", "from_bay_ms", "handle_ms", "lead_bay_ms", "ready_ms",
-         "span_ms", "time_ms", "to_bay_ms", "total_ms", "waiting_ms"],
+        ["after_ms", "before_ms", "both_ms", "charge_ms", "dock_ms", "from_bay_ms", "from_ms",
+         "handle_ms", "lead_bay_ms", "lead_ms", "link_ms", "ready_ms", "span_ms", "step_ms", "there_ms",
+         "time_ms", "to_bay_ms", "total_ms", "waiting_ms"],
         "a term of a routing problem; all of its times are durations from now",
     ),
 }  # fmt: skip
@@ -73,7 +74,7 @@ def _files(layers: Iterable[str] = TIMED) -> Iterator[Path]:
 
 
 def _names(tree: ast.AST) -> Iterator[tuple[str, int]]:
-    """Parameters, functions and attributes of a module, with their lines."""
+    """Parameters, functions, attributes and variables of a module, with their lines."""
     for node in ast.walk(tree):
         match node:
             case ast.arg(arg=name, lineno=line):
@@ -84,11 +85,8 @@ def _names(tree: ast.AST) -> Iterator[tuple[str, int]]:
                 yield name, line
             case ast.Attribute(attr=name, ctx=ast.Store(), lineno=line):
                 yield name, line
-            case ast.ClassDef(body=body):
-                for each in body:
-                    targets = each.targets if isinstance(each, ast.Assign) else [
-                        each.target] if isinstance(each, ast.AnnAssign) else []  # fmt: skip
-                    yield from ((t.id, t.lineno) for t in targets if isinstance(t, ast.Name))
+            case ast.Name(id=name, ctx=ast.Store(), lineno=line):
+                yield name, line
 
 
 def _plain(name: str) -> str:

@@ -161,9 +161,9 @@ class OrcaSolver:
         for k in range(count):
             row = rows[k]
             dx, dy, vx, vy, combined, share = row[:6]
-            moved_on_s = row[6] if len(row) > 6 else 0.0
+            moved_on_for_s = row[6] if len(row) > 6 else 0.0
             _ROW.pack_into(self._bytes, 8 * (HEAD + (PEERS_MAX + k) * ROW_COLUMNS), x + dx, y + dy,
-                           vx, vy, combined - self.radius_m, share, 0.0, moved_on_s)  # fmt: skip
+                           vx, vy, combined - self.radius_m, share, 0.0, moved_on_for_s)  # fmt: skip
         _write_all(self._bytes, 0, x, y, *own, *wanted, 0.0, PEERS_MAX, PEERS_MAX + count, inf)
         found = self._run(at)
         self._use_known()

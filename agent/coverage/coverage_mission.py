@@ -293,8 +293,8 @@ class GridWork(Mission):
         It does not where it has announced the next cell.
         """
         bound = self._onward and left_m <= (1.0 - BOUND) * self.ground.cell_m
-        back_us = BACK_US if self.agreement.going else GATHER_BACK_US
-        if bound or now_us - self._held_at_us < back_us:
+        back_for_us = BACK_US if self.agreement.going else GATHER_BACK_US
+        if bound or now_us - self._held_at_us < back_for_us:
             return False
         self._from, self._to = self._to, self._from
         self._held_at_us, self._onward = 0, not self._onward and self._is_next(self._to)

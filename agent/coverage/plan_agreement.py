@@ -277,8 +277,8 @@ class CoverageAgreement:
             self._differs_at_us = now_us
         rank = sum(slot < self.slot for slot in crew.live)
         early = self.phase is FREE and len(crew.live) == 1
-        settle_us = BOOT_US if early else SETTLE_US
-        return now_us - self._differs_at_us >= settle_us + rank * STAGGER_US
+        settle_for_us = BOOT_US if early else SETTLE_US
+        return now_us - self._differs_at_us >= settle_for_us + rank * STAGGER_US
 
     @property
     def later(self) -> bool:
@@ -424,10 +424,10 @@ class CoverageAgreement:
 
     def _due(self, say: AgreementKind, what: object, hurried: bool, now_us: int) -> bool:
         """Send news immediately, repeat it soon, and then rarely."""
-        last, times, said_us = self._said.get(say, (None, 0, 0))
+        last, times, said_at_us = self._said.get(say, (None, 0, 0))
         if last == what:
-            hurry_us = max(HURRY_US, HURRY_ROBOT_US * len(self._used))
-            if now_us - said_us < (hurry_us if hurried or times < 2 else CALM_US):
+            hurry_for_us = max(HURRY_US, HURRY_ROBOT_US * len(self._used))
+            if now_us - said_at_us < (hurry_for_us if hurried or times < 2 else CALM_US):
                 return False
         self._said[say] = (what, times + 1 if last == what else 1, now_us)
         return True

@@ -176,8 +176,8 @@ class TaskAllocation:
         elif self._auction is None:
             means = {task for slot in view.live for task in self.means(slot)}
             waiting = sum(view.allocation.phase_of(task) is Phase.FREE for task in means)
-            before_us = STAGGER_US * self._order(view)
-            if self.haste.due(now_us - before_us, self.book.added, waiting, len(view.live)):
+            turn_for_us = STAGGER_US * self._order(view)
+            if self.haste.due(now_us - turn_for_us, self.book.added, waiting, len(view.live)):
                 self._begin_round(view, able, search_for_us=HASTE_US, haste=True)
 
     def _plan_stops(self, view: FleetView) -> None:

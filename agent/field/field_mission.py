@@ -189,8 +189,8 @@ class FieldMission(Mission):
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
             self.abandon()
             return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
-        left_s = missing * self.field.unit_m / self.speed_m_s
-        return _covering(wish, covered, False, left_s < NEAR_END_S)
+        rest_for_s = missing * self.field.unit_m / self.speed_m_s
+        return _covering(wish, covered, False, rest_for_s < NEAR_END_S)
 
     @property
     def _left_m(self) -> float:

@@ -149,23 +149,23 @@ class Parking:
         """
         arrivals = self._arrivals(view)
         places = np.vstack(([here], self._ground(here)))
-        coming_s = np.full(len(places), LATE_S)
+        coming_for_s = np.full(len(places), LATE_S)
         reach_m = 2 * self.radius_m + PASS_M
         for x_m, y_m, at_s in arrivals:
             near = np.hypot(places[:, 0] - x_m, places[:, 1] - y_m) < reach_m
-            coming_s[near] = np.minimum(coming_s[near], at_s)
-        if coming_s[0] < SOON_S:
+            coming_for_s[near] = np.minimum(coming_for_s[near], at_s)
+        if coming_for_s[0] < SOON_S:
             self._look_period_us = HASTY_US
         for slot, (pose, _) in view.neighbours.items():
             gap_m = np.hypot(places[:, 0] - pose.x_m, places[:, 1] - pose.y_m)
             taken = gap_m < reach_m
             taken[0] &= slot < view.slot and pose.state != State.WORKING
-            coming_s[taken] = 0.0
-        worth_s = (
-            coming_s - np.hypot(places[:, 0] - here[0], places[:, 1] - here[1]) / self.speed_m_s
+            coming_for_s[taken] = 0.0
+        worth_for_s = (
+            coming_for_s - np.hypot(places[:, 0] - here[0], places[:, 1] - here[1]) / self.speed_m_s
         )
-        best = int(np.argmax(worth_s))
-        if coming_s[0] >= SOON_S or worth_s[best] < worth_s[0] + GAIN_S:
+        best = int(np.argmax(worth_for_s))
+        if coming_for_s[0] >= SOON_S or worth_for_s[best] < worth_for_s[0] + GAIN_S:
             return None
         return float(places[best, 0]), float(places[best, 1])
 

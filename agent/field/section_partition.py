@@ -31,16 +31,16 @@ class SectionJob(NamedTuple):
 def cut(jobs: Sequence[SectionJob], parts: int) -> list[list[SectionJob]]:
     """Cut jobs, in their order, into at most `parts` runs of nearly equal work."""
     runs: list[list[SectionJob]] = []
-    rest_s, left = sum(job.work_for_s for job in jobs), parts
+    rest_for_s, left = sum(job.work_for_s for job in jobs), parts
     run: list[SectionJob] = []
-    run_s = 0.0
+    run_for_s = 0.0
     for job in jobs:
-        if run and left > 1 and run_s + job.work_for_s / 2 > rest_s / left:
+        if run and left > 1 and run_for_s + job.work_for_s / 2 > rest_for_s / left:
             runs.append(run)
-            rest_s, left = rest_s - run_s, left - 1
-            run, run_s = [], 0.0
+            rest_for_s, left = rest_for_s - run_for_s, left - 1
+            run, run_for_s = [], 0.0
         run.append(job)
-        run_s += job.work_for_s
+        run_for_s += job.work_for_s
     if run:
         runs.append(run)
     return runs

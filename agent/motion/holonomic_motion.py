@@ -188,7 +188,7 @@ class HolonomicMotion(MotionController):
             dx_m, dy_m = pose_x_m - own_x_m, pose_y_m - own_y_m
             if abs(dx_m) > reach_m or abs(dy_m) > reach_m:
                 continue
-            share, vx_m_s, vy_m_s, moved_on_s = 1.0, 0.0, 0.0, 0.0
+            share, vx_m_s, vy_m_s, moved_on_for_s = 1.0, 0.0, 0.0, 0.0
             age_us = now_us - heard_at_us
             if self.sensed is not None and age_us > UNHEARD_US:
                 continue  # it may be anywhere by now, but the range sensors see it
@@ -201,8 +201,8 @@ class HolonomicMotion(MotionController):
                 continue
             if speed_m_s > STANDING_M_S and age_us < AGE_MAX_US and not stopped:
                 vx_m_s, vy_m_s = speed_m_s * cos(course_rad), speed_m_s * sin(course_rad)
-                moved_on_s = age_us / S
-                dx_m, dy_m = dx_m + vx_m_s * moved_on_s, dy_m + vy_m_s * moved_on_s
+                moved_on_for_s = age_us / S
+                dx_m, dy_m = dx_m + vx_m_s * moved_on_for_s, dy_m + vy_m_s * moved_on_for_s
                 share = self.right.share(slot, self.state, state, age_us, now_us)
             combined_m = bodies_m
             if keeps_off and state == State.WORKING:
@@ -211,7 +211,7 @@ class HolonomicMotion(MotionController):
             if speed_m_s > STANDING_M_S:
                 ux, uy = cos(course_rad), sin(course_rad)
             others.append(_tuple(NearbyRobot, (slot, dx_m, dy_m, state, ux, uy)))
-            near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_s))
+            near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_for_s))
         self.others = others
         if len(near) > 1:
             near.sort(key=_square)

@@ -375,8 +375,8 @@ class NavigationMission(Mission):
     # ---------------------------------------------------------------- when to call a round
 
     def _call(self, now_us: int) -> None:
-        count, not_before_us = self._calls
-        if now_us < not_before_us:
+        count, allowed_at_us = self._calls
+        if now_us < allowed_at_us:
             return
         self._calls = (count + 1, now_us + CALLS_US[min(count, len(CALLS_US) - 1)])
         self.agreement.call(now_us)

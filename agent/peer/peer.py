@@ -129,9 +129,9 @@ class Peer:
         """When the next `Timer` has something to do if no other input comes before."""
         due_at_us = FOREVER
         for part in self._due:
-            part_us = part.due_at_us
-            if part_us < due_at_us:
-                due_at_us = part_us
+            part_at_us = part.due_at_us
+            if part_at_us < due_at_us:
+                due_at_us = part_at_us
         return due_at_us
 
     def wants_observation(self, now_us: int) -> bool:

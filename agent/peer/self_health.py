@@ -149,7 +149,7 @@ def _senses(known: Known) -> Reading:
 
 def health_table() -> str:
     """The Markdown table of all health rules for the documents."""
-    limit_ms, fine_ms = AGE_MAX_US // 1000, CONTROL_PERIOD_US // 1000
+    limit_for_ms, fine_for_ms = AGE_MAX_US // 1000, CONTROL_PERIOD_US // 1000
     rows = [
         (
             "battery, machine",
@@ -161,9 +161,9 @@ def health_table() -> str:
             for state, (share, _) in OF_BUS.items()
         ),
         *((source.value, cause.name, f"{share:g}") for cause, (share, source) in OF_CAUSE.items()),
-        ("senses", f"up to {fine_ms} ms old", f"{FINE:g}"),
-        ("senses", f"then less, at {limit_ms} ms", f"{DEGRADED:g}"),
-        ("senses", f"older than {limit_ms} ms, from the future, or absent", f"{FAILED:g}"),
+        ("senses", f"up to {fine_for_ms} ms old", f"{FINE:g}"),
+        ("senses", f"then less, at {limit_for_ms} ms", f"{DEGRADED:g}"),
+        ("senses", f"older than {limit_for_ms} ms, from the future, or absent", f"{FAILED:g}"),
     ]
     head = "| source | what it knows | health |\n|---|---|---|"
     return "\n".join([head, *(f"| {source} | {what} | {share} |" for source, what, share in rows)])

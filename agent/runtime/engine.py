@@ -233,9 +233,11 @@ class FleetCoordinationEngine:
         self._operate(ClaimSection(section, 0))
         if peer.allocation.owner_of(section) != self.slot:
             return False
-        settled_s = 2.0 * CONTENTION_US / S
+        settled_for_s = 2.0 * CONTENTION_US / S
         if peer.claims.current is None:
-            await self._wait(lambda: section not in peer.claims.contest_ends_at_us, settled_s + 1.0)
+            await self._wait(
+                lambda: section not in peer.claims.contest_ends_at_us, settled_for_s + 1.0
+            )
         else:  # claimed ahead, so it is held but not yet started
             await asyncio.sleep(CONTENTION_US / S)
         return peer.allocation.owner_of(section) == self.slot
@@ -294,7 +296,7 @@ class FleetCoordinationEngine:
             )
         call = ReleaseStops(operator, randbits(QUESTION_BITS))
         loop = asyncio.get_running_loop()
-        end_s = loop.time() + timeout_s
+        end_at_s = loop.time() + timeout_s
         try:
             self._operate(call)
             release = peer.stop_release.current
@@ -302,7 +304,7 @@ class FleetCoordinationEngine:
             named = tuple(".".join(map(str, dot)) for dot in release.dots)
             while True:
                 await asyncio.sleep(CLEAR_STEP_S)
-                if not release.outstanding or loop.time() >= end_s:
+                if not release.outstanding or loop.time() >= end_at_s:
                     break
                 self._operate(call)
         finally:

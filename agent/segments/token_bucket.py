@@ -24,10 +24,12 @@ class TokenBucket:
     def ready_at_us(self, cost_us: int, now_us: int) -> int:
         """When a transmission of `cost_us` may begin if nothing else is sent before."""
         self._fill(now_us)
-        lacking_us = cost_us - self._tokens_us
-        return now_us if lacking_us <= 0 else now_us + min(int(lacking_us / self.share) + 1, S)
+        lacking_for_us = cost_us - self._tokens_us
+        return (
+            now_us if lacking_for_us <= 0 else now_us + min(int(lacking_for_us / self.share) + 1, S)
+        )
 
     def _fill(self, now_us: int) -> None:
-        gained_us = (now_us - self._filled_at_us) * self.share
-        self._tokens_us = min(self._tokens_us + gained_us, self.burst_us)
+        gained_for_us = (now_us - self._filled_at_us) * self.share
+        self._tokens_us = min(self._tokens_us + gained_for_us, self.burst_us)
         self._filled_at_us = now_us

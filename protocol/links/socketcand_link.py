@@ -107,17 +107,17 @@ class SocketcandLink(asyncio.Protocol):
             self._task = asyncio.get_running_loop().create_task(self._keep())
 
     async def _keep(self) -> None:
-        pause_s = FIRST_S
+        pause_for_s = FIRST_S
         while True:
             self._answers, self._pending, self._full = 0, b"", False
             self._sent_before = self.sent or 0
             self._over.clear()
             if await self._connect():
-                pause_s = FIRST_S
+                pause_for_s = FIRST_S
                 await self._watch()
             self._drop()
-            await asyncio.sleep(pause_s * self._rng.uniform(0.5, 1.0))
-            pause_s = min(2 * pause_s, LAST_S)
+            await asyncio.sleep(pause_for_s * self._rng.uniform(0.5, 1.0))
+            pause_for_s = min(2 * pause_for_s, LAST_S)
 
     async def _connect(self) -> bool:
         loop = asyncio.get_running_loop()
@@ -137,13 +137,13 @@ class SocketcandLink(asyncio.Protocol):
         """Wait until the connection ends or falls silent."""
         loop = asyncio.get_running_loop()
         while not self._over.is_set():
-            due_s = loop.time() + ASK_S
+            due_at_s = loop.time() + ASK_S
             try:
-                async with asyncio.timeout_at(due_s):
+                async with asyncio.timeout_at(due_at_s):
                     await self._over.wait()
             except TimeoutError:
                 # Our own process hung, so data that has arrived is not read yet.
-                if loop.time() - due_s > ASK_S:
+                if loop.time() - due_at_s > ASK_S:
                     self._heard_at_s = loop.time()
                 if loop.time() - self._heard_at_s > DEAD_S:
                     return

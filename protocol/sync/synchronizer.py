@@ -205,9 +205,9 @@ class Synchronizer:
     def _allowed_at_us(self) -> int:
         """We ask not before this: others are sending, or our last question taught nothing."""
         pause_for_us = PAUSE_US << min(max(self._tries - 1, 0), DOUBLINGS_MAX)
-        turn_us = TURN_US if self._our_turn_was_last else 0
+        turn_for_us = TURN_US if self._our_turn_was_last else 0
         return max(
-            self._heard_at_us + GAP_US + QUIET_US + turn_us, self._asked_at_us + pause_for_us
+            self._heard_at_us + GAP_US + QUIET_US + turn_for_us, self._asked_at_us + pause_for_us
         )
 
     def on_message(self, slot: int, message: object, now_us: int) -> set[int]:

@@ -274,8 +274,8 @@ class Wire:
 
     def _withdraw(self, island: Island) -> None:
         """Cancel an arbitration that was decided before its bit time."""
-        length_us = island.end_at_us - island.begun_at_us
-        self.busy_for_us -= length_us
+        sends_for_us = island.end_at_us - island.begun_at_us
+        self.busy_for_us -= sends_for_us
         self.worst_for_us -= WORST_BITS[len(island.frame[1])] * self.bit_us
         island.start_at_us, island.end_at_us = island.begun_at_us, NEVER_US
 
@@ -290,8 +290,8 @@ class Wire:
             if due_at_us != NEVER_US and (next_at_us == NEVER_US or due_at_us < next_at_us):
                 next_at_us = due_at_us
         if self._off:
-            back_us = min(self._off.values())
-            next_at_us = back_us if next_at_us == NEVER_US else min(next_at_us, back_us)
+            back_at_us = min(self._off.values())
+            next_at_us = back_at_us if next_at_us == NEVER_US else min(next_at_us, back_at_us)
         self._next_at_us, self._next_known = (None if next_at_us == NEVER_US else next_at_us), True
         return self._next_at_us
 
@@ -321,38 +321,38 @@ class Wire:
     def _arbitrate(self, island: Island, t_us: int) -> None:
         island.start_at_us = NEVER_US
         best: tuple[int, int, Frame] | None = None  # no two entries have the same order
-        sender, later_us = -1, list[int]()
+        sender, later_at_us = -1, list[int]()
         for number in self._waiting:
             node = self.nodes[number]
             if node.island != island.number:
                 continue
             if node.ready_at_us > t_us:
-                later_us.append(node.ready_at_us)
+                later_at_us.append(node.ready_at_us)
                 continue
             head = node.queue[0]
             if best is None or head < best:
                 best, sender = head, number
         if best is None:
-            if later_us:
-                island.start_at_us = min(later_us)
+            if later_at_us:
+                island.start_at_us = min(later_at_us)
             return
         frame = best[2]
         identifier, data = frame
         bits = frame_bits(identifier, data)
         self.worst_for_us += WORST_BITS[len(data)] * self.bit_us
         node = self.nodes[sender]
-        if frame is node.flood and not later_us and self._undisturbed(node):
+        if frame is node.flood and not later_at_us and self._undisturbed(node):
             island.begun_at_us, island.end_at_us, island.sender = t_us, ENDLESS_US, sender
             island.frame, island.broken = frame, False
             island.train_period_us = bits * self.bit_us
             return
         broken = self.faults.error > 0.0 and self._rng["error"].random() < self.faults.error
         if broken:  # at a random bit of the frame all nodes send an error flag
-            length_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
+            sends_for_us = self._rng["error"].randrange(1, bits) * self.bit_us + ERROR_US
         else:
-            length_us = bits * self.bit_us
-        self.busy_for_us += length_us
-        island.begun_at_us, island.end_at_us, island.sender = t_us, t_us + length_us, sender
+            sends_for_us = bits * self.bit_us
+        self.busy_for_us += sends_for_us
+        island.begun_at_us, island.end_at_us, island.sender = t_us, t_us + sends_for_us, sender
         island.frame, island.broken = frame, broken
 
     def _end(self, island: Island, t_us: int, deliveries: list[Delivery]) -> None:

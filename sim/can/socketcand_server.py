@@ -242,12 +242,16 @@ class Client(asyncio.BufferedProtocol):
     def _pace(self) -> None:
         """Stop reading a client with too many commands for a while."""
         loop, transport = asyncio.get_running_loop(), self._transport
-        due_s = self._window_at_s + self._commands / COMMANDS_S
-        if due_s <= loop.time():
+        due_at_s = self._window_at_s + self._commands / COMMANDS_S
+        if due_at_s <= loop.time():
             self._window_at_s, self._commands = loop.time(), 0
-        elif due_s > loop.time() + QUIET_S and transport is not None and not transport.is_closing():
+        elif (
+            due_at_s > loop.time() + QUIET_S
+            and transport is not None
+            and not transport.is_closing()
+        ):
             transport.pause_reading()
-            loop.call_at(due_s, self._resume)
+            loop.call_at(due_at_s, self._resume)
 
     def _resume(self) -> None:
         if self._transport is not None and not self._transport.is_closing():
@@ -361,11 +365,11 @@ class Hub:
         self._look_after(bus)
 
     def _look_after(self, bus: FieldBus) -> None:
-        end_s = self._retiring.get(bus)
-        if end_s is None:
+        end_at_s = self._retiring.get(bus)
+        if end_at_s is None:
             return
         loop, node = asyncio.get_running_loop(), self.segment.wire.nodes.get(bus.node)
-        if node is not None and node.queue and loop.time() < end_s:
+        if node is not None and node.queue and loop.time() < end_at_s:
             loop.call_later(DRAIN_LOOK_S, self._look_after, bus)
             return
         del self._retiring[bus]

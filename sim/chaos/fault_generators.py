@@ -19,10 +19,10 @@ def _cut(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     slots = list(range(robots))
     rng.shuffle(slots)
     at = rng.randrange(1, robots)
-    healed_s = min(at_s + rng.choice((0.2, 2.0, 10.0)), end_at_s)
+    healed_at_s = min(at_s + rng.choice((0.2, 2.0, 10.0)), end_at_s)
     return [
         kinds.Partition(at_s=at_s, kind="partition", islands=[slots[:at], slots[at:]]),
-        kinds.Heal(at_s=healed_s, kind="heal"),
+        kinds.Heal(at_s=healed_at_s, kind="heal"),
     ]
 
 
@@ -32,9 +32,9 @@ def _one_way(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fau
 
 
 def _crash(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
-    robot, back_s = rng.randrange(robots), min(at_s + rng.uniform(0.05, 15.0), end_at_s)
+    robot, back_at_s = rng.randrange(robots), min(at_s + rng.uniform(0.05, 15.0), end_at_s)
     disk = rng.choice(("kept", "kept", "torn", "torn", "lost", "rolled_back"))
-    restart = {"at_s": back_s, "kind": "restart", "robot": robot, "disk": disk}
+    restart = {"at_s": back_at_s, "kind": "restart", "robot": robot, "disk": disk}
     return [
         kinds.Crash(at_s=at_s, kind="crash", robot=robot),
         kinds.Restart.model_validate(restart),
@@ -48,8 +48,8 @@ def _freeze(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Faul
 
 def _rate(make: Callable[[float, float], Fault], most: float) -> Draw:
     def draw(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
-        over_s = min(at_s + rng.uniform(1.0, 15.0), end_at_s)
-        return [make(at_s, rng.choice((0.01, 0.1, most))), make(over_s, 0.0)]
+        over_at_s = min(at_s + rng.uniform(1.0, 15.0), end_at_s)
+        return [make(at_s, rng.choice((0.01, 0.1, most))), make(over_at_s, 0.0)]
 
     return draw
 
@@ -185,12 +185,12 @@ def _blackout(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fa
     """All robots lose power within 0.3 s, so no running robot keeps the state of the fleet."""
     faults: list[Fault] = []
     for robot in range(robots):
-        off_s = round(at_s + rng.uniform(0.0, 0.3), 3)
-        back_s = min(at_s + rng.uniform(0.5, 8.0), end_at_s)
-        table = {"at_s": back_s, "kind": "restart", "robot": robot}
+        off_at_s = round(at_s + rng.uniform(0.0, 0.3), 3)
+        back_at_s = min(at_s + rng.uniform(0.5, 8.0), end_at_s)
+        table = {"at_s": back_at_s, "kind": "restart", "robot": robot}
         disk = rng.choice(("kept", "torn"))
         faults += [
-            kinds.Crash(at_s=off_s, kind="crash", robot=robot),
+            kinds.Crash(at_s=off_at_s, kind="crash", robot=robot),
             kinds.Restart.model_validate(table | {"disk": disk}),
         ]
     return faults
@@ -202,20 +202,23 @@ def _burst(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault
     At most half of the copies are lost: 20 copies are sent in 100 ms, and at least one of them
     arrives for all but one in a million presses.
     """
-    from_s, over_s = at_s - rng.uniform(0.0, 0.1), min(at_s + rng.uniform(0.1, 0.5), end_at_s)
+    begin_at_s, over_at_s = (
+        at_s - rng.uniform(0.0, 0.1),
+        min(at_s + rng.uniform(0.1, 0.5), end_at_s),
+    )
     rate = rng.choice((0.2, 0.35, 0.5))
     return [
-        kinds.Omission(at_s=round(from_s, 3), kind="omission", rate=rate),
+        kinds.Omission(at_s=round(begin_at_s, 3), kind="omission", rate=rate),
         kinds.Estop(at_s=at_s, kind="estop", robot=rng.randrange(robots)),
-        kinds.Omission(at_s=over_s, kind="omission", rate=0.0),
+        kinds.Omission(at_s=over_at_s, kind="omission", rate=0.0),
     ]
 
 
 def _split(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Two islands for long enough that both continue to work, if the policy allows it."""
     cut = _cut(rng, robots, at_s, end_at_s)[0]
-    healed_s = min(at_s + rng.uniform(3.0, 25.0), end_at_s)
-    return [cut, kinds.Heal(at_s=healed_s, kind="heal")]
+    healed_at_s = min(at_s + rng.uniform(3.0, 25.0), end_at_s)
+    return [cut, kinds.Heal(at_s=healed_at_s, kind="heal")]
 
 
 DRAWS: dict[str, Draw] = {

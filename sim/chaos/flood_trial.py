@@ -126,7 +126,7 @@ class Trial:
         )
         sent = self._sent()
         bus.shutdown()
-        wire_us = yield from self._until(
+        wire_for_us = yield from self._until(
             lambda: all(now > then for now, then in zip(self._sent(), sent, strict=True)),
             RECOVER_US,
         )
@@ -137,12 +137,12 @@ class Trial:
             begin_at_us = self._now_us()
         reset = self.swarm.spawn(self._reset()) if flood.presses else None
         limit_for_us = max(1, begin_at_us + 2 * RECOVER_US - self._now_us())
-        fleet_us = yield from self._until(self._works, limit_for_us)
+        fleet_for_us = yield from self._until(self._works, limit_for_us)
         if reset is not None:
             reset.cancel()
         late = {slot for violation in self.cluster.stops.violations for slot in violation.slots}
-        found_us = inf if fleet_us == inf else self._now_us() - begin_at_us
-        return FloodResult(flood, len(late), wire_us / S, found_us / S, moved_m)
+        found_for_us = inf if fleet_for_us == inf else self._now_us() - begin_at_us
+        return FloodResult(flood, len(late), wire_for_us / S, found_for_us / S, moved_m)
 
     def _send(self, bus: FieldBus, end_at_us: int) -> Script[None]:
         """Send without pause, or for its share of each period."""

@@ -83,14 +83,14 @@ def frame(data: bytes) -> None:
 def transport(data: bytes) -> None:
     """Frames of the transport protocol in any order, with time passing between."""
     ours, now_us = Transport(), 0
-    for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data)):
-        now_us += wait_ms * 10_000
+    for identifier, wait_for_ms, body in ENTRY.iter_unpack(_whole(data)):
+        now_us += wait_for_ms * 10_000
         source, message = decode(Frame(identifier & 0x1FFFFFFF, body))
         if isinstance(message, TransportManagement | TransportData):
             ours.on_message(source, identifier >> 8 & 0xFF, message, now_us)
         list(ours.on_tick(now_us))
         assert ours.sessions <= 64, ours.sessions
-        if wait_ms == 7:
+        if wait_for_ms == 7:
             ours.send(0xFEEB, body * 3, source, now_us)
 
 
@@ -99,8 +99,8 @@ def sync(data: bytes) -> None:
     allocation, progress = FieldAllocationCRDT(), Progress(UNITS)
     replica, now_us = Synchronizer(0, allocation, progress), 0
     replica.live(frozenset((0, 1, 2)), now_us)
-    for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data)):
-        now_us += wait_ms * 1_000
+    for identifier, wait_for_ms, body in ENTRY.iter_unpack(_whole(data)):
+        now_us += wait_for_ms * 1_000
         _, message = decode(Frame(identifier & 0x1FFFFFFF, body))
         before = dict(allocation.entries())
         if isinstance(message, Heartbeat):
@@ -121,9 +121,9 @@ def peer(data: bytes) -> None:
         ours.step(Timer(), now_us)
     if data[:1] and data[0] & 1:
         ours.step(Press(Reason.PERSON_IN_FIELD), now_us)
-    for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data[1:])):
+    for identifier, wait_for_ms, body in ENTRY.iter_unpack(_whole(data[1:])):
         stopped = ours.state is State.EMERGENCY_STOP
-        now_us += wait_ms * 1_000
+        now_us += wait_for_ms * 1_000
         arrived = Frame(identifier & 0x1FFFFFFF, body)
         resets += isinstance(decode(arrived)[1], OperatorCommand)
         ours.step(Received(arrived), now_us)
@@ -138,8 +138,8 @@ def keyed(data: bytes) -> None:
     """The same for a peer with keys: no frame without a tag releases it."""
     ours, now_us = _peer({}, KEYRING), 1_000_000
     ours.step(Press(Reason.PERSON_IN_FIELD), now_us)
-    for identifier, wait_ms, body in ENTRY.iter_unpack(_whole(data)):
-        now_us += wait_ms * 1_000
+    for identifier, wait_for_ms, body in ENTRY.iter_unpack(_whole(data)):
+        now_us += wait_for_ms * 1_000
         ours.step(Received(Frame(identifier & 0x1FFFFFFF, body)), now_us)
         assert ours.state is State.EMERGENCY_STOP
 

@@ -189,8 +189,8 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._pressed, robot))
             case kinds.Freeze(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._lapses, robot))
-                until_us = at_us + round(for_s * S)
-                self._at(at_us, partial(self.witness.words.hangs, robot, until_us))
+                end_at_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self.witness.words.hangs, robot, end_at_us))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))
@@ -479,22 +479,22 @@ class ScenarioJudge:
     # ---------------------------------------------------------------- at the end
 
     def _judge(self, outcome: FieldOutcome) -> None:
-        world, end_s = self.cluster.world, outcome.simulated_s
+        world, end_at_s = self.cluster.world, outcome.simulated_s
         self._moved()
         self._contacts()
         bodies = self.protocol_world is None and self.scenario.fleet.silence == "stop"
         self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
-            self._add("L1", end_s, "replicas differ")
+            self._add("L1", end_at_s, "replicas differ")
         questions = self.witness.words.questions
         if self._settled and questions.total() > self.scenario.fleet.robots:
             what = (
                 f"long after the calm began robots still ask for what they lack: {dict(questions)}"
             )
-            self._add("L1", end_s, what)
+            self._add("L1", end_at_s, what)
         if not outcome.finished or not (outcome.reached >= 0.9999 or self._accounted_for(world)):
             what = f"finished: {outcome.finished}, coverage {outcome.coverage:.2%}"
-            self._add("L5", end_s, what)
+            self._add("L5", end_at_s, what)
         else:
             self._all_units_told()
 

@@ -111,7 +111,7 @@ class BodyServer:
 
     async def run(self) -> None:
         """Step the world in real time and send an observation to every robot that has asked."""
-        loop, next_s = asyncio.get_running_loop(), asyncio.get_running_loop().time()
+        loop, next_at_s = asyncio.get_running_loop(), asyncio.get_running_loop().time()
         while True:
             now_us = self.now_us()
             self.world.advance(now_us)
@@ -119,8 +119,8 @@ class BodyServer:
                 seen = self.body(slot).sense(now_us) if link.open else None
                 if seen is not None:
                     link.send(sense_bytes(slot, seen))
-            next_s = max(next_s + TELL_US / 1e6, loop.time())
-            await asyncio.sleep(next_s - loop.time())
+            next_at_s = max(next_at_s + TELL_US / 1e6, loop.time())
+            await asyncio.sleep(next_at_s - loop.time())
 
 
 class _RobotLink(Link):
@@ -155,12 +155,12 @@ class RemoteBody(Link):
             self.malformed += 1
             return
         now_us = round(asyncio.get_running_loop().time() * 1e6)
-        behind_us: float = now_us - seen.sensed_at_us
+        behind_for_us: float = now_us - seen.sensed_at_us
         if self._behind_for_us is not None:
-            drifted_us = self._behind_for_us + (now_us - self._heard_at_us) * DRIFT_SHARE
-            behind_us = min(behind_us, drifted_us)
-        self._behind_for_us, self._heard_at_us = behind_us, now_us
-        self.seen = seen._replace(sensed_at_us=round(seen.sensed_at_us + behind_us))
+            drifted_for_us = self._behind_for_us + (now_us - self._heard_at_us) * DRIFT_SHARE
+            behind_for_us = min(behind_for_us, drifted_for_us)
+        self._behind_for_us, self._heard_at_us = behind_for_us, now_us
+        self.seen = seen._replace(sensed_at_us=round(seen.sensed_at_us + behind_for_us))
         self.first.set()
 
     async def ready(self) -> None:

@@ -108,13 +108,13 @@ class BridgedSegments:
     def wait(self, what: str, holds: Callable[[], bool], limit_for_s: float = BOOT_S) -> float:
         """Wait until `holds` is true, and return how long that took, in seconds. AssertionError
         with the state of all segments if it was not within `limit_for_s`."""
-        begun_s = time.monotonic()
+        begun_at_s = time.monotonic()
         while not holds():
-            waited_s = time.monotonic() - begun_s
+            waited_s = time.monotonic() - begun_at_s
             states = {k: self.state(k) for k in self.hosts} if waited_s > limit_for_s else {}
             assert waited_s <= limit_for_s, f"{what}: not within {limit_for_s} s; {states}"
             time.sleep(LOOK_S)
-        return time.monotonic() - begun_s
+        return time.monotonic() - begun_at_s
 
     def wait_reached(self, others: int, limit_for_s: float = BOOT_S) -> float:
         """Wait until all robots of all segments know that this many other segments are reached;
@@ -132,17 +132,17 @@ class BridgedSegments:
         for host in self.hosts.values():
             host.ask({"do": "arm"})
         time.sleep(self.rng.uniform(SPACING_S, 2 * SPACING_S))  # at a random moment of the beats
-        pressed_us = self.hosts[number].ask({"do": "press", "slot": slot})["pressed_us"]
-        last_us = 0.0
+        pressed_at_us = self.hosts[number].ask({"do": "press", "slot": slot})["pressed_us"]
+        last_at_us = 0.0
 
         def all_halted() -> bool:
-            nonlocal last_us
+            nonlocal last_at_us
             halts = [host.ask({"do": "halts"})["halts"] for host in self.hosts.values()]
-            last_us = max((t for h in halts for t in h.values()), default=0)
+            last_at_us = max((t for h in halts for t in h.values()), default=0)
             return all(len(h) == ROBOTS for h in halts)
 
         self.wait("everybody stands", all_halted, limit_for_s)
-        return (last_us - float(pressed_us)) / 1e3
+        return (last_at_us - float(pressed_at_us)) / 1e3
 
     def close(self) -> None:
         """Kill all processes, gateways first."""

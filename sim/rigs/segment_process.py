@@ -77,10 +77,10 @@ class SegmentHost:
         KeyError for an order without its arguments."""
         match order["do"]:
             case "press":
-                pressed_us = PeerRunner.now_us()
+                pressed_at_us = PeerRunner.now_us()
                 shell = self.shells[order["slot"]]
                 shell.operate(Press(Reason.PERSON_IN_FIELD))
-                return {"pressed_us": pressed_us}
+                return {"pressed_us": pressed_at_us}
             case (
                 "arm"
             ):  # every robot moves again: its stops are cleared, and it is reset and started

@@ -218,9 +218,11 @@ class SegmentFleet:
     @property
     def share(self) -> dict[int, tuple[float, float]]:
         """The load of each wire since `count_from_here`: (all frames, those of gateways)."""
-        span_us = self.swarm.now_us() - self._window_at_us
+        span_for_us = self.swarm.now_us() - self._window_at_us
         bits = {k: (self.bits[k], self.bridged[k]) for k in self.segments}
-        return {k: (a * BIT_US / span_us, b * BIT_US / span_us) for k, (a, b) in bits.items()}
+        return {
+            k: (a * BIT_US / span_for_us, b * BIT_US / span_for_us) for k, (a, b) in bits.items()
+        }
 
     _window_at_us = 0
 

@@ -106,9 +106,9 @@ class StopFleet:
         before: StopFrame | None = None
         for copy in self._copies:
             if before is not None:
-                ready_us = FRAME_US + (copy.errors - before.errors) * BROKEN_US
-                ready_us += FRAME_US if missed == 1 else 0
-                dry += copy.end_at_us - before.end_at_us > ready_us
+                ready_for_us = FRAME_US + (copy.errors - before.errors) * BROKEN_US
+                ready_for_us += FRAME_US if missed == 1 else 0
+                dry += copy.end_at_us - before.end_at_us > ready_for_us
             before = copy
             if self.nodes[slot] in copy.receivers:
                 break

@@ -164,7 +164,7 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
     def measure(self, cluster: DeliveryFleet) -> dict[str, Any]:
         truth, missions = cluster.truth, cluster.missions.values()
         self.tracks = points_of(cluster)
-        waits_s = [
+        waits_for_s = [
             (t_us - truth.appeared_at_us[task]) / S for task, t_us in truth.delivered_at_us.items()
         ]
         touches = [contact for contact in cluster.world.contacts if contact.depth_m > TOUCH_M]
@@ -175,7 +175,7 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
             "delivered": len(truth.delivered_at_us),
             "unreachable": tuple(sorted(cluster.unreachable)),
             "makespan_s": max(truth.delivered_at_us.values(), default=0) / S,
-            "latency_s": sum(waits_s) / max(len(waits_s), 1),
+            "latency_s": sum(waits_for_s) / max(len(waits_for_s), 1),
             "flaws": truth.flaws,
             "empty": tuple(sorted(truth.empty)),
             "lowest_battery": min(truth.lowest.values(), default=1.0),

@@ -280,7 +280,7 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
 
     def measure(self, cluster: ExplorationFleet) -> dict[str, Any]:
         setting, now_s = self.setting, cluster.host.now_us() / S
-        end_s, equal_s = self._done_at_us / S, now_s - self._over_at_us / S
+        end_at_s, equal_s = self._done_at_us / S, now_s - self._over_at_us / S
         self.tracks = points_of(cluster)
         first = cluster.missions[cluster.running[0].slot]
         self.joined = first.chart.fleet
@@ -297,12 +297,12 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
             "explored": int(np.count_nonzero(known & truth)) / self.seen.cells,
             "right": int(np.count_nonzero(right & known)) / max(int(np.count_nonzero(known)), 1),
             "time_95_s": self._most_at_s,
-            "time_s": end_s,
+            "time_s": end_at_s,
             "overlap": self._overlap,
             "overlap_end": self.seen.overlap,
             "equal_s": equal_s,
             "maps_equal": cluster.maps_equal and equal_s <= QUIET_US / S,
-            "map_load": self.map_bits * wire.bit_us / (end_s * 1e6),
+            "map_load": self.map_bits * wire.bit_us / (end_at_s * 1e6),
             "map_bytes_per_m2": self.map_bytes / (self.seen.cells * setting.geometry.cell_m**2),
             "bus_load": wire.worst_for_us / (now_s * 1e6),
             "tasks": dict(tasks),

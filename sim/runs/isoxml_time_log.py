@@ -43,25 +43,25 @@ def header(element: str) -> str:
 
 def pack(log: Sequence[LogPoint], started: datetime) -> bytes:
     """Records of one robot's track."""
-    start_ms = (started - EPOCH) // MILLISECOND
+    start_at_ms = (started - EPOCH) // MILLISECOND
     records, before = [], None
     for point in log:
-        days, day_ms = divmod(start_ms + point.t_ms, DAY_MS)
+        days, day_at_ms = divmod(start_at_ms + point.t_ms, DAY_MS)
         values = VALUE.pack(0, int(point.working)) if point.working is not before else b""
         before = point.working
         lat, lon = round(point.lat * DEGREE), round(point.lon * DEGREE)
-        records.append(FIXED.pack(day_ms, days, lat, lon, RTK_FIXED, bool(values)) + values)
+        records.append(FIXED.pack(day_at_ms, days, lat, lon, RTK_FIXED, bool(values)) + values)
     return b"".join(records)
 
 
 def unpack(records: bytes, started: datetime) -> tuple[LogPoint, ...]:
     """The inverse of `pack`. BadTimeLog if `pack` did not write it."""
-    start_ms = (started - EPOCH) // MILLISECOND
+    start_at_ms = (started - EPOCH) // MILLISECOND
     at, working, log = 0, False, []
     while at < len(records):
         if at + FIXED.size > len(records):
             raise BadTimeLog(f"{len(records) - at} bytes at the end are no record")
-        day_ms, days, lat, lon, _, values = FIXED.unpack_from(records, at)
+        day_at_ms, days, lat, lon, _, values = FIXED.unpack_from(records, at)
         at += FIXED.size
         if at + values * VALUE.size > len(records):
             raise BadTimeLog("the last record is cut off")
@@ -70,8 +70,8 @@ def unpack(records: bytes, started: datetime) -> tuple[LogPoint, ...]:
             at += VALUE.size
             if index == 0:
                 working = value == 1
-        if abs(lat) > 90 * DEGREE or abs(lon) > 180 * DEGREE or day_ms >= DAY_MS:
+        if abs(lat) > 90 * DEGREE or abs(lon) > 180 * DEGREE or day_at_ms >= DAY_MS:
             raise BadTimeLog("a record that is nowhere or at no time")
-        t_ms = days * DAY_MS + day_ms - start_ms
+        t_ms = days * DAY_MS + day_at_ms - start_at_ms
         log.append(LogPoint(t_ms, round(lon / DEGREE, 7), round(lat / DEGREE, 7), working))
     return tuple(log)

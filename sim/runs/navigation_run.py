@@ -111,14 +111,14 @@ class NavigationRun(MissionRun[NavigationSetup, Cluster, NavigationOutcome]):
         self.tracks = {slot: body.track.to_array() for slot, body in bodies.items()}
         self.followed = {slot: list(errand.followed) for slot, errand in errands.items()}
         legs = [leg for slot in errands for leg in self._legs(slot)]
-        last_s = tuple(
+        last_at_s = tuple(
             max((leg.arrived_s for leg in legs if leg.slot == slot), default=0.0)
             for slot in sorted(errands)
         )
         return {
             **of_bodies(cluster),
             "finished": len(self._done_at_us) == self.setting.section_count,
-            "arrived_s": last_s,
+            "arrived_s": last_at_s,
             "legs": tuple(legs),
             "rounds": max(e.agreement.rounds for e in errands.values()),
             "unsolved": max(e.agreement.unsolved for e in errands.values()),

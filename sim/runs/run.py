@@ -128,7 +128,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
             await host.close()
 
     def _play(self, host: Host) -> Script[OutcomeT]:
-        began_s, began_cpu_s = time.perf_counter(), time.process_time()
+        began_at_s, began_cpu_at_s = time.perf_counter(), time.process_time()
         if self.out is not None:
             self.out.mkdir(parents=True, exist_ok=True)
         recorder = self.recorder or Recorder(self.out / "trace.jsonl" if self.out else None)
@@ -145,7 +145,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         try:
             yield from self._until_over(cluster, scripts)
             yield from self._until_settled(cluster)
-            wall_s, cpu_s = time.perf_counter() - began_s, time.process_time() - began_cpu_s
+            wall_s, cpu_s = time.perf_counter() - began_at_s, time.process_time() - began_cpu_at_s
             cluster.world.advance(host.now_us())
             found = {
                 **self._common(cluster, recorder),
@@ -162,8 +162,8 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
             self.tally.close()
 
     def _until_over(self, cluster: FleetT, scripts: Sequence[Handle]) -> Script[None]:
-        host, limit_us = cluster.host, round(self.setting.time_limit_s * S)
-        while host.now_us() < limit_us:
+        host, limit_at_us = cluster.host, round(self.setting.time_limit_s * S)
+        while host.now_us() < limit_at_us:
             yield host.now_us() + self.look_period_us
             cluster.check()
             for script in scripts:

@@ -129,10 +129,10 @@ def _strokes(track: Sequence[TrackPoint]) -> Iterator[list[tuple[float, float]]]
 
 
 def _thinned(track: Sequence[TrackPoint]) -> Iterator[TrackPoint]:
-    last_us, tool = -LOG_US, None
+    last_at_us, tool = -LOG_US, None
     for k, point in enumerate(track):
-        if point[0] - last_us >= LOG_US or point[3] != tool or k == len(track) - 1:
-            last_us, tool = point[0], point[3]
+        if point[0] - last_at_us >= LOG_US or point[3] != tool or k == len(track) - 1:
+            last_at_us, tool = point[0], point[3]
             yield point
 
 

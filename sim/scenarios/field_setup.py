@@ -120,10 +120,10 @@ class FieldSetup(FleetSetup):
         if "time_limit_s" in scenario.run.model_fields_set:
             return scenario.run.time_limit_s
         crashed = {fault.robot for fault in scenario.fault if isinstance(fault, DEADLY)}
-        ends_s = [fault.at_s + getattr(fault, "for_s", 0.0) for fault in scenario.fault]
+        ends_at_s = [fault.at_s + getattr(fault, "for_s", 0.0) for fault in scenario.fault]
         fleet = scenario.fleet
         return time_limit_s(
-            self.field, fleet.robots - len(crashed), fleet.speed_m_s, max(ends_s, default=0.0)
+            self.field, fleet.robots - len(crashed), fleet.speed_m_s, max(ends_at_s, default=0.0)
         )
 
     @property

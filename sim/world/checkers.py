@@ -69,12 +69,16 @@ class MotionAfterStopChecker:
         All commands to `slots` must end within `bound_for_us`, and all of these robots must stand after
         `standing_for_us` more (default: their longest braking time).
         """
-        braking_us = [round(self.world.robots[slot].chassis.stopping_for_s * 1e6) for slot in slots]
-        longest_us = max(braking_us, default=0) if standing_for_us is None else standing_for_us
+        braking_for_us = [
+            round(self.world.robots[slot].chassis.stopping_for_s * 1e6) for slot in slots
+        ]
+        longest_for_us = (
+            max(braking_for_us, default=0) if standing_for_us is None else standing_for_us
+        )
         self._pressed += 1
         silent_at_us = t_us + bound_for_us
         self._watches[self._pressed] = _Watch(
-            frozenset(slots), silent_at_us, silent_at_us + longest_us
+            frozenset(slots), silent_at_us, silent_at_us + longest_for_us
         )
         self.world.guard()
         return self._pressed
@@ -108,10 +112,11 @@ class MotionAfterStopChecker:
         if len(self.violations) >= VIOLATIONS_MAX:
             return
         now_us = world.now_us
-        begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
+        # Commands in force during the step were those at its beginning.
+        begun_at_us = now_us - STEP_US
         for slot, (silent_at_us, still_at_us) in sorted(self.limits().items()):
             body = world.robots[slot]
-            if begun_us >= silent_at_us and body.commanded_at_us == begun_us:
+            if begun_at_us >= silent_at_us and body.commanded_at_us == begun_at_us:
                 self._add(now_us, slot, "told to move after a stop")
             if now_us >= still_at_us and body.moved_at_us == now_us:
                 self._add(now_us, slot, "moves after a stop")

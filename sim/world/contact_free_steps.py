@@ -98,12 +98,12 @@ def guarded(rows, motion, limits, moved_at_us, now_us):  # type: ignore[no-untyp
     (robots,), when each moved last.
     """
     found = False
-    begun_us = now_us - STEP_US  # commands in force during the step were those at its beginning
+    begun_at_us = now_us - STEP_US  # commands in force during the step were those at its beginning
     for i in range(motion.shape[0]):
         if motion[i, VX] ** 2 + motion[i, VY] ** 2 > STANDING_M_S**2:
             moved_at_us[i] = now_us
             found |= now_us >= limits[i, STILL_US]
-        found |= rows[i, COMMANDED_US] == begun_us and begun_us >= limits[i, SILENT_US]
+        found |= rows[i, COMMANDED_US] == begun_at_us and begun_at_us >= limits[i, SILENT_US]
     return found
 
 

@@ -97,11 +97,11 @@ class Track:
     def _leave_out(self, t_us: int, x_m: float, y_m: float, tool_on: bool, near_m: float) -> None:
         """Drop the last point if the drive to the new one passes all points left out before it."""
         flat = self._flat
-        was_us, was_x, was_y, was_on, last_us, last_x, last_y, last_on = flat[-8:]
+        was_at_us, was_x, was_y, was_on, last_at_us, last_x, last_y, last_on = flat[-8:]
         line = self._line or _Line()
-        line.pass_by(last_us - was_us, last_x - was_x, last_y - was_y, near_m)
+        line.pass_by(last_at_us - was_at_us, last_x - was_x, last_y - was_y, near_m)
         if was_on == last_on == tool_on and line.leads_to(
-            t_us - was_us, x_m - was_x, y_m - was_y, near_m
+            t_us - was_at_us, x_m - was_x, y_m - was_y, near_m
         ):
             self._line = line
             del flat[-4:]

@@ -89,9 +89,9 @@ def _points(track: Iterable[TrackPoint]) -> Floats:
 def _way(rows: Floats, steps: int) -> _Way:
     """The position at each step, on straight lines between points; without motion the course is
     kept."""
-    times_us = np.arange(steps) * TRACK_US
-    at = np.column_stack([np.interp(times_us, rows[:, 0], rows[:, k]) for k in (1, 2)])
-    down = rows[np.maximum(np.searchsorted(rows[:, 0], times_us, side="right") - 1, 0), 3] != 0.0
+    at_us = np.arange(steps) * TRACK_US
+    at = np.column_stack([np.interp(at_us, rows[:, 0], rows[:, k]) for k in (1, 2)])
+    down = rows[np.maximum(np.searchsorted(rows[:, 0], at_us, side="right") - 1, 0), 3] != 0.0
     moves = np.diff(at, axis=0, prepend=at[:1])
     length_m = np.hypot(moves[:, 0], moves[:, 1])
     moved = length_m > MOVED_M

@@ -164,8 +164,8 @@ class ProtocolWorld(World):
 
     def works(self, slot: int, section: int, now_us: int) -> None:
         """A robot has its implement down in a section."""
-        other, last_us = self._at_work.get(section, (slot, 0))
-        both = other != slot and now_us - last_us < BOTH_US
+        other, last_at_us = self._at_work.get(section, (slot, 0))
+        both = other != slot and now_us - last_at_us < BOTH_US
         if both and len(self.together) < VIOLATIONS_MAX and self.counts():
             what = f"section {section} worked by both"
             self.together.append(Violation("S7", now_us, (other, slot), what))
@@ -204,8 +204,8 @@ class TimedMission(Mission):
         for section in self._order:
             if view.allocation.phase_of(section) is Phase.FREE:
                 return ClaimRequest(section, 3)
-        for slot, since_us in sorted(view.fell_silent_at_us.items()):
-            if view.now_us - since_us >= LEASE_US:
+        for slot, silent_at_us in sorted(view.fell_silent_at_us.items()):
+            if view.now_us - silent_at_us >= LEASE_US:
                 for section in sorted(view.allocation.assigned_sections(slot)):
                     return ClaimRequest(section, 3, takeover=True)
         return None
