@@ -16,8 +16,7 @@ from zlib import crc32
 
 import numpy as np
 
-from crdt.digest import Sums, short
-from crdt.register import (
+from crdt.claim_register import (
     DONE_BIT,
     EPOCH_MAX,
     LAMPORT_MAX,
@@ -31,6 +30,7 @@ from crdt.register import (
     pack_all,
     phase_of,
 )
+from crdt.digest import Sums, short
 
 KIND = 1  # of an allocation entry in digests
 SECTION_MAX = 0xFFFF
@@ -181,7 +181,7 @@ class FieldAllocationCRDT:
     # ---------------------------------------------------------------- reading
 
     def key(self, section: int) -> int | None:
-        """The register of a section as one integer (`crdt/register.py`); None if it was never
+        """The register of a section as one integer (`crdt/claim_register.py`); None if it was never
         written."""
         return self._keys.get(section)
 

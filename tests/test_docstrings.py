@@ -152,7 +152,7 @@ def test_a_docstring_that_restates_its_name() -> None:
 
 
 def test_the_results_as_json(capsys: pytest.CaptureFixture[str]) -> None:
-    code = docstring_checker.main(["crdt/register.py", "--json"])
+    code = docstring_checker.main(["crdt/claim_register.py", "--json"])
     (result,) = json.loads(capsys.readouterr().out)
-    assert result["package"] == "crdt/register.py"
+    assert result["package"] == "crdt/claim_register.py"
     assert code == int(result["passing"] < result["checked"])

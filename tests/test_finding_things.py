@@ -1,7 +1,9 @@
 """Questions of a newcomer, each with the file whose name alone must answer it.
 
 The list was written before the modules were moved. A change that renames a file changes its row: ask
-somebody who has not read the code whether the new name answers the question.
+somebody who has not read the code whether the new name answers the question. On 2026-11-23 a newcomer
+with nothing but the file names gave 37 of 43 answers. Three of the six files that were not found have
+been renamed since.
 """
 
 from pathlib import Path
@@ -16,7 +18,7 @@ QUESTIONS = {
     "Which states does a robot have, and which events change them?": "agent/interface/lifecycle.py",
     "Where do all limits of the core stand, with their reasons?": "agent/interface/config.py",
     "What must a new mission implement?": "agent/interface/mission.py",
-    "What does a body tell its robot?": "agent/interface/ports.py",
+    "What does a body tell its robot?": "agent/interface/observation.py",
     "What can come out of the core?": "agent/interface/effects.py",
     "What happens in one control period?": "agent/peer/control_cycle.py",
     "What does a robot do with a frame that it receives?": "agent/peer/routing.py",
@@ -30,7 +32,7 @@ QUESTIONS = {
     "Where are Dubins paths?": "agent/paths/dubins.py",
     "How is a field cut into rows and sections?": "agent/field/field_division.py",
     "How does a robot stop before a person?": "agent/motion/obstacle_stop.py",
-    "How are transport tasks put into tours?": "agent/delivery/auction.py",
+    "How are transport tasks put into tours?": "agent/delivery/tour_auction.py",
     "Where are frontiers of an unknown building found?": "agent/exploration/frontier.py",
     "Where is a robot's durable memory written?": "agent/runtime/sqlite_journal.py",
     "Where is a peer made?": "agent/runtime/peer_factory.py",
@@ -43,7 +45,7 @@ QUESTIONS = {
     "What is in an emergency-stop frame?": "protocol/frames/safety_frames.py",
     "How are long messages sent in frames of eight bytes?": "protocol/transport.py",
     "How are replicas made equal after a partition?": "protocol/sync/synchronizer.py",
-    "Which claim of a section wins when two robots claimed it?": "crdt/register.py",
+    "Which claim of a section wins when two robots claimed it?": "crdt/claim_register.py",
     "How does the simulated wire arbitrate?": "sim/can/can_segment.py",
     "Which steps does pymunk make?": "sim/world/pymunk_engine.py",
     "Which faults can chaos play?": "sim/fleet/fault_injector.py",

@@ -11,7 +11,7 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import MotionController
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 
 GUARD = 0.6  # of a cell, between centres
 PERIOD_S = CONTROL_PERIOD_US / S

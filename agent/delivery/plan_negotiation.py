@@ -17,8 +17,8 @@ from math import ceil
 from typing import NamedTuple
 from zlib import crc32
 
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.routing_problem import Itineraries, Workload
+from agent.delivery.tour_auction import RoutingPlanner
 from agent.interface.config import MS
 from protocol.frames.delivery_frames import HASTENS, NO_TASK, PlanOffer, PlanRow
 from protocol.state_machine import StateMachine, matrix

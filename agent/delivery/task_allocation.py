@@ -16,12 +16,12 @@ from math import sqrt
 from typing import NamedTuple
 
 from agent.delivery.absent_owners import AbsentOwners
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL
 from agent.delivery.itinerary_broadcast import STOPS_MAX, ItineraryBroadcast, RemoteItinerary
 from agent.delivery.plan_negotiation import SLICE_US, PlanNegotiation, ProblemSnapshot
 from agent.delivery.routing_problem import IMPOSSIBLE_MS
 from agent.delivery.task_registry import TASKS_MAX, TaskRegistry, TransportTask
+from agent.delivery.tour_auction import RoutingPlanner
 from agent.delivery.waiting_policy import REPLAN_US as HASTE_US
 from agent.delivery.waiting_policy import WaitingPolicy
 from agent.delivery.warehouse import CarrierState, Warehouse

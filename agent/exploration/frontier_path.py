@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from agent.interface.config import S
 from agent.interface.mission import STILL, FleetView, MotionRequest
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.inflation import Cell
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 

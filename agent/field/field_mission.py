@@ -18,7 +18,7 @@ from agent.field.section_partition import Point
 from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route

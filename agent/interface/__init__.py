@@ -1,6 +1,6 @@
 """Inputs and outputs of a peer: observations, effects, the mission interface, identity, limits.
 
-Start with `effects` (what comes out), `ports` (what a body senses) and `mission` (what a mission
+Start with `effects` (what comes out), `observation` (what a body senses) and `mission` (what a mission
 answers each control period). `lifecycle` is the total table of a robot's states, on the machine in
 `protocol/state_machine.py`. `config` holds every limit of the core with its unit and its reason.
 """
@@ -17,7 +17,8 @@ from agent.interface.mission import (
     MotionRequest,
 )
 from agent.interface.motion_controller import BodyLimits, MotionController
-from agent.interface.ports import Body, Bus, Journal, Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
+from agent.interface.ports import Body, Bus, Journal
 from agent.interface.vehicle import DriveTrain, Vehicle
 
 __all__ = [

@@ -10,7 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from typing import NamedTuple
 
 from agent.interface.lifecycle import State
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.messages import Message
 

@@ -6,7 +6,7 @@ from typing import NamedTuple, Protocol
 from agent.interface.effects import Drive, Effect
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from protocol.frames.safety_frames import Command
 
 Point = tuple[float, float]  # metres east and north in the field

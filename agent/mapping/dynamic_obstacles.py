@@ -18,7 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from agent.interface.config import CONTROL_PERIOD_US, S
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.building import Floor
 from agent.mapping.local_and_fleet_map import SURE, LocalAndFleetMap
 from agent.mapping.occupancy_grid import Obstacle, OccupancyGrid

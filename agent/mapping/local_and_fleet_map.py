@@ -11,7 +11,7 @@ from math import isfinite
 import numpy as np
 
 from agent.interface.config import MS
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.occupancy_grid import OccupancyGrid
 from agent.mapping.ray_evidence import LEAST, MOST
 from crdt.occupancy import CELLS, SIDE, Geometry, OccupancyMap, patch_of

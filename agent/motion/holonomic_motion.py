@@ -20,7 +20,7 @@ from agent.interface.effects import HALT, Drive
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits, MotionController
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.deadlock_yield import DeadlockYield, NearbyRobot
 from agent.motion.implement_clearance import Implement
 from agent.motion.obstacle_detector import ObstacleDetector

@@ -12,7 +12,7 @@ from math import hypot
 from typing import Final
 
 from agent.interface.lifecycle import State
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
 
 # A stretch is entered this far before its first unit and left this far after its last one. A robot

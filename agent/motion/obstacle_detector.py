@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from agent.avoidance.fence_distance import gap_m
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import StoppingZone
 
 Point = tuple[float, float]

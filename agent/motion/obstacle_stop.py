@@ -16,7 +16,7 @@ from typing import Final
 from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send, Trace
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.obstacle_detector import (
     CHAIN_M,
     MARGIN_M,

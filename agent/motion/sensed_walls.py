@@ -9,7 +9,7 @@ from collections.abc import Iterable
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.unexplained_echoes import echoes
 
 JOINED_M = 0.5  # echoes further apart may have a door between them

@@ -22,7 +22,7 @@ from agent.interface.config import (
     MS,
     S,
 )
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 
 Point = tuple[float, float]
 

@@ -16,7 +16,7 @@ from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import Drive
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits as Body
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
 from agent.motion.obstacle_detector import ObstacleDetector

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 
 Point = tuple[float, float]  # metres east and north in the field
 Floats = NDArray[np.float64]

@@ -23,7 +23,7 @@ from agent.interface.mission import (
     MotionRequest,
     Record,
 )
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.mapf.agreement_phase import AgreementPhase
 from agent.mapf.joint_plan_agreement import JointPlanAgreement
 from agent.mapping.building import Floor

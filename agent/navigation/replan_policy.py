@@ -11,7 +11,7 @@ from collections.abc import Callable
 from math import hypot
 
 from agent.interface.config import S
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 from agent.motion.path_tracker import SAMPLE_M, PathTracker
 

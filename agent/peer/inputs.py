@@ -5,7 +5,7 @@ So a recording of inputs replays a peer, and a fuzzer has one door.
 
 from typing import NamedTuple
 
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from protocol.authentication import Keyring
 from protocol.controller_health import Health
 from protocol.frames.codec import Malformed

@@ -18,7 +18,7 @@ from typing import Any
 from agent.interface.config import GONE_QUIET_US
 from agent.interface.effects import Trace
 from agent.interface.identity import Identity
-from agent.interface.ports import Neighbour
+from agent.interface.observation import Neighbour
 from agent.peer import notices
 from agent.peer.frame_origin import Origins
 from agent.peer.part import (

@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 
 from agent.interface.effects import Drive, Effect
 from agent.interface.motion_controller import ObstacleQuestion
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.safety_frames import Command

@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Any, Final, NamedTuple
 
 from agent.interface.lifecycle import State
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 
 FOREVER: Final = 1 << 62  # a deadline that never comes
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 from agent.interface.effects import HALT, Drive, Effect, Persist, Send, Trace
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView, MotionRequest
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.peer import notices
 from agent.peer.inputs import Heard, Input, Leave, Received, Timer
 from agent.peer.part import (

@@ -14,7 +14,7 @@ from typing import Any, Final
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive, Effect, Trace
 from agent.interface.motion_controller import MotionController
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.peer import inputs, notices
 from agent.peer.part import NOTHING, DirectListener, Listener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause

@@ -26,7 +26,8 @@ from agent.interface.config import CONTENTION_US, S
 from agent.interface.effects import Effect, Trace
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
-from agent.interface.ports import Bus, Journal, Observation
+from agent.interface.observation import Observation
+from agent.interface.ports import Bus, Journal
 from agent.peer.inputs import (
     ClaimSection,
     EndRelease,

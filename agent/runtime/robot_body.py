@@ -12,7 +12,7 @@ from importlib import import_module
 from typing import Any
 
 from agent.interface.effects import GatedDrive
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.peer.peer import Peer
 
 

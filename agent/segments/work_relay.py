@@ -15,8 +15,8 @@ from typing import NamedTuple
 from agent.interface.config import MS
 from agent.segments.segment_area import GUEST_FIRST, Area, SegmentPlace
 from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt.claim_register import DONE_BIT, Claim
 from crdt.digest import mix
-from crdt.register import DONE_BIT, Claim
 from protocol.backbone_messages import ENTRIES_MAX, Entry
 from protocol.frames.work_frames import (
     TASK_CLAIM,

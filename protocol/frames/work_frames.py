@@ -6,7 +6,7 @@ from protocol.frames.layout import ANY_DEVICE, ROBOT, FrameLayout, choice, integ
 
 # scopes of STATE_SYNC_REQUEST
 REGISTERS, BLOCKS, STOPS, BUCKETS_SINCE, ALL_BUCKETS = range(5)
-PHASES = ((0, "FREE"), (1, "CLAIMED"), (2, "STARTED"), (7, "DONE"))  # of crdt.register.Phase
+PHASES = ((0, "FREE"), (1, "CLAIMED"), (2, "STARTED"), (7, "DONE"))  # of crdt.claim_register.Phase
 
 REGISTER_FIELDS = (
     integer("section", 16),

@@ -14,9 +14,9 @@ from typing import NamedTuple
 
 from crdt import FieldAllocationCRDT, Progress
 from crdt.allocation import KIND as REGISTERS
+from crdt.claim_register import pack
 from crdt.digest import BUCKETS, MASK, bucket_of, mix, short
 from crdt.progress import KIND as BLOCKS
-from crdt.register import pack
 from protocol.frames.work_frames import Digests, StateSyncResponse, TaskClaim, WorkProgress
 
 FORKS_MAX = 256  # versions tried as a fork, newest first; takes a fifth of a millisecond

@@ -18,7 +18,7 @@ from typing import Any, Final, NamedTuple, Protocol
 import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
-from agent.interface.ports import Neighbour
+from agent.interface.observation import Neighbour
 from protocol.frames.codec import decode_once
 from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.frame import Frame

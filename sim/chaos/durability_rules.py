@@ -22,7 +22,7 @@ from agent.peer.durable_records import (
 )  # fmt: skip
 from agent.safety.stop_controller import HOLD_KEY, LATCHED, STOPS_KEY
 from crdt import FieldAllocationCRDT, Phase, Progress
-from crdt.register import pack
+from crdt.claim_register import pack
 from crdt.stops import StopDot, StopSet
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.frames.messages import Message

@@ -34,8 +34,8 @@ from agent.runtime.peer_factory import make_peer
 from agent.runtime.sqlite_journal import MARK_SUFFIX, Mark, SqliteJournal
 from agent.safety.stop_controller import HOLD_KEY, STOPS_KEY
 from crdt import FieldAllocationCRDT, Phase, Progress
+from crdt.claim_register import pack
 from crdt.occupancy import CELLS, Geometry, OccupancyMap
-from crdt.register import pack
 from crdt.stops import StopDot, StopSet
 from protocol.authentication import Keyring, Keys
 from protocol.frames.codec import Malformed, decode, encode

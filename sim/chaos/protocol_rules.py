@@ -14,7 +14,7 @@ from typing import NamedTuple
 from agent.interface.config import CONTENTION_US, STOP_SPACING_US
 from agent.interface.lifecycle import WORKING
 from crdt import Phase
-from crdt.register import pack
+from crdt.claim_register import pack
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.frames.messages import Message

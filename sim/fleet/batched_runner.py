@@ -8,7 +8,8 @@ robot works like this: what a robot does with each frame is `PeerRunner`, and th
 from collections.abc import Callable, Sequence
 
 from agent.interface.effects import Effect
-from agent.interface.ports import Body, Bus, Journal, Neighbour
+from agent.interface.observation import Neighbour
+from agent.interface.ports import Body, Bus, Journal
 from agent.peer.inputs import Heard, Input
 from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner

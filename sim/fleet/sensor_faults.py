@@ -7,7 +7,8 @@ is over, even if the robot's process restarts meanwhile, because it is a fault o
 from collections import deque
 
 from agent.interface.effects import GatedDrive
-from agent.interface.ports import Body, Observation
+from agent.interface.observation import Observation
+from agent.interface.ports import Body
 from sim.fleet.scheduler import Host
 
 HISTORY_MAX = 4_000  # delayed observations: 200 s of control periods

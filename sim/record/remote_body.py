@@ -13,7 +13,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 from agent.interface.effects import Drive, GatedDrive
-from agent.interface.ports import Body, Observation, VisibleParcel
+from agent.interface.observation import Observation, VisibleParcel
+from agent.interface.ports import Body
 from agent.peer.peer import Peer
 from agent.runtime.robot_body import RobotBody
 from sim.record.intent_stream import IntentRelay, tell

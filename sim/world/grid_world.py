@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from agent.coverage.cell_map import NONE, CellMap
 from agent.interface.config import ACTUATOR_TTL_US, MS
 from agent.interface.effects import Drive
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from sim.world.drive_trains import Chassis
 from sim.world.robot_body import SimulatedBody
 from sim.world.world import World

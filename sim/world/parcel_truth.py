@@ -12,7 +12,8 @@ from agent.delivery.cost_matrix import Carrier
 from agent.delivery.delivery_mission import REACH_M
 from agent.interface.config import S
 from agent.interface.effects import HALT, GatedDrive
-from agent.interface.ports import Body, Observation, VisibleParcel
+from agent.interface.observation import Observation, VisibleParcel
+from agent.interface.ports import Body
 
 Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles parcels and charges only while slower than this

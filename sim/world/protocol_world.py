@@ -13,7 +13,7 @@ from agent.interface.config import ACTUATOR_TTL_US, CONTENTION_US, LEASE_US, MS,
 from agent.interface.effects import HALT, Drive
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import MotionController
-from agent.interface.ports import NOTHING_SEEN, Neighbour, Observation
+from agent.interface.observation import NOTHING_SEEN, Neighbour, Observation
 from crdt import Phase
 from sim.world.checkers import VIOLATIONS_MAX, Violation, lapse_for_us
 from sim.world.drive_trains import Chassis

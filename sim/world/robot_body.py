@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import HALT, Drive
-from agent.interface.ports import NOTHING_SEEN, Observation
+from agent.interface.observation import NOTHING_SEEN, Observation
 from sim.world.drive_trains import (
     COLUMNS,
     COMMAND,

@@ -11,7 +11,7 @@ from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.inputs import BusState, Heard, Sensed, Timer
 from agent.peer.peer import Peer

@@ -9,7 +9,7 @@ from asyncio.subprocess import PIPE, STDOUT, Process
 from pathlib import Path
 
 from crdt import FieldAllocationCRDT
-from crdt.register import pack
+from crdt.claim_register import pack
 from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim

@@ -6,9 +6,9 @@ from random import Random
 
 import numpy as np
 
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
 from agent.delivery.routing_problem import Workload
+from agent.delivery.tour_auction import RoutingPlanner
 from agent.mapping.building import Floor
 from agent.paths.nav_mesh import Mesh, Point
 from sim.scenarios.building_generator import warehouse

@@ -11,19 +11,19 @@ from itertools import pairwise
 from random import Random
 from typing import NamedTuple
 
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.itinerary_broadcast import ItineraryBroadcast
 from agent.delivery.task_registry import TransportTask
+from agent.delivery.tour_auction import RoutingPlanner
 from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.mapping.building import Floor
 from crdt import FieldAllocationCRDT, Phase, Progress
-from crdt.register import pack
+from crdt.claim_register import pack
 from protocol.frames.codec import decode, encode
 from protocol.frames.delivery_frames import TaskBid, TaskOrder
 from protocol.frames.fleet_frames import Pose

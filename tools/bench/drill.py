@@ -15,7 +15,7 @@ import numpy as np
 from agent.interface.effects import Drive
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner

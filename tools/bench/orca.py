@@ -23,7 +23,7 @@ from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from protocol.frames.fleet_frames import Pose
 from sim.scenarios.field_setup import FieldSetup

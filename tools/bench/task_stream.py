@@ -1,7 +1,7 @@
 """Tasks that arrive one by one, robots without congestion: how long a task waits to be delivered.
 
 Policies decide when a task arrives, nobody is interrupted. Ours is the bid of
-`agent/delivery/auction.py` in the hands of all robots, and at the times of
+`agent/delivery/tour_auction.py` in the hands of all robots, and at the times of
 `agent/delivery/waiting_policy.py` what one of them finds in a round; the mission's is the
 insertion of least extra travel.
 """
@@ -11,9 +11,9 @@ from random import Random
 
 import numpy as np
 
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.plan_negotiation import SLICE_MOVES_HASTE, SLICE_US, worth_streaming
 from agent.delivery.routing_problem import Workload
+from agent.delivery.tour_auction import RoutingPlanner
 from agent.delivery.waiting_policy import REPLAN_US, WaitingPolicy
 from agent.interface.config import MS
 from tools.bench.routing_opponents import bound_ms

@@ -56,7 +56,7 @@ def _coverage() -> None:
 
 
 def _agreement() -> None:
-    from agent.interface.ports import Observation
+    from agent.interface.observation import Observation
     from agent.mapf.lacam import planned
     from agent.mapf.linear_assignment import assigned
     from agent.mapping.building import Floor
@@ -81,8 +81,8 @@ def _exploration() -> None:
 
 
 def _delivery() -> None:
-    from agent.delivery.auction import RoutingPlanner
     from agent.delivery.cost_matrix import Carrier, CostMatrix, Trip, workload
+    from agent.delivery.tour_auction import RoutingPlanner
     from agent.mapping.building import Floor
     from agent.paths.nav_mesh import Mesh
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from agent.interface.config import LEASE_US, S
 from crdt import Phase
-from crdt.register import Claim, pack
+from crdt.claim_register import Claim, pack
 from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message

@@ -17,7 +17,7 @@ from agent.peer.told_causes import ToldCauses
 from agent.safety.standard_stop import HOLD_US
 from agent.safety.stop_cause import StopCause
 from crdt import FieldAllocationCRDT, Phase, Progress
-from crdt.register import pack
+from crdt.claim_register import pack
 from protocol.frames.codec import UNKNOWN, Malformed, decode
 from protocol.frames.delivery_frames import NO_TASK, Itinerary
 from protocol.frames.fleet_frames import (

@@ -11,7 +11,7 @@ from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.building import Floor
 from crdt import FieldAllocationCRDT, Progress
 

@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.routing_problem import Workload
+from agent.delivery.tour_auction import RoutingPlanner
 from agent.delivery.waiting_policy import EVERY_US, PATIENCE_US, WaitingPolicy
 from agent.interface.config import MS, S
 from protocol.frames.delivery_frames import HASTENS, PlanOffer

@@ -7,7 +7,7 @@ import pytest
 from agent.exploration.frontier_path import AT_M, STUCK_US, TURN_ROUND, FrontierPath
 from agent.interface.mission import FleetView
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 from crdt import FieldAllocationCRDT, Progress
 from crdt.occupancy import Geometry

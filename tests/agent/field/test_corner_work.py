@@ -9,7 +9,7 @@ from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
 from agent.interface.config import CONTROL_PERIOD_US
 from agent.interface.mission import FleetView
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M
 from agent.paths.route import Route
 from crdt import FieldAllocationCRDT, Progress

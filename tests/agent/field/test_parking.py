@@ -9,7 +9,7 @@ from agent.field.field_division import divide
 from agent.field.parking import LOOK_US, STUCK_US, Parking
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.fleet_frames import Pose
 

@@ -7,7 +7,7 @@ from agent.field.section_choice import UNTAKEN_US, SectionChooser
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.codec import decode_once, encode
 from protocol.frames.fleet_frames import Pose

@@ -6,7 +6,7 @@ import numpy as np
 
 from agent.interface.config import S
 from agent.interface.lifecycle import State
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.stopping_zone import StoppingZone
 from protocol.frames.fleet_frames import Pose

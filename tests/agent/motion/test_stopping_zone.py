@@ -11,7 +11,7 @@ from agent.interface.effects import Drive
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
 from agent.motion.stopping_zone import DRIVES_ON_US, SPACING_M, StoppingZone
 from protocol.frames.fleet_frames import Pose

@@ -8,7 +8,7 @@ import pytest
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits as Body
-from agent.interface.ports import Neighbour
+from agent.interface.observation import Neighbour
 from agent.motion.tractor_motion import TractorMotion
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import TurnRoute

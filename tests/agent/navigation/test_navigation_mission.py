@@ -5,7 +5,7 @@ from math import hypot
 import pytest
 
 from agent.interface.mission import FleetView
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapf.agreement_phase import AgreementPhase
 from agent.mapf.lacam import JointPlan
 from agent.mapping.building import Floor

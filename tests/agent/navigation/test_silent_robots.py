@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from agent.interface.config import MS, S
 from agent.interface.mission import FleetView
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import seen_through
 from agent.navigation.silent_robots import DEAD_US, SURE_M, SilentRobots
 from crdt import FieldAllocationCRDT, Progress

@@ -11,7 +11,7 @@ from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, GONE_QUIE
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US

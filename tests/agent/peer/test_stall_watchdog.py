@@ -5,7 +5,7 @@ from agent.field.work_headway import Headway
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.ports import Neighbour, Observation
+from agent.interface.observation import Neighbour, Observation
 from agent.peer.stall_watchdog import ALONE_US, CROWDED_US, TOLD_AFTER, Advice, Stall
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.fleet_frames import Pose

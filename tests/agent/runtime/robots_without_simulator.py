@@ -13,7 +13,7 @@ from typing import Any
 
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import HALT, GatedDrive
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import RobotBody
 from agent.runtime.robot_file import RobotFile

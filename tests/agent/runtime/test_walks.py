@@ -14,7 +14,7 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.effects import GatedDrive
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.peer.inputs import BusState, Sensed, Timer
 from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner

@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from crdt.register import Phase
+from crdt.claim_register import Phase
 from protocol.frames.codec import Malformed, decode, encode
 from protocol.frames.frame import Frame
 from protocol.frames.layout import ROBOT, FrameField, FrameLayout, flag, integer, octets, reserved

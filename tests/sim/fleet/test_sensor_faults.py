@@ -1,6 +1,6 @@
 """Faults of a position receiver, alone and together."""
 
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from sim.fleet.sensor_faults import Receiver
 
 PERIOD_US = 50_000

@@ -10,7 +10,7 @@ import pytest
 
 from agent.interface.effects import HALT
 from agent.interface.mission import STILL
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.mapping.building import Floor, FloorError
 from sim.runs.delivery_run import DeliveryRun
 from sim.runs.navigation_run import NavigationRun, to_polyline_m

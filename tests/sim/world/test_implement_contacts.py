@@ -3,7 +3,7 @@
 import pytest
 
 from agent.interface.lifecycle import State
-from agent.interface.ports import Observation
+from agent.interface.observation import Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.implement_clearance import Implement
 from sim.fleet.outcome import FieldOutcome

@@ -4,8 +4,8 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.delivery.auction import RoutingPlanner
 from agent.delivery.cost_matrix import FULL, Carrier, workload
+from agent.delivery.tour_auction import RoutingPlanner
 from tests.agent.planning import COSTS, random_work, trips
 
 
