@@ -303,14 +303,17 @@ class FieldMission(Mission):
         )  # fmt: skip
 
     def _along_m(self, here: Observation) -> float:
-        """Arc length on the first segment; negative before it."""
+        """Arc length on the line of our segment of the leg; also before its beginning."""
         assert self.tracker is not None
-        (ax, ay), (ux, uy) = self.tracker.points[0], self.tracker.direction
-        return (here.x_m - ax) * ux + (here.y_m - ay) * uy
+        piece = min(self.tracker.piece, len(self.tracker.points) - 2)
+        (ax, ay), (ux, uy) = self.tracker.points[piece], self.tracker.direction
+        return self.tracker.starts_m[piece] + (here.x_m - ax) * ux + (here.y_m - ay) * uy
 
     def _observe_bar(self, here: Observation) -> None:
         """Note how far back on the leg the ends of the lowered bar are."""
         assert self.tracker is not None
+        if not self.turns_on_the_spot or self.tracker.gap_m > LEAD_M:
+            return
         speed_m_s, tilt = hypot(here.vx_m_s, here.vy_m_s), 0.0
         if speed_m_s >= SLOW_M_S:
             ux, uy = self.tracker.direction
@@ -343,7 +346,7 @@ class FieldMission(Mission):
             self.ends_begun_m = inf, inf
             if self.unit == 0 and self.tracker.along_m <= LEAD_M:
                 self.worst_m = 0.0  # the implement was up before the unit only
-        elif self._on_lead_in:
+        if self._on_lead_in or max(self.ends_begun_m) == inf:
             self._observe_bar(view.here)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
@@ -365,8 +368,8 @@ class FieldMission(Mission):
         """Whether the implement was down before this place; at a corner, before the turn."""
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
-        if self.unit == 0 and self.turns_on_the_spot:
-            return max(self.ends_begun_m) <= begun_m + LATE_M
+        if self.turns_on_the_spot and max(self.ends_begun_m) > begun_m + LATE_M:
+            return False
         return self.lifted_to_m <= begun_m
 
     def _is_corner(self, at_m: float) -> bool:
