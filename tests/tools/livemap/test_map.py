@@ -174,7 +174,7 @@ def test_a_recording_is_looked_through(shown: str) -> None:
             "[...document.querySelectorAll('#speeds button')].find(b => b.dataset.speed === '30').click()"
         )
         until(page, f"headland.state().speed === 30 && headland.state().t > {RESET_S}")
-        until(page, "headland.field.workDone > 0.05")
+        until(page, "headland.field.workDone > 0.02")
         assert drawn_colours(page) > 8, "a field, sections and robots are more than that"
         assert complaints(page) == []
 
