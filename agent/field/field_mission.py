@@ -355,7 +355,7 @@ class FieldMission(Mission):
             end_m = LEAD_M + (self.unit + 1) * piece_m
             is_last = self.unit + 1 == len(self.leg.units)
             past_m = SWUNG_M if self._is_corner(end_m) else self.past_end_m * is_last
-            if self.tracker.along_m < end_m + past_m:
+            if self.tracker.along_m < end_m + past_m or self._bar_lags(view.here, end_m):
                 break
             begun_m = LEAD_M + self.unit * piece_m
             if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
@@ -363,6 +363,18 @@ class FieldMission(Mission):
             self.unit += 1
             self.worst_m = abs(self.tracker.off_m)
         return passed
+
+    def _bar_lags(self, here: Observation, end_m: float) -> bool:
+        """Whether one end of the bar of a robot that is pushed aside is still in the unit that ends
+        there.
+        """
+        assert self.tracker is not None
+        speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
+        if not self.turns_on_the_spot or speed_m_s < SLOW_M_S or self._is_corner(end_m):
+            return False
+        ux, uy = self.tracker.direction
+        tilt = abs(here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
+        return self._along_m(here) - self.half_m * tilt < end_m - LATE_M
 
     def _down_since(self, begun_m: float) -> bool:
         """Whether the implement was down before this place; at a corner, before the turn."""

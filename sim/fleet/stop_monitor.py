@@ -7,7 +7,7 @@ that machine, and gave it a start. A robot's own belief about this does not matt
 from collections.abc import Callable, Collection
 from enum import IntEnum
 
-from agent.interface.config import MS, beat_of
+from agent.interface.config import MS, STOP_SPACING_US, beat_of
 from protocol.frames.safety_frames import EVERYBODY, Command, EmergencyReset, OperatorCommand
 from sim.can.can_segment import Wire
 from sim.world.checkers import MotionAfterStopChecker, Violation
@@ -66,6 +66,7 @@ class StopMonitor:
         self.cleared_at_us = 0  # when an operator last cleared stops
         self._unsaid: set[int] = set()  # presses of robots that had no address to send them from
         self._unsent: set[int] = set()  # presses whose stop frame has not been on the wire
+        self._first_press: dict[int, int] = {}  # pressed robot -> the press that its last ones repeat
 
     @property
     def violations(self) -> list[Violation]:
@@ -84,8 +85,17 @@ class StopMonitor:
         self._unheard[number] = frozenset(unheard)
         if by in self._mute():
             self._unsaid.add(number)
-        if by != NOBODY:
+        if by != NOBODY and not self._repeats(number, by, now_us):
             self._unsent.add(number)
+
+    def _repeats(self, number: int, by: int, now_us: int) -> bool:
+        """Whether the robot takes this press for one that it has sent already, so sends no other
+        frame."""
+        first = self._first_press.get(by)
+        if first is not None and now_us - self._pressed_at_us[first] < STOP_SPACING_US:
+            return first not in self._unsent
+        self._first_press[by] = number
+        return False
 
     @property
     def waits(self) -> bool:
@@ -211,6 +221,7 @@ class StopMonitor:
     def dies(self, slot: int) -> None:
         """Its power fails. A stop of its own that was not sent is then known to no other robot, and
         its silence stops others only by the fleet's policy."""
+        self._first_press.pop(slot, None)
         for number in [n for n in self._unsent if self._by[n] == slot]:
             self._unsent.discard(number)
             others = set(self._stages.get(number, ())) - {slot}

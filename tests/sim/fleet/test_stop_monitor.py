@@ -4,7 +4,7 @@ from collections.abc import Awaitable, Callable
 
 import pytest
 
-from agent.interface.config import MS, S
+from agent.interface.config import MS, STOP_SPACING_US, S
 from agent.interface.effects import Drive
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
@@ -252,3 +252,17 @@ def test_what_a_dead_robot_said_last_expires_in_its_actuator(
         checker.lapses(0, dies_ms * MS)
     checker.moved(0, until_ms * MS)
     assert bool(checker.violations) is broken
+
+
+def test_a_second_press_that_sends_no_frame_of_its_own_is_not_waited_for() -> None:
+    """Found by `headland chaos`, profile press, seed 1300035: operators waited for the frame of a
+    press 62 ms after the first one, which a robot takes for the same press, and reset no robot."""
+    watch = StopMonitor(ProtocolWorld(2, 2), 2)
+    watch.pressed(0, (0, 1), by=1)
+    watch.pressed(30 * MS, (0, 1), by=1)
+    assert watch.unsent == {1}
+    watch.sent(1, 40 * MS)
+    watch.pressed(62 * MS, (0, 1), by=1)
+    assert not watch.waits
+    watch.pressed(STOP_SPACING_US, (0, 1), by=1)
+    assert watch.unsent == {1}
