@@ -75,6 +75,7 @@ class FieldMission(Mission):
         self.tilt_max = max(sqrt(1.0 - reach * reach), TILT_MIN)
         # How far back on the leg the left and the right end of the lowered bar have been.
         self.ends_begun_m = inf, inf
+        self.ends_reached_m = 0.0, 0.0  # how far they have come while they passed the end of a unit
         self.lifted = False  # the implement was up since the last check
         self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
@@ -255,7 +256,7 @@ class FieldMission(Mission):
                     list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
                 )
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
-                self.ends_begun_m = inf, inf
+                self.ends_begun_m, self.ends_reached_m = (inf, inf), (0.0, 0.0)
             self.tracker.locate(here.x_m, here.y_m)
             covered += self._passed(view)
             if not self.tracker.arrived:
@@ -365,16 +366,19 @@ class FieldMission(Mission):
         return passed
 
     def _bar_lags(self, here: Observation, end_m: float) -> bool:
-        """Whether one end of the bar of a robot that is pushed aside is still in the unit that ends
-        there.
+        """Whether an end of the bar of a robot that is pushed aside has not passed the end of the
+        unit yet.
         """
         assert self.tracker is not None
         speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
         if not self.turns_on_the_spot or speed_m_s < SLOW_M_S or self._is_corner(end_m):
             return False
         ux, uy = self.tracker.direction
-        tilt = abs(here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
-        return self._along_m(here) - self.half_m * tilt < end_m - LATE_M
+        along_m = self._along_m(here)
+        ahead_m = self.half_m * (here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
+        left_m, right_m = self.ends_reached_m
+        self.ends_reached_m = max(left_m, along_m - ahead_m), max(right_m, along_m + ahead_m)
+        return min(self.ends_reached_m) < end_m - LATE_M
 
     def _down_since(self, begun_m: float) -> bool:
         """Whether the implement was down before this place; at a corner, before the turn."""
