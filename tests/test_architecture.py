@@ -8,6 +8,7 @@ import importlib
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping
+from fnmatch import fnmatch
 from pathlib import Path
 
 import pytest
@@ -278,3 +279,11 @@ def test_no_test_sleeps() -> None:
     here = Path(__file__)
     for path in sorted(here.parent.rglob("*.py")):
         assert path == here or "sleep(" not in path.read_text(encoding="utf-8"), path
+
+
+def test_pytest_looks_into_every_folder_of_tests(pytestconfig: pytest.Config) -> None:
+    """Its own list of folders to leave out has "build", so that tests/tools/build never ran."""
+    left_out = pytestconfig.getini("norecursedirs")
+    folders = {path.parent for path in (ROOT / "tests").rglob("test_*.py")}
+    names = {part for folder in folders for part in folder.relative_to(ROOT).parts}
+    assert not {name for name in names for pattern in left_out if fnmatch(name, pattern)}

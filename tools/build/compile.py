@@ -26,7 +26,7 @@ CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has
 # `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property`
 # each time.
 GROUP = {
-    "crdt": "allocation clock digest progress register",
+    "crdt": "allocation claim_register clock digest progress",
     "protocol": "address frames.codec frames.identifier links.bus "
     "state_machine sync.digest_comparison sync.replica sync.synchronizer transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
