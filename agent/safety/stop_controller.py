@@ -48,6 +48,8 @@ SPENT_FORGET_US = 3 * S  # a panel that sends its stop once a second is still pr
 RENEWALS_MAX = 8  # further dots for one press because robots report its dot as already used
 COUNT_TOLD_MAX = 255  # largest count in STOPS_HELD
 FOREVER = 1 << 62
+# Under these causes no frame of ours leaves.
+_MUTE = frozenset({StopCause.UNHEARD, StopCause.BUS_OFF, StopCause.ADDRESS_LOST})
 STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # these start no motion, so one tag is enough
 
 
@@ -591,7 +593,7 @@ class StopController:
         A repeat that no node can hear does not count.
         """
         sends, others = list[Effect](), self._live - {self.slot}
-        unheard = StopCause.UNHEARD in self._causes
+        unheard = not _MUTE.isdisjoint(self._causes)
         for dot, left in sorted(self._own.items()):
             enough = left <= (0 if others else REPEATS_MAX - REPEATS_ALONE)
             if enough or (others and others <= self._echoes.get(dot, set())):

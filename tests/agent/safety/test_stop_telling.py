@@ -9,6 +9,7 @@ from agent.interface.effects import Effect, Send
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
 from agent.peer.inputs import Heard, Press, Timer
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import REPEATS_ALONE, StopController
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Pose
@@ -116,3 +117,17 @@ def test_a_life_without_memory_names_its_stops_anew() -> None:
         (stop,) = stops_of(safety.press(Reason.PERSON_IN_FIELD, 0))
         names.add((stop.incarnation, stop.counter))
     assert len(names) == 3
+
+
+@pytest.mark.parametrize("cause", [StopCause.BUS_OFF, StopCause.ADDRESS_LOST, StopCause.UNHEARD])
+def test_a_press_while_no_frame_leaves_is_sent_when_the_bus_is_back(cause: StopCause) -> None:
+    """Found by `headland chaos`, profile flood, seed 1300127: a lone robot was pressed while its
+    controller was off the bus, and all its repeats were over before the first could leave."""
+    safety = StopController(0, 1, SilencePolicy.CONTINUE, None, {}, 0)
+    safety.raise_cause(cause, 0)
+    (stop,) = stops_of(safety.press(Reason.PERSON_IN_FIELD, 0))
+    for now_us in range(0, 60 * S, 10 * MS):
+        safety.on_tick(now_us)
+    safety.clear_cause(cause, 60 * S)
+    soon = range(60 * S, 60 * S + 100 * MS, MS)
+    assert stop in [said for now_us in soon for said in stops_of(safety.on_tick(now_us))]
