@@ -19,6 +19,9 @@ from sim.world.parcel_truth import Parcels
 from sim.world.world import World
 
 KEEP_US = 20_000_000  # 4,320 lines a day; the new data in a line, of 100 robots, is some 10 kB
+# Decimals of a number: tracks are to 0.1 mm, a two-hundredth of what their thinning leaves out, and a
+# number in full has 18 digits; poses, in which robots continue, are to a micrometre.
+TRACK_DIGITS, POSE_DIGITS = 4, 6
 LINE_BYTES_MAX = 16 * 1024 * 1024  # a line of 100 robots and 1,000 parcels has 200 kB
 
 
@@ -54,9 +57,14 @@ class WorldMemory:
         world = self.world
         line: dict[str, Any] = {
             "t_us": world.now_us,
-            "poses": {s: [*b.position, b.heading_rad] for s, b in world.robots.items()},
-            "tracks": {s: b.track.settled_from(self._told[s]) for s, b in world.robots.items()},
-            "newest": {s: b.track.newest for s, b in world.robots.items()},
+            "poses": {
+                s: [round(v, POSE_DIGITS) for v in (*b.position, b.heading_rad)]
+                for s, b in world.robots.items()
+            },
+            "tracks": {
+                s: _short(b.track.settled_from(self._told[s])) for s, b in world.robots.items()
+            },
+            "newest": {s: _short(b.track.newest) for s, b in world.robots.items()},
             "contacts": [_kept(contact) for contact in world.contacts[self._contacts :]],
         }
         if self.parcels is not None:
@@ -129,6 +137,12 @@ def _lines(path: Path) -> Iterator[tuple[dict[str, Any], int]]:
                 yield line, end
     except (ValueError, RecursionError):
         return
+
+
+def _short(flat: list[float]) -> list[float]:
+    """Points of a track, four numbers each, with as many decimals as count."""
+    rounded = (round(value, TRACK_DIGITS) for value in flat)
+    return [int(value) if value.is_integer() else value for value in rounded]
 
 
 def _kept(contact: Contact) -> dict[str, Any]:
