@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tools.common.options import PORT_MAX
+from tools.common.options import PORT_MAX, Json
 
 app = typer.Typer(help="Tasks of a delivering fleet.", no_args_is_help=True)
 
@@ -23,7 +23,7 @@ def add(
     port: Annotated[
         int, typer.Option("--port", min=0, max=PORT_MAX, help="0: the newest live run or launch.")
     ] = 0,
-    json: Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")] = False,
+    json: Json = False,
 ) -> None:  # fmt: skip
     """Order a transport, and wait until robots say that they know of it. Exit 0 only then.
 

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tools.common.options import Json
+
 if TYPE_CHECKING:
     import numpy as np
     from numpy.typing import NDArray
@@ -18,8 +20,6 @@ app = typer.Typer(
 )  # fmt: skip
 
 ROBOT_CELLS_MAX = 1 << 27  # a team keeps eight bytes for each robot and cell: a gibibyte
-
-Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 
 
 @app.command()
