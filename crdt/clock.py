@@ -116,10 +116,5 @@ class VectorClock:
         """A new dictionary, replica to number of its events, in order of replicas."""
         return {replica: self._counts[replica] for replica in self}
 
-    @classmethod
-    def from_dict(cls, counts: Mapping[int, int]) -> "VectorClock":
-        """A clock with these numbers of events; the mapping is copied."""
-        return cls(counts)
-
     def __repr__(self) -> str:
         return f"VectorClock({self.to_dict()})"

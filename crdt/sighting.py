@@ -17,7 +17,7 @@ new observation of half its confidence.
 """
 
 from enum import Enum
-from math import exp, log
+from math import log
 from typing import NamedTuple
 
 UNKNOWN, FREE, OBSTACLE = range(3)  # of a cell
@@ -56,13 +56,6 @@ class CellObservation(NamedTuple):
         less."""
         own = (self.level + 1) / LEVELS
         return own if reader == self.observer else own * SECOND_HAND
-
-    def faded(self, reader: int, now: int) -> float:
-        """The confidence, 0 to 1, for the slot `reader` at the second `now` of the fleet's clock.
-
-        It fades with the rate of DECAYED from the time of the observation on.
-        """
-        return self.confidence(reader) * exp(-RATE / 1000 * max(now - self.time, 0))
 
 
 def base(order: MergeOrder, level: int, time: int, observer: int) -> int:

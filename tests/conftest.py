@@ -15,7 +15,7 @@ PROCESS = re.compile(
     r" import|.*\bcreate_subprocess_)", re.M,
 )  # fmt: skip
 FLEET = re.compile(
-    r"^\s*(?:from|import) (?:sim\.(?:fleet|runs|rigs|chaos)|tests\.chaos"
+    r"^\s*(?:from|import) (?:sim\.(?:fleet|runs|rigs|chaos)|tests\.(?:chaos|protocol\.sync)"
     r"|tools\.(?:run|bench|chaos|livemap))\b", re.M,
 )  # fmt: skip
 

@@ -68,7 +68,6 @@ class PeerRunner:
         self._disk_failed = False
         self._taken = True  # whether the bus accepted the last frame
         self._confirming = bus if isinstance(bus, Confirming) else None
-        self.withheld = 0  # frames not queued because earlier frames are not being sent
         self._freeze_ends_at_us = 0  # 0: not frozen
 
     @staticmethod
@@ -102,8 +101,7 @@ class PeerRunner:
                 if source is not None:
                     frame = encode(effect.message, source, effect.destination)
                     if self.peer.check.clogged and not self.peer.check.lets_out(frame, now_us):
-                        self.withheld += 1
-                        continue
+                        continue  # earlier frames are not being sent
                     self._taken = self.bus.send(frame)
             elif isinstance(effect, Drive):
                 if self.body is not None:

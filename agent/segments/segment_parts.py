@@ -60,8 +60,3 @@ def segments_of(parts: PeerParts, area: Area, policy: SilencePolicy, now_us: int
 def remote_segments_of(peer: Peer) -> RemoteSegments:
     """What this peer knows of other segments. Raises StopIteration in a fleet of one segment."""
     return next(part for part in peer.parts if isinstance(part, RemoteSegments))
-
-
-def fleet_stops_of(peer: Peer) -> FleetStops:
-    """Its stops of the whole fleet. Raises StopIteration in a fleet of one segment."""
-    return next(part for part in peer.parts if isinstance(part, FleetStops))

@@ -32,10 +32,6 @@ HEADER = (
 )
 
 
-class BadTimeLog(Exception):
-    """Records that do not match the header."""
-
-
 def header(element: str) -> str:
     """The XML file beside the records; `element` is the device element with the work state."""
     return HEADER.format(ddi=WORK_STATE, element=element)
@@ -52,26 +48,3 @@ def pack(log: Sequence[LogPoint], started: datetime) -> bytes:
         lat, lon = round(point.lat * DEGREE), round(point.lon * DEGREE)
         records.append(FIXED.pack(day_at_ms, days, lat, lon, RTK_FIXED, bool(values)) + values)
     return b"".join(records)
-
-
-def unpack(records: bytes, started: datetime) -> tuple[LogPoint, ...]:
-    """The inverse of `pack`. BadTimeLog if `pack` did not write it."""
-    start_at_ms = (started - EPOCH) // MILLISECOND
-    at, working, log = 0, False, []
-    while at < len(records):
-        if at + FIXED.size > len(records):
-            raise BadTimeLog(f"{len(records) - at} bytes at the end are no record")
-        day_at_ms, days, lat, lon, _, values = FIXED.unpack_from(records, at)
-        at += FIXED.size
-        if at + values * VALUE.size > len(records):
-            raise BadTimeLog("the last record is cut off")
-        for _ in range(values):
-            index, value = VALUE.unpack_from(records, at)
-            at += VALUE.size
-            if index == 0:
-                working = value == 1
-        if abs(lat) > 90 * DEGREE or abs(lon) > 180 * DEGREE or day_at_ms >= DAY_MS:
-            raise BadTimeLog("a record that is nowhere or at no time")
-        t_ms = days * DAY_MS + day_at_ms - start_at_ms
-        log.append(LogPoint(t_ms, round(lon / DEGREE, 7), round(lat / DEGREE, 7), working))
-    return tuple(log)

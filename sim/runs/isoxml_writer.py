@@ -1,4 +1,4 @@
-"""A work record as ISO 11783-10 task data (version 4.3), and back.
+"""A work record as ISO 11783-10 task data (version 4.3).
 
     PFD  the field: its boundary with holes (PLN 1), and
          GGP > GPN, one guidance line a swath: AB where it is straight, else a curve; its name is
@@ -11,17 +11,17 @@ Written as a folder, or as a zip if the name ends in .zip.
 """
 
 import zipfile
-from datetime import UTC, timedelta
+from datetime import timedelta
 from decimal import Decimal
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 from agent.runtime.files.field_error import FieldFileError, LonLat
-from agent.runtime.files.isoxml_reader import NAME, code, load_task_data, position, read_part
+from agent.runtime.files.isoxml_reader import NAME
 from protocol.name import fleet_name
-from sim.runs.isoxml_time_log import WORK_STATE, BadTimeLog, header, pack, unpack
-from sim.runs.work_record import OUTLINE_DIGITS, LogPoint, Rings, Swath, WorkRecord, area_m2
+from sim.runs.isoxml_time_log import WORK_STATE, header, pack
+from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord, area_m2
 
 WIDTH = 67  # DDI: Actual Working Width, mm
 DEVICE, WIDTH_OBJECT, STATE_OBJECT = 0, 1, 2  # object numbers within a device
@@ -187,45 +187,3 @@ def _task(iso: Any, record: WorkRecord) -> Any:
             for k in range(1, len(record.logs) + 1)
         ],
     )
-
-
-def read_work_isoxml(path: Path) -> WorkRecord:
-    """Read a work record. FieldFileError if `write_isoxml` did not write it."""
-    data = load_task_data(path)
-    try:
-        field, task = data.partfields[0], data.tasks[0]
-        started = task.times[0].start.to_datetime().astimezone(UTC)
-        names = [log.filename for log in task.time_logs]
-        robots = [int(d.device_id_ref.removeprefix("DVC-")) - 1 for d in task.device_allocations]
-        width_mm = int(data.devices[0].properties[0].value)
-        swaths = tuple(
-            Swath(int(g.designator.removeprefix("S")), _places(path, g.line_strings[0].points))
-            for g in field.guidance_groups[0].guidance_patterns
-        )
-        zones = [polygon for zone in task.treatment_zones for polygon in zone.polygons]
-        logs = {robot: _log(path, name, started) for robot, name in zip(robots, names, strict=True)}
-        return WorkRecord(
-            str(field.designator), started, code(task.status) == "4", width_mm,
-            _rings(path, field.polygons[0]), swaths,
-            tuple(_rings(path, zone) for zone in zones), logs,
-        )  # fmt: skip
-    except (AttributeError, IndexError, TypeError, ValueError) as problem:
-        raise FieldFileError(f"{path}: not a work record: {problem!r}") from None
-
-
-def _log(path: Path, name: Any, started: Any) -> tuple[LogPoint, ...]:
-    records = read_part(path, f"{name}.BIN")
-    if records is None:
-        raise FieldFileError(f"{path}: no {name}.BIN there")
-    try:
-        return unpack(records, started)
-    except BadTimeLog as problem:
-        raise FieldFileError(f"{path}: {name}.BIN: {problem}") from None
-
-
-def _places(path: Path, points: list[Any]) -> tuple[LonLat, ...]:
-    return tuple(position(path, "a line", point) for point in points)
-
-
-def _rings(path: Path, polygon: Any) -> Rings:
-    return tuple(_places(path, line.points) for line in polygon.line_strings)

@@ -19,7 +19,6 @@ from sim.fleet.scheduler import Handle, Host, LoopHost, Script, follow
 from sim.fleet.settling import quiet_for_us
 from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
-from sim.fleet.virtual_clock import run_virtual
 from sim.scenarios.fleet_setup import FleetSetup
 from sim.world.ground_truth import TrackPoint
 
@@ -114,10 +113,6 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         """Run in virtual time, as fast as possible."""
         loop = EventLoop()
         return loop.run(self._play(loop))
-
-    def run_on_asyncio(self) -> OutcomeT:
-        """The same on asyncio's loop in virtual time, as robots use it: slower, with an equal outcome."""
-        return run_virtual(self.live())
 
     async def live(self) -> OutcomeT:
         """Run in the running loop's time, which begins at 0."""

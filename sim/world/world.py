@@ -61,7 +61,7 @@ from sim.world.walls import (
 
 __all__ = ["STEP_US", "SimulatedBody", "World"]
 
-# A run with more has failed long before; `contacts_lost` counts the rest.
+# A run with more has failed long before; the rest is not kept.
 CONTACTS_MAX: Final = 10_000
 APART_US: Final = 200_000  # a contact is over after this long without overlap
 # The engine makes this many steps after something was near or was placed. That is longer than it
@@ -99,7 +99,6 @@ class World:
         self.lidar = lidar
         self.robots: dict[int, SimulatedBody] = {}
         self.contacts: list[Contact] = []
-        self.contacts_lost = 0
         self.guards: list[Guard] = []  # call `guard` when their limits change
         self.engine: Engine = engine
         self.pymunk_steps = 0  # steps of `STEP_US` made by pymunk
@@ -338,8 +337,6 @@ class World:
     def _note(self, contact: Contact) -> Contact:
         if len(self.contacts) < CONTACTS_MAX:
             self.contacts.append(contact)
-        else:
-            self.contacts_lost += 1
         return contact
 
     def _sides(self) -> NDArray[np.int8]:

@@ -30,9 +30,9 @@ def test_equal_clocks_are_not_concurrent() -> None:
     assert not VectorClock({1: 2}).concurrent_with(VectorClock({1: 2}))
 
 
-def test_from_dict_does_not_alias() -> None:
+def test_a_clock_does_not_alias_its_counts() -> None:
     counts = {1: 1}
-    clock = VectorClock.from_dict(counts)
+    clock = VectorClock(counts)
     counts[1] = 99
     assert clock[1] == 1
 

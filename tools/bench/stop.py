@@ -21,11 +21,11 @@ from protocol.frames.safety_frames import (
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus, segment
 from sim.fleet.virtual_clock import run_virtual
-from sim.rigs.stop_rig import LIMIT_US, StopFleet
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure, percentile
+from tools.bench.stop_rig import LIMIT_US, StopFleet
 from tools.build.warmup import warm
 from tools.operate.tool_address import DeviceAddress
 from tools.run.fleet_folder import fleet_folder

@@ -17,7 +17,6 @@ from protocol.frames.messages import GROUPS
 from protocol.frames.safety_frames import ALL_IMPLEMENTS_STOP
 
 EXTENDED = 1 << 31  # how DBC files mark a 29-bit identifier
-PGN_MASK, ADDRESSED_MASK = 0x03FFFF00, 0x03FF0000
 NODES = (ROBOT, TOOL, GATEWAY)
 # Of a fleet of up to 30 robots, in calm; the standard stop while it is latched.
 CYCLE_MS: dict[FrameLayout[Any], int] = {
@@ -47,12 +46,6 @@ def dbc(out: Path | None) -> int:
 def to_dbc() -> str:
     """The text of the file. Source address 254 and destination 255 stand for any, as J1939 files do."""
     return "\n".join(_lines()) + "\n"
-
-
-def pgn_key(identifier: int) -> int:
-    """What the identifiers of one parameter group have in common, for any sender and receiver."""
-    addressed = identifier >> 16 & 0xFF < 240
-    return identifier & (ADDRESSED_MASK if addressed else PGN_MASK)
 
 
 def _identifier(group: FrameLayout[Any]) -> int:

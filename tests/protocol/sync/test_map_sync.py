@@ -11,7 +11,7 @@ from crdt.occupancy import Geometry
 from crdt.sighting import MergeOrder
 from protocol.frames.map_frames import CODES, MAP_DIGESTS, MAP_PATCH, NODES, MapDigests, MapPatch
 from protocol.sync.map_sync import decode_cells, encode_cells
-from sim.rigs.map_rig import MapFleet
+from tests.protocol.sync.map_fleet import MapFleet
 
 S = 1_000_000
 ARENA = Geometry(50, 50, (-2.5, -2.5), 0.1)

@@ -5,6 +5,7 @@ import pytest
 from sim.fleet.event_loop import EventLoop, SimulatedRunner
 from sim.fleet.outcome import FieldOutcome
 from sim.fleet.scheduler import Script
+from sim.fleet.virtual_clock import run_virtual
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import (
@@ -44,7 +45,7 @@ def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> FieldOutco
     run = plain.run.model_copy(update={"time_limit_s": LIMIT_S})
     scenario = plain.model_copy(update={"fault": faults, "run": run})
     expedition = FieldRun(FieldSetup(scenario))
-    return expedition.run() if swarm else expedition.run_on_asyncio()
+    return expedition.run() if swarm else run_virtual(expedition.live())
 
 
 @pytest.mark.slow

@@ -9,8 +9,9 @@ import pytest
 
 from agent.interface.identity import SilencePolicy
 from agent.peer.inputs import ClaimSection, Heard, ManualReset, Press, Start
+from agent.segments.fleet_stops import FleetStops
 from agent.segments.gateway import Publish
-from agent.segments.segment_parts import fleet_stops_of, remote_segments_of
+from agent.segments.segment_parts import remote_segments_of
 from crdt.occupancy import Geometry
 from crdt.stops import RemoteStopDot
 from protocol import backbone_messages as backbone
@@ -246,7 +247,7 @@ def test_tags_hold_from_end_to_end() -> None:
         forger.publish(Publish(BackboneKind.RESETS, backbone.pack(head, (half,))))
     fleet.run(S)
     assert fleet.peer(2, 0).safety.far.latched, "an invented reset clears nothing"
-    tags = fleet_stops_of(fleet.peer(1, 0)).tags
+    tags = next(p for p in fleet.peer(1, 0).parts if isinstance(p, FleetStops)).tags
     assert tags is not None
     halves = tags.reset(dot)
     head = BackboneHeader(BackboneKind.RESETS, 9, 0, 124, 1, 9)

@@ -16,11 +16,12 @@ from agent.field.field_division import divide
 from agent.field.field_map import Field
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
-from sim.runs.isoxml_time_log import BadTimeLog, pack, unpack
-from sim.runs.isoxml_writer import read_work_isoxml, write_isoxml
+from sim.runs.isoxml_time_log import pack
+from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, write_geojson
 from sim.runs.work_record import LogPoint, WorkRecord, covered_area, record_of
 from sim.world.ground_truth import TrackPoint
+from tests.sim.runs.work_isoxml import BadTimeLog, read_work_isoxml, unpack
 
 STARTED = datetime(2026, 3, 4, 23, 59, 30, tzinfo=UTC)  # midnight comes during the work
 

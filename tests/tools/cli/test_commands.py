@@ -9,8 +9,8 @@ from pathlib import Path
 import can
 import pytest
 
-from sim.runs.isoxml_writer import read_work_isoxml
 from sim.runs.work_geojson import read_work_geojson
+from tests.sim.runs.work_isoxml import read_work_isoxml
 from tests.tools.complaint import Complaints
 
 ROOT = Path(__file__).parents[3]

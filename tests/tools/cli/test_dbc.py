@@ -24,9 +24,15 @@ from sim.files.candump import read_candump
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
-from tools.cli.dbc import pgn_key, to_dbc
+from tools.cli.dbc import to_dbc
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed")
+
+
+def pgn_key(identifier: int) -> int:
+    """What the identifiers of one parameter group have in common, for any sender and receiver."""
+    addressed = identifier >> 16 & 0xFF < 240
+    return identifier & (0x03FF0000 if addressed else 0x03FFFF00)
 
 
 @pytest.fixture(scope="module")
