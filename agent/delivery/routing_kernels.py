@@ -9,30 +9,35 @@ and Desaulniers 2005).
 Arguments of all kernels:
 
 * `r`: number of a robot. `seq` (n or more,): task indices, of which the first `n` count.
-* `ready` (robots,), `lead` (robots, tasks) and `link` (tasks, tasks): milliseconds, as in `Workload`.
-* `charging`: whether batteries count; `power`: the tuple of arrays that `_walk_charging` takes apart,
-  energies as in `Power`; `lead_bay_ms` (robots, bays): milliseconds to each bay.
+* `work`: times and energies, as in `Workload` and `Power`.
 * `of` (tasks,) and `at` (tasks,): the robot that has each task (-1: none) and its index in the route.
 * `near` (tasks, n): after what each task may follow: a task, or tasks + robot for the head of a route.
 * `state` (1,): the state of the random generator.
 """
 
 from math import exp
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from agent.delivery.routing_problem import Whole
+from agent.delivery.routing_problem import IMPOSSIBLE_MS, Power, Whole
 
 Dice = NDArray[np.uint64]  # (1,), the state of the random generator
-# Capacity, time to dock, time for a unit of energy; then the arrays that `_walk_charging` names.
-PowerArrays = tuple[
-    int, int, float, Whole, Whole, Whole, Whole, Whole, Whole, Whole, Whole, Whole, Whole
-]
-IMPOSSIBLE = 1 << 40  # milliseconds of a route on which a battery would be empty
 LABELS = 8  # kept at each task; more than four were never needed at a time
+LAST = np.bool_(False)  # numba would compile twice for a literal
 SEGMENT = 3  # most tasks that a move takes together
+
+
+class WorkArrays(NamedTuple):
+    """A `Workload` as the kernels take it, milliseconds. `charging`: whether batteries count."""
+
+    ready: Whole  # (robots,)
+    lead: Whole  # (robots, tasks)
+    link: Whole  # (tasks, tasks)
+    power: Power
+    charging: bool
 
 
 @njit(cache=True)
@@ -69,14 +74,12 @@ def _walk_charging(
     r: int,
     seq: Whole,
     n: int,
-    ready: Whole,
-    lead_bay_ms: Whole,
-    lead: Whole,
-    power: PowerArrays,
+    work: WorkArrays,
 ) -> tuple[int, int]:
-    """`walk` with bays visited where that is faster; IMPOSSIBLE twice if it runs dry."""
-    (capacity, dock, rate, left, lead_e, link_e, home, lead_bay_e, to_bay_ms, to_bay_e,
-     from_bay_ms, from_bay_e, link) = power  # fmt: skip
+    """`walk` with bays visited where that is faster; IMPOSSIBLE_MS twice if it runs dry."""
+    ready, lead, link, power = work.ready, work.lead, work.link, work.power
+    (capacity, dock, rate, left, lead_e, link_e, home, lead_bay_ms, lead_bay_e, to_bay_ms,
+     to_bay_e, from_bay_ms, from_bay_e) = power  # fmt: skip
     bays = from_bay_ms.shape[0]
     times, used = np.empty(LABELS, np.int64), np.empty(LABELS, np.int64)
     new_times, new_used = np.empty(LABELS, np.int64), np.empty(LABELS, np.int64)
@@ -100,7 +103,7 @@ def _walk_charging(
                 time = times[m] + there_ms + charge_ms + from_bay_ms[c, j]
                 fresh = _keep(new_times, new_used, fresh, time, from_bay_e[c, j])
         if fresh == 0:
-            return IMPOSSIBLE, IMPOSSIBLE
+            return IMPOSSIBLE_MS, IMPOSSIBLE_MS
         count, through = fresh, new_times[0]
         for m in range(count):
             times[m], used[m] = new_times[m], new_used[m]
@@ -114,26 +117,21 @@ def walk(
     r: int,
     seq: Whole,
     n: int,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
+    work: WorkArrays,
 ) -> tuple[int, int]:
     """When robot `r` has done the first `n` tasks of a sequence, and the sum of when it has done
     each.
 
-    Both in milliseconds from now; IMPOSSIBLE if its battery would be empty.
+    Both in milliseconds from now; IMPOSSIBLE_MS if its battery would be empty.
     """
     if n == 0:
-        return ready[r], 0
-    if charging:
-        return _walk_charging(r, seq, n, ready, lead_bay_ms, lead, power)
-    time = ready[r] + lead[r, seq[0]]
+        return work.ready[r], 0
+    if work.charging:
+        return _walk_charging(r, seq, n, work)
+    time = work.ready[r] + work.lead[r, seq[0]]
     total = time
     for k in range(1, n):
-        time += link[seq[k - 1], seq[k]]
+        time += work.link[seq[k - 1], seq[k]]
         total += time
     return time, total
 
@@ -143,15 +141,22 @@ def span(
     r: int,
     seq: Whole,
     n: int,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
+    work: WorkArrays,
 ) -> int:
     """When robot `r` has done the first `n` tasks of a sequence, milliseconds from now."""
-    return walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[0]
+    return walk(r, seq, n, work)[0]
+
+
+@njit(cache=True)
+def copy(seq: Whole, first: int, end: int, out: Whole, to: int) -> int:
+    """Copy the tasks from index `first` to `end` - 1 to `out` (n or more,), from index `to` on.
+
+    Returns the index behind them. It is a loop, because numba takes seconds to compile slices.
+    """
+    for k in range(first, end):
+        out[to] = seq[k]
+        to += 1
+    return to
 
 
 @njit(cache=True)
@@ -159,11 +164,9 @@ def put(seq: Whole, n: int, task: int, at: int, out: Whole) -> None:
     """Copy the first `n` tasks of `seq` to `out` (n + 1 or more,) with `task` inserted at index
     `at`.
     """
-    for k in range(at):
-        out[k] = seq[k]
+    copy(seq, 0, at, out, 0)
     out[at] = task
-    for k in range(at, n):
-        out[k + 1] = seq[k]
+    copy(seq, at, n, out, at + 1)
 
 
 @njit(cache=True)
@@ -173,24 +176,24 @@ def best_place(
     n: int,
     task: int,
     first: int,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
+    waiting: bool | np.bool_,
+    work: WorkArrays,
     out: Whole,
 ) -> tuple[int, int]:
-    """When the robot would have done all tasks at the best index for one more task, and that index.
+    """The cost of one more task at the best index, milliseconds, and that index.
 
-    `first`: the lowest index that is allowed. `out` (n + 1 or more,): scratch.
+    `waiting`: the cost is how much longer the tasks of the route wait in sum; otherwise it is when
+    the robot would have done them all. `first`: the lowest index that is allowed. `out`: scratch,
+    (n + 1 or more,).
     """
-    best, place = IMPOSSIBLE, n
+    before = walk(r, seq, n, work)[1] if waiting else 0
+    best, place = IMPOSSIBLE_MS, n
     for at in range(first, n + 1):
         put(seq, n, task, at, out)
-        time = span(r, out, n + 1, ready, lead, link, lead_bay_ms, power, charging)
-        if time < best:
-            best, place = time, at
+        time, total = walk(r, out, n + 1, work)
+        cost = total - before if waiting else time
+        if cost < best:
+            best, place = cost, at
     return best, place
 
 
@@ -199,12 +202,7 @@ def auction(
     route: Whole,
     size: Whole,
     free: Whole,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
+    work: WorkArrays,
 ) -> int:
     """Sequential single-item auction (Koenig et al. 2006), in place: the lowest bid of all wins a
     task.
@@ -215,27 +213,14 @@ def auction(
     """
     robots, room = route.shape
     out = np.empty(room + 1, np.int64)
-    bid = np.full((len(free), robots), IMPOSSIBLE, np.int64)
+    bid = np.full((len(free), robots), IMPOSSIBLE_MS, np.int64)
     place = np.zeros((len(free), robots), np.int64)
     given = np.zeros(len(free), np.bool_)
     for t in range(len(free)):
         for r in range(robots):
-            bid[t, r], place[t, r] = best_place(
-                r,
-                route[r],
-                size[r],
-                free[t],
-                0,
-                ready,
-                lead,
-                link,
-                lead_bay_ms,
-                power,
-                charging,
-                out,
-            )
+            bid[t, r], place[t, r] = best_place(r, route[r], size[r], free[t], 0, LAST, work, out)
     for left in range(len(free), 0, -1):
-        best, winner = IMPOSSIBLE, -1
+        best, winner = IMPOSSIBLE_MS, -1
         taker = int(np.int64(-1))  # numba compiles twice for a literal
         for t in range(len(free)):
             if given[t]:
@@ -247,15 +232,13 @@ def auction(
             return left
         put(route[taker], size[taker], free[winner], place[winner, taker], out)
         size[taker] += 1
-        for k in range(size[taker]):  # a loop, because numba takes seconds to compile slices
-            route[taker, k] = out[k]
+        copy(out, 0, size[taker], route[taker], 0)
         given[winner] = True
         for t in range(len(free)):
             if not given[t]:
                 bid[t, taker], place[t, taker] = best_place(
-                    taker, route[taker], size[taker], free[t], 0, ready, lead, link, lead_bay_ms,
-                    power, charging, out,
-                )  # fmt: skip
+                    taker, route[taker], size[taker], free[t], 0, LAST, work, out
+                )
     return 0
 
 
@@ -303,26 +286,12 @@ def _moved(
         return -1, -1
     if a == b:
         return _moved_within(route[a], na, ia, start, la, lb, new_a)
-    n = 0
-    for k in range(ia):
-        new_a[n] = route[a, k]
-        n += 1
-    for k in range(start, start + lb):
-        new_a[n] = route[b, k]
-        n += 1
-    for k in range(ia + la, na):
-        new_a[n] = route[a, k]
-        n += 1
-    m = 0
-    for k in range(start):
-        new_b[m] = route[b, k]
-        m += 1
-    for k in range(ia, ia + la):
-        new_b[m] = route[a, k]
-        m += 1
-    for k in range(start + lb, nb):
-        new_b[m] = route[b, k]
-        m += 1
+    n = copy(route[a], 0, ia, new_a, 0)
+    n = copy(route[b], start, start + lb, new_a, n)
+    n = copy(route[a], ia + la, na, new_a, n)
+    m = copy(route[b], 0, start, new_b, 0)
+    m = copy(route[a], ia, ia + la, new_b, m)
+    m = copy(route[b], start + lb, nb, new_b, m)
     return n, m
 
 
@@ -339,22 +308,11 @@ def _moved_within(
         lo, llo, hi, lhi = ia, la, start, lb
     if lo + llo > hi or (lo + llo == hi and lhi == 0):
         return -1, -1
-    n = 0
-    for k in range(lo):
-        out[n] = seq[k]
-        n += 1
-    for k in range(hi, hi + lhi):
-        out[n] = seq[k]
-        n += 1
-    for k in range(lo + llo, hi):
-        out[n] = seq[k]
-        n += 1
-    for k in range(lo, lo + llo):
-        out[n] = seq[k]
-        n += 1
-    for k in range(hi + lhi, count):
-        out[n] = seq[k]
-        n += 1
+    n = copy(seq, 0, lo, out, 0)
+    n = copy(seq, hi, hi + lhi, out, n)
+    n = copy(seq, lo + llo, hi, out, n)
+    n = copy(seq, lo, lo + llo, out, n)
+    n = copy(seq, hi + lhi, count, out, n)
     return n, 0
 
 
@@ -455,8 +413,7 @@ def _copy(route: Whole, size: Whole, to_route: Whole, to_size: Whole) -> None:
     """Copy a plan to `to_route` (robots, room) and `to_size` (robots,)."""
     for r in range(len(size)):
         to_size[r] = size[r]
-        for k in range(route.shape[1]):
-            to_route[r, k] = route[r, k]
+        copy(route[r], 0, route.shape[1], to_route[r], 0)
 
 
 @njit(cache=True)
@@ -468,12 +425,7 @@ def search(
     hot: float,
     cold: float,
     state: Dice,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
+    work: WorkArrays,
 ) -> None:
     """Simulated annealing from a plan, in place: `moves` steps, from temperature `hot` to `cold`.
 
@@ -482,9 +434,9 @@ def search(
     """
     robots, room = route.shape
     times = np.empty(robots, np.int64)
-    of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)
+    of, at = np.full(len(near), -1, np.int64), np.zeros(len(near), np.int64)
     for r in range(robots):
-        time = span(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
+        time = span(r, route[r], size[r], work)
         write(route, size, times, of, at, r, route[r].copy(), size[r], time)
     total = times.sum()
     best_most, best_total = times.max(), total
@@ -500,11 +452,11 @@ def search(
         a, b, n, m = propose(route, size, of, at, near, state, new_a, new_b)
         if n < 0 or n > room or m > room:
             continue
-        ta = span(a, new_a, n, ready, lead, link, lead_bay_ms, power, charging)
+        ta = span(a, new_a, n, work)
         tb = times[b]
         if a != b:
-            tb = span(b, new_b, m, ready, lead, link, lead_bay_ms, power, charging)
-        if ta >= IMPOSSIBLE or tb >= IMPOSSIBLE:
+            tb = span(b, new_b, m, work)
+        if ta >= IMPOSSIBLE_MS or tb >= IMPOSSIBLE_MS:
             continue
         if not _accepted(times[a], times[b], ta, tb, a == b, scale, temperature, state):
             continue

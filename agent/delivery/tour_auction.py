@@ -13,9 +13,23 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.delivery.routing_kernels import PowerArrays, auction, search, span, walk
-from agent.delivery.routing_problem import IMPOSSIBLE_MS, Itineraries, PlanCost, Whole, Workload
-from agent.delivery.waiting_kernels import least_waiting, shorten_waiting
+from agent.delivery.routing_kernels import (
+    WorkArrays,
+    auction,
+    best_place,
+    search,
+    span,
+    walk,
+)
+from agent.delivery.routing_problem import (
+    IMPOSSIBLE_MS,
+    Itineraries,
+    PlanCost,
+    Power,
+    Whole,
+    Workload,
+)
+from agent.delivery.waiting_kernels import shorten_waiting
 
 NEAR = 24  # candidate predecessors of a task: the cheapest links
 HEADS = 4  # candidate robots for which it may be the first task
@@ -23,6 +37,9 @@ HEADS = 4  # candidate robots for which it may be the first task
 # in five.
 HOT, COLD = 0.02, 0.0002
 NO_BAY = np.zeros((1, 1), dtype=np.int64)
+NO_POWER = Power(
+    0, 0, 0.0, NO_BAY[0], NO_BAY, NO_BAY, NO_BAY[0], NO_BAY, NO_BAY, NO_BAY, NO_BAY, NO_BAY, NO_BAY,
+)  # fmt: skip
 
 
 class RoutingPlanner:
@@ -33,21 +50,9 @@ class RoutingPlanner:
     def __init__(self, work: Workload) -> None:
         self.work = work
         power = work.power
-        self._charging = power is not None
-        self._args = (work.ready, work.lead, work.link)
-        if power is None:
-            none, zeros = NO_BAY, NO_BAY[0]
-            self._power: PowerArrays = (
-                0, 0, 0.0, zeros, none, none, zeros, none, none, none, none, none, work.link,
-            )  # fmt: skip
-            self._lead_bay_ms: Whole = none
-        else:
-            self._power = (
-                power.capacity, power.dock_ms, power.ms_per_unit, power.left, power.lead, power.link,
-                power.home, power.lead_bay, power.to_bay_ms, power.to_bay, power.from_bay_ms,
-                power.from_bay, work.link,
-            )  # fmt: skip
-            self._lead_bay_ms = power.lead_bay_ms
+        self._arrays = WorkArrays(
+            work.ready, work.lead, work.link, power or NO_POWER, power is not None
+        )
 
     # ---------------------------------------------------------------- reading
 
@@ -58,11 +63,7 @@ class RoutingPlanner:
         battery would be empty.
         """
         seq = np.array(tasks, dtype=np.int64)
-        return int(span(robot, seq, len(seq), *self._args, *self._rest))
-
-    @property
-    def _rest(self) -> tuple[Whole, PowerArrays, bool]:
-        return self._lead_bay_ms, self._power, self._charging
+        return int(span(robot, seq, len(seq), self._arrays))
 
     def worth(self, plan: Itineraries) -> PlanCost:
         """The cost of a plan: the last finish, then the sum of all finishes."""
@@ -72,7 +73,7 @@ class RoutingPlanner:
     def waiting_ms(self, plan: Itineraries) -> int:
         """The total time from now until each task is delivered, milliseconds."""
         return sum(
-            int(walk(r, np.array(own, dtype=np.int64), len(own), *self._args, *self._rest)[1])
+            int(walk(r, np.array(own, dtype=np.int64), len(own), self._arrays)[1])
             for r, own in enumerate(plan)
         )
 
@@ -90,7 +91,7 @@ class RoutingPlanner:
         held = [[] for _ in range(self.work.robots)] if held is None else held
         free = range(self.work.tasks) if free is None else free
         route, size = self._packed(held, sum(map(len, held)) + len(free))
-        auction(route, size, np.array(sorted(free), dtype=np.int64), *self._args, *self._rest)
+        auction(route, size, np.array(sorted(free), dtype=np.int64), self._arrays)
         return _unpacked(route, size)
 
     def inserted(
@@ -103,9 +104,7 @@ class RoutingPlanner:
         """
         seq = np.array(tasks, dtype=np.int64)
         out = np.empty(len(seq) + 1, dtype=np.int64)
-        cost, place = least_waiting(
-            robot, seq, len(seq), task, first, *self._args, *self._rest, out
-        )
+        cost, place = best_place(robot, seq, len(seq), task, first, True, self._arrays, out)
         return int(place), int(cost)
 
     def improved(
@@ -125,9 +124,7 @@ class RoutingPlanner:
         ):
             return [list(tasks) for tasks in plan]
         route, size = self._packed(plan, placed)
-        search(
-            route, size, self._near, moves, heat[0], heat[1], _dice(seed), *self._args, *self._rest
-        )
+        search(route, size, self._near, moves, heat[0], heat[1], _dice(seed), self._arrays)
         return _unpacked(route, size)
 
     def hastened(self, plan: Itineraries, seed: int, moves: int) -> Itineraries:
@@ -139,7 +136,7 @@ class RoutingPlanner:
         if placed < 2 or self.worth(plan).makespan_ms >= IMPOSSIBLE_MS:
             return [list(tasks) for tasks in plan]
         route, size = self._packed(plan, placed)
-        shorten_waiting(route, size, self._near, moves, _dice(seed), *self._args, *self._rest)
+        shorten_waiting(route, size, self._near, moves, _dice(seed), self._arrays)
         return _unpacked(route, size)
 
     @cached_property

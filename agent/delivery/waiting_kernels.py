@@ -2,46 +2,14 @@
 
 The waiting time of a task counts from now to its delivery. So a short task goes before a long one
 if that makes the others wait less. Routes are those of `agent/delivery/routing_kernels.py`, which
-also describes `r`, `seq`, `n`, `ready`, `lead`, `link`, `lead_bay_ms`, `power`, `charging`, `near`
-and `state`. A plan is `route` (robots, room) with `size` (robots,).
+also describes `work`, `near` and `state`. A plan is `route` (robots, room) with `size` (robots,).
 """
 
 import numpy as np
 from numba import njit
 
-from agent.delivery.routing_kernels import IMPOSSIBLE, Dice, PowerArrays, propose, put, walk, write
+from agent.delivery.routing_kernels import Dice, WorkArrays, propose, walk, write
 from agent.delivery.routing_problem import Whole
-
-
-@njit(cache=True)
-def least_waiting(
-    r: int,
-    seq: Whole,
-    n: int,
-    task: int,
-    first: int,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
-    out: Whole,
-) -> tuple[int, int]:
-    """By how much the tasks of a route wait longer in sum with one more task, milliseconds, and the
-    index.
-
-    The index is the one with the least increase. `first`: the lowest index that is allowed. `out`
-    (n + 1 or more,): scratch.
-    """
-    before = walk(r, seq, n, ready, lead, link, lead_bay_ms, power, charging)[1]
-    best, place = IMPOSSIBLE, n
-    for at in range(first, n + 1):
-        put(seq, n, task, at, out)
-        after = walk(r, out, n + 1, ready, lead, link, lead_bay_ms, power, charging)[1]
-        if after - before < best:
-            best, place = after - before, at
-    return best, place
 
 
 @njit(cache=True)
@@ -51,12 +19,7 @@ def shorten_waiting(
     near: Whole,
     moves: int,
     state: Dice,
-    ready: Whole,
-    lead: Whole,
-    link: Whole,
-    lead_bay_ms: Whole,
-    power: PowerArrays,
-    charging: bool,
+    work: WorkArrays,
 ) -> int:
     """Local search from a plan, in place; returns how many of `moves` random moves were accepted.
 
@@ -65,9 +28,9 @@ def shorten_waiting(
     """
     robots, room = route.shape
     through, sums = np.empty(robots, np.int64), np.empty(robots, np.int64)
-    of, at = np.full(len(link), -1, np.int64), np.zeros(len(link), np.int64)
+    of, at = np.full(len(near), -1, np.int64), np.zeros(len(near), np.int64)
     for r in range(robots):
-        time, total = walk(r, route[r], size[r], ready, lead, link, lead_bay_ms, power, charging)
+        time, total = walk(r, route[r], size[r], work)
         write(route, size, through, of, at, r, route[r].copy(), size[r], time)
         sums[r] = total
     latest = through.max()
@@ -77,10 +40,10 @@ def shorten_waiting(
         a, b, n, m = propose(route, size, of, at, near, state, new_a, new_b)
         if n < 0 or n > room or m > room:
             continue
-        ta, sum_a = walk(a, new_a, n, ready, lead, link, lead_bay_ms, power, charging)
+        ta, sum_a = walk(a, new_a, n, work)
         tb, sum_b, before = through[b], 0, sums[a]
         if a != b:
-            tb, sum_b = walk(b, new_b, m, ready, lead, link, lead_bay_ms, power, charging)
+            tb, sum_b = walk(b, new_b, m, work)
             before += sums[b]
         if max(ta, tb) > latest or sum_a + sum_b >= before:
             continue
