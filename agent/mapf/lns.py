@@ -13,12 +13,10 @@ robots with a goal that others cross late.
 Whole numbers, with products and sums in a fixed order, give all robots the same timetable.
 
 `near` (nodes, 4), `far` (robots, nodes) and `track` (robots, times + 1) are those of
-`agent/mapf/plan_schedule.py`. `owner` (times, nodes) is the robot that occupies a node in a unit of
-time, -1 for none. `back` (times + 1, nodes) says whether a robot there at that time can still end
-at its goal. `waits` and `goals` are (robots,).
+`agent/mapf/plan_schedule.py`.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -31,7 +29,6 @@ Longs = NDArray[np.int64]
 Words = NDArray[np.uint64]
 Flags = NDArray[np.bool_]
 Owners = NDArray[np.int16]
-Room = tuple[Ints, Ints, Ints, Ints]
 GROUP_MAX = 8  # robots removed together; 4 and 6 get stuck more often, 10 are rarely put back
 GROUPS_EACH = 3  # groups for each robot; three times as many save 2 moves of the longest wait of 24
 LOOKS_MAX = 40_000_000  # node-time states examined in total, 1 s; a hundred robots take a third
@@ -40,6 +37,26 @@ ASIDE_MAX = 5  # nodes that a robot may step aside from its goal
 WALKS = 10  # paths tried to find the robots in the way
 PATIENCE = 16  # after this many failed attempts a robot's priority is halved
 NOBODY = np.int16(-1)
+
+
+class Work(NamedTuple):
+    """A timetable that is being changed, with what its search needs."""
+
+    near: Ints  # (nodes, 4)
+    far: Ints  # (robots, nodes)
+    goals: Ints  # (robots,)
+    track: Ints  # (robots, times + 1)
+    owner: Owners  # (times, nodes), the robot that occupies a node in a unit of time, -1 for none
+    waits: Longs  # (robots,)
+    back: Flags  # (times + 1, nodes), whether a robot there at that time can still end at its goal
+    # Nodes within ASIDE_MAX of a goal: those of robot k are round_goals[bounds[k]:bounds[k + 1]].
+    round_goals: Longs
+    bounds: Longs  # (robots + 1,)
+    # Scratch: (nodes * (times + 1),) each, of `heads` (times + 1,).
+    came: Ints
+    following: Ints
+    heads: Ints
+    seen: Ints
 
 
 @njit(cache=True)
@@ -60,14 +77,16 @@ def _price(wait: int) -> float:
 
 
 @njit(cache=True)
-def _homeward(
-    goal: int, near: Ints, far: Ints, owner: Owners, round_goal: Longs, back: Flags
-) -> int:
+def _homeward(work: Work, robot: int) -> int:
     """Fill `back` for one robot; returns the first time at which it can be at its goal and end
     there.
 
-    Only nodes `round_goal`, (n,), are filled: all that are within ASIDE_MAX of the goal.
+    Only nodes that are within ASIDE_MAX of its goal are filled.
     """
+    near, far, owner, back, goal = (
+        work.near, work.far[robot], work.owner, work.back, work.goals[robot]
+    )  # fmt: skip
+    round_goal = work.round_goals[work.bounds[robot] : work.bounds[robot + 1]]
     end = owner.shape[0]
     for node in round_goal:
         back[end, node] = False
@@ -93,17 +112,7 @@ def _homeward(
 
 
 @njit(cache=True)
-def _reach(
-    start: int,
-    goal: int,
-    near: Ints,
-    far: Ints,
-    owner: Owners,
-    back: Flags,
-    first: int,
-    most: int,
-    room: Room,
-) -> tuple[int, int]:
+def _reach(work: Work, robot: int, first: int, most: int) -> tuple[int, int]:
     """The first time at which a robot can be at its goal and end there, and the number of looks
     taken.
 
@@ -111,8 +120,10 @@ def _reach(
     a time has one wait only: the time so far plus the steps to go, less the steps from the start.
     So each is looked at once.
     """
-    came, following, heads, seen = room
+    near, far, owner, back = work.near, work.far[robot], work.owner, work.back
+    came, following, heads, seen = work.came, work.following, work.heads, work.seen
     end, nodes = owner.shape[0], near.shape[0]
+    start, goal = work.track[robot, 0], work.goals[robot]
     heads[: most + 1] = -1
     heads[0] = seen[0] = came[start] = start
     following[start] = -1
@@ -144,32 +155,22 @@ def _reach(
 
 
 @njit(cache=True)
-def _put_back(
-    robot: int,
-    goal: int,
-    near: Ints,
-    far: Ints,
-    track: Ints,
-    owner: Owners,
-    back: Flags,
-    round_goal: Longs,
-    most: int,
-    room: Room,
-) -> tuple[int, int]:
+def _put_back(work: Work, robot: int, most: int) -> tuple[int, int]:
     """Put one robot back so that it waits at most `most`.
 
     Returns the time at which it is at its goal, -1 if there is no such path, and the number of
     looks taken.
     """
-    came, _, _, seen = room
+    near, far, track, owner = work.near, work.far[robot], work.track, work.owner
+    back, came, seen, goal = work.back, work.came, work.seen, work.goals[robot]
     end, nodes, start = owner.shape[0], near.shape[0], track[robot, 0]
     most = min(most, end - far[start])
     if most < 0:
         return -1, 0
-    first = _homeward(goal, near, far, owner, round_goal, back)
+    first = _homeward(work, robot)
     if first > far[start] + most:
         return -1, 0
-    found, looks = _reach(start, goal, near, far, owner, back, first, most, room)
+    found, looks = _reach(work, robot, first, most)
     if found >= 0:
         at = goal
         for t in range(found, -1, -1):
@@ -192,21 +193,13 @@ def _put_back(
 
 @njit(cache=True)
 def _in_the_way(
-    robot: int | np.integer[Any],
-    goal: int,
-    near: Ints,
-    far: Ints,
-    track: Ints,
-    owner: Owners,
-    wait: int,
-    group: Ints,
-    size: int,
-    state: Words,
+    work: Work, robot: int | np.integer[Any], group: Ints, size: int, state: Words
 ) -> int:
     """Fill `group` with the robot and those it meets on paths with less waiting; returns how many."""
-    end, count = owner.shape[0], 1
+    near, far, track, owner = work.near, work.far[robot], work.track, work.owner
+    end, count, goal = owner.shape[0], 1, work.goals[robot]
     group[0] = robot
-    visit = far[track[robot, 0]] + wait
+    visit = far[track[robot, 0]] + work.waits[robot]
     for _ in range(WALKS):
         t = _draw(state, visit)
         at = track[robot, t]
@@ -233,24 +226,13 @@ def _in_the_way(
 
 
 @njit(cache=True)
-def _regroup(
-    group: Ints,
-    near: Ints,
-    far: Ints,
-    goals: Ints,
-    track: Ints,
-    owner: Owners,
-    waits: Longs,
-    back: Flags,
-    balls: tuple[Longs, Longs],
-    room: Room,
-) -> tuple[int, int]:
+def _regroup(work: Work, group: Ints) -> tuple[int, int]:
     """Put the robots of a group back in their order.
 
     Returns whether the result was kept (1: it is better, 0: as good, -1: no), and the number of
     looks taken.
     """
-    round_goals, bounds = balls
+    track, owner, waits = work.track, work.owner, work.waits
     before = track[group]
     cost = 0.0
     for robot in group:
@@ -262,14 +244,11 @@ def _regroup(
         most = 0
         while most < owner.shape[0] and spent + _price(most + 1) <= cost:
             most += 1
-        round_goal = round_goals[bounds[robot] : bounds[robot + 1]]
-        found, looked = _put_back(
-            robot, goals[robot], near, far[robot], track, owner, back, round_goal, most, room
-        )
+        found, looked = _put_back(work, robot, most)
         looks += looked
         if found < 0:
             break
-        got[done] = found - far[robot, track[robot, 0]]
+        got[done] = found - work.far[robot, track[robot, 0]]
         spent += _price(got[done])
         hold(owner, track, robot, robot)
         done += 1
@@ -286,21 +265,9 @@ def _regroup(
 
 
 @njit(cache=True)
-def _regrouped(
-    near: Ints,
-    far: Ints,
-    goals: Ints,
-    track: Ints,
-    owner: Owners,
-    waits: Longs,
-    back: Flags,
-    balls: tuple[Longs, Longs],
-    room: Room,
-    groups: int,
-    state: Words,
-) -> None:
+def _regrouped(work: Work, groups: int, state: Words) -> None:
     """Remove and put back groups round the robots that wait longest, until enough were tried."""
-    count, looks = track.shape[0], 0
+    waits, count, looks = work.waits, work.track.shape[0], 0
     vain = np.zeros(count, np.int64)
     group = np.empty(count, np.int32)
     for _ in range(groups):
@@ -308,15 +275,11 @@ def _regrouped(
         if waits[robot] == 0 or looks > LOOKS_MAX:
             return
         size = min(2 + _draw(state, GROUP_MAX - 1), count)
-        size = _in_the_way(
-            robot, goals[robot], near, far[robot], track, owner, waits[robot], group, size, state
-        )
+        size = _in_the_way(work, robot, group, size, state)
         for k in range(1, size):
             other = k + _draw(state, size - k)
             group[k], group[other] = group[other], group[k]
-        kept, looked = _regroup(
-            group[:size], near, far, goals, track, owner, waits, back, balls, room
-        )
+        kept, looked = _regroup(work, group[:size])
         looks += looked
         vain[robot] += 1
         if kept > 0:
@@ -342,9 +305,8 @@ def regroup(near: Ints, far: Ints, goals: Ints, track: Ints, salt: int) -> None:
     round_goals = [np.flatnonzero(row <= ASIDE_MAX) for row in far]
     bounds = np.cumsum([0, *map(len, round_goals)])
     came, following, seen = (np.full(times * nodes, -1, dtype=np.int32) for _ in range(3))
-    room = came, following, np.empty(times + 1, dtype=np.int32), seen
-    state = np.array([salt], dtype=np.uint64)
-    _regrouped(
-        near, far, goals, track, owner, waits, back, (np.concatenate(round_goals), bounds), room,
-        GROUPS_EACH * count, state,
+    work = Work(
+        near, far, goals, track, owner, waits, back, np.concatenate(round_goals), bounds,
+        came, following, np.empty(times + 1, dtype=np.int32), seen,
     )  # fmt: skip
+    _regrouped(work, GROUPS_EACH * count, np.array([salt], dtype=np.uint64))
