@@ -14,9 +14,10 @@ from functools import lru_cache
 MASK = (1 << 64) - 1
 DIGEST_BITS = 24
 BUCKETS = 32  # of the fall-back sync; sent in 11 frames of three digests
-# Cached hashes, of each kind: 0.2 MB. Peers in one process hash the same few changes within a
-# second. A robot alone hashes each change once, and would fill a larger cache for hours.
-HASHES_MAX = 1 << 9
+# Cached hashes, of each kind: 50 kB in all. Peers in one process hash the same few changes within a
+# second; the busiest fleet makes 50 changes a second. A robot alone hashes each change once: its
+# caches are full in minutes, and a larger one fills for half an hour.
+HASHES_MAX = 1 << 7
 
 
 def mix(number: int) -> int:
