@@ -11,10 +11,10 @@ Cells are numbers into a padded grid: row * width + column with a wall all round
 need no bounds. Kernels are integer only and go in order of cell numbers: equal maps, equal links.
 
 `free` (cells,) is 1 or 0. `links` (cells, 2) holds up to two neighbours of each cell, -1 where
-there is none. A piece is a path or a ring of linked cells: `piece` (cells,) is the first cell of
-the piece of each cell. `root`, `ring` and `size` (cells,) are read at the first cells of pieces:
-the piece that it was joined to (`find`), whether it is a ring, how many cells it has.
+there is none.
 """
+
+from typing import NamedTuple, Self
 
 import numpy as np
 from numba import njit
@@ -25,6 +25,22 @@ Ints = NDArray[np.int32]
 
 NONE = -1
 FAR = 1 << 30
+
+
+class Pieces(NamedTuple):
+    """Paths and rings of linked cells. What is read at the first cell of a piece counts for it."""
+
+    links: Ints  # (cells, 2)
+    piece: Ints  # (cells,), the first cell of the piece of each cell
+    root: Ints  # (cells,), at first cells: the piece that it was joined to (`find`)
+    ring: Mask  # (cells,), at first cells: whether it is a ring
+    size: Ints  # (cells,), at first cells: how many cells it has
+
+    @classmethod
+    def unlinked(cls, cells: int) -> Self:
+        """A grid of so many cells without any link."""
+        links, piece = np.full((cells, 2), NONE, np.int32), np.full(cells, NONE, np.int32)
+        return cls(links, piece, piece.copy(), np.zeros(cells, np.uint8), np.zeros(cells, np.int32))
 
 
 @njit(cache=True)
@@ -124,7 +140,7 @@ def link_most(free: Mask, width: int, links: Ints) -> None:
 @njit(cache=True)
 def find(root: Ints, piece: int) -> int:
     """The number of the piece that `piece` has been joined to, or its own; shortens the way for
-    later calls."""
+    later calls. `root`: (cells,)."""
     while root[piece] != piece:
         root[piece] = root[root[piece]]
         piece = root[piece]
@@ -132,9 +148,10 @@ def find(root: Ints, piece: int) -> int:
 
 
 @njit(cache=True)
-def name_pieces(free: Mask, links: Ints, piece: Ints, root: Ints, ring: Mask, size: Ints) -> None:
+def name_pieces(free: Mask, pieces: Pieces) -> None:
     """Number the paths and rings: fill `piece`, `root`, `ring` and `size`. A piece has the number
     of its first cell found."""
+    links, piece, root, ring, size = pieces
     piece[:] = NONE
     for open_ends in (True, False):  # paths from their ends, then what is left: rings
         for first in range(free.size):
@@ -150,32 +167,22 @@ def name_pieces(free: Mask, links: Ints, piece: Ints, root: Ints, ring: Mask, si
 
 
 @njit(cache=True)
-def merge_rings(
-    free: Mask, width: int, links: Ints, piece: Ints, root: Ints, ring: Mask, size: Ints
-) -> None:
+def merge_rings(free: Mask, width: int, pieces: Pieces) -> None:
     """Turn facing parallel links of different pieces, one of them a ring, until none is left.
 
     First where that takes turns out of the walk, last where it adds four. Changes `links`, `root`,
     `ring` and `size`.
     """
     for allowed in range(-4, 6, 2):
-        while _merge_pass(free, width, links, piece, root, ring, size, allowed):
+        while _merge_pass(free, width, pieces, allowed):
             pass
 
 
 @njit(cache=True)
-def _merge_pass(
-    free: Mask,
-    width: int,
-    links: Ints,
-    piece: Ints,
-    root: Ints,
-    ring: Mask,
-    size: Ints,
-    allowed: int,
-) -> bool:
+def _merge_pass(free: Mask, width: int, pieces: Pieces, allowed: int) -> bool:
     """One pass over the grid, with at most `allowed` more quarter turns a merge; whether it merged
     any."""
+    links, piece, root, ring, size = pieces
     changed = False
     for a in range(free.size - width - 1):
         b, c, d = a + 1, a + width, a + width + 1

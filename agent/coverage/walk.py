@@ -5,8 +5,7 @@ smallest first: into a link of a neighbour or on to its end, wherever the detour
 made of 2 x 2 blocks, as coverage benchmarks are, nothing is stepped on twice; single dead ends cost
 their way back.
 
-Cells are numbers into the padded grid, and `links`, `piece`, `root`, `ring` and `size` are those of
-`agent/coverage/cell_links.py`. `free` and `todo` (cells,) are 1 or 0. `ends` (cells, 2) holds the
+Cells are numbers into the padded grid. `free` and `todo` (cells,) are 1 or 0. `ends` (cells, 2) holds the
 two ends of each piece. A walk is its cells in `order` (n,).
 """
 
@@ -17,6 +16,7 @@ from numpy.typing import NDArray
 from agent.coverage.cell_links import (
     FAR,
     NONE,
+    Pieces,
     find,
     is_whole,
     link,
@@ -34,20 +34,15 @@ Memory = tuple[Ints, Ints, Ints]  # stamps, distances, queue: (cells,) each
 
 
 @njit(cache=True)
-def reach(
-    free: Mask,
-    width: int,
-    source: int,
-    radius: int,
-    stamp: Ints,
-    turn: int,
-    distance: Ints,
-    queue: Ints,
-) -> int:
-    """Fill `distance` with steps from `source` up to `radius`; returns how many cells were reached.
+def reach(free: Mask, width: int, source: int, radius: int, near: Memory) -> int:
+    """Fill the distances of `near` with steps from `source` up to `radius`; returns how many cells
+    were reached.
 
-    They are in `queue`, nearest first, and their `stamp` is `turn`. All three arrays are (cells,).
+    They are in its queue, nearest first, and their stamp is the number of this search.
     """
+    stamp, distance, queue = near
+    stamp[0] += 1
+    turn = stamp[0]
     queue[0], head, tail = source, 0, 1
     stamp[source], distance[source] = turn, 0
     while head < tail:
@@ -72,8 +67,9 @@ def memory(cells: int) -> Memory:
 
 
 @njit(cache=True)
-def _path_ends(links: Ints, piece: Ints, root: Ints, ends: Ints) -> None:
+def _path_ends(pieces: Pieces, ends: Ints) -> None:
     """Fill `ends` with the ends of each path."""
+    links, piece, root = pieces.links, pieces.piece, pieces.root
     for cell in range(piece.size):
         if piece[cell] != NONE and not is_whole(links, cell):
             one = find(root, piece[cell])
@@ -83,10 +79,9 @@ def _path_ends(links: Ints, piece: Ints, root: Ints, ends: Ints) -> None:
 
 
 @njit(cache=True)
-def _open_ring(
-    free: Mask, width: int, links: Ints, piece: Ints, root: Ints, one: int, ends: Ints
-) -> None:
+def _open_ring(width: int, pieces: Pieces, one: int, ends: Ints) -> None:
     """Cut a ring where it can be put into its neighbour with the least detour."""
+    links, piece, root = pieces.links, pieces.piece, pieces.root
     steps = (-width, width, -1, 1)
     best, best_a, best_b = FAR, ends[one, 0], links[ends[one, 0], 0]
     start = ends[one, 0]
@@ -118,30 +113,19 @@ def _open_ring(
 
 @njit(cache=True)
 def _splice(
-    free: Mask,
-    width: int,
-    links: Ints,
-    piece: Ints,
-    root: Ints,
-    size: Ints,
-    ends: Ints,
-    one: int,
-    near_a: Memory,
-    near_b: Memory,
+    free: Mask, width: int, pieces: Pieces, ends: Ints, one: int, near_a: Memory, near_b: Memory
 ) -> bool:
     """Put the path `one` into another piece, or on to its end, where that costs least; False: no
     way."""
+    links, piece, root = pieces.links, pieces.piece, pieces.root
     a, b = ends[one, 0], ends[one, 1]
-    stamp_a, distance_a, queue_a = near_a
+    _, distance_a, queue_a = near_a
     stamp_b, distance_b, queue_b = near_b
     none = int(np.int64(NONE))  # numba would compile twice for a literal
     best, at, after, mine, radius = FAR, none, none, a, int(np.int64(4))
     while True:
-        stamp_a[0] += 1
-        stamp_b[0] += 1
-        turn = stamp_a[0]
-        found = reach(free, width, a, radius, stamp_a, turn, distance_a, queue_a)
-        found_b = reach(free, width, b, radius, stamp_b, stamp_b[0], distance_b, queue_b)
+        found = reach(free, width, a, radius, near_a)
+        found_b = reach(free, width, b, radius, near_b)
         for i in range(found + found_b):
             from_a = i < found
             u = queue_a[i] if from_a else queue_b[i - found]
@@ -176,17 +160,16 @@ def _splice(
         link(links, at, a)
         link(links, after, b)
     root[one] = other
-    size[other] += size[one]
+    pieces.size[other] += pieces.size[one]
     return True
 
 
 @njit(cache=True)
-def _join_pieces(
-    free: Mask, width: int, links: Ints, piece: Ints, root: Ints, ring: Mask, size: Ints
-) -> Ints:
+def _join_pieces(free: Mask, width: int, pieces: Pieces) -> Ints:
     """Join all pieces that a way connects to one path; returns `ends`."""
+    links, piece, root, ring, size = pieces
     ends = np.full((free.size, 2), NONE, np.int32)
-    _path_ends(links, piece, root, ends)
+    _path_ends(pieces, ends)
     near_a, near_b = memory(free.size), memory(free.size)
     while True:
         names = np.array([c for c in range(free.size) if piece[c] == c and root[c] == c])
@@ -200,9 +183,9 @@ def _join_pieces(
                 continue
             if ring[one]:
                 ends[one, 0] = one
-                _open_ring(free, width, links, piece, root, one, ends)
+                _open_ring(width, pieces, one, ends)
                 ring[one] = 0
-            if _splice(free, width, links, piece, root, size, ends, one, near_a, near_b):
+            if _splice(free, width, pieces, ends, one, near_a, near_b):
                 joined = True
         if not joined:  # rooms with no way between them
             break
@@ -267,8 +250,9 @@ def measure(free: Mask, width: int, order: Ints, unit: int, turn: int) -> Ints:
 
 
 @njit(cache=True)
-def _read(links: Ints, ends: Ints, piece: Ints, root: Ints) -> Ints:
+def _read(pieces: Pieces, ends: Ints) -> Ints:
     """The cells of all pieces, from one end to the other, (n,)."""
+    links, piece, root = pieces.links, pieces.piece, pieces.root
     order = np.empty(piece.size, np.int32)
     count = 0
     for one in range(piece.size):
@@ -291,16 +275,11 @@ def walk(free: Mask, todo: Mask, width: int, axis: int, straight: bool) -> NDArr
     is part of it. `straight`: make straights as long as possible, with a few more steps between
     them.
     """
-    links = np.full((free.size, 2), NONE, np.int32)
-    piece = np.full(free.size, NONE, np.int32)
-    root = np.full(free.size, NONE, np.int32)
-    ring = np.zeros(free.size, np.uint8)
-    size = np.zeros(free.size, np.int32)
-    link_straight(todo, links, axis)
+    pieces = Pieces.unlinked(free.size)
+    link_straight(todo, pieces.links, axis)
     if not straight:
-        link_most(todo, width, links)
-    name_pieces(todo, links, piece, root, ring, size)
-    merge_rings(todo, width, links, piece, root, ring, size)
-    ends = _join_pieces(free, width, links, piece, root, ring, size)
-    order: NDArray[np.int32] = _read(links, ends, piece, root)
+        link_most(todo, width, pieces.links)
+    name_pieces(todo, pieces)
+    merge_rings(todo, width, pieces)
+    order: NDArray[np.int32] = _read(pieces, _join_pieces(free, width, pieces))
     return order

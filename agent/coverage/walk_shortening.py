@@ -214,10 +214,8 @@ def polish(free: Mask, width: int, order: Ints) -> int:
         for i in range(order.size - 1):
             if gaps[i] < 2 or gaps[i] > HOP_MAX:
                 continue
-            near_a[0][0] += 1
-            near_b[0][0] += 1
-            reach(free, width, order[i], gaps[i], near_a[0], near_a[0][0], near_a[1], near_a[2])
-            reach(free, width, order[i + 1], gaps[i], near_b[0], near_b[0][0], near_b[1], near_b[2])
+            reach(free, width, order[i], gaps[i], near_a)
+            reach(free, width, order[i + 1], gaps[i], near_b)
             won = _untangle(free, width, order, at, gaps, i, near_a, near_b)
             if won == 0:
                 won = _shift(free, width, order, at, gaps, i, near_a, near_b)
