@@ -168,7 +168,7 @@ class StopCause(Enum):
         Severity.LATCHED,
         ClearCondition.BY_RESET,
         "an emergency stop",
-        "see that nobody is in danger, then headland reset",
+        "see that no person is in danger, then headland reset",
     )
     BOOT_UNCONFIRMED = _Rule(
         Severity.LATCHED,
@@ -253,7 +253,7 @@ def sentence(number: int, subject: int, count: int = 0) -> str:
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
     'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'
     >>> sentence(StandsBy.STOP_DOT, NOBODY, 3)
-    'STOP_DOT (3 stops): see that nobody is in danger, then headland reset'
+    'STOP_DOT (3 stops): see that no person is in danger, then headland reset'
     """
     cause = cause_of(number)
     if cause is None:

@@ -35,8 +35,8 @@ class Outcome:
         if self.question is not None:
             return ASKED_BACK
         refused = any(word is None for _, word in self.orders)
-        nobody = self.stopped == []
-        return NOT_OBEYED if refused or self.not_stopped or nobody else DONE
+        no_robot = self.stopped == []
+        return NOT_OBEYED if refused or self.not_stopped or no_robot else DONE
 
     def to_dict(self) -> dict[str, Any]:
         """Plain values for `--json`."""
@@ -65,7 +65,7 @@ class Outcome:
             return [*self._held_lines(), asked]
         lines = [_order_line(order, word) for order, word in self.orders]
         if self.stopped is not None:
-            lines.append(f"stopped: {', '.join(map(str, self.stopped)) or 'nobody is heard'}")
+            lines.append(f"stopped: {', '.join(map(str, self.stopped)) or 'no robot is heard'}")
         lines += self._not_stopped_lines()
         lines += [f"queued until a robot is idle: {name}" for name in self.queued]
         source = f"{self.told_by}: " if self.told_by != "the bus" and self.answers else ""
@@ -74,7 +74,7 @@ class Outcome:
     def _held_lines(self) -> list[str]:
         if self.held is None:
             return []
-        who = ", ".join(map(str, self.held)) or "nobody is heard"
+        who = ", ".join(map(str, self.held)) or "no robot is heard"
         text = f"this may be an alarm; held: {who}. What is meant? (say: stop all; or: start all)"
         return [text, *self._not_stopped_lines()]
 

@@ -19,7 +19,7 @@ SIGN_AGAIN_S = 0.5  # robots echo each dot once; if an echo was lost, a new dot 
 FIRST_STOP = 1  # count of stops in the standard frame, since this device was started
 NOT_ALL, WRONG = 1, 2
 NOT_SIGNED = (
-    "NOT SIGNED: a fleet without keys believes anybody on the bus; one with keys only brakes"
+    "NOT SIGNED: a fleet without keys believes any device on the bus; one with keys only brakes"
 )
 
 
@@ -108,10 +108,10 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Kn
             return []
         if now_s - begun_s >= timeout_s:
             return late
-        nobody = not any(r.stopped or r.echoed for r in operator.live)
+        none_stopped = not any(r.stopped or r.echoed for r in operator.live)
         unsigned = operator.signs and any(not r.signed for r in operator.live)
-        again_s = AGAIN_S if nobody else SIGN_AGAIN_S
-        again = operator.live and (nobody or unsigned) and now_s - dot_s >= again_s
+        again_s = AGAIN_S if none_stopped else SIGN_AGAIN_S
+        again = operator.live and (none_stopped or unsigned) and now_s - dot_s >= again_s
         if again or stop[:3] in operator.shown.spent:
             stop, dot_s = operator.new_stop(reason), now_s
         if late or not heard:
@@ -139,7 +139,7 @@ def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: boo
         if not signed:
             print(NOT_SIGNED)
     if not live:
-        print("headland: no robot was heard on this bus: nobody has confirmed", file=sys.stderr)
+        print("headland: no robot was heard on this bus, so none has confirmed", file=sys.stderr)
     return 0 if live and not late and not operator.unknown else NOT_ALL
 
 

@@ -49,14 +49,14 @@ class PgnClient:
         await self.device.held()  # an answer in parts goes to an address
         end_s = loop.time() + seconds
         # Its answer to an earlier question is no answer to this one.
-        anybody = address == GLOBAL_ADDRESS
+        any_source = address == GLOBAL_ADDRESS
         self.arrived = [
-            a for a in self.arrived if a.pgn != pgn or not (anybody or a.source == address)
+            a for a in self.arrived if a.pgn != pgn or not (any_source or a.source == address)
         ]
         self._send(Request(pgn), address)
         while loop.time() < end_s:
             for letter in self.arrived:
-                if letter.pgn == pgn and (anybody or letter.source == address):
+                if letter.pgn == pgn and (any_source or letter.source == address):
                     return letter.data.decode("latin-1").rstrip()
             await asyncio.sleep(LOOK_S)
             for o in self.transport.on_tick(round(loop.time() * 1e6)):

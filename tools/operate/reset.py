@@ -20,7 +20,9 @@ CAUSES_S = 8.0  # longest wait for the causes of one robot
 STEP_S = 0.1
 NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
 BLOCK_S = 5  # a block of reserved frames lasts longer than this
-NOT_SIGNED = "NOT SIGNED: only a fleet without keys is released by this, and by anybody on the bus"
+NOT_SIGNED = (
+    "NOT SIGNED: only a fleet without keys is released by this, and by any device on the bus"
+)
 
 
 def reset(
@@ -110,7 +112,9 @@ def stands(operator: Operator, robot: KnownRobot) -> list[str]:
 def word(operator: Operator, robot: KnownRobot, start: bool) -> str:
     """What a robot is doing now, or what holds it and what a person can do about it."""
     if robot not in operator.live:
-        return "NOT HEARD: nobody knows what it does; see that it stands, is switched on and on this bus"
+        return (
+            "NOT HEARD: what it does is unknown; see that it stands, is switched on and on this bus"
+        )
     if robot.stopped or robot.state is State.EMERGENCY_STOP:
         if operator.keyring is None:
             return (

@@ -39,7 +39,7 @@ def order(
         return WRONG
     for number, sure in known.items():
         line = {"task": number, "known": sure}
-        plain = f"task {number}: " + ("known to the fleet" if sure else "nobody has confirmed it")
+        plain = f"task {number}: " + ("known to the fleet" if sure else "no robot has confirmed it")
         print(dumps(line) if as_json else plain)
     return 0 if all(known.values()) else REFUSED
 

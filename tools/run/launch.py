@@ -48,7 +48,7 @@ QUIET_LOOKS = 6  # checks in a row at which all is done before the launch ends
 MAP_NICE = 5  # niceness of the map's process; robots go first
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
-NO_KEYS = "[yellow]keys: NONE: anybody on the bus can stop and release this fleet[/yellow]"
+NO_KEYS = "[yellow]keys: NONE: any device on the bus can stop and release this fleet[/yellow]"
 
 
 class BusError(Exception):
@@ -278,7 +278,7 @@ class Launch:
         if self.map is not None and self.map.returncode is not None:
             self.console.print(
                 f"[red]the map has ended (exit code {self.map.returncode}): its page is dead and "
-                f"its STOP stops nobody[/red]; again: headland map {self.out}"
+                f"its STOP stops no robot[/red]; again: headland map {self.out}"
             )
             self.map = None
 
