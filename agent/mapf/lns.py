@@ -39,7 +39,7 @@ PATIENCE = 16  # after this many failed attempts a robot's priority is halved
 NOBODY = np.int16(-1)
 
 
-class Work(NamedTuple):
+class TimetableArrays(NamedTuple):
     """A timetable that is being changed, with what its search needs."""
 
     near: Ints  # (nodes, 4)
@@ -77,7 +77,7 @@ def _price(wait: int) -> float:
 
 
 @njit(cache=True)
-def _homeward(work: Work, robot: int) -> int:
+def _homeward(work: TimetableArrays, robot: int) -> int:
     """Fill `back` for one robot; returns the first time at which it can be at its goal and end
     there.
 
@@ -112,7 +112,7 @@ def _homeward(work: Work, robot: int) -> int:
 
 
 @njit(cache=True)
-def _reach(work: Work, robot: int, first: int, most: int) -> tuple[int, int]:
+def _reach(work: TimetableArrays, robot: int, first: int, most: int) -> tuple[int, int]:
     """The first time at which a robot can be at its goal and end there, and the number of looks
     taken.
 
@@ -155,7 +155,7 @@ def _reach(work: Work, robot: int, first: int, most: int) -> tuple[int, int]:
 
 
 @njit(cache=True)
-def _put_back(work: Work, robot: int, most: int) -> tuple[int, int]:
+def _put_back(work: TimetableArrays, robot: int, most: int) -> tuple[int, int]:
     """Put one robot back so that it waits at most `most`.
 
     Returns the time at which it is at its goal, -1 if there is no such path, and the number of
@@ -193,7 +193,7 @@ def _put_back(work: Work, robot: int, most: int) -> tuple[int, int]:
 
 @njit(cache=True)
 def _in_the_way(
-    work: Work, robot: int | np.integer[Any], group: Ints, size: int, state: Words
+    work: TimetableArrays, robot: int | np.integer[Any], group: Ints, size: int, state: Words
 ) -> int:
     """Fill `group` with the robot and those it meets on paths with less waiting; returns how many."""
     near, far, track, owner = work.near, work.far[robot], work.track, work.owner
@@ -226,7 +226,7 @@ def _in_the_way(
 
 
 @njit(cache=True)
-def _regroup(work: Work, group: Ints) -> tuple[int, int]:
+def _regroup(work: TimetableArrays, group: Ints) -> tuple[int, int]:
     """Put the robots of a group back in their order.
 
     Returns whether the result was kept (1: it is better, 0: as good, -1: no), and the number of
@@ -265,7 +265,7 @@ def _regroup(work: Work, group: Ints) -> tuple[int, int]:
 
 
 @njit(cache=True)
-def _regrouped(work: Work, groups: int, state: Words) -> None:
+def _regrouped(work: TimetableArrays, groups: int, state: Words) -> None:
     """Remove and put back groups round the robots that wait longest, until enough were tried."""
     waits, count, looks = work.waits, work.track.shape[0], 0
     vain = np.zeros(count, np.int64)
@@ -305,7 +305,7 @@ def regroup(near: Ints, far: Ints, goals: Ints, track: Ints, salt: int) -> None:
     round_goals = [np.flatnonzero(row <= ASIDE_MAX) for row in far]
     bounds = np.cumsum([0, *map(len, round_goals)])
     came, following, seen = (np.full(times * nodes, -1, dtype=np.int32) for _ in range(3))
-    work = Work(
+    work = TimetableArrays(
         near, far, goals, track, owner, waits, back, np.concatenate(round_goals), bounds,
         came, following, np.empty(times + 1, dtype=np.int32), seen,
     )  # fmt: skip
