@@ -114,6 +114,7 @@ def test_b1_space_acts_on_what_has_the_focus_and_escape_stops(fleet: Live, folde
         until(page, "headland.state().follow")
         until(page, "document.getElementById('paused').hidden")
         row = "#fleet [data-slot='1'] button"  # the table by keyboard
+        until(page, f'document.querySelector("{row}") !== null')  # it is drawn with the next state
         page.execute_script(f'document.querySelector("{row}").focus()')
         press(page, "ENTER")
         until(page, "document.getElementById('one-name').textContent === 'robot 1'")
