@@ -31,7 +31,7 @@ EPOCH_2020_S = 1_577_836_800
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="robots are watched as in test_launch")
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="robots are watched by pidfd, of Linux")
 def test_e2_a_latched_fleet_stays_latched_after_kill_9_and_the_same_command(tmp_path: Path) -> None:
     async def story() -> None:
         launch = await start(tmp_path, "launch", "small", "--robots", "2")
