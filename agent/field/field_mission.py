@@ -310,15 +310,25 @@ class FieldMission(Mission):
         (ax, ay), (ux, uy) = self.tracker.points[piece], self.tracker.direction
         return self.tracker.starts_m[piece] + (here.x_m - ax) * ux + (here.y_m - ay) * uy
 
+    def _tilt(self, here: Observation) -> float | None:
+        """Sine of the angle from the line to the motion, positive to the left; None for a robot that
+        stands, whose direction of motion is noise.
+        """
+        assert self.tracker is not None
+        speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
+        if speed_m_s < SLOW_M_S:
+            return None
+        ux, uy = self.tracker.direction
+        return (here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
+
     def _observe_bar(self, here: Observation) -> None:
         """Note how far back on the leg the ends of the lowered bar are."""
         assert self.tracker is not None
         if not self.turns_on_the_spot or self.tracker.gap_m > LEAD_M:
             return
-        speed_m_s, tilt = hypot(here.vx_m_s, here.vy_m_s), 0.0
-        if speed_m_s >= SLOW_M_S:
+        tilt = self._tilt(here)
+        if tilt is not None:
             ux, uy = self.tracker.direction
-            tilt = (here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
             if here.vx_m_s * ux + here.vy_m_s * uy < 0.0:  # backwards: its ends change sides
                 tilt = -tilt
             if abs(tilt) > self.tilt_max:
@@ -326,7 +336,7 @@ class FieldMission(Mission):
                 return
         elif abs(self.tracker.off_m) > ALIGNED_M:
             return
-        along_m, ahead_m = self._along_m(here), self.half_m * tilt
+        along_m, ahead_m = self._along_m(here), self.half_m * (tilt or 0.0)
         left_m, right_m = self.ends_begun_m
         self.ends_begun_m = min(left_m, along_m - ahead_m), min(right_m, along_m + ahead_m)
 
@@ -370,12 +380,10 @@ class FieldMission(Mission):
         unit yet.
         """
         assert self.tracker is not None
-        speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
-        if not self.turns_on_the_spot or speed_m_s < SLOW_M_S or self._is_corner(end_m):
+        tilt = self._tilt(here)
+        if not self.turns_on_the_spot or tilt is None or self._is_corner(end_m):
             return False
-        ux, uy = self.tracker.direction
-        along_m = self._along_m(here)
-        ahead_m = self.half_m * (here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
+        along_m, ahead_m = self._along_m(here), self.half_m * tilt
         left_m, right_m = self.ends_reached_m
         self.ends_reached_m = max(left_m, along_m - ahead_m), max(right_m, along_m + ahead_m)
         return min(self.ends_reached_m) < end_m - LATE_M

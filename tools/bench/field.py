@@ -22,6 +22,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.ground_truth import TrackPoint
 from tools.bench.figure import Figure
+from tools.bench.routing_opponents import guided_search
 
 SEARCH_S, QUICK_SEARCH_S = 40.0, 5.0
 QUICK: Final = (("small", 3),)
@@ -131,7 +132,7 @@ def _ticks(seconds: object) -> Times:
 
 def central_plan_s(problem: FleetProblem, search_s: float) -> float:
     """Seconds until the last finish of the best plan that OR-Tools finds."""
-    from ortools.constraint_solver import pywrapcp, routing_enums_pb2
+    from ortools.constraint_solver import pywrapcp
 
     robots, nodes = problem.lead.shape
     size = nodes + robots + 1
@@ -156,15 +157,7 @@ def central_plan_s(problem: FleetProblem, search_s: float) -> float:
     for section in range(nodes // 2):  # in one of its two directions
         both = [manager.NodeToIndex(2 * section), manager.NodeToIndex(2 * section + 1)]
         routing.AddDisjunction(both, 1 << 40)
-    search = pywrapcp.DefaultRoutingSearchParameters()
-    search.first_solution_strategy = (
-        routing_enums_pb2.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
-    )
-    search.local_search_metaheuristic = (
-        routing_enums_pb2.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
-    )
-    search.time_limit.FromMilliseconds(round(search_s * 1000))
-    found = routing.SolveWithParameters(search)
+    found = routing.SolveWithParameters(guided_search(search_s))
     assert found is not None, "a robot can do all the work alone"
     last = max(found.Value(dimension.CumulVar(routing.End(robot))) for robot in range(robots))
     return float(last) * TICK_S

@@ -53,10 +53,25 @@ def _pyvrp(work: Workload, limit_ms: int, seconds: float, seed: int) -> int | No
     return max(route.duration() for route in result.best.routes())
 
 
+def guided_search(seconds: float) -> Any:
+    """The parameters with which OR-Tools searches in all of our comparisons: guided local search."""
+    from ortools.constraint_solver import pywrapcp, routing_enums_pb2
+
+    search = pywrapcp.DefaultRoutingSearchParameters()
+    search.first_solution_strategy = (
+        routing_enums_pb2.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
+    )
+    search.local_search_metaheuristic = (
+        routing_enums_pb2.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
+    )
+    search.time_limit.FromMilliseconds(round(seconds * 1000))
+    return search
+
+
 def ortools_plan(work: Workload, seconds: float, balanced: bool, bays: int = 0) -> PlanCost | None:
     """By guided local search. `balanced`: the last finish, else total travel. `bays`: how many visits
     of each bay are modelled; a bay sets the energy back."""
-    from ortools.constraint_solver import pywrapcp, routing_enums_pb2
+    from ortools.constraint_solver import pywrapcp
 
     robots, tasks = work.robots, work.tasks
     time_ms, energy, visits = _tables(work, bays)
@@ -77,15 +92,7 @@ def ortools_plan(work: Workload, seconds: float, balanced: bool, bays: int = 0) 
         routing.GetDimensionOrDie("time").SetGlobalSpanCostCoefficient(SPAN_COST)
     if work.power is not None:
         _battery(routing, manager, work.power, energy, tasks, visits)
-    search = pywrapcp.DefaultRoutingSearchParameters()
-    search.first_solution_strategy = (
-        routing_enums_pb2.FirstSolutionStrategy.PARALLEL_CHEAPEST_INSERTION
-    )
-    search.local_search_metaheuristic = (
-        routing_enums_pb2.LocalSearchMetaheuristic.GUIDED_LOCAL_SEARCH
-    )
-    search.time_limit.FromMilliseconds(round(seconds * 1000))
-    found = routing.SolveWithParameters(search)
+    found = routing.SolveWithParameters(guided_search(seconds))
     if found is None:
         return None
     dimension = routing.GetDimensionOrDie("time")
