@@ -380,8 +380,10 @@ class FieldMission(Mission):
         unit yet.
         """
         assert self.tracker is not None
+        if not self.turns_on_the_spot or self._is_corner(end_m):
+            return False  # a steered robot's tracker has no pieces, and at a corner the bar swings round
         tilt = self._tilt(here)
-        if not self.turns_on_the_spot or tilt is None or self._is_corner(end_m):
+        if tilt is None:
             return False
         along_m, ahead_m = self._along_m(here), self.half_m * tilt
         left_m, right_m = self.ends_reached_m
