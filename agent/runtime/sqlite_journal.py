@@ -186,6 +186,8 @@ class SqliteJournal:
         if self._number is None:
             self.load()
         assert self._number is not None
+        if self.mark.number < self._number:  # after a crash between a commit and its mark
+            self.mark.set(self._number)  # a second such crash must not leave the mark two behind
         number = self._number + 1
         rows = [(key, _checked(key, value)) for key, value in records]
         rows.append((NEWEST, _checked(NEWEST, NUMBER.pack(number))))
