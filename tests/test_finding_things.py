@@ -31,6 +31,7 @@ QUESTIONS = {
     "Where is PIBT?": "agent/mapf/pibt.py",
     "Where are Dubins paths?": "agent/paths/dubins.py",
     "How is a field cut into rows and sections?": "agent/field/field_division.py",
+    "How do the rings along the fences turn in the tip of a field?": "agent/field/headland_rings.py",
     "How does a robot stop before a person?": "agent/motion/obstacle_stop.py",
     "How are transport tasks put into tours?": "agent/delivery/tour_auction.py",
     "Where are frontiers of an unknown building found?": "agent/exploration/frontier.py",

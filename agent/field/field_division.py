@@ -7,25 +7,21 @@ fence than (w - v) / 2, and ring and strips together leave nothing out
 (`tests/agent/field/test_field_division.py`).
 """
 
-import itertools
 from collections.abc import Iterator, Sequence
-from math import atan2, ceil, degrees, pi
+from math import atan2, ceil, degrees
 
 from shapely import affinity
-from shapely.geometry import LineString, MultiPolygon, Polygon, box
+from shapely.geometry import LineString, Polygon, box
 from shapely.geometry.base import BaseGeometry
-from shapely.ops import substring
 
 from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
+from agent.field.headland_rings import parts, pieces, rings, swinging
 from agent.field.ring_corners import cut_at_corners
 
 SWEEP_DEG = 10.0  # step of the angles that are tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
-CORNER_RAD = 0.05  # a smaller turn leaves no gap: the overlap closes it
 UNITS_LEAST = 8  # of a whole field, so that in a tiny one, work beside a standing robot counts
-SHARP_CORNERS_MAX = 8  # a ring with more of them is rounded
 UNIT_LEAST_M = 1.0  # shortest unit: three times the lead of a stretch
-CUT_STEP_M = 1.0  # step of the search for a straight place for a cut
 KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
@@ -52,11 +48,13 @@ def divide(
     """
     width_m, strip_m = implement_width_m, implement_width_m - overlap_m
     assert 0.0 < overlap_m < implement_width_m / 2
-    rings = list(_rings(polygon.buffer(-width_m / 2)))
-    if not rings:
+    lines = list(rings(polygon.buffer(-width_m / 2)))
+    if not lines:
         raise ValueError(f"{name} is nowhere as wide as the implement ({width_m} m)")
     deep = polygon.buffer(-(width_m - overlap_m))
-    bundles = [*_ring_bundles(rings, section_length_m, width_m)]
+    if turn_radius_m == 0.0:
+        lines = [swinging(line, overlap_m / 2) for line in lines]
+    bundles = [[piece] for line in lines for piece in pieces(line, section_length_m, width_m)]
     if turn_radius_m > 0.0:
         free = polygon.buffer(-(keep_m + KEEP_MORE_M))
         bundles = [cut_at_corners(ring, turn_radius_m, width_m / 2, free) for (ring,) in bundles]
@@ -92,81 +90,6 @@ def _length(swath: Polyline) -> float:
     return float(LineString(swath).length)
 
 
-def _parts(shape: BaseGeometry) -> list[Polygon]:
-    if isinstance(shape, Polygon):
-        return [] if shape.is_empty else [shape]
-    if isinstance(shape, MultiPolygon):
-        return sorted(shape.geoms, key=lambda part: part.bounds)
-    return [part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)]
-
-
-def _rings(inset: BaseGeometry) -> Iterator[LineString]:
-    for part in _parts(inset):
-        for ring in (part.exterior, *part.interiors):
-            yield LineString(ring.coords)
-
-
-def _ring_bundles(
-    rings: list[LineString], section_length_m: float, width_m: float
-) -> Iterator[list[Polyline]]:
-    """Each ring in pieces of about the wanted length; a ring is worked once round.
-
-    Pieces meet on straight stretches where there are any: an implement that ends in a corner from
-    both sides would leave the outside of the corner out.
-    """
-    for ring in rings:
-        pieces = max(1, round(ring.length / section_length_m))
-        wanted = [ring.length * k / pieces for k in range(pieces)]
-        cuts = sorted({round(_straight(ring, cut, width_m), 6) for cut in wanted})
-        for start, end in zip(cuts, [*cuts[1:], cuts[0] + ring.length], strict=True):
-            yield [_points(_along(ring, start, end))]
-
-
-def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]]:
-    """The ring from one arc length to another, across its closing point if necessary."""
-    if end <= ring.length:
-        return list(substring(ring, start, end).coords)
-    first = list(substring(ring, start, ring.length).coords)
-    return first + list(substring(ring, 0.0, end - ring.length).coords)[1:]
-
-
-def _straight(ring: LineString, cut: float, width_m: float) -> float:
-    """The arc length nearest to `cut` that is half a width from every corner.
-
-    If there is none, it is the one furthest from corners, so that a short ring closes on a straight
-    piece as well.
-    """
-    points = list(ring.coords)
-    corners, along = [], 0.0
-    for k, (a, b) in enumerate(itertools.pairwise(points)):
-        before = points[k - 1] if k else points[-2]
-        turn = atan2(b[1] - a[1], b[0] - a[0]) - atan2(a[1] - before[1], a[0] - before[0])
-        if abs((turn + pi) % (2 * pi) - pi) > CORNER_RAD:
-            corners.append(along)
-        along += float(LineString((a, b)).length)
-    length = float(ring.length)
-
-    def room(at: float) -> float:
-        return min(
-            (abs((at - c + length / 2) % length - length / 2) for c in corners), default=length
-        )
-
-    steps = sorted(
-        (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs
-    )
-    free = (cut + step for step in steps if room((cut + step) % length) >= width_m / 2 + CUT_STEP_M)
-    found = next(free, None)
-    if found is None and not 0 < len(corners) <= SHARP_CORNERS_MAX:
-        found = cut  # a ring round a hole turns in small steps; the bar leaves nothing out there
-    elif found is None:
-        marks = [*corners, corners[0] + length]
-        widest = max(
-            itertools.pairwise(marks), key=lambda gap: (round(gap[1] - gap[0], 6), -gap[0])
-        )
-        found = (widest[0] + widest[1]) / 2
-    return float(found % length)
-
-
 def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
     """The direction with the fewest swaths, degrees; among equals the shortest total length."""
     edges = list(zip(polygon.exterior.coords, polygon.exterior.coords[1:], strict=False))
@@ -197,7 +120,7 @@ def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> Iterator[li
         strip = turned.intersection(box(west - 1, low_m, east + 1, low_m + height_m))
         middle_m = low_m + height_m / 2
         swaths = []
-        for part in sorted(_parts(strip), key=lambda p: p.bounds):
+        for part in sorted(parts(strip), key=lambda p: p.bounds):
             left_m, _, right_m, _ = part.bounds
             if part.area <= PIECE_MIN_M**2:
                 continue

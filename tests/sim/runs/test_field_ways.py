@@ -13,6 +13,12 @@ from sim.scenarios.field_setup import FieldSetup
 from tests.sim.drawn_fields import SHAPES, rectangle, scenario
 
 WEDGE = [(24.0, 31.0), (66.4, 33.9), (45.0, 38.0)]
+NARROW = {
+    "a strip 5 cm wider than the implement": rectangle(60.0, 4.05),
+    "a tip of 3 degrees": [(0.0, 0.0), (120.0, -3.14), (120.0, 3.14)],
+    "a tip of 19 degrees": [(0.0, 0.0), (60.0, -10.0), (60.0, 10.0)],
+    "a blunt tip": [(0.0, -2.02), (80.0, -6.0), (80.0, 6.0), (0.0, 2.02)],
+}
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -64,6 +70,16 @@ def test_m3_a_field_of_a_few_metres_is_finished(
     made = scenario(tmp_path, rectangle(side_m, side_m), robots, seed, time_limit_s=400.0)
     outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
+
+
+@pytest.mark.parametrize("robots", (1, 2))
+@pytest.mark.parametrize("name", NARROW)
+def test_robots_cover_tips_and_parts_hardly_wider_than_the_implement(
+    name: str, robots: int, tmp_path: Path
+) -> None:
+    # Robots that reverse where the ring turns back leave 5 % of the strip.
+    outcome = FieldRun(FieldSetup(scenario(tmp_path, NARROW[name], robots, 1))).run()
+    assert outcome.success and outcome.reached == 1.0, outcome
 
 
 @pytest.mark.parametrize("robots", (2, 4, 6))

@@ -1,0 +1,222 @@
+"""The rings of a headland, in pieces: where they begin and end, and how they turn in narrow tips.
+
+A bar that ends in a corner from both sides leaves the outside of the corner out. So pieces meet
+where the ring is straight, and at least in the middle between two corners.
+
+A bar that turns back by almost half a turn does not swing: the robot reverses, and what lies ahead
+of it stays. That happens in the tip of a field, and all along a part that is hardly wider than the
+implement. There the ring gets a short side across, so that it turns twice by about a right angle.
+It leaves the line by half the overlap at most, the tolerance of driving.
+"""
+
+import itertools
+from collections.abc import Iterator, Sequence
+from math import atan2, dist, hypot, pi, radians
+from typing import Final
+
+import numpy as np
+import shapely
+from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import substring
+
+from agent.field.field_map import XY, Polyline
+
+CORNER_RAD: Final = 0.05  # a sharper one keeps half a width from where pieces meet, if it can
+BENT_RAD: Final = 1e-3  # a smaller turn is none
+BENT_M: Final = 0.1  # pieces do not meet nearer than this to a turn of any size
+CUT_STEP_M: Final = 1.0  # step of the search for a straight place for a cut
+# From here on, a turn is given a side across. `sim/world/coverage_truth.py` takes more than 170
+# degrees for reversing, and no robot's course is exact.
+TIP_RAD: Final = radians(160.0)
+TIP_M: Final = 0.1  # corners within this length are driven as one
+JOIN_M: Final = 2.0  # from the line to the side across a tip
+NO_TURN_M: Final = 1e-6  # points nearer than this are one
+
+
+def rings(inset: BaseGeometry) -> Iterator[LineString]:
+    """Each closed line along the fences.
+
+    `inset`: where the middle of an implement may be, so that it stays within the fences, metres.
+    """
+    for part in parts(inset):
+        for ring in (part.exterior, *part.interiors):
+            yield LineString(ring.coords)
+
+
+def parts(shape: BaseGeometry) -> list[Polygon]:
+    """The polygons that a shape consists of, from west to east."""
+    if isinstance(shape, Polygon):
+        return [] if shape.is_empty else [shape]
+    if isinstance(shape, MultiPolygon):
+        return sorted(shape.geoms, key=lambda part: part.bounds)
+    return [part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)]
+
+
+def pieces(ring: LineString, section_length_m: float, width_m: float) -> Iterator[Polyline]:
+    """A ring in pieces of about the wanted length, each a polyline of (x, y) metres.
+
+    `width_m`: of the implement.
+    """
+    count = max(1, round(ring.length / section_length_m))
+    wanted = [ring.length * k / count for k in range(count)]
+    cuts = sorted({round(_straight(ring, cut, count, width_m), 6) for cut in wanted})
+    for start, end in zip(cuts, [*cuts[1:], cuts[0] + ring.length], strict=True):
+        yield tuple((float(p[0]), float(p[1])) for p in _along(ring, start, end))
+
+
+def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]]:
+    """The ring from one arc length to another, across its closing point if necessary."""
+    if end <= ring.length:
+        return list(substring(ring, start, end).coords)
+    first = list(substring(ring, start, ring.length).coords)
+    return first + list(substring(ring, 0.0, end - ring.length).coords)[1:]
+
+
+def _straight(ring: LineString, cut: float, count: int, width_m: float) -> float:
+    """The arc length nearest to `cut` that is half a width from every corner.
+
+    If there is none, it is the one furthest from any turn in this one of `count` equal pieces of
+    the ring.
+    """
+    points = list(ring.coords)
+    length = float(ring.length)
+    corners, bends, along = [], [], 0.0
+    for k, (a, b) in enumerate(itertools.pairwise(points)):
+        turn_rad = abs(_turn(points[k - 1] if k else points[-2], a, b))
+        if turn_rad > CORNER_RAD:
+            corners.append(along)
+        if turn_rad > BENT_RAD:
+            bends.append(along)
+        along += float(LineString((a, b)).length)
+
+    def apart(at: float, other: float) -> float:
+        return abs((at - other + length / 2) % length - length / 2)
+
+    def is_straight(at: float) -> bool:
+        return all(apart(at, c) >= width_m / 2 + CUT_STEP_M for c in corners) and all(
+            apart(at, b) >= BENT_M for b in bends
+        )
+
+    steps = sorted(
+        (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs
+    )
+    found = next((cut + step for step in steps if is_straight((cut + step) % length)), None)
+    if found is None and bends:
+        gaps = list(itertools.pairwise([*bends, bends[0] + length]))
+        near = [gap for gap in gaps if apart(sum(gap) / 2, cut) <= length / count / 2]
+        start, end = max(near or gaps, key=lambda gap: (round(gap[1] - gap[0], 6), -gap[0]))
+        found = (start + end) / 2
+    return float((cut if found is None else found) % length)
+
+
+# ---------------------------------------------------------------- tips
+
+
+def swinging(ring: LineString, slack_m: float) -> LineString:
+    """The ring with a side across wherever it turns back; the same ring if it does so nowhere.
+
+    `slack_m`: how far it may leave the ring, half the overlap.
+    """
+    loop = _loop(ring, slack_m)
+    if loop is not None:
+        return loop
+    points = [(float(x), float(y)) for x, y in ring.coords]
+    points = [b for a, b in itertools.pairwise(points) if dist(a, b) > NO_TURN_M]
+    count = len(points)
+    longest = max(range(count), key=lambda k: dist(points[k - 1], points[k]))
+    points = points[longest:] + points[:longest]  # no tip lies across the closing point
+    result: list[XY] = []
+    at = 0
+    for first, last in _tips(points):
+        tip, after = points[first : last + 1], points[(last + 1) % count]
+        result += [*points[at:first], *_across(points[first - 1], tip, after, slack_m)]
+        at = last + 1
+    return LineString([*result, *points[at:], *(result or points)[:1]]) if at else ring
+
+
+def _loop(ring: LineString, slack_m: float) -> LineString | None:
+    """A rectangle round the long axis of a ring that is nowhere further from it than `slack_m`."""
+    if Polygon(ring).area > slack_m * ring.length:
+        return None
+    points = shapely.get_coordinates(ring)
+    a, b = max(itertools.combinations(points, 2), key=lambda pair: dist(*pair))
+    length_m = dist(a, b)
+    ux, uy = (b - a) / length_m if length_m > NO_TURN_M else (1.0, 0.0)
+    if np.abs((points - a) @ (-uy, ux)).max() > slack_m:
+        return None
+    corners = [
+        (float(x - uy * aside_m), float(y + ux * aside_m))
+        for (x, y), aside_m in ((a, -slack_m), (b, -slack_m), (b, slack_m), (a, slack_m))
+    ]
+    box = LineString([*corners, corners[0]])
+    # The axis of a bent part lies outside of it.
+    near = Polygon(ring).buffer(slack_m + NO_TURN_M, quad_segs=64)
+    return box if box.difference(near).length < slack_m else None
+
+
+def _tips(points: Sequence[XY]) -> Iterator[tuple[int, int]]:
+    """The first and the last point of each tip, with points near by that belong to no longer side.
+
+    `points`: of a ring, none twice.
+    """
+    count, done = len(points), 0
+    first = 0
+    while first < count:
+        last = _turned_back(points, first)
+        if last is None:
+            first += 1
+            continue
+        while first > done and dist(points[first - 1], points[first]) < TIP_M:
+            first -= 1
+        while last + 1 < count and dist(points[last], points[last + 1]) < TIP_M:
+            last += 1
+        yield first, last
+        first = done = last + 1
+
+
+def _turned_back(points: Sequence[XY], first: int) -> int | None:
+    """The point at which a turn that begins at `first` has turned back; None if it does not."""
+    count, turned_rad, run_m = len(points), 0.0, 0.0
+    for last in range(first, count):
+        run_m += dist(points[last - 1], points[last]) if last > first else 0.0
+        if run_m > TIP_M:
+            return None
+        turned_rad += _turn(points[last - 1], points[last], points[(last + 1) % count])
+        if abs(turned_rad) > TIP_RAD:
+            return last
+    return None
+
+
+def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY]:
+    """The points that replace those of a tip: from the line to a side across it and back."""
+    into, out = _unit(before, tip[0]), _unit(tip[-1], after)
+    ux, uy = _unit(out, into)
+    turned_rad = sum(
+        _turn(a, b, c) for a, b, c in zip((before, *tip), tip, (*tip[1:], after), strict=False)
+    )
+    nx, ny = (-uy, ux) if turned_rad > 0.0 else (uy, -ux)
+    on_m = max(x * ux + y * uy for x, y in tip)
+    aside = [x * nx + y * ny for x, y in tip]
+    aside_m = (min(aside) + max(aside)) / 2
+    side = [
+        (on_m * ux + at_m * nx, on_m * uy + at_m * ny)
+        for at_m in (aside_m - slack_m, aside_m + slack_m)
+    ]
+    before_m = min(JOIN_M, dist(before, tip[0]) / 2)
+    after_m = min(JOIN_M, dist(tip[-1], after) / 2)
+    return [
+        (tip[0][0] - into[0] * before_m, tip[0][1] - into[1] * before_m),
+        *side,
+        (tip[-1][0] + out[0] * after_m, tip[-1][1] + out[1] * after_m),
+    ]
+
+
+def _unit(a: Sequence[float], b: Sequence[float]) -> XY:
+    length = hypot(b[0] - a[0], b[1] - a[1])
+    return (b[0] - a[0]) / length, (b[1] - a[1]) / length
+
+
+def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+    turn_rad = atan2(c[1] - b[1], c[0] - b[0]) - atan2(b[1] - a[1], b[0] - a[0])
+    return (turn_rad + pi) % (2 * pi) - pi
