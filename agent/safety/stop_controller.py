@@ -590,10 +590,13 @@ class StopController:
     def _repeat(self, now_us: int) -> Sequence[Effect]:
         """As the source of a stop, repeat it every 5 ms until every live member has echoed it.
 
-        A repeat that no node can hear does not count.
+        A repeat that no node can hear does not count. Meanwhile another robot may have stopped the
+        members, so their stopped bit no longer counts as an echo.
         """
         sends, others = list[Effect](), self._live - {self.slot}
         unheard = not _MUTE.isdisjoint(self._causes)
+        if unheard:
+            self._free.clear()
         for dot, left in sorted(self._own.items()):
             enough = left <= (0 if others else REPEATS_MAX - REPEATS_ALONE)
             if enough or (others and others <= self._echoes.get(dot, set())):

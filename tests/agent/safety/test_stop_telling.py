@@ -131,3 +131,21 @@ def test_a_press_while_no_frame_leaves_is_sent_when_the_bus_is_back(cause: StopC
     safety.clear_cause(cause, 60 * S)
     soon = range(60 * S, 60 * S + 100 * MS, MS)
     assert stop in [said for now_us in soon for said in stops_of(safety.on_tick(now_us))]
+
+
+def test_who_was_stopped_by_another_while_we_were_off_the_bus_has_to_say_our_stop() -> None:
+    """Found by `headland chaos`, profile flood, seed 1401584: the members were stopped by a second press
+    meanwhile; back on the bus, their stopped bit passed for an echo of the first press, of which no
+    other robot and no operator ever heard, until it ended a reset of the fleet."""
+    peer = peer_in(State.IDLE, None)
+    introduce(peer, 140, 1)
+    pose = Pose(0.0, 0.0, 0.0, 0.0, State.WORKING, False, 0)
+    peer.step(Heard(140, pose), 0)
+    peer.safety.raise_cause(StopCause.BUS_OFF, 0)
+    (stop,) = stops_of(peer.step(Press(Reason.PERSON_IN_FIELD), 0))
+    peer.safety.on_tick(STOP_REPEAT_US)
+    peer.safety.clear_cause(StopCause.BUS_OFF, 60 * MS)
+    peer.step(Heard(140, pose._replace(state=State.EMERGENCY_STOP, stopped=True)), 60 * MS)
+    assert stop in stops_of(peer.safety.on_tick(70 * MS))
+    peer.step(Heard(140, stop._replace(echo=True)), 70 * MS)
+    assert not stops_of(peer.safety.on_tick(80 * MS))
