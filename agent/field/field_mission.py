@@ -15,6 +15,7 @@ from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
 from agent.field.parking import Parking
 from agent.field.section_choice import SectionChooser
 from agent.field.section_partition import Point
+from agent.field.travel_times import TravelTimes
 from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
@@ -31,6 +32,10 @@ ALIGNED_M: Final = 0.05  # a robot that starts this near to its line begins its 
 # A bar end that begins a unit this much late leaves less than the cells by which work is judged.
 LATE_M: Final = 0.02
 TILT_MIN: Final = 0.1  # sine of a tilt that every field tolerates: control is no more exact
+REST_M: Final = (
+    40.0  # further back than a swath or two, missed units are left to the plan of the fleet
+)
+SOON_M: Final = 6.0  # nearer than this to its work, a robot announces its implement
 WAITING_M: Final = 0.1  # this far before its first unit, a robot that drifts sideways waits
 
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
@@ -55,14 +60,15 @@ class FieldMission(Mission):
         radius_m: float,
         speed_m_s: float,
         deceleration_m_s2: float,
+        travel: TravelTimes | None = None,
     ) -> None:
         """`route`: plans paths in the field. `radius_m`: of every body. `speed_m_s`,
-        `deceleration_m_s2`: of our body.
+        `deceleration_m_s2`: of our body. `travel`: times of such bodies, for the plan of the fleet.
         """
         self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
-        self.choosing = SectionChooser(field, speed_m_s)
+        self.choosing = SectionChooser(field, speed_m_s, travel)
         self.section: Section | None = None
         self.legs: list[WorkLeg] = []
         self.tracker: PathTracker | None = None
@@ -77,6 +83,9 @@ class FieldMission(Mission):
         self.ends_begun_m = inf, inf
         self.ends_reached_m = 0.0, 0.0  # how far they have come while they passed the end of a unit
         self.lifted = False  # the implement was up since the last check
+        self.missed: int | None = None  # the unit that was driven last and does not count
+        self.retried: set[int] = set()  # units of the section that were worked again at once
+        self.advanced = False  # a unit of the section was worked since it was begun
         self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector()
@@ -102,7 +111,8 @@ class FieldMission(Mission):
     # ---------------------------------------------------------------- choosing
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
-        return self.choosing.choose(view, self._own_end(view))
+        rest_for_s = 0.0 if self.section is None else self._left_m / self.speed_m_s
+        return self.choosing.choose(view, self._own_end(view), rest_for_s)
 
     def _own_end(self, view: FleetView) -> Point:
         if self.legs:
@@ -135,6 +145,8 @@ class FieldMission(Mission):
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.heading_to = self.field.section(section), None
         self.worked.clear()
+        self.retried.clear()
+        self.advanced = False
         self.headway.begin()
         self.parking.forget()
         self.legs, self.tracker = self._legs(self.section, view), None
@@ -183,6 +195,12 @@ class FieldMission(Mission):
         if self.tracker is None and not self.legs:
             self.legs = self._legs(self.section, view)
             self.headway.again()
+        self.advanced = self.advanced or bool(covered)
+        if self._far_behind:
+            return self._leave_rest(wish, covered)
+        if self._turns_back():
+            self.legs, self.tracker = self._legs(self.section, view), None
+            self.headway.again()
         late = self.headway.observe(bool(covered), self._left_m, view.now_us)
         if late and self.plans_without_headway:
             self.on_stalled(view)
@@ -190,8 +208,42 @@ class FieldMission(Mission):
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
             self.abandon()
             return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
-        rest_for_s = missing * self.field.unit_m / self.speed_m_s
+        rest_for_s = max(missing * self.field.unit_m, self._left_m) / self.speed_m_s
         return _covering(wish, covered, False, rest_for_s < NEAR_END_S)
+
+    def _turns_back(self) -> bool:
+        """Whether to work a unit again at once that was just missed, because the bar had to go up.
+
+        Later, the whole way back is for this unit. It is tried once: the body in the way may stay.
+        """
+        missed, self.missed = self.missed, None
+        if missed is None or missed in self.retried or not self.turns_on_the_spot:
+            return False
+        self.retried.add(missed)
+        return True
+
+    @property
+    def at_work(self) -> bool:
+        if self.section is None:
+            return False
+        if self.leg.units:
+            return True
+        if self.tracker is None or not self.legs:
+            return False
+        return self.tracker.total_m - self.tracker.along_m < SOON_M
+
+    @property
+    def _far_behind(self) -> bool:
+        """Whether what was missed is so far back that it is planned again, for the whole fleet."""
+        planned = self.choosing.fleet_plan is not None
+        if not planned or not self.advanced or self.tracker is None:
+            return False
+        return not self.leg.units and self.leg.length_m > REST_M
+
+    def _leave_rest(self, wish: MotionRequest, covered: list[int]) -> MotionRequest:
+        """Give the section back with the units that were missed."""
+        self.abandon()
+        return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
 
     @property
     def _left_m(self) -> float:
@@ -281,7 +333,9 @@ class FieldMission(Mission):
         bar is up because a body is near.
         """
         assert self.tracker is not None
-        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m)
+        steers = self.turns_on_the_spot and bool(self.leg.units)
+        moving = (here.vx_m_s, here.vy_m_s) if steers else None
+        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m, moving)
         left_m = LEAD_M - self._along_m(here) if self._on_lead_in else 0.0
         if left_m <= 0.0 or self.up or max(self.ends_begun_m) <= LEAD_M:
             return vx_m_s, vy_m_s
@@ -371,6 +425,8 @@ class FieldMission(Mission):
             begun_m = LEAD_M + self.unit * piece_m
             if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
                 passed.append(self.leg.units[self.unit])
+            elif not is_last:
+                self.missed = self.leg.units[self.unit]
             self.unit += 1
             self.worst_m = abs(self.tracker.off_m)
         return passed
@@ -419,7 +475,7 @@ class FieldMission(Mission):
         if not stretches:
             return []
         at: Point = (view.here.x_m, view.here.y_m)
-        if _distance(at, stretches[-1].points[-1]) < _distance(at, stretches[0].points[0]):
+        if self._from_last(section, stretches, at, view):
             stretches = [WorkLeg(leg.points[::-1], leg.units[::-1]) for leg in reversed(stretches)]
         legs: list[WorkLeg] = []
         for leg in stretches:
@@ -431,6 +487,17 @@ class FieldMission(Mission):
             legs.append(leg)
             at = leg.points[-1]
         return legs
+
+    def _from_last(
+        self, section: Section, stretches: list[WorkLeg], at: Point, view: FleetView
+    ) -> bool:
+        """Whether to begin with the last stretch: as planned, or, in a section that was begun, as it
+        is nearer.
+        """
+        entry = self.choosing.entry(section.id, view.progress.covered(section.id))
+        if entry is not None:
+            return entry == 1
+        return _distance(at, stretches[-1].points[-1]) < _distance(at, stretches[0].points[0])
 
     def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
         """The stretches left to work; `last`: include those that come last."""

@@ -13,6 +13,7 @@ from shapely.geometry import Point, Polygon
 
 from agent.field.field_division import divide
 from agent.field.field_map import XY, Field, joins, rasterise
+from agent.field.travel_times import TravelTimes
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.holonomic_motion import FENCE_M
 from agent.motion.path_tracker import ALIGN_M
@@ -113,6 +114,18 @@ class FieldPlan:
             cell_m /= 2
             grid = rasterise(self.field, cell_m, clearance_m, whole=True)
         return Route(*grid)
+
+    @cached_property
+    def travel(self) -> TravelTimes:
+        """How long the vehicle takes in each section and between them."""
+        vehicle = self.vehicle
+        return TravelTimes(
+            self.field,
+            self.route,
+            vehicle.speed_m_s,
+            vehicle.acceleration_m_s2,
+            vehicle.braking_m_s2,
+        )
 
     @cached_property
     def fences(self) -> NDArray[np.float64]:

@@ -5,11 +5,15 @@ knows about the others: where each will be free, which sections silent robots le
 sections were left to another robot and not taken.
 """
 
+from collections.abc import Mapping, Sequence
+from functools import partial
 from math import cos, hypot, sin
 from typing import Final
 
 from agent.field.field_map import Field
+from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot
 from agent.field.section_partition import Point, SectionJob, shares
+from agent.field.travel_times import Remainder, TravelTimes
 from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
 from agent.interface.mission import ClaimRequest, FleetView
 from crdt import Phase
@@ -21,15 +25,20 @@ AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first;
 AGAIN_TIMES: Final = 5  # doublings at most, to ten minutes: 255 hand-overs last for two days
 STANDS_US: Final = 60 * S  # a live owner that stands still keeps its sections this long: 3 leases
 STAYS_M: Final = 4.0  # an owner that moves further than this does not stand still
+AGAIN_PLAN_US: Final = 1 * S  # a robot without a section plans again this often
 FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap does not count: we were not free to choose
 
 
 class SectionChooser:
     """One robot's choice of sections, and what it remembers about the other robots."""
 
-    def __init__(self, field: Field, speed_m_s: float) -> None:
-        """`speed_m_s`: at which sections are worked; shares are cut by the time that they take."""
+    def __init__(self, field: Field, speed_m_s: float, travel: TravelTimes | None = None) -> None:
+        """`speed_m_s`: at which sections are worked; shares are cut by the time that they take.
+        `travel`: of this field; None: no plan of the fleet is made."""
         self.field, self.speed_m_s = field, speed_m_s
+        self.fleet_plan = None if travel is None else FleetPlan(travel)
+        # The change counter of the allocation, the live robots and the time when nothing was for us.
+        self._empty = -1, frozenset[int](), 0
         self.reserved: dict[int, list[int]] = {}  # silent member -> its sections, in its order
         self._plan: dict[int, list[SectionJob]] = {}
         # The change counter of the allocation when nothing was free; and when all free sections were
@@ -41,11 +50,18 @@ class SectionChooser:
         # Live owners: position, units done, and for how long they have stood there.
         self._stands: dict[int, tuple[Point, int, int]] = {}
         self._asked_at_us = 0
+        self._entry = (
+            -1,
+            0,
+            0,
+        )  # the section that we chose last, the end to enter at, units covered then
+        # The change counter of the allocation, and when others should have claimed free sections.
+        self._due: tuple[int, dict[int, int]] = (-1, {})
 
-    def choose(self, view: FleetView, end: Point) -> ClaimRequest | None:
+    def choose(self, view: FleetView, end: Point, rest_for_s: float = 0.0) -> ClaimRequest | None:
         """The section to claim next, with our bid; None if there is none for us now.
 
-        `end`: where we will be free, (x, y) metres.
+        `end`: where we will be free, (x, y) metres. `rest_for_s`: until then.
         """
         self._reserve(view)
         taken = {s for sections in self.reserved.values() for s in sections}
@@ -55,6 +71,8 @@ class SectionChooser:
             for job in self._jobs(view)
             if job.section not in taken and not self._left_to_others(job.section, view)
         ]
+        if free and self.fleet_plan is not None and len(free) <= JOBS_MAX:
+            return self._planned(self.fleet_plan, free, view, end, rest_for_s)
         if free:
             self._plan = shares(free, self._anchors(view, end), self.speed_m_s)
             mine = self._plan.get(view.slot)
@@ -69,6 +87,91 @@ class SectionChooser:
                 ),
             )
         return self._orphan(view)
+
+    def _planned(
+        self,
+        plan: FleetPlan,
+        free: list[SectionJob],
+        view: FleetView,
+        end: Point,
+        rest_for_s: float,
+    ) -> ClaimRequest | None:
+        """The first section of our row in the plan of the fleet."""
+        changes, live, empty_at_us = self._empty
+        same = changes == view.allocation.changes and live == view.live
+        if same and view.now_us - empty_at_us < AGAIN_PLAN_US:
+            return None
+        jobs = {job.section: job for job in free}
+        left = {section: self._remainder(section, view, plan.travel) for section in jobs}
+        robots = {view.slot: FreedRobot(end, round(1000 * rest_for_s))}
+        for slot in sorted(view.live - {view.slot}):
+            if slot in view.neighbours:
+                robots[slot] = self._freed(slot, view, plan.travel)
+        rows = plan.plan(left, robots)
+        self._plan = {slot: [jobs[section] for section in row] for slot, row in rows.items()}
+        mine = self._plan[view.slot] or self._overdue(rows, robots, free, view)
+        if not mine:
+            self._empty = view.allocation.changes, view.live, view.now_us
+            return None
+        section = mine[0].section
+        if section in plan.entries:
+            self._entry = section, plan.entries[section], view.progress.covered(section)
+        return self._bid(view, mine[0])
+
+    def entry(self, section: int, covered: int) -> int | None:
+        """The end, 0 or 1, at which the plan enters what is left of the section that we chose last.
+
+        `covered`: its units; None if these are not those planned, or it is another section.
+        """
+        chosen, end, units = self._entry
+        return end if (section, covered) == (chosen, units) else None
+
+    def _remainder(self, section: int, view: FleetView, travel: TravelTimes) -> Remainder | None:
+        progress = view.progress
+        covered, units = progress.covered(section), self.field.section(section).units
+        if not 0 < covered < units:
+            return None
+        return travel.remainder(self.field.section(section), partial(progress.has, section))
+
+    def _overdue(
+        self,
+        rows: Mapping[int, Sequence[int]],
+        robots: Mapping[int, FreedRobot],
+        free: Sequence[SectionJob],
+        view: FleetView,
+    ) -> list[SectionJob]:
+        """The free sections that another robot would have claimed by now, had it our plan; the
+        nearest first.
+        """
+        if self._due[0] != view.allocation.changes:
+            self._due = view.allocation.changes, {}
+        due_at_us = self._due[1]
+        for slot, row in rows.items():
+            for section in row[:1]:
+                planned_at_us = view.now_us + 1000 * robots[slot].ready_at_ms
+                due_at_us.setdefault(section, planned_at_us + UNTAKEN_US)
+        late = [job for job in free if due_at_us.get(job.section, view.now_us + 1) <= view.now_us]
+        here = view.here.x_m, view.here.y_m
+        return sorted(late, key=lambda job: min(_apart_m(at, here) for at in job.ends))
+
+    def _freed(self, slot: int, view: FleetView, travel: TravelTimes) -> FreedRobot:
+        """Where and when another robot will have worked what it holds."""
+        pose = view.neighbours[slot].pose
+        at, ready_at_ms = (pose.x_m, pose.y_m), 0
+        allocation = view.allocation
+        held = allocation.assigned_sections(slot)
+        for number in sorted(held, key=lambda s: allocation.phase_of(s) is not Phase.STARTED):
+            rest = self._remainder(number, view, travel)
+            if rest is None:
+                ways_for_ms = travel.lead_for_ms(at)[2 * number : 2 * number + 2].tolist()
+                ends, work_for_ms = self.field.section(number).ends, int(travel.work_for_ms[number])
+            else:
+                ends, work_for_ms = rest.ends, rest.work_for_ms
+                ways_for_ms = [1000 * _apart_m(at, end) / self.speed_m_s for end in ends]
+            backwards = ways_for_ms[1] < ways_for_ms[0]
+            at = ends[0] if backwards else ends[1]
+            ready_at_ms += round(min(ways_for_ms)) + work_for_ms
+        return FreedRobot(at, ready_at_ms)
 
     def _untaken(self, view: FleetView) -> bool:
         """Whether no robot has taken for `UNTAKEN_US` what we left to others.
@@ -182,3 +285,7 @@ class SectionChooser:
         while bid < 31 and way_m > 1.25**bid:
             bid += 1
         return ClaimRequest(job.section, bid)
+
+
+def _apart_m(a: Point, b: Point) -> float:
+    return hypot(a[0] - b[0], a[1] - b[1])

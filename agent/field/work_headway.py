@@ -15,7 +15,9 @@ class Headway:
     """
 
     NONE_US: Final = 20 * S  # as long as a silent owner keeps its sections
-    AGAIN_US: Final = 6 * S  # until then it replans this often: it may move without making progress
+    # Until then it replans after this time, and after twice as long again, which suffices to go back
+    # to the begin of a unit and to complete it: it may move without making progress.
+    AGAIN_US: Final = 6 * S
     # So often it may begin again with all that is left, perhaps far away, without a further unit.
     ROUNDS: Final = 3
     LESS_M: Final = 1.0  # decrease of the remaining distance that counts as progress
@@ -35,7 +37,7 @@ class Headway:
         self._rounds = 0
 
     def again(self) -> None:
-        """All legs are driven and units are left: another round over them begins."""
+        """Another round over the units that are left begins, from further back."""
         self._rounds += 1
         if self._rounds <= self.ROUNDS:
             self._left_m = float("inf")
@@ -53,7 +55,7 @@ class Headway:
             self._rounds = 0 if done else self._rounds
         elif passed_for_us <= FORGET_US:
             self._idle_for_us += passed_for_us
-        if self._idle_for_us - self._planned_for_us < self.AGAIN_US:
+        if self._idle_for_us < 2 * self._planned_for_us + self.AGAIN_US:
             return False
         self._planned_for_us = self._idle_for_us
         return True

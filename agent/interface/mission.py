@@ -84,6 +84,13 @@ class Mission(ABC):
     replans = False  # `on_stalled` finds another path; False: no watchdog looks for stalls
 
     @property
+    def at_work(self) -> bool:
+        """Whether the implement is down or soon will be, so that others keep as far away as it
+        reaches.
+        """
+        return False
+
+    @property
     def section_units(self) -> Mapping[int, int]:
         """Number of units of each section; this is the total work. It is read once, at power-up.
 

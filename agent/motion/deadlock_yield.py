@@ -51,6 +51,7 @@ class NearbyRobot(NamedTuple):
     state: int
     ux: float = 0.0
     uy: float = 0.0
+    at_work: bool = False  # its implement is down, or soon will be
 
     @property
     def distance_m(self) -> float:

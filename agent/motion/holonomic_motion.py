@@ -25,6 +25,7 @@ from agent.motion.deadlock_yield import DeadlockYield, NearbyRobot
 from agent.motion.implement_clearance import Implement
 from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.obstacle_stop import ObstacleStop
+from agent.motion.pushed_ahead import PushedAhead
 from agent.motion.right_of_way import RightOfWay
 from agent.motion.sensed_walls import fences_of
 from agent.motion.stopping_zone import StoppingZone
@@ -92,6 +93,11 @@ class HolonomicMotion(MotionController):
         self.sensed = UnexplainedEchoes(fences, limits.radius_m) if looks else None
         self.right = RightOfWay()
         self.implement = Implement(half_bar_m, limits.radius_m)
+        self.pushed: PushedAhead | None = None
+        if self.implement.has:
+            self.pushed = PushedAhead(
+                limits.radius_m, limits.speed_m_s, self.implement.aside_m, fences
+            )
         self.coasting = StoppingZone(limits.radius_m, limits.acceleration_m_s2)
         self.state = State.IDLE  # ours, as the beat says
         self.strange: list[tuple[float, float]] = []  # seen at the last control period
@@ -152,6 +158,10 @@ class HolonomicMotion(MotionController):
         other = None
         if self.giving_way is not None:
             other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
+        aside = None
+        if self.pushed is not None and not tool_on:
+            aside = self.pushed.wish((here.x_m, here.y_m), others, now_us)
+            other = other if aside is None else aside
         if other is not None:
             wanted, tool_on = other, False
         if tool_on and self.implement.must_be_up(here, wanted, others, self.slot):
@@ -159,6 +169,8 @@ class HolonomicMotion(MotionController):
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
+        if self.pushed is not None and aside is None:
+            self.pushed.observe(wanted, (vx_m_s, vy_m_s), now_us)
         if hypot(vx_m_s - here.vx_m_s, vy_m_s - here.vy_m_s) > self.sudden_m_s:
             vx_m_s, vy_m_s = braking_first(
                 here.x_m, here.y_m, here.vx_m_s, here.vy_m_s, vx_m_s, vy_m_s,
@@ -184,7 +196,7 @@ class HolonomicMotion(MotionController):
         self.coasting.observe(neighbours, here, now_us)
         own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
         for slot, (pose, heard_at_us) in neighbours.items():
-            pose_x_m, pose_y_m, course_rad, speed_m_s, state, stopped, _ = pose
+            pose_x_m, pose_y_m, course_rad, speed_m_s, state, stopped, _, at_work = pose
             dx_m, dy_m = pose_x_m - own_x_m, pose_y_m - own_y_m
             if abs(dx_m) > reach_m or abs(dy_m) > reach_m:
                 continue
@@ -205,12 +217,12 @@ class HolonomicMotion(MotionController):
                 dx_m, dy_m = dx_m + vx_m_s * moved_on_for_s, dy_m + vy_m_s * moved_on_for_s
                 share = self.right.share(slot, self.state, state, age_us, now_us)
             combined_m = bodies_m
-            if keeps_off and state == State.WORKING:
+            if keeps_off and at_work:
                 combined_m = self.implement.combined_m(hypot(dx_m, dy_m), bodies_m)
             ux, uy = (0.0, 0.0)
             if speed_m_s > STANDING_M_S:
                 ux, uy = cos(course_rad), sin(course_rad)
-            others.append(_tuple(NearbyRobot, (slot, dx_m, dy_m, state, ux, uy)))
+            others.append(_tuple(NearbyRobot, (slot, dx_m, dy_m, state, ux, uy, at_work)))
             near.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, share, moved_on_for_s))
         self.others = others
         if len(near) > 1:

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 from math import hypot
 from typing import Final
 
-from agent.interface.lifecycle import State
 from agent.interface.observation import Observation
 from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
 
@@ -24,7 +23,15 @@ AHEAD_M: Final = 0.3
 ASIDE_M: Final = 0.1  # the rounding of poses, and a robot's cross-track error
 COMING_M: Final = 0.15  # how far a robot moves in a control period, with the rounding of its pose
 MOVES_M_S: Final = 0.2  # slower robots keep their last course, and soon take the requested one
+# A robot that is pushed about slowly turns its bar with its course, which is noise then. So the bar is
+# up if it would meet a body with any of its last courses.
+STEADY_M_S: Final = 0.6  # a faster robot cannot turn its course about within a few periods
+COURSES: Final = 3
+EQUAL_COS: Final = 0.95  # of two courses that are nearly equal
 NOT_NEARER_M: Final = 0.02  # a robot that is too near already keeps its distance less this
+
+
+Point = tuple[float, float]
 
 
 class Implement:
@@ -38,10 +45,10 @@ class Implement:
         self._bar_m = half_m
         self._half_m, self._depth_m = half_m + ASIDE_M, DEPTH_M + AHEAD_M
         self._radius_m = radius_m
-        self._course = 0.0, 0.0  # the last one
-        self._aside_m = self._half_m + radius_m
+        self._courses: tuple[Point, ...] = ()  # the last ones, without those that are nearly equal
+        self.aside_m = self._half_m + radius_m  # past a working robot, from line to line
         # A robot that keeps this clearance may be stalled at a gap this wide.
-        self.near_m = max(NEAR_M, self._aside_m - 2 * radius_m + ASIDE_M) if self.has else NEAR_M
+        self.near_m = max(NEAR_M, self.aside_m - 2 * radius_m + ASIDE_M) if self.has else NEAR_M
         # A unit whose line is this far from a body can be worked.
         self.reach_m = hypot(self._half_m, self._depth_m) + radius_m + LEAD_M if self.has else 0.0
 
@@ -50,7 +57,7 @@ class Implement:
 
         `apart_m`: the distance now. `bodies_m`: the distance to keep without a bar.
         """
-        return max(bodies_m, min(self._aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
+        return max(bodies_m, min(self.aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
 
     def must_be_up(
         self,
@@ -69,13 +76,16 @@ class Implement:
             return False
         speed_m_s, wanted_m_s = hypot(here.vx_m_s, here.vy_m_s), hypot(*wanted)
         if speed_m_s > MOVES_M_S:
-            self._course = here.vx_m_s / speed_m_s, here.vy_m_s / speed_m_s
-        courses = [self._course]
+            ux, uy = here.vx_m_s / speed_m_s, here.vy_m_s / speed_m_s
+            slow = speed_m_s < STEADY_M_S
+            apart = [c for c in self._courses if slow and c[0] * ux + c[1] * uy < EQUAL_COS]
+            self._courses = ((ux, uy), *apart[: COURSES - 1])
+        courses = [*self._courses]
         if speed_m_s <= MOVES_M_S and wanted_m_s > 0.0:
             courses.append((wanted[0] / wanted_m_s, wanted[1] / wanted_m_s))
         return any(
             self._meets(course, other)
-            or (other.slot < slot and other.state == State.WORKING and self._crosses(course, other))
+            or (other.slot < slot and other.at_work and self._crosses(course, other))
             for other in others
             for course in courses
         )

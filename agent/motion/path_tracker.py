@@ -21,6 +21,9 @@ SWING_M: Final = 0.03  # how far a body may swing out at a corner; a third of th
 BEND_M: Final = 2.0  # corners further apart than this do not make a bend
 # Share of the acceleration that goes into following a bend; the rest is for staying on it.
 BEND_SHARE: Final = 0.5
+# So much of acceleration is how far ahead of its speed the wanted one may be: a few control periods.
+STEER_S: Final = 0.25
+STEER_M: Final = 2.0  # a body at a few metres a second needs no longer way for it
 SAMPLE_M: Final = 0.25  # sampling step of the line ahead: less than the width of any body
 CREEP_M_S: Final = 0.1  # minimum approach speed at the end, so that arrival takes finite time
 
@@ -92,8 +95,12 @@ class PathTracker:
         """The points that we have not passed yet, (x, y) metres."""
         return self.points[self.piece + 1 :]
 
-    def velocity(self, x_m: float, y_m: float) -> Point:
-        """The wanted velocity here, (x, y) metres a second; call `locate` first."""
+    def velocity(self, x_m: float, y_m: float, moving: Point | None = None) -> Point:
+        """The wanted velocity here, (x, y) metres a second; call `locate` first.
+
+        `moving`: our velocity now. If it is given, the body behind a corner first ends its motion
+        across the line, and gains speed along it with what is left of its acceleration.
+        """
         if self.piece >= len(self._pieces):
             return self._towards(x_m, y_m, self.points[-1])
         ax, ay, ux, uy, length_m = self._pieces[self.piece]
@@ -106,6 +113,10 @@ class PathTracker:
         room_m_s = sqrt(self.speed_m_s**2 - close_m_s**2)
         aligned = max(0.0, 1.0 - abs(self.off_m) / ALIGN_M)
         forward_m_s = min(self._speed(length_m - t_m) * aligned, room_m_s)
+        if moving is not None and self.piece and t_m < STEER_M:
+            now_m_s, aside_m_s = moving[0] * ux + moving[1] * uy, moving[1] * ux - moving[0] * uy
+            gain_m_s = self.deceleration_m_s2 * STEER_S - abs(close_m_s - aside_m_s)
+            forward_m_s = min(forward_m_s, max(now_m_s, 0.0) + max(gain_m_s, CREEP_M_S))
         return ux * forward_m_s - uy * close_m_s, uy * forward_m_s + ux * close_m_s
 
     def ahead(self, reach_m: float) -> list[tuple[float, float, float, float]]:

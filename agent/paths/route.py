@@ -79,6 +79,12 @@ class Route:
         """Whether the straight line between two places is free."""
         return self.planner.sees(self._cell(start), self._cell(goal))
 
+    def opened(self, point: Point) -> Point:
+        """The point itself, or the middle of the nearest free cell if it lies on a blocked one."""
+        cell = self._cell(point)
+        opened = self._open(cell)
+        return point if opened is None or opened == cell else self._point(opened)
+
     def length_m(self, start: Point, goal: Point) -> float:
         """The length of `path`; of the straight line where none is found."""
         points = self.path(start, goal)

@@ -66,13 +66,14 @@ class Announcements(Part):
         self.heartbeats_a_standstill = max(1, STANDSTILL_US // beat.heartbeat_period_us)
         self._cause = 0  # index of the cause reported next
         self.counter = FIRST_COUNTER
+        self.at_work = False  # our implement is down, or soon will be
         self._poor: frozenset[HealthSource] = frozenset()  # poor sources at our last heartbeat
         self._live: frozenset[int] = frozenset()
         self._others: list[int] = []
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
-        return {notices.Leaving: self._farewell}
+        return {notices.Leaving: self._farewell, notices.ImplementMoved: self._implement}
 
     @property
     def due_at_us(self) -> int:
@@ -103,6 +104,10 @@ class Announcements(Part):
         share = health(self.knowledge.known(ctx.now_us))
         return [Send(self._beat(ctx, LEAVING_COUNTER, share), source=self.joining.address)]
 
+    def _implement(self, ctx: StepContext, notice: notices.ImplementMoved) -> Outputs:
+        self.at_work = notice.at_work
+        return NOTHING
+
     def pose(self, ctx: StepContext) -> Pose:
         """Our beacon now."""
         here, state = ctx.here, ctx.state
@@ -115,7 +120,7 @@ class Announcements(Part):
             return Pose(x_m, y_m, heading_rad, PLACE_UNKNOWN_M_S, state, stopped, heard)
         speed_m_s = hypot(vx_m_s, vy_m_s)
         course_rad = atan2(vy_m_s, vx_m_s) if speed_m_s > STANDS_M_S else heading_rad
-        return Pose(x_m, y_m, course_rad, speed_m_s, state, stopped, heard)
+        return Pose(x_m, y_m, course_rad, speed_m_s, state, stopped, heard, self.at_work)
 
     def _reflected(self, live: frozenset[int]) -> int:
         """The member named in this beacon, in rotation, so that each learns that we receive it."""

@@ -45,6 +45,7 @@ class ControlCycle(Part):
         self.may_choose = may_choose
         self.next_at_us = first_at_us
         self.wish: MotionRequest = STILL  # of the mission, before right of way and the gate
+        self.at_work = False  # as others know
         self.stall = Stall()
         self._drove_at_us = 0  # time of the newest command to the actuator
 
@@ -80,6 +81,10 @@ class ControlCycle(Part):
             outputs += self.progress.sweep(covered, now_us)
         self.wish, chosen = self._wish(mission, view)
         outputs += chosen
+        at_work = self.safety.may_move and mission.at_work
+        if at_work != self.at_work:
+            self.at_work = at_work
+            outputs.append(notices.ImplementMoved(at_work))
         motion.set_state(self.lifecycle.state)
         wanted = motion.drive(here, self.wish, view.neighbours, now_us)
         wanted, asked = self.obstacle.watch(wanted, here, view.neighbours, now_us)
@@ -121,7 +126,7 @@ class ControlCycle(Part):
         if self.directive.goal is not None:
             return self.directive.wish(view)
         outputs: list[Any] = []
-        near_end = claims.current is None or self.wish.near_end
+        near_end = claims.current is None or (self.wish.near_end and not self.wish.finished)
         if claims.room and near_end and self.may_choose(now_us):
             outputs += self.work.give_back_forgotten(now_us)
             choice = mission.choose(view)

@@ -65,6 +65,12 @@ class ControlDue(NamedTuple):
     late_for_us: int
 
 
+class ImplementMoved(NamedTuple):
+    """Our implement is down or soon will be, or no longer."""
+
+    at_work: bool
+
+
 # ---------------------------------------------------------------- stops and causes
 
 

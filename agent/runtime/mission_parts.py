@@ -71,7 +71,14 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
         )
     half_bar_m = field.implement_width_m / 2 - field.overlap_m
     return MissionParts(
-        FieldMission(field, plan.route, vehicle.radius_m, vehicle.speed_m_s, vehicle.braking_m_s2),
+        FieldMission(
+            field,
+            plan.route,
+            vehicle.radius_m,
+            vehicle.speed_m_s,
+            vehicle.braking_m_s2,
+            plan.travel,
+        ),
         HolonomicMotion(slot, vehicle.limits, plan.fences, half_bar_m=half_bar_m),
     )
 

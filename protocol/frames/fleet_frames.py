@@ -50,6 +50,7 @@ class Pose(NamedTuple):
     state: int
     stopped: bool
     heard: int
+    at_work: bool = False  # its implement is down, or soon will be
 
     @property
     def placed(self) -> bool:
@@ -69,7 +70,8 @@ POSE = FrameLayout(
         choice("state", 3, STATES, "lifecycle state"),
         flag("stopped", "latched emergency stop"),
         integer("heard", 8, "slot of a member that the sender receives, in rotation; 255: none"),
-        reserved(1, checked=True),
+        flag("at_work", "the implement is down, or within a few metres of work; others keep as far "
+             "away as it reaches"),
     ),
 )  # fmt: skip
 

@@ -137,7 +137,7 @@ class ExclusiveWorkChecker:
         self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float, least_m: float = 0.0
     ) -> None:
         """`least_m`: shorter distances worked within a second do not count."""
-        self.least = max(1, round(least_m / SAMPLE_M))
+        self.least = 1 + round(least_m / SAMPLE_M)  # samples at both ends of this distance
         lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
         self.truth = LineTruth([line for _, line in lines], tolerance_m)
         self.section_of = np.array([number for number, _ in lines], dtype=np.int64)

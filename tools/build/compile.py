@@ -30,8 +30,8 @@ GROUP = {
     "protocol": "address frames.codec frames.identifier links.bus "
     "state_machine sync.digest_comparison sync.replica sync.synchronizer transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
-    "field.field_obstructions field.parking field.section_choice field.section_partition "
-    "field.work_leg interface.effects motion.deadlock_yield "
+    "field.field_obstructions field.fleet_plan field.parking field.section_choice "
+    "field.section_partition field.travel_times field.work_leg interface.effects motion.deadlock_yield "
     "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
     "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
     "peer.control_cycle peer.durable_records peer.fleet_summary peer.fleet_views "

@@ -1,13 +1,18 @@
 """Which section a robot wants: its share; and what was left to others and nobody takes."""
 
+from math import hypot
+
+import numpy as np
 from shapely.geometry import Polygon
 
 from agent.field.field_division import divide
 from agent.field.section_choice import UNTAKEN_US, SectionChooser
+from agent.field.travel_times import TravelTimes
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.interface.observation import Neighbour, Observation
+from agent.paths.route import Route
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.codec import decode_once, encode
 from protocol.frames.fleet_frames import Pose
@@ -60,3 +65,32 @@ def test_what_each_leaves_to_the_other_is_taken_after_a_while() -> None:
         assert set(wants_us) <= {0, UNTAKEN_US}
         nobody += 0 not in wants_us
     assert 0 < nobody < 41, "what the test is about"
+
+
+def test_what_is_planned_for_a_working_robot_is_left_to_it_until_it_should_have_taken_it() -> None:
+    """An idle robot took such a section after 5 s, and drove to it across the field for 97 s; the
+    working robot, next to it, was free 6 s later (`oxted`, 12 robots, seed 5)."""
+    held = FIELD.section(LAST - 1)
+    allocation = FieldAllocationCRDT()
+    for section in FIELD.sections:
+        if section.id not in (held.id, LAST):
+            allocation.done(section.id, 0)
+    allocation.claim(held.id, 2)
+    progress = Progress({section.id: section.units for section in FIELD.sections})
+    for unit in range(held.units // 2):
+        progress.cover(held.id, unit)
+    route = Route(np.zeros((220, 220), bool), -55, -55, 0.5)
+    choosing = SectionChooser(FIELD, 2.5, TravelTimes(FIELD, route, 2.5, 2.0, 1.4))
+    here = max(
+        ((x_m, y_m) for x_m in (-50.0, 50.0) for y_m in (-50.0, 50.0)),
+        key=lambda at: min(hypot(at[0] - e[0], at[1] - e[1]) for e in FIELD.section(LAST).ends),
+    )
+    at = held.unit_lines[held.units // 2][0]
+    view = FleetView(
+        0, 0, Observation(*here, 0.0, 0.0, 0.0), allocation, progress, frozenset((0, 2)), {},
+        {2: told(2, *at)},
+    )  # fmt: skip
+    left_us = round(1e6 * held.length_m / 2 / 2.5)
+    times = (now_us for now_us in range(0, 60 * S, S // 2))
+    wants = (now for now in times if choosing.choose(view._replace(now_us=now), here) is not None)
+    assert left_us + UNTAKEN_US <= next(wants) <= left_us + 2 * UNTAKEN_US

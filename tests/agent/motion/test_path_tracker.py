@@ -1,6 +1,6 @@
 """Following a polyline: a point mass under the wanted velocity must stay on the line and arrive."""
 
-from math import hypot
+from math import cos, hypot, radians, sin
 
 import pytest
 from hypothesis import given, settings
@@ -53,8 +53,6 @@ def test_it_arrives_from_anywhere(
 
 @pytest.mark.parametrize("angle", [0.5, 1.0, 1.57, 3.0])
 def test_it_slows_down_for_corners(angle: float) -> None:
-    from math import cos, sin
-
     corner = [(0.0, 0.0), (20.0, 0.0), (20.0 + 20.0 * cos(angle), 20.0 * sin(angle))]
     tracker = PathTracker(corner, 3.0, 1.0)
     _, _, worst_m = drive(tracker, 0.0, 0.0, 120.0)
@@ -68,3 +66,29 @@ def test_before_its_beginning_and_after_its_end_a_line_is_as_far_as_its_ends() -
         tracker.locate(x_m, y_m)
         assert abs(tracker.gap_m - gap_m) < 0.001
         assert abs(tracker.off_m) <= 0.4
+
+
+@pytest.mark.parametrize("angle_deg", [30.0, 60.0, 90.0, 120.0, 150.0])
+@pytest.mark.parametrize("gain_m_s2", [1.5, 2.0, 3.0])
+def test_a_body_with_inertia_stays_near_the_line_behind_a_corner(
+    angle_deg: float, gain_m_s2: float
+) -> None:
+    """It gained speed along the line before its motion across had ended, and passed over the line
+    by more than half the overlap: the unit behind the corner had to be worked again.
+    """
+    angle_rad = radians(angle_deg)
+    points = [(0.0, 0.0), (20.0, 0.0), (20.0 + 20.0 * cos(angle_rad), 20.0 * sin(angle_rad))]
+    tracker = PathTracker(points, 3.0, 1.4)
+    x_m, y_m, vx_m_s, vy_m_s, worst_m = 0.0, 0.0, 0.0, 0.0, 0.0
+    step_m_s = gain_m_s2 * DT_S
+    for _ in range(round(60.0 / DT_S)):
+        tracker.locate(x_m, y_m)
+        if tracker.arrived:
+            break
+        ax, ay = tracker.velocity(x_m, y_m, (vx_m_s, vy_m_s))
+        dx, dy = ax - vx_m_s, ay - vy_m_s
+        share = min(1.0, step_m_s / max(hypot(dx, dy), 1e-9))
+        vx_m_s, vy_m_s = vx_m_s + share * dx, vy_m_s + share * dy
+        x_m, y_m = x_m + vx_m_s * DT_S, y_m + vy_m_s * DT_S
+        worst_m = max(worst_m, abs(tracker.off_m))
+    assert tracker.arrived and worst_m < 0.1

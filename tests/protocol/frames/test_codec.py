@@ -27,19 +27,20 @@ state = st.integers(0, 4)
 
 @given(
     st.floats(-3276, 3276), st.floats(-3276, 3276), st.floats(0, 6.28), st.floats(0, 12.7), state,
-    st.booleans(), u8,
+    st.booleans(), u8, st.booleans(),
 )  # fmt: skip
 def test_pose_is_right_to_its_resolution(
-    x_m: float, y_m: float, course_rad: float, speed_m_s: float, now: int, stopped: bool, heard: int
-) -> None:
-    pose = Pose(x_m, y_m, course_rad, speed_m_s, now, stopped, heard)
+    x_m: float, y_m: float, course_rad: float, speed_m_s: float, now: int, stopped: bool,
+    heard: int, at_work: bool,
+) -> None:  # fmt: skip
+    pose = Pose(x_m, y_m, course_rad, speed_m_s, now, stopped, heard, at_work)
     source, back = decode(encode(pose, 7))
     assert isinstance(back, Pose) and source == 7
     assert abs(back.x_m - x_m) <= 0.026 and abs(back.y_m - y_m) <= 0.026
     assert abs(back.speed_m_s - speed_m_s) <= 0.026
     turn = (back.course_rad - course_rad + 3.14159) % 6.28318 - 3.14159
     assert abs(turn) <= 0.0063
-    assert back[4:] == (now, stopped, heard)
+    assert back[4:] == (now, stopped, heard, at_work)
 
 
 @given(st.integers(0, (1 << 17) - 1), st.integers(0, (1 << 17) - 1))

@@ -1,11 +1,14 @@
 """Each checker finds what breaks its rule, and finds nothing where the rule holds."""
 
+import pytest
+
 from agent.interface.effects import Drive
 from sim.world.checkers import (
     ExclusiveWorkChecker,
     MotionAfterStopChecker,
 )
 from sim.world.drive_trains import Chassis
+from sim.world.ground_truth import Track
 from sim.world.world import World
 
 BOUND_US = 50_000
@@ -88,3 +91,17 @@ def test_two_robots_in_one_section_at_once_are_found() -> None:
         found = ExclusiveWorkChecker(sections, 0.2).violations(tracks)
         assert {v.slots for v in found} == expected
         assert all("section 7" in v.what for v in found)
+
+
+@pytest.mark.parametrize(("early_m", "found"), [(0.3, False), (0.65, False), (1.5, True)])
+def test_an_implement_lowered_a_little_early_in_line_with_a_neighbour_is_no_work_there(
+    early_m: float, found: bool
+) -> None:
+    """`headland chaos`, profile all, seed 1500183: three samples of 0.25 m passed for 0.8 m."""
+    sections = {0: [[(5.0, 2.0), (25.0, 2.0)]], 1: [[(25.0, 2.0), (45.0, 2.0)]]}
+    tracks = {0: Track(), 1: Track()}
+    for k in range(40):
+        tracks[0].add(k * 100_000, 25.0 - early_m + 0.1 * k, 2.0, True)
+        tracks[1].add(k * 100_000, 5.0 + 0.2 * k, 2.0, True)
+    violations = ExclusiveWorkChecker(sections, 0.2, least_m=0.8).violations(tracks)
+    assert bool(violations) is found

@@ -80,11 +80,11 @@ def test_m21_of_two_bars_that_meet_the_higher_slot_raises_its_own() -> None:
         (1.2, 3.0, 0.7, -0.7, True),  # it turns towards us
         (2.0, 1.5, 0.0, 0.0, False),  # it stands, so nobody knows how its bar lies
     ):
-        other = NearbyRobot(1, dx_m, dy_m, State.WORKING, ux, uy)
+        other = NearbyRobot(1, dx_m, dy_m, State.WORKING, ux, uy, True)
         assert implement.must_be_up(here, (2.5, 0.0), [other], 2) is crosses, (dx_m, dy_m)
         assert not implement.must_be_up(here, (2.5, 0.0), [other], 0)
-        idle = other._replace(state=State.IDLE)
-        assert not implement.must_be_up(here, (2.5, 0.0), [idle], 2)
+        folded = other._replace(at_work=False)
+        assert not implement.must_be_up(here, (2.5, 0.0), [folded], 2)
 
 
 def played(robots: int, seed: int) -> FieldOutcome:
@@ -104,5 +104,5 @@ def test_m21_what_implements_meet_is_reported(monkeypatch: pytest.MonkeyPatch) -
     """With robots that know nothing of implements, as they were."""
     monkeypatch.setattr(Implement, "must_be_up", lambda *_: False)
     monkeypatch.setattr(Implement, "combined_m", lambda _, apart_m, bodies_m: bodies_m)
-    outcome = played(3, 1)
+    outcome = played(6, 1)
     assert outcome.implement_contacts > 0

@@ -1,0 +1,161 @@
+"""How long a fleet's bodies take in a field: for each section, and between the ends of all of them.
+
+The model is that of the body: a trapezoid of speed on each straight piece, and a stop at its end.
+Ways that are not straight lead over ends of other sections, which lie on free ground; they are at
+most a little longer than what `Route` finds, and a matrix of them costs milliseconds.
+"""
+
+from collections.abc import Callable, Sequence
+from functools import cached_property
+from itertools import pairwise
+from math import hypot
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.sparse.csgraph import dijkstra
+
+from agent.field.field_map import Field, Polyline, Section
+from agent.motion.implement_clearance import LEAD_M
+from agent.paths.route import Route
+
+Point = tuple[float, float]
+Whole = NDArray[np.int64]
+Floats = NDArray[np.float64]
+
+UNJOINED = 2.0  # a way that is not found takes this many times the straight one
+
+
+class Remainder(NamedTuple):
+    """What is left of a section that was begun."""
+
+    ends: tuple[Point, Point]  # where its first uncovered unit begins and its last one ends, metres
+    work_for_ms: int  # from the one end to the other
+
+
+class Solution(NamedTuple):
+    """A plan: the rows of job indices, the end at which the first job of each row is entered, and the
+    last finish."""
+
+    rows: list[list[int]]
+    entries: list[int]
+    last_finish_at_ms: int
+
+
+class TravelTimes:
+    """Times of one field and one kind of body, in whole milliseconds. End `e` of section `s` is
+    2 s + e."""
+
+    def __init__(
+        self,
+        field: Field,
+        route: Route,
+        speed_m_s: float,
+        acceleration_m_s2: float,
+        deceleration_m_s2: float,
+    ) -> None:
+        self.field, self.route = field, route
+        self.speed_m_s = speed_m_s
+        self.plans: dict[
+            bytes, Solution
+        ] = {}  # of the newest problems (`agent/field/fleet_plan.py`)
+        # Seconds and metres for one metre a second more or less, up and down together.
+        self._ramp_s2_m = 1 / acceleration_m_s2 + 1 / deceleration_m_s2
+
+    def straight_for_s(self, lengths_m: Floats) -> Floats:
+        """Seconds from standing to standing over each of `lengths_m`, (n,) or of any other shape."""
+        ramps_m = self.speed_m_s**2 / 2 * self._ramp_s2_m
+        short = np.sqrt(2 * np.minimum(lengths_m, ramps_m) * self._ramp_s2_m)
+        return short + np.maximum(lengths_m - ramps_m, 0.0) / self.speed_m_s
+
+    @cached_property
+    def ends(self) -> Floats:
+        """(2 sections, 2): where each section begins and ends, metres."""
+        return np.array(
+            [end for section in self.field.sections for end in section.ends], dtype=np.float64
+        ).reshape(-1, 2)
+
+    @cached_property
+    def _opened(self) -> list[Point]:
+        """The ends, those at fences moved to free ground."""
+        return [self.route.opened((x_m, y_m)) for x_m, y_m in self.ends.tolist()]
+
+    @cached_property
+    def work_for_ms(self) -> Whole:
+        """(sections,): all swaths of each section, with the turns between them."""
+        works_for_ms = [self._driven_for_ms(section.swaths) for section in self.field.sections]
+        return np.array(works_for_ms, dtype=np.int64)
+
+    def remainder(self, section: Section, is_covered: Callable[[int], bool]) -> Remainder:
+        """What is left of a section with an uncovered unit. `is_covered`: of each unit."""
+        left = [line for line, _ in section.stretches(lambda unit: not is_covered(unit))]
+        return Remainder((left[0][0], left[-1][-1]), self._driven_for_ms(left))
+
+    def _driven_for_ms(self, lines: Sequence[Polyline]) -> int:
+        lengths_m: list[float] = []
+        for swath in lines:
+            lead_m = [LEAD_M, *[0.0] * (len(swath) - 3), LEAD_M]
+            if len(swath) == 2:
+                lead_m = [2 * LEAD_M]
+            lengths_m += [
+                hypot(b[0] - a[0], b[1] - a[1]) + extra_m
+                for (a, b), extra_m in zip(pairwise(swath), lead_m, strict=True)
+            ]
+        for before, after in pairwise(lines):
+            lengths_m.append(hypot(after[0][0] - before[-1][0], after[0][1] - before[-1][1]))
+        return round(1000 * float(self.straight_for_s(np.array(lengths_m)).sum()))
+
+    @cached_property
+    def link_for_ms(self) -> Whole:
+        """(2 sections, 2 sections): from each end to each other one."""
+        count = len(self.ends)
+        straight_for_ms = np.full((count, count), np.inf)
+        for a in range(count):
+            straight_for_ms[a] = self._straight_for_ms(self._opened[a], a)
+        direct = np.minimum(straight_for_ms, straight_for_ms.T)
+        np.fill_diagonal(direct, 0.0)
+        ways_for_ms: Floats = dijkstra(np.where(np.isinf(direct), 0.0, np.maximum(direct, 1e-3)))
+        apart_m = np.hypot(*(self.ends[:, None, :] - self.ends[None, :, :]).transpose(2, 0, 1))
+        lost = ~np.isfinite(ways_for_ms)
+        ways_for_ms[lost] = UNJOINED * 1000 * self.straight_for_s(apart_m[lost])
+        return np.rint(ways_for_ms).astype(np.int64)
+
+    def lead_for_ms(self, start: Point) -> Whole:
+        """(2 sections,): from a place, (x, y) metres, to each end."""
+        direct_for_ms = self._straight_for_ms(self.route.opened(start))
+        seen = np.flatnonzero(np.isfinite(direct_for_ms))
+        if seen.size == 0:
+            apart_m = np.hypot(self.ends[:, 0] - start[0], self.ends[:, 1] - start[1])
+            return np.rint(UNJOINED * 1000 * self.straight_for_s(apart_m)).astype(np.int64)
+        over = direct_for_ms[seen, None] + self.link_for_ms[seen]
+        soonest: Whole = np.rint(over.min(axis=0)).astype(np.int64)
+        return soonest
+
+    def way_for_ms(self, start: Point, goal: Point) -> int:
+        """Between two places, (x, y) metres, that need not be ends."""
+        if self.route.straight(self.route.opened(start), self.route.opened(goal)):
+            apart_m = hypot(goal[0] - start[0], goal[1] - start[1])
+            return round(1000 * float(self.straight_for_s(np.array([apart_m]))[0]))
+        return int((self.lead_for_ms(start) + self.lead_for_ms(goal)).min())
+
+    def _straight_for_ms(self, start: Point, after: int = -1) -> Floats:
+        """To each end with a number above `after` that is in sight; infinity to the others."""
+        found = np.full(len(self.ends), np.inf)
+        apart_m = np.hypot(self.ends[:, 0] - start[0], self.ends[:, 1] - start[1])
+        times_for_ms = 1000 * self.straight_for_s(apart_m)
+        for b in range(after + 1, len(self.ends)):
+            if self.route.straight(start, self._opened[b]):
+                found[b] = times_for_ms[b]
+        return found
+
+
+def nearest_jobs(link_for_ms: Whole, count: int) -> Whole:
+    """(jobs, n): for each job the jobs that are reached soonest, soonest first; n <= `count`.
+
+    `link_for_ms`: (2 jobs, 2 jobs), from end to end.
+    """
+    jobs = len(link_for_ms) // 2
+    soonest = link_for_ms.reshape(jobs, 2, jobs, 2).min(axis=(1, 3))
+    np.fill_diagonal(soonest, np.iinfo(np.int64).max)
+    order: Whole = np.argsort(soonest, axis=1, kind="stable")
+    return np.ascontiguousarray(order[:, : max(1, min(count, jobs - 1))])
