@@ -51,6 +51,10 @@ BEATS: Final = (
 )
 # A pose is extrapolated until it is this old. By then a robot that fell silent has braked.
 GONE_QUIET_US: Final = 1 * S
+# The farewell of a member that moves faster is not believed. POSE has steps of 0.05 m/s; at this speed
+# a body stands within 5 mm.
+FAREWELL_SPEED_M_S: Final = 0.1
+LEAVES_WITHIN_US: Final = 5 * S  # a robot that is told to leave brakes for at most this long
 for _beat in BEATS:
     assert 5 <= _beat.silence_for_us / _beat.pose_period_us <= 6, (
         "five or six beats may be lost before a stop"

@@ -100,7 +100,8 @@ class Cover(NamedTuple):
 
 
 class Leave(NamedTuple):
-    """Announce that we leave, so that our silence stops no robot, and release unfinished sections."""
+    """Release unfinished sections, brake, and when we stand announce that we leave, so that our
+    silence stops no robot. A second one announces it at once."""
 
 
 class ReleaseStops(NamedTuple):

@@ -3,7 +3,8 @@
 Any frame of a member is a sign of life, except an address claim of a member that may move. Such a
 member has been off the bus and can send nothing else for a quarter of a second, not even that it was
 stopped. A member that stops sending without a farewell is *silent* after `beat.silence_for_us`. The
-reaction to silence is decided elsewhere (safety brakes, allocation waits for the lease). There is no
+farewell of a member that moves is not believed, since a robot stands before it leaves. The reaction
+to silence is decided elsewhere (safety brakes, allocation waits for the lease). There is no
 suspicion level and no vote: on one bus segment every node receives every other, so a second opinion
 would carry no information.
 
@@ -15,7 +16,7 @@ from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Any
 
-from agent.interface.config import GONE_QUIET_US
+from agent.interface.config import FAREWELL_SPEED_M_S, GONE_QUIET_US
 from agent.interface.effects import Trace
 from agent.interface.identity import Identity
 from agent.interface.observation import Neighbour
@@ -91,7 +92,7 @@ class Membership(Part):
         self.strangers = 0  # frames of addresses that have not announced a member slot
         # Live others -> last sign of life, except newer poses.
         self.last_sign_at_us: dict[int, int] = {}
-        self.void_farewells = 0  # farewells of members that kept sending
+        self.void_farewells = 0  # farewells of members that moved, or that kept sending
         self._left_at_us: dict[int, int] = {}
         self._void_at_us: dict[int, int] = {}
         self._oldest_sign_at_us = now_us  # no sign of life in `last_sign_at_us` is older
@@ -156,6 +157,9 @@ class Membership(Part):
         if slot is None:
             return NOTHING if m.leaving else [notices.StrangerHeard(source)]
         if m.leaving:
+            if self._moves(slot):
+                self.void_farewells += 1
+                return NOTHING
             self.leave(slot, now_us)
             return self.changed()
         return [notices.HeartbeatHeard(slot, m)]
@@ -229,6 +233,11 @@ class Membership(Part):
     def forget_reflection(self) -> None:
         """Nobody can have received us yet: only later beacons count."""
         self.reflected_at_us = NEVER_US
+
+    def _moves(self, slot: int) -> bool:
+        """Whether its newest beacon shows it in motion: a robot says farewell when it stands."""
+        seen = self.neighbours.get(slot)
+        return seen is not None and seen.pose.speed_m_s > FAREWELL_SPEED_M_S
 
     def stands(self, slot: int) -> bool:
         """Whether its newest pose reports that it is stopped."""

@@ -8,12 +8,12 @@ to all parts in their order, and each notice to the parts that listen to it. Saf
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
-from agent.interface.effects import HALT, Drive, Effect, Persist, Send, Trace
+from agent.interface.effects import Drive, Effect, Persist, Send, Trace
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView, MotionRequest
 from agent.interface.observation import Observation
 from agent.peer import notices
-from agent.peer.inputs import Heard, Input, Leave, Received, Timer
+from agent.peer.inputs import Heard, Input, Received, Timer
 from agent.peer.part import (
     FOREVER,
     NOTHING,
@@ -84,6 +84,7 @@ class Peer:
         self.allocation, self.progress, self.clock = parts.allocation, parts.progress, parts.clock
         self.claims, self.sync, self.records = parts.claims, parts.sync, parts.records
         self.check, self.reports, self.stop_release = parts.check, parts.reports, parts.release
+        self.departure = parts.departure
         self._carried, self._overhears = segments.carried, segments.overhears
         self._slot_of = parts.membership.slot_of
         self._routes = bound(self.parts, {**ROUTES, **segments.routes})
@@ -112,8 +113,6 @@ class Peer:
         elif kind is Heard:
             heard: Heard = fact  # type: ignore[assignment]
             outputs = self._heard(heard.source, heard.destination, heard.message, now_us)
-        elif kind is Leave:
-            outputs = [HALT, notices.WorkGivenBack(), notices.Leaving(), notices.Left()]
         else:
             effects: list[Effect] = []
             self._deliver(fact, effects, now_us)

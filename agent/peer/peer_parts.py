@@ -16,6 +16,7 @@ from agent.interface.mission import Mission
 from agent.interface.motion_controller import MotionController
 from agent.peer.announcements import Announcements, first_beat_for_us
 from agent.peer.control_cycle import ControlCycle
+from agent.peer.departure import Departure
 from agent.peer.durable_records import DurableRecords
 from agent.peer.fleet_summary import FLEET_SUMMARY_PGN, compose, write
 from agent.peer.fleet_views import FleetViews
@@ -150,6 +151,7 @@ class PeerParts:
             identity, beat, self.safety, self.joining, self.conflicts, self.senses, self.knowledge,
             self.clock, self.sync, now_us,
         )  # fmt: skip
+        self.departure = Departure(self.safety)
         self._boot(now_us, recalled)
 
     @property
@@ -160,6 +162,7 @@ class PeerParts:
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
             self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
+            self.departure,
         ]  # fmt: skip
 
     def _may_choose(self, now_us: int) -> bool:

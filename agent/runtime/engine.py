@@ -33,7 +33,6 @@ from agent.peer.inputs import (
     EndRelease,
     Finish,
     Input,
-    Leave,
     ManualReset,
     Press,
     ReleaseSection,
@@ -177,10 +176,13 @@ class FleetCoordinationEngine:
     async def stop(self) -> None:
         """Leave the fleet with a farewell and stop the engine. A latched stop stays latched,
         durably.
+
+        A machine that moves is given up to 5 s to stand before the farewell, so go on with `update`.
+        The others brake for a machine that leaves while it moves.
         """
         if self._runner is None:
             return
-        self._runner.operate(Leave())
+        await self._runner.leave()
         await asyncio.sleep(0)
         await self._cancel()
 

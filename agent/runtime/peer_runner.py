@@ -10,9 +10,10 @@ import logging
 from collections import deque
 from collections.abc import Callable, Sequence
 
+from agent.interface.config import CONTROL_PERIOD_US, LEAVES_WITHIN_US, S
 from agent.interface.effects import Drive, Effect, Persist, Send, Trace
 from agent.interface.ports import Body, Bus, Confirming, Journal
-from agent.peer.inputs import BusState, DiskFailed, Input, Received, Sensed, Timer
+from agent.peer.inputs import BusState, DiskFailed, Input, Leave, Received, Sensed, Timer
 from agent.peer.peer import Peer
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import LeaderElectionVote, Pose
@@ -136,6 +137,17 @@ class PeerRunner:
         for call in calls:
             self.perform(self.peer.step(call, self.clock()))
         self._nudge()
+
+    async def leave(self) -> None:
+        """Leave the fleet with a farewell, when the robot stands or after `LEAVES_WITHIN_US`.
+
+        `run` must be running. The others brake for a robot that goes while it moves."""
+        self.operate(Leave())
+        end_at_us = self.clock() + LEAVES_WITHIN_US
+        while self.peer.departure.leaving and self.clock() < end_at_us:
+            await asyncio.sleep(CONTROL_PERIOD_US / S)
+        if self.peer.departure.leaving:
+            self.operate(Leave())
 
     def _on_frame(self, frame: Frame) -> None:
         """A frame, on the thread of the loop: processed immediately, unless this process is

@@ -21,7 +21,6 @@ from agent.delivery.warehouse import Warehouse
 from agent.field.field_plan import FieldError, FieldPlan, divided
 from agent.interface.ports import Bus
 from agent.mapping.building import Floor, FloorError
-from agent.peer.inputs import Leave
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
@@ -224,7 +223,7 @@ async def _take_part(
         started(runner)
     await asyncio.wait({running, ending}, return_when=asyncio.FIRST_COMPLETED)
     if not running.done():
-        runner.operate(Leave())
+        await runner.leave()
         await asyncio.sleep(GOODBYE_S)
         running.cancel()
     for task in (ending, watching):

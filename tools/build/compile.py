@@ -34,7 +34,7 @@ GROUP = {
     "field.section_partition field.travel_times field.work_leg interface.effects motion.deadlock_yield "
     "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
     "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
-    "peer.control_cycle peer.durable_records peer.fleet_summary peer.fleet_views "
+    "peer.control_cycle peer.departure peer.durable_records peer.fleet_summary peer.fleet_views "
     "peer.leader_election peer.leader_votes peer.map_exchange peer.member_conflicts "
     "peer.member_discovery peer.member_reports peer.membership peer.mission_messages "
     "peer.name_discovery peer.network_join peer.obstacle_hold peer.operator_directive peer.part "

@@ -5,9 +5,9 @@ from collections.abc import Iterator
 import pytest
 
 from agent.interface.config import MS, S
-from agent.interface.effects import Send
+from agent.interface.effects import Drive, Send
 from agent.interface.lifecycle import State
-from agent.peer.inputs import Heard, Sensed
+from agent.peer.inputs import Heard, Leave, Sensed, Start
 from agent.peer.member_conflicts import GONE_US, TOLD_APART_US
 from agent.peer.membership import FAREWELL_US
 from agent.peer.peer import Peer
@@ -154,6 +154,59 @@ def test_t6_a_farewell_of_a_robot_that_goes_on_speaking_is_void() -> None:
     assert peer.membership.live == {0, 1} and peer.membership.void_farewells == 1
     list(running(peer, 4 * S, 5 * S))
     assert StopCause.MEMBER_SILENT in held_by(peer)
+
+
+def test_t6_a_farewell_of_a_robot_that_moves_is_not_believed() -> None:
+    """One forged "leaving" in its name, then it is killed at 2 m/s: the others brake."""
+    peer = robot()
+    introduce(peer, 140, 1, 2 * S)
+    peer.step(Heard(140, POSE._replace(speed_m_s=2.0, state=State.WORKING)), 2 * S)
+    peer.step(Heard(140, beat(leaving=True)), 2 * S)
+    assert peer.membership.live == {0, 1} and 1 in peer.membership.neighbours
+    assert peer.membership.void_farewells == 1
+    list(running(peer, 2 * S, 3 * S))
+    assert StopCause.MEMBER_SILENT in held_by(peer)
+
+
+def beacons(peer: Peer, from_us: int, until_us: int) -> list[Pose | Heartbeat]:
+    """Its beacons and heartbeats; it has a turn each 10 ms."""
+    said: list[Pose | Heartbeat] = []
+    for now_us in range(from_us, until_us, 10 * MS):
+        for effect in turn(peer, now_us):
+            if isinstance(effect, Send) and isinstance(effect.message, Pose | Heartbeat):
+                said.append(effect.message)
+    return said
+
+
+def farewells(said: list[Pose | Heartbeat]) -> int:
+    return sum(isinstance(message, Heartbeat) and message.leaving for message in said)
+
+
+def test_t6_a_robot_stands_before_its_farewell() -> None:
+    """Its last beacon before the farewell shows that it stands, so that the others believe it."""
+    peer = robot()
+    assert peer.here is not None
+    peer.step(Sensed(peer.here._replace(vx_m_s=2.0)), 2 * S)
+    assert any(isinstance(effect, Drive) for effect in peer.step(Leave(), 2 * S))
+    assert peer.departure.leaving and not farewells(beacons(peer, 2 * S, 3 * S))
+    assert not peer.safety.may_move and peer.joining.joined
+    peer.step(Start(), 3 * S)
+    assert not farewells(beacons(peer, 3 * S, 4 * S)) and not peer.safety.may_move, "held again"
+    peer.step(Sensed(peer.here._replace(vx_m_s=0.0)), 4 * S)
+    said = beacons(peer, 4 * S, 5 * S)
+    assert farewells(said) == 1 and not peer.departure.leaving
+    assert [m.speed_m_s for m in said if isinstance(m, Pose)] == [0.0], "nothing after it"
+    assert peer.state is State.DISCONNECTED
+
+
+def test_t6_a_robot_that_stands_or_is_told_twice_leaves_at_once() -> None:
+    for speed_m_s, times in ((0.0, 1), (2.0, 2)):
+        peer = robot()
+        assert peer.here is not None
+        peer.step(Sensed(peer.here._replace(vx_m_s=speed_m_s)), 2 * S)
+        left = [peer.step(Leave(), 2 * S) for _ in range(times)][-1]
+        beats = [e.message for e in left if isinstance(e, Send)]
+        assert [isinstance(b, Heartbeat) and b.leaving for b in beats] == [True], speed_m_s
 
 
 def test_t6_the_tail_of_a_farewell_is_none() -> None:
