@@ -152,8 +152,9 @@ class ScenarioJudge:
         for slot in range(self.scenario.fleet.robots):
             cluster.journals[slot] = LogJournal(Disk())
         self.protocol_world = cluster.world if isinstance(cluster.world, ProtocolWorld) else None
-        if self.protocol_world is not None and self.scenario.fleet.silence != "stop":
-            self.protocol_world.counts = self._all_told
+        if self.protocol_world is not None:
+            stops = self.scenario.fleet.silence == "stop"
+            self.protocol_world.counts = self._can_know if stops else self._all_told
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         self.senseless = motions(cluster.world)
         cluster.on_power = self._power
@@ -391,7 +392,18 @@ class ScenarioJudge:
         off = any(node.off_ends_at_us is not None or node.tec for node in nodes)
         return not wire.faults.deaf and not off and len({node.island for node in nodes}) == 1
 
-    def _all_told(self) -> bool:
+    def _can_know(self, one: int, other: int) -> bool:
+        """Whether one of two robots must stand, or can hear that the other one works.
+
+        Two robots that were switched on behind a cut, and have never met, know nothing of each other.
+        """
+        self.cluster.look()
+        met = self.cluster.acquaintance.met
+        if met(one, other) or met(other, one):
+            return True
+        return self._one_bus and self.cluster.host.now_us() >= self._cut_ends_at_us
+
+    def _all_told(self, one: int, other: int) -> bool:
         """Whether all robots have received each other for so long that a split has healed."""
         faults = self.cluster.segment.wire.faults
         lossy = faults.loss or faults.omission or faults.error

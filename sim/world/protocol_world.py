@@ -136,8 +136,8 @@ class ProtocolWorld(World):
         self.units = dict.fromkeys(range(sections), UNITS)
         self.worked: set[tuple[int, int]] = set()
         self.together: list[Violation] = []  # S7
-        # Whether two robots in a section are a violation at present.
-        self.counts: Callable[[], bool] = lambda: True
+        # Whether these two robots in a section are a violation at present.
+        self.counts: Callable[[int, int], bool] = lambda one, other: True
         self._at_work: dict[int, tuple[int, int]] = {}  # section -> robot and when it last worked
 
     def advance(self, now_us: int) -> None:
@@ -166,7 +166,7 @@ class ProtocolWorld(World):
         """A robot has its implement down in a section."""
         other, last_at_us = self._at_work.get(section, (slot, 0))
         both = other != slot and now_us - last_at_us < BOTH_US
-        if both and len(self.together) < VIOLATIONS_MAX and self.counts():
+        if both and len(self.together) < VIOLATIONS_MAX and self.counts(slot, other):
             what = f"section {section} worked by both"
             self.together.append(Violation("S7", now_us, (other, slot), what))
         self._at_work[section] = (slot, now_us)

@@ -134,7 +134,7 @@ def test_a_section_that_is_handed_over_is_not_worked_by_two() -> None:
 
 def test_two_sides_of_a_split_are_asked_only_once_they_are_one() -> None:
     parade = ProtocolWorld(2, 2)
-    parade.counts = lambda: False
+    parade.counts = lambda one, other: False
     parade.works(0, 0, 1 * S)
     parade.works(1, 0, 1 * S)
     assert not parade.together
