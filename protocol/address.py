@@ -31,6 +31,7 @@ ANSWERS_US = 200 * MS  # devices answer a request for claims within 153 ms, and 
 # Minimum time between two claims sent because another device uses our address. A driver that
 # returns our own frames must not make us claim after each of them.
 VIOLATION_US = 5 * S
+COMMAND_US = 5 * S  # between two commanded addresses: a robot stands for 250 ms at each
 
 
 class ClaimState(Enum):
@@ -101,6 +102,7 @@ class AddressClaim:
         self._answer_at_us: int | None = None  # all claims were requested: when our answer is due
         self._defences: list[int] = []
         self._violated_at_us = now_us - VIOLATION_US
+        self._commanded_at_us = now_us - COMMAND_US
         self.restart(now_us)
 
     @property
@@ -193,6 +195,25 @@ class AddressClaim:
             return self._defend(now_us)
         self.losses += 1
         return self._move(now_us)
+
+    def command(self, address: int, now_us: int) -> list[AddressMessage]:
+        """Claim that address, because another device commands it (ISO 11783-5, commanded address).
+
+        Ignored without an address of our own, for an address that a robot may not have, for one
+        that a lower NAME holds, and within `COMMAND_US` of the last command.
+        """
+        holder = self.names.get(address, self.number)
+        if (
+            self.state is not HELD
+            or address == self.candidate
+            or not FIRST <= address <= LAST
+            or holder < self.number
+            or now_us - self._commanded_at_us < COMMAND_US
+        ):
+            return []
+        self._commanded_at_us = now_us
+        self.candidate = address
+        return self._contend(CONTENTION_US, now_us)
 
     def violated(self, now_us: int) -> list[AddressMessage]:
         """Another device uses our address: two parts of a bus were joined, and in neither part did

@@ -6,6 +6,7 @@ import tomllib
 from pathlib import Path
 
 from agent.interface.lifecycle import TABLE, State
+from agent.peer.diagnostics import fault_table
 from agent.safety.stop_cause import cause_table
 from protocol.frames.messages import GROUPS
 from protocol.state_machine import to_mermaid
@@ -15,6 +16,10 @@ ROOT = Path(__file__).parents[1]
 
 def test_the_table_of_causes() -> None:
     assert cause_table() in (ROOT / "docs" / "use" / "stopping.md").read_text()
+
+
+def test_the_table_of_faults() -> None:
+    assert fault_table() in (ROOT / "docs" / "use" / "bus.md").read_text()
 
 
 def test_the_rules_of_the_checkers() -> None:

@@ -24,6 +24,8 @@ class Identity(NamedTuple):
     silence: SilencePolicy = SilencePolicy.STOP
     started: bool = False  # permission to move is given at boot, not by a separate start
     first_boot: bool = False  # a new machine: an empty memory is expected, not a loss
+    release: str = ""  # of the software, for diagnostic tools
+    diagnostics: bool = False  # DM1 is sent unasked: on a bus where tools may listen
 
     @property
     def component(self) -> str:

@@ -39,6 +39,7 @@ class NetworkJoin(Part):
     def listens(self) -> Mapping[type[Any], Listener]:
         return {
             notices.GroupRequested: self._requested,
+            notices.AddressCommanded: self._commanded,
             notices.Rejoining: self._rejoin,
             notices.BusLost: self._leave,
             notices.Left: self._leave,
@@ -101,6 +102,13 @@ class NetworkJoin(Part):
 
     def _requested(self, ctx: StepContext, notice: notices.GroupRequested) -> Outputs:
         return self.asked(notice.everybody, ctx.now_us) if notice.pgn == CLAIM_PGN else NOTHING
+
+    def _commanded(self, ctx: StepContext, notice: notices.AddressCommanded) -> Outputs:
+        """Claim another address. Without an address the robot stands, as after losing one."""
+        effects = self._sends(self.machine.command(notice.address, ctx.now_us), ctx.now_us)
+        if self.joined and self.machine.address is None:
+            self.joined, self.lost_address = False, True
+        return effects
 
     def _rejoin(self, ctx: StepContext, notice: notices.Rejoining) -> Outputs:
         self.joined = self.lost_address = self.away = False

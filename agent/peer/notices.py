@@ -27,6 +27,12 @@ class FleetJoined(NamedTuple):
     address: int
 
 
+class AddressCommanded(NamedTuple):
+    """Another device wants this robot to claim that address (ISO 11783-5, commanded address)."""
+
+    address: int
+
+
 class AddressLost(NamedTuple):
     """Another device has won our address."""
 

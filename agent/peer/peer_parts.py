@@ -17,6 +17,7 @@ from agent.interface.motion_controller import MotionController
 from agent.peer.announcements import Announcements, first_beat_for_us
 from agent.peer.control_cycle import ControlCycle
 from agent.peer.departure import Departure
+from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
 from agent.peer.durable_records import DurableRecords
 from agent.peer.fleet_summary import FLEET_SUMMARY_PGN, compose, write
 from agent.peer.fleet_views import FleetViews
@@ -113,8 +114,9 @@ class PeerParts:
             )
         )
         self.letters = PgnResponder(
-            identity.component, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining
+            identity, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining, self.safety
         )
+        self.diagnostics = DiagnosticBroadcasts(self.safety, self.letters, identity.diagnostics)
         self.letters.answer(
             FLEET_SUMMARY_PGN,
             lambda ctx: write(compose(ctx, self.membership, self.allocation)),
@@ -162,7 +164,7 @@ class PeerParts:
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
             self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
-            self.departure,
+            self.departure, self.diagnostics,
         ]  # fmt: skip
 
     def _may_choose(self, now_us: int) -> bool:

@@ -1,4 +1,4 @@
-"""Answers requests of other devices for parameter groups: component name, newest traces, texts.
+"""Answers requests of other devices for parameter groups: who we are, our faults, newest traces.
 
 Texts are longer than a frame and use the transport protocol: to all if the request was global, else
 to the requester. This part changes neither state nor safety.
@@ -9,49 +9,86 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any
 
 from agent.interface.effects import Effect, Send, Trace
+from agent.interface.identity import Identity
 from agent.peer import notices
+from agent.peer.diagnostics import (
+    CLEAR_PREVIOUS_PGN,
+    COMMANDED_ADDRESS_PGN,
+    COMPONENT_PGN,
+    MINIMUM,
+    PREVIOUS,
+    PROTOCOLS,
+    active_faults,
+    texts,
+)
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.safety.stop_controller import StopController
+from protocol.frames.diagnostic_frames import DIAGNOSTIC_PROTOCOLS, DM1, DM2, FUNCTIONALITIES
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.messages import Message
 from protocol.frames.network_frames import (
     Acknowledgment,
     AcknowledgmentControl,
-    RepetitionRateRequest,
     Request,
+    Request2,
     TransportData,
     TransportManagement,
 )
-from protocol.transport import SIZE_MAX, SIZE_MIN, OutgoingFrame, ReceivedMessage, Transport
+from protocol.transport import (
+    SIZE_MAX,
+    SIZE_MIN,
+    OutgoingFrame,
+    ReceivedMessage,
+    Transport,
+    TransportControl,
+)
 
-COMPONENT_PGN = 65259  # component identification (SAE J1939-71): make*model*serial number*unit*
 LOG_PGN = 0xFF1F  # our own group: the newest traces as lines
 LINES_MAX = 64  # traces kept; an answer is cut at 1,785 bytes
+WAITING_MAX = 8  # answers that wait for a message to the same address; more requests get none
 NAMES_MAX = 256  # number of addresses
+UNREAD = frozenset((DM1.pgn,))  # faults of others: no session is opened for them
+COMMANDED_SIZE = 9  # bytes: a NAME and an address
+# What a group contains now: a frame, or the data of a longer message.
+Content = Callable[[StepContext], "Message | bytes"]
 INBOX_MAX = 16  # newest received texts, for display only; no decision uses them
 
 
 class PgnResponder(Part):
-    """The part that answers other devices' requests for parameter groups with texts."""
+    """The part that answers other devices' requests for parameter groups."""
 
-    def __init__(self, component: str, known: frozenset[int], joining: NetworkJoin) -> None:
+    def __init__(
+        self,
+        identity: Identity,
+        known: frozenset[int],
+        joining: NetworkJoin,
+        safety: StopController,
+    ) -> None:
         """`known`: the groups that other parts of the peer answer."""
         self.joining = joining
         self.transport = Transport()
         self.names: dict[int, str] = {}  # address -> component identification, as received
         self.inbox: deque[ReceivedMessage] = deque(maxlen=INBOX_MAX)
-        self._component, self._known = component, known
+        self._known, self._name = known, identity.name.pack()
         self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer answers for all
+        self._waiting: deque[tuple[int, bytes, int]] = deque()  # group, data, destination
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
-        self._texts: dict[int, Callable[[StepContext], str]] = {  # PGN -> its text now
-            COMPONENT_PGN: lambda _: self._component,
-            LOG_PGN: self._log,
+        self._contents: dict[int, Content] = {  # by PGN
+            LOG_PGN: lambda _: _data(self._log()),
+            DM1.pgn: lambda _: active_faults(safety.causes),
+            DM2.pgn: lambda _: PREVIOUS,
+            DIAGNOSTIC_PROTOCOLS.pgn: lambda _: PROTOCOLS,
+            FUNCTIONALITIES.pgn: lambda _: MINIMUM,
         }
+        for pgn, text in texts(identity).items():
+            self._contents[pgn] = _constant(_data(text))
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
         return {
             Request: self._request,
-            RepetitionRateRequest: self._letter,
+            Request2: self._request2,
             TransportManagement: self._letter,
             TransportData: self._letter,
         }
@@ -67,8 +104,8 @@ class PgnResponder(Part):
         `speaks`: whether this peer answers global requests. It answers only to the requester, because
         global answers of thirty peers would fill the bus for seconds.
         """
-        assert pgn not in self._texts and pgn not in self._known
-        self._texts[pgn] = text
+        assert pgn not in self._contents and pgn not in self._known
+        self._contents[pgn] = lambda ctx: _data(text(ctx))
         if speaks is not None:
             self._speaks[pgn] = speaks
 
@@ -85,7 +122,12 @@ class PgnResponder(Part):
         due_at_us = self.transport.due_at_us
         if not ctx.joined or due_at_us is None or ctx.now_us < due_at_us:
             return NOTHING
-        return _sends(self.transport.on_tick(ctx.now_us))
+        outputs = list(_sends(self.transport.on_tick(ctx.now_us)))
+        waiting = list(self._waiting)
+        self._waiting.clear()
+        for pgn, content, destination in waiting:
+            outputs += self.sends(pgn, content, destination, ctx.now_us)
+        return outputs
 
     def _request(self, ctx: StepContext, header: Header, m: Request) -> Outputs:
         answer = self._asked(ctx, header, m.pgn) if ctx.joined else NOTHING
@@ -94,48 +136,90 @@ class PgnResponder(Part):
         everybody = header.destination == GLOBAL_ADDRESS
         return [*answer, notices.GroupRequested(m.pgn, everybody)]
 
+    def _request2(self, ctx: StepContext, header: Header, m: Request2) -> Outputs:
+        if m.transfer == 1:
+            return _refused(header.source, header.destination, m.pgn) if ctx.joined else NOTHING
+        return self._request(ctx, header, Request(m.pgn))
+
+    def sends(
+        self, pgn: int, content: Message | bytes, destination: int, now_us: int
+    ) -> Sequence[Effect]:
+        """Send the content of a group. A longer message waits for one to that address before it."""
+        if not isinstance(content, bytes):
+            return [Send(content)]
+        first = self.transport.send(pgn, content, destination, now_us)
+        if first is None and len(self._waiting) < WAITING_MAX:
+            self._waiting.append((pgn, content, destination))
+        return _sends(first or ())
+
     def _letter(
         self,
         ctx: StepContext,
         header: Header,
-        m: RepetitionRateRequest | TransportManagement | TransportData,
+        m: TransportManagement | TransportData,
     ) -> Outputs:
         source, destination, now_us = header.source, header.destination, ctx.now_us
         if not ctx.joined:
             return NOTHING
-        if isinstance(m, RepetitionRateRequest):
-            return _refused(source, destination, m.pgn)
+        if isinstance(m, TransportManagement) and m.pgn in UNREAD and _announces(m):
+            return NOTHING
         out, arrived = self.transport.on_message(source, destination, m, now_us)
         if arrived is not None:
             self.inbox.append(arrived)
             if arrived.pgn == COMPONENT_PGN and source < NULL_ADDRESS:
                 self.names[source] = arrived.data.decode("latin-1").rstrip()
                 assert len(self.names) <= NAMES_MAX
+            if arrived.pgn == COMMANDED_ADDRESS_PGN and len(arrived.data) == COMMANDED_SIZE:
+                name = int.from_bytes(arrived.data[:8], "little")
+                if name == self._name:
+                    return [*_sends(out), notices.AddressCommanded(arrived.data[8])]
         return _sends(out)
 
     def _asked(self, ctx: StepContext, header: Header, pgn: int) -> Sequence[Effect]:
         source, destination = header.source, header.destination
-        text = self._texts.get(pgn)
-        if text is not None:
+        content = self._contents.get(pgn)
+        if content is not None:
             asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
             speaks = self._speaks.get(pgn)
             if asker == GLOBAL_ADDRESS and speaks is not None:
                 if source >= NULL_ADDRESS or not speaks():
                     return ()
                 asker = source
-            data = text(ctx).encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
-            return _sends(self.transport.send(pgn, data, asker, ctx.now_us) or ())
+            answer = content(ctx)
+            return self.sends(pgn, answer, asker, ctx.now_us)
+        if pgn == CLEAR_PREVIOUS_PGN:  # there are none
+            return acknowledged(AcknowledgmentControl.ACK, source, destination, pgn)
         return () if pgn in self._known else _refused(source, destination, pgn)
 
-    def _log(self, _: StepContext) -> str:
+    def _log(self) -> str:
         return "\n".join(self._lines) or "no traces yet"
 
 
+def _announces(m: TransportManagement) -> bool:
+    return m.control == TransportControl.BAM
+
+
+def _data(text: str) -> bytes:
+    """The data of a text; of one that is too long the end."""
+    return text.encode("latin-1", "replace")[-SIZE_MAX:].ljust(SIZE_MIN)
+
+
+def _constant(data: bytes) -> Content:
+    return lambda _: data
+
+
 def _refused(source: int, destination: int, pgn: int) -> Sequence[Effect]:
-    """Refuse a group that is not served, or a rate request: no group of ours changes its rate."""
-    if destination == GLOBAL_ADDRESS:  # J1939-21: no NACK to a global request
+    """Refuse a group that is not served."""
+    return acknowledged(AcknowledgmentControl.NACK, source, destination, pgn)
+
+
+def acknowledged(
+    control: AcknowledgmentControl, source: int, destination: int, pgn: int
+) -> Sequence[Effect]:
+    """The answer to `source`, which has sent something about a group to `destination`."""
+    if destination == GLOBAL_ADDRESS:  # J1939-21: no acknowledgment of a global request
         return ()
-    return [Send(Acknowledgment(AcknowledgmentControl.NACK, 0xFF, source, pgn & 0x3FFFF))]
+    return [Send(Acknowledgment(control, 0xFF, source, pgn & 0x3FFFF))]
 
 
 def _sends(out: Iterable[OutgoingFrame]) -> Sequence[Effect]:

@@ -7,6 +7,7 @@ segments adds `agent/segments/segment_parts.py`.
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
+from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.map_exchange import MapExchange
 from agent.peer.member_reports import MemberReports
@@ -29,6 +30,15 @@ from protocol.frames.delivery_frames import (
     TaskBookDigest,
     TaskOrder,
 )
+from protocol.frames.diagnostic_frames import (
+    ActiveFaults,
+    BroadcastControl,
+    ClearFault,
+    DiagnosticProtocols,
+    Functionalities,
+    PreviousFaults,
+    StandardHeartbeat,
+)
 from protocol.frames.fleet_frames import (
     Heartbeat,
     LeaderElectionVote,
@@ -43,6 +53,7 @@ from protocol.frames.network_frames import (
     AddressClaimed,
     RepetitionRateRequest,
     Request,
+    Request2,
     TransportData,
     TransportManagement,
 )
@@ -111,7 +122,10 @@ ROUTES: Routes = {
     AddressClaimed: MessageRoute(SenderOrigins, ANYONE),
     Malformed: MessageRoute(SenderOrigins, ANYONE),
     Request: MessageRoute(PgnResponder, DEVICE),
-    RepetitionRateRequest: MessageRoute(PgnResponder, DEVICE),
+    Request2: MessageRoute(PgnResponder, DEVICE),
+    RepetitionRateRequest: MessageRoute(DiagnosticBroadcasts, DEVICE),
+    BroadcastControl: MessageRoute(DiagnosticBroadcasts, DEVICE),
+    ClearFault: MessageRoute(DiagnosticBroadcasts, DEVICE),
     TransportManagement: MessageRoute(PgnResponder, DEVICE),
     TransportData: MessageRoute(PgnResponder, DEVICE),
 }
@@ -119,4 +133,9 @@ ROUTES: Routes = {
 NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
     OperatorReport: "operators' devices",
     Acknowledgment: "the device whose request was refused",
+    ActiveFaults: "diagnostic tools",
+    PreviousFaults: "diagnostic tools",
+    DiagnosticProtocols: "diagnostic tools",
+    Functionalities: "diagnostic tools",
+    StandardHeartbeat: "the device that asked for it",
 }

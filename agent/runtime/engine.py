@@ -159,6 +159,7 @@ class FleetCoordinationEngine:
             FieldAllocationCRDT.hash_of(self.fleet),
             self.silence,
             first_boot=self.first_boot,
+            diagnostics=True,
         )
         if not remembers(recalled) and not self.first_boot:
             self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one

@@ -5,6 +5,8 @@ A fleet of several segments names its `Area`, and the peer then also knows the o
 """
 
 from collections.abc import Mapping
+from functools import cache
+from importlib.metadata import PackageNotFoundError, version
 from random import Random
 from typing import NamedTuple
 
@@ -41,12 +43,14 @@ def identity_of(
     silence: SilencePolicy = SilencePolicy.STOP,
     *,
     first_boot: bool = False,
+    diagnostics: bool = False,
 ) -> Identity:
     """The identity of one slot of a fleet of `robots` robots, with permission to move at boot.
 
     `fleet`: the name that all its robots share; their NAMEs on the bus are made from it.
     `field_hash`: u24; robots with another one work somewhere else and are refused.
-    `first_boot`: a new machine, for which an empty memory is no loss.
+    `first_boot`: a new machine, for which an empty memory is no loss. `diagnostics`: whether active
+    faults are told unasked (DM1).
     """
     return Identity(
         slot=slot,
@@ -56,7 +60,18 @@ def identity_of(
         silence=silence,
         started=True,
         first_boot=first_boot,
+        release=release(),
+        diagnostics=diagnostics,
     )
+
+
+@cache
+def release() -> str:
+    """The release of the installed software; "" if it runs from a tree that is not installed."""
+    try:
+        return version("headland")
+    except PackageNotFoundError:
+        return ""
 
 
 def keyring_of(keys: Keys | None, sender: int, lot: bytes) -> Keyring | None:

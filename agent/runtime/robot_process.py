@@ -191,7 +191,7 @@ async def run_robot(
                 work = work_of(robot, now_us, recalled)
                 identity = identity_of(
                     robot.name, slot, robot.fleet.robots, work.field_hash,
-                    robot.fleet.silence_policy, first_boot=first_boot,
+                    robot.fleet.silence_policy, first_boot=first_boot, diagnostics=True,
                 )  # fmt: skip
                 segment = robot.robot.segment
                 peer = make_peer(

@@ -81,7 +81,8 @@ class Heartbeat(NamedTuple):
 
     Every robot sends it twice a second, less often in large fleets. A receiver whose digest differs
     begins to synchronize. This is a proprietary group, not the heartbeat of ISO 11783-7 (PGN 61668),
-    which a robot does not send; only the counter takes the values of its sequence number (SPN 7345).
+    which a robot sends only on request; only the counter takes the values of its sequence number
+    (SPN 7345).
     """
 
     counter: int

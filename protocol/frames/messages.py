@@ -5,6 +5,7 @@ from typing import Any
 from protocol.frames import (
     agreement_frames,
     delivery_frames,
+    diagnostic_frames,
     fleet_frames,
     map_frames,
     network_frames,
@@ -22,6 +23,15 @@ from protocol.frames.delivery_frames import (
     TaskBookDigest,
     TaskOrder,
 )  # fmt: skip
+from protocol.frames.diagnostic_frames import (
+    ActiveFaults,
+    BroadcastControl,
+    ClearFault,
+    DiagnosticProtocols,
+    Functionalities,
+    PreviousFaults,
+    StandardHeartbeat,
+)
 from protocol.frames.fleet_frames import (
     Heartbeat,
     LeaderElectionVote,
@@ -37,6 +47,7 @@ from protocol.frames.network_frames import (
     AddressClaimed,
     RepetitionRateRequest,
     Request,
+    Request2,
     TransportData,
     TransportManagement,
 )  # fmt: skip
@@ -69,8 +80,10 @@ Message = (
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
-    | AddressClaimed | Request | RepetitionRateRequest | Acknowledgment
+    | AddressClaimed | Request | Request2 | RepetitionRateRequest | Acknowledgment
     | TransportManagement | TransportData
+    | ActiveFaults | PreviousFaults | DiagnosticProtocols | Functionalities
+    | BroadcastControl | ClearFault | StandardHeartbeat
 )  # fmt: skip
 
 # By PGN family and priority; `docs/how/frames.md` is in this order.
@@ -112,10 +125,18 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     segment_frames.SEGMENT_SUMMARY,
     network_frames.ADDRESS_CLAIMED,
     network_frames.REQUEST,
+    network_frames.REQUEST2,
     network_frames.REPETITION_RATE_REQUEST,
     network_frames.ACKNOWLEDGMENT,
     network_frames.TP_CM,
     network_frames.TP_DT,
+    diagnostic_frames.DM1,
+    diagnostic_frames.DM2,
+    diagnostic_frames.DIAGNOSTIC_PROTOCOLS,
+    diagnostic_frames.FUNCTIONALITIES,
+    diagnostic_frames.DM13,
+    diagnostic_frames.DM22,
+    diagnostic_frames.STANDARD_HEARTBEAT,
 )
 GROUP_OF: dict[type, FrameLayout[Any]] = {layout.kind: layout for layout in GROUPS}
 assert len({layout.pgn for layout in GROUPS}) == len(GROUPS)

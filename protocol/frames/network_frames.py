@@ -40,10 +40,33 @@ REQUEST = FrameLayout(
 )  # fmt: skip
 
 
+class Request2(NamedTuple):
+    """Asks for a parameter group as REQUEST does (ISO 11783-3, PGN 51456).
+
+    Devices of other makers send it. A robot answers as it answers REQUEST, and refuses an answer in a
+    transfer group.
+    """
+
+    pgn: int
+    transfer: int
+
+
+REQUEST2 = FrameLayout(
+    Request2, "REQUEST2", pgn=0xC900, priority=6, sender=ANY_DEVICE,
+    fields=(
+        integer("pgn", 24, "the group that is asked for"),
+        integer("transfer", 2, "1: the answer is to come in a transfer group"),
+        reserved(6, ones=True),
+        reserved(32, ones=True),
+    ),
+)  # fmt: skip
+
+
 class RepetitionRateRequest(NamedTuple):
     """Asks a device to send a parameter group at another rate (SAE J1939-21, PGN 52224).
 
-    Devices of other makers send it. A robot refuses with ACKNOWLEDGMENT.
+    Devices of other makers send it. A robot sends STANDARD_HEARTBEAT if that was asked for, and
+    refuses every other group with ACKNOWLEDGMENT.
     """
 
     pgn: int

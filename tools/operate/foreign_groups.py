@@ -15,7 +15,6 @@ NAMES = {
     0x0FE45: "rear hitch",
     0x0FE48: "wheel-based speed and distance",
     0x0FE49: "ground-based speed and distance",
-    0x0FECA: "DM1: active faults",
     0x0FEE6: "time and date",
     0x0FEE8: "vehicle direction and speed",
     0x0FEF1: "CCVS: cruise control, vehicle speed",

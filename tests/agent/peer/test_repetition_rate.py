@@ -1,4 +1,4 @@
-"""A19: what a robot says about the standard heartbeat, which it does not send."""
+"""A19: what a robot says about the standard heartbeat, which it sends only when it is asked."""
 
 from random import Random
 
@@ -32,13 +32,13 @@ def _joined() -> tuple[Peer, int, int]:
 
 def _refusals(destination: int, peer: Peer, now_us: int) -> list[Acknowledgment]:
     identifier = 6 << 26 | ASKS_PGN << 8 | destination << 8 | STRANGER
-    data = HEARTBEAT_PGN.to_bytes(3, "little") + (100).to_bytes(2, "little") + b"\xff" * 3
+    data = HEARTBEAT_PGN.to_bytes(3, "little") + (20).to_bytes(2, "little") + b"\xff" * 3
     effects = peer.step(Received(Frame(identifier, data)), now_us)
     said = [effect.message for effect in effects if isinstance(effect, Send)]
     return [message for message in said if isinstance(message, Acknowledgment)]
 
 
-def test_a19_a_request_for_the_standard_heartbeat_is_refused() -> None:
+def test_a19_a_request_for_another_rate_of_the_standard_heartbeat_is_refused() -> None:
     """On commit 24747e2 there was neither a frame nor a refusal."""
     peer, address, now_us = _joined()
     refusal = Acknowledgment(AcknowledgmentControl.NACK, 0xFF, STRANGER, HEARTBEAT_PGN)

@@ -96,7 +96,13 @@ def test_a_value_that_does_not_fit_is_an_error_of_ours(layout: FrameLayout[Any])
                 layout.pack(good._replace(**{field.name: value}))
 
 
-GOOD = {"FLEET_STOP": 1, "FLEET_RESET": 1, "GATEWAY_BEAT": 124, "SEGMENT_SUMMARY": 1}  # byte 0
+GOOD = {
+    "DM22": 1,
+    "FLEET_STOP": 1,
+    "FLEET_RESET": 1,
+    "GATEWAY_BEAT": 124,
+    "SEGMENT_SUMMARY": 1,
+}  # byte 0
 
 
 def test_every_frame_says_what_it_is_for() -> None:

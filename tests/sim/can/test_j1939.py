@@ -12,8 +12,8 @@ from typing import Any
 import pytest
 
 from agent.interface.identity import Identity
+from agent.peer.diagnostics import COMPONENT_PGN, fault_of
 from agent.peer.peer import Peer
-from agent.peer.pgn_responder import COMPONENT_PGN
 from agent.runtime.peer_factory import make_peer
 from agent.runtime.peer_runner import PeerRunner
 from protocol.frames.codec import encode
@@ -47,7 +47,14 @@ class Bus:
         self._passed.set()
 
     def add_peer(self, slot: int) -> Peer:
-        identity = Identity(slot, frozenset({slot}), fleet_name("interop", slot), 1)
+        identity = Identity(
+            slot,
+            frozenset({slot}),
+            fleet_name("interop", slot),
+            1,
+            release="1.2.3",
+            diagnostics=True,
+        )
         peer = make_peer(identity, Random(slot), PeerRunner.now_us(), {})
         shell = PeerRunner(peer, CanBus(FieldBus(self.segment.channel)), None, None)
         self._tasks.append(asyncio.create_task(shell.run()))
@@ -182,7 +189,50 @@ async def test_an_unknown_group_is_refused_to_who_asked_alone() -> None:
         unit = await bus.add_unit(next(names())[0], 200)
         await bus.until(lambda: unit.ready and peer.joining.joined)
         refusal = encode(
-            Acknowledgment(AcknowledgmentControl.NACK, 0xFF, 200, 65242), peer.address or 0
+            Acknowledgment(AcknowledgmentControl.NACK, 0xFF, 200, 65217), peer.address or 0
         )
-        await asyncio.to_thread(unit.application.send_request, 0, 65242, peer.address)
+        await asyncio.to_thread(unit.application.send_request, 0, 65217, peer.address)
         await bus.until(lambda: refusal in bus.frames)
+
+
+@pytest.mark.asyncio
+async def test_a13_can_j1939_reads_our_faults_and_is_refused_to_clear_them() -> None:
+    """Its reader of DM1 has the faults of a robot that stands; its DM22 is answered."""
+    async with opened("diagnosis") as bus:
+        peer = bus.add_peer(0)
+        unit = await bus.add_unit(next(names())[0], 200)
+        heard: list[tuple[int, list[dict[str, int]]]] = []
+        reader = j1939.Dm1(unit.application)
+        reader.subscribe(lambda source, _, faults, __: heard.append((source, faults)))
+        await bus.until(lambda: unit.ready and peer.joining.joined)
+        await bus.until(lambda: len(heard) >= 2)  # nobody has asked: lost memory, and no start
+        expected = [fault_of(cause) for cause, _ in peer.safety.causes]
+        source, faults = heard[-1]
+        assert source == peer.address and len(expected) >= 2
+        assert [(fault["spn"], fault["fmi"]) for fault in faults] == expected
+        clear = j1939.Dm22(unit.application)
+        await asyncio.to_thread(clear.request_clear_act_dtc, peer.address, 110, 3)
+        refused = clear.DTC_CLR_CTRL.ACT_NACK, clear.DTC_CLR_CTRL_SPECIFIC.DTC_UNKNOWN
+        await bus.until(
+            lambda: any(p == 0xC300 and tuple(data[:2]) == refused for p, _, data in unit.heard)
+        )
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize(
+    ("pgn", "text"),
+    [
+        (64965, "*robot 0*peer*Headland**"),
+        (65242, "\x01Headland 1.2.3*"),
+        (64653, "peer*Headland*"),
+    ],
+)
+async def test_a13_can_j1939_gets_what_a_robot_is(pgn: int, text: str) -> None:
+    async with opened(f"identity {pgn}") as bus:
+        peer = bus.add_peer(0)
+        unit = await bus.add_unit(next(names())[0], 200)
+        await bus.until(lambda: unit.ready and peer.joining.joined)
+        await asyncio.to_thread(unit.application.send_request, 0, pgn, peer.address)
+        await bus.until(
+            lambda: any(text in d.decode("latin-1") for p, _, d in unit.heard if p == pgn)
+        )

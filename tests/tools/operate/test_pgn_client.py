@@ -2,7 +2,8 @@
 
 import asyncio
 
-from agent.peer.pgn_responder import COMPONENT_PGN, LOG_PGN
+from agent.peer.diagnostics import COMPONENT_PGN
+from agent.peer.pgn_responder import LOG_PGN
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.virtual_clock import run_virtual

@@ -1,0 +1,131 @@
+"""What a robot tells diagnostic tools unasked, or in a rhythm that they asked for.
+
+DM1 of SAE J1939-73: each second while a cause is active, at once when causes change, and once when
+the last one has gone. The standard heartbeat of ISO 11783-7: after a request for its rate.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import Any, Final
+
+from agent.interface.config import MS, S
+from agent.interface.effects import Effect, Send
+from agent.peer.diagnostics import active_faults, fault_of
+from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.peer.pgn_responder import PgnResponder, acknowledged
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
+from protocol.frames.diagnostic_frames import (
+    DM1,
+    DM13,
+    STANDARD_HEARTBEAT,
+    BroadcastControl,
+    ClearControl,
+    ClearFault,
+    ClearRefusal,
+    StandardHeartbeat,
+)
+from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.network_frames import AcknowledgmentControl, RepetitionRateRequest
+
+FAULTS_PERIOD_US: Final = 1 * S  # SAE J1939-73
+FAULTS_GAP_US: Final = 200 * MS  # a cause that comes and goes must not fill the bus
+HEARTBEAT_PERIOD_MS: Final = 100  # the only rate of ISO 11783-7
+FIRST_SEQUENCE: Final = 251
+LAST_SEQUENCE: Final = 250
+END_SEQUENCE: Final = 255
+OWN_RATE: Final = 0xFFFF
+
+
+class DiagnosticBroadcasts(Part):
+    """The part that sends DM1 and the standard heartbeat, and refuses to clear what holds a robot."""
+
+    def __init__(self, safety: StopController, letters: PgnResponder, cyclic: bool) -> None:
+        """`cyclic`: whether DM1 is sent unasked."""
+        self.safety, self.letters, self.cyclic = safety, letters, cyclic
+        self._told: tuple[StopCause, ...] = ()  # by our newest DM1
+        self._told_at_us = -FAULTS_PERIOD_US
+        self._beat_at_us = FOREVER
+        self._sequence = FIRST_SEQUENCE
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {
+            RepetitionRateRequest: self._rate,
+            BroadcastControl: self._stop_talking,
+            ClearFault: self._clear,
+        }
+
+    @property
+    def due_at_us(self) -> int:
+        if not self.cyclic or (self.safety.free and not self._told):
+            return self._beat_at_us
+        period_us = FAULTS_PERIOD_US if self._same() else FAULTS_GAP_US
+        return min(self._beat_at_us, self._told_at_us + period_us)
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        if ctx.now_us < self.due_at_us:
+            return NOTHING
+        outputs: list[Effect] = []
+        if self._beat_at_us <= ctx.now_us:
+            outputs += self._beat(ctx)
+        if self.cyclic and not (self.safety.free and not self._told):
+            outputs += self._faults(ctx)
+        return outputs
+
+    def _same(self) -> bool:
+        return self._told == tuple(cause for cause, _ in self.safety.causes)
+
+    def _faults(self, ctx: StepContext) -> Sequence[Effect]:
+        period_us = FAULTS_PERIOD_US if self._same() else FAULTS_GAP_US
+        if ctx.now_us < self._told_at_us + period_us:
+            return ()
+        self._told_at_us = ctx.now_us
+        if not ctx.joined:  # looked at again after that time
+            return ()
+        causes = self.safety.causes
+        self._told = tuple(cause for cause, _ in causes)
+        return self.letters.sends(DM1.pgn, active_faults(causes), GLOBAL_ADDRESS, ctx.now_us)
+
+    def _beat(self, ctx: StepContext) -> Sequence[Effect]:
+        self._beat_at_us = ctx.now_us + HEARTBEAT_PERIOD_MS * MS
+        if not ctx.joined:
+            return ()
+        sequence = self._sequence
+        self._sequence = 0 if sequence >= LAST_SEQUENCE else sequence + 1
+        return [Send(StandardHeartbeat(sequence))]
+
+    def _rate(self, ctx: StepContext, header: Header, m: RepetitionRateRequest) -> Outputs:
+        if not ctx.joined:
+            return NOTHING
+        allowed = (0, HEARTBEAT_PERIOD_MS, OWN_RATE)
+        if m.pgn != STANDARD_HEARTBEAT.pgn or m.rate_ms not in allowed:
+            return acknowledged(
+                AcknowledgmentControl.NACK, header.source, header.destination, m.pgn
+            )
+        sends = self._beat_at_us != FOREVER
+        if m.rate_ms == 0:
+            self._beat_at_us = FOREVER
+            return [Send(StandardHeartbeat(END_SEQUENCE))] if sends else NOTHING
+        if not sends:
+            self._beat_at_us, self._sequence = ctx.now_us, FIRST_SEQUENCE
+        return NOTHING
+
+    def _stop_talking(self, ctx: StepContext, header: Header, m: BroadcastControl) -> Outputs:
+        if not ctx.joined:
+            return NOTHING
+        return acknowledged(AcknowledgmentControl.NACK, header.source, header.destination, DM13.pgn)
+
+    def _clear(self, ctx: StepContext, header: Header, m: ClearFault) -> Outputs:
+        asks = m.control in (ClearControl.CLEAR_PREVIOUS, ClearControl.CLEAR_ACTIVE)
+        if not ctx.joined or not asks or header.destination == GLOBAL_ADDRESS:
+            return NOTHING
+        fault = (m.spn_high << 16 | m.spn_low, m.fmi)
+        if m.control == ClearControl.CLEAR_PREVIOUS:
+            control, refusal = ClearControl.PREVIOUS_KEPT, ClearRefusal.NOT_PREVIOUS
+        else:
+            control, refusal = ClearControl.ACTIVE_KEPT, ClearRefusal.NOT_ACTIVE
+            if fault in (fault_of(cause) for cause, _ in self.safety.causes):
+                refusal = ClearRefusal.ACCESS_DENIED  # only its own condition ends it
+        if fault not in (fault_of(cause) for cause in StopCause):
+            refusal = ClearRefusal.UNKNOWN_FAULT
+        return [Send(m._replace(control=control, refusal=refusal), header.source)]

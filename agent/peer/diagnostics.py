@@ -1,0 +1,84 @@
+"""What a robot tells diagnostic tools of itself: identification of ISO 11783-12, faults of SAE J1939-73.
+
+A fault is a cause for which the robot stands or creeps now, the same as in STANDSTILL.
+"""
+
+from collections.abc import Sequence
+from typing import Final
+
+from agent.interface.identity import Identity
+from agent.safety.stop_cause import StopCause
+from protocol.frames.diagnostic_frames import (
+    NOT_COUNTED,
+    SPN_FIRST,
+    ActiveFaults,
+    DiagnosticProtocols,
+    Functionalities,
+    PreviousFaults,
+)
+
+COMPONENT_PGN: Final = 65259  # SAE J1939-71: make*model*serial number*unit*
+ECU_PGN: Final = 64965  # ISO 11783-12: part*serial number*location*type*maker*hardware*
+SOFTWARE_PGN: Final = 65242  # number of fields, then each with a *
+PRODUCT_PGN: Final = 64653  # ISO 11783-12: code*brand*model*
+CLEAR_PREVIOUS_PGN: Final = 65228  # DM3: asks to forget earlier faults
+COMMANDED_ADDRESS_PGN: Final = 65240  # ISO 11783-5: a NAME, and the address that it is to claim
+MAKER: Final = "Headland"
+NO_FAULT: Final = (0, 0, 0, 0)
+PREVIOUS: Final = PreviousFaults(*NO_FAULT)
+PROTOCOLS: Final = DiagnosticProtocols(1)
+MINIMUM: Final = Functionalities(1, 0, 1, 1, 0)
+CONDITION_EXISTS: Final = 31
+# Failure modes of SAE J1939-73; of all other causes: the condition exists.
+FAILURE_MODES: Final = {
+    StopCause.MEMBER_SILENT: 9,  # abnormal update rate
+    StopCause.CREEP: 9,
+    StopCause.BACKBONE_LOST: 9,
+    StopCause.BACKBONE_CREEP: 9,
+    StopCause.UNHEARD: 9,
+    StopCause.SENSES_OLD: 9,
+    StopCause.BUS_OFF: 19,  # received network data in error
+    StopCause.ERROR_PASSIVE: 19,
+    StopCause.PLACE_FROZEN: 7,  # mechanical system does not respond
+    StopCause.CONFIG_MISMATCH: 13,  # out of calibration
+    StopCause.DUPLICATE_ID: 13,
+    StopCause.DISK_ERROR: 12,  # bad intelligent device
+    StopCause.BOOT_UNCONFIRMED: 12,
+}
+
+
+def texts(identity: Identity) -> dict[int, str]:
+    """Parameter group -> the text by which this robot answers a request for it."""
+    serial = f"{identity.name.identity:07d}"
+    return {
+        COMPONENT_PGN: identity.component,
+        ECU_PGN: f"peer*{serial}*robot {identity.slot}*peer*{MAKER}**",
+        SOFTWARE_PGN: f"\x01{MAKER} {identity.release}".rstrip() + "*",
+        PRODUCT_PGN: f"peer*{MAKER}*robot*",
+    }
+
+
+def fault_of(cause: StopCause) -> tuple[int, int]:
+    """Suspect parameter and failure mode of a cause."""
+    return SPN_FIRST + cause.number, FAILURE_MODES.get(cause, CONDITION_EXISTS)
+
+
+def fault_table() -> str:
+    """The Markdown table of all faults for the documents."""
+    rows = sorted((*fault_of(cause), cause.name) for cause in StopCause)
+    lines = [f"| {spn} | {mode} | {name} |" for spn, mode, name in rows]
+    return "\n".join(["| SPN | FMI | cause |", "|---|---|---|", *lines])
+
+
+def active_faults(causes: Sequence[tuple[StopCause, str]]) -> ActiveFaults | bytes:
+    """DM1: a frame for at most one fault, else the data of a longer message."""
+    faults = [fault_of(cause) for cause, _ in causes]
+    if not faults:
+        return ActiveFaults(*NO_FAULT)
+    if len(faults) == 1:
+        ((spn, mode),) = faults
+        return ActiveFaults(spn & 0xFFFF, mode, spn >> 16, NOT_COUNTED)
+    return b"\xff\xff" + b"".join(
+        (spn & 0xFFFF).to_bytes(2, "little") + bytes((spn >> 16 << 5 | mode, NOT_COUNTED))
+        for spn, mode in faults
+    )
