@@ -51,7 +51,7 @@ ACCORD = FrameLayout(
     AgreementMessage, "ACCORD", pgn=0xFF15, priority=6, sender=ROBOT,
     fields=(
         integer("round", 16, "a later round (modulo 2^16) makes earlier ones void"),
-        choice("say", 4, AgreementKind),
+        choice("say", 4, AgreementKind, "what the frame tells"),
         choice("answer", 4, AgreementReply, "with PLACE: whether the robot clears the way"),
         integer("first", 16, "PLACE: node where it stands; PLAN: low half of the digest; AT: node of "
                 "its route; BODY: node"),

@@ -71,7 +71,7 @@ class TaskBid(NamedTuple):
 TASK_BID = FrameLayout(
     TaskBid, "TASK_BID", pgn=0xFF22, priority=5, sender=ROBOT,
     fields=(
-        integer("task", 16),
+        integer("task", 16, "its number"),
         integer("cost_ms", 32, "how much longer its tasks wait in sum", unit="ms"),
         integer("place", 8, "position that the task would have in its itinerary"),
         integer("round", 8, "counts the auctions of this task"),
@@ -101,8 +101,8 @@ ITINERARY = FrameLayout(
         integer("first", 8, "position of the first of the two"),
         integer("length", 8, "of the whole itinerary"),
         integer("battery", 8, "remaining charge, of 255"),
-        integer("task", 16),
-        integer("after", 16, "the next task; 0xFFFF: none"),
+        integer("task", 16, "its number"),
+        integer("after", 16, "the next task; 0xFFFF: none", special=((0xFFFF, "NONE"),)),
     ),
 )  # fmt: skip
 
@@ -159,7 +159,7 @@ PLAN_ROW = FrameLayout(
         integer("slot", 8, "whose itinerary"),
         integer("first", 8, "position of the first of the two"),
         integer("length", 8, "of the whole itinerary"),
-        integer("task", 16),
-        integer("after", 16, "the next task; 0xFFFF: none"),
+        integer("task", 16, "its number"),
+        integer("after", 16, "the next task; 0xFFFF: none", special=((0xFFFF, "NONE"),)),
     ),
 )  # fmt: skip

@@ -53,7 +53,7 @@ def _fault_fields() -> tuple[FrameField, ...]:
                 "of the cause for which it stands"),
         integer("fmi", 5, "failure mode of SAE J1939-73; 31: the condition exists"),
         integer("spn_high", 3, "suspect parameter, bits 16 to 18"),
-        integer("occurrences", 7, "127: not counted"),
+        integer("occurrences", 7, "127: not counted", special=((127, "NOT_COUNTED"),)),
         reserved(1),
         reserved(16, ones=True),
     )  # fmt: skip
@@ -104,8 +104,8 @@ FUNCTIONALITIES = FrameLayout(
         reserved(8, ones=True),
         integer("number", 8, "of functionalities; more than one go by the transport protocol"),
         integer("functionality", 8, "0: minimum control function"),
-        integer("generation", 8),
-        integer("option_bytes", 8),
+        integer("generation", 8, "of the functionality"),
+        integer("option_bytes", 8, "number of bytes of options that follow"),
         integer("options", 8, "0: none"),
         reserved(16, ones=True),
     ),
@@ -170,7 +170,7 @@ class ClearFault(NamedTuple):
 DM22 = FrameLayout(
     ClearFault, "DM22", pgn=0xC300, priority=6, sender=ANY_DEVICE,
     fields=(
-        choice("control", 8, ClearControl),
+        choice("control", 8, ClearControl, "what is asked or answered"),
         choice("refusal", 8, ClearRefusal, "why not; 255 in a request", strict=False),
         reserved(24, ones=True),
         integer("spn_low", 16, "suspect parameter, bits 0 to 15"),
@@ -192,6 +192,7 @@ class StandardHeartbeat(NamedTuple):
 STANDARD_HEARTBEAT = FrameLayout(
     StandardHeartbeat, "STANDARD_HEARTBEAT", pgn=0xF0E4, priority=3, sender=ANY_DEVICE,
     fields=(
-        integer("sequence", 8, "0 to 250 in turn; 251: the first one, 254: a fault, 255: the last one"),
+        integer("sequence", 8, "0 to 250 in turn; 251: the first one, 254: a fault, 255: the last one",
+                special=((251, "FIRST"), (254, "FAULT"), (255, "LAST"))),
     ),
 )  # fmt: skip

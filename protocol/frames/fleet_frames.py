@@ -69,7 +69,8 @@ POSE = FrameLayout(
                "last known position, or the lowest values", unavailable=True),
         choice("state", 3, STATES, "lifecycle state"),
         flag("stopped", "latched emergency stop"),
-        integer("heard", 8, "slot of a member that the sender receives, in rotation; 255: none"),
+        integer("heard", 8, "slot of a member that the sender receives, in rotation; 255: none",
+                special=((255, "NONE"),)),
         flag("at_work", "the implement is down, or within a few metres of work; others keep as far "
              "away as it reaches"),
     ),
@@ -129,7 +130,7 @@ class Member(NamedTuple):
 MEMBER = FrameLayout(
     Member, "MEMBER", pgn=0xFF14, priority=6, sender=ROBOT,
     fields=(
-        integer("slot", 8),
+        integer("slot", 8, "of the sender"),
         integer("incarnation", 16, "raised whenever durable memory was lost"),
         integer("config_hash", 24, "of the field description; another hash is another fleet"),
         integer("flags", 8, "reserved, 0"),
@@ -185,10 +186,11 @@ STANDSTILL = FrameLayout(
     Standstill, "STANDSTILL", pgn=0xFF19, priority=6, sender=ROBOT,
     fields=(
         integer("slot", 8, "of the sender"),
-        choice("cause", 8, StandsBy, strict=False),
+        choice("cause", 8, StandsBy, "why it stands or creeps", strict=False),
         integer("place", 4, "of this cause in the list of causes; 0: the worst"),
         integer("causes", 4, "length of that list"),
-        integer("about", 8, "the address or slot that the cause is about; 255: none"),
+        integer("about", 8, "the address or slot that the cause is about; 255: none",
+                special=((255, "NONE"),)),
         integer("number", 16, "STOP_DOT: stops that hold it; MEMBER_SILENT, CREEP: further robots; "
                 "else 0"),
         reserved(16, ones=True),

@@ -57,6 +57,7 @@ class FrameField(NamedTuple):
     reserved: int | None = None  # sent with this value; decoded only if `accepted` says so
     signal: str = ""  # name in the DBC, where `name` is a keyword of C or C++
     subfields: tuple[tuple[str, int, int], ...] = ()  # signals in the DBC: name, first bit, bits
+    special: Choices = ()  # raw values that are no number, for people; decoded as numbers
 
     @property
     def width(self) -> int:
@@ -66,11 +67,15 @@ class FrameField(NamedTuple):
 
 def integer(
     name: str, bits: int, meaning: str = "", unit: str = "", accepted: Sequence[int] | None = None,
-    signal: str = "", subfields: tuple[tuple[str, int, int], ...] = (),
+    signal: str = "", subfields: tuple[tuple[str, int, int], ...] = (), special: Choices = (),
 ) -> FrameField:  # fmt: skip
-    """An unsigned number. Other raw values than those in `accepted` make a frame malformed."""
+    """An unsigned number. Other raw values than those in `accepted` make a frame malformed.
+
+    `special`: raw values that mean something else than a number, with their names.
+    """
     return FrameField(
-        name, bits, meaning, unit, accepted=accepted, signal=signal, subfields=subfields
+        name, bits, meaning, unit, accepted=accepted, signal=signal, subfields=subfields,
+        special=special,
     )  # fmt: skip
 
 
@@ -146,6 +151,7 @@ class Signal(NamedTuple):
     unit: str = ""
     choices: Choices = ()
     reserved: int | None = None  # always sent with this value, and never read
+    meaning: str = ""
 
 
 class FrameLayout(Generic[M]):
@@ -190,18 +196,35 @@ class FrameLayout(Generic[M]):
             name = field.signal or field.name
             if field.reserved is not None:
                 run = f"reserved_{start}"
-                unused.append(Signal(run, start, field.bits, reserved=field.reserved))
+                unused.append(_unused(run, start, field.bits, field.reserved))
             elif field.subfields:
-                named += [Signal(sub, start + first, bits) for sub, first, bits in field.subfields]
+                named += [
+                    Signal(
+                        sub,
+                        start + first,
+                        bits,
+                        meaning=f"{sub.replace('_', ' ')}, {field.meaning}",
+                    )
+                    for sub, first, bits in field.subfields
+                ]
                 unused += _gaps(field, start)
             elif field.repeat:
                 named += [
-                    Signal(f"{name}_{k}", start + k * field.bits, field.bits)
+                    Signal(
+                        f"{name}_{k}",
+                        start + k * field.bits,
+                        field.bits,
+                        meaning=f"number {k} of {field.repeat}: {field.meaning}",
+                    )
                     for k in range(field.repeat)
                 ]
             else:
                 measure = field.scale, field.offset, field.unit
-                named.append(Signal(name, start, field.bits, *measure, field.choices))
+                choices = field.choices + field.special
+                if field.unavailable:
+                    choices += (((1 << field.bits) - 1, "NOT_AVAILABLE"),)
+                meaning = field.meaning
+                named.append(Signal(name, start, field.bits, *measure, choices, meaning=meaning))
         return named + unused
 
     def _compile(self) -> None:
@@ -233,8 +256,13 @@ def _gaps(field: FrameField, start: int) -> Iterator[Signal]:
     end = 0
     for _, first, bits in (*field.subfields, ("", field.bits, 0)):
         if first > end:
-            yield Signal(f"reserved_{start + end}", start + end, first - end, reserved=0)
+            yield _unused(f"reserved_{start + end}", start + end, first - end, 0)
         end = first + bits
+
+
+def _unused(name: str, start: int, bits: int, value: int) -> Signal:
+    meaning = f"reserved: sent as {value:#x}, not read"
+    return Signal(name, start, bits, reserved=value, meaning=meaning)
 
 
 class _Element(NamedTuple):

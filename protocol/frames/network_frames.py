@@ -20,7 +20,7 @@ class AddressClaimed(NamedTuple):
 
 ADDRESS_CLAIMED = FrameLayout(
     AddressClaimed, "ADDRESS_CLAIMED", pgn=0xEE00, priority=6, sender=ANY_DEVICE,
-    fields=(integer("name", 64, "see `protocol/name.py`", subfields=FIELDS),),
+    fields=(integer("name", 64, "NAME of ISO 11783-5", subfields=FIELDS),),
 )  # fmt: skip
 
 
@@ -77,7 +77,8 @@ REPETITION_RATE_REQUEST = FrameLayout(
     RepetitionRateRequest, "REPETITION_RATE_REQUEST", pgn=0xCC00, priority=6, sender=ANY_DEVICE,
     fields=(
         integer("pgn", 24, "the group that is asked for"),
-        integer("rate_ms", 16, "period in ms; 0: stop sending, 0xFFFF: the group's own rate"),
+        integer("rate_ms", 16, "period; 0: stop sending, 0xFFFF: the group's own rate", "ms",
+                special=((0, "STOP"), (0xFFFF, "OWN_RATE"))),
         reserved(24, ones=True),
     ),
 )  # fmt: skip
@@ -107,8 +108,8 @@ class Acknowledgment(NamedTuple):
 ACKNOWLEDGMENT = FrameLayout(
     Acknowledgment, "ACKNOWLEDGMENT", pgn=0xE800, priority=6, sender=ANY_DEVICE,
     fields=(
-        choice("control", 8, AcknowledgmentControl),
-        integer("group_function", 8, "0xFF: none"),
+        choice("control", 8, AcknowledgmentControl, "the answer"),
+        integer("group_function", 8, "0xFF: none", special=((0xFF, "NONE"),)),
         reserved(16, ones=True),
         integer("address", 8, "of the device that asked"),
         integer("pgn", 24, "the group that was asked for"),
@@ -131,7 +132,9 @@ class TransportManagement(NamedTuple):
 TP_CM = FrameLayout(
     TransportManagement, "TP_CM", pgn=0xEC00, priority=7, sender=ANY_DEVICE,
     fields=(
-        integer("control", 8, "16 RTS, 17 CTS, 19 end of message, 32 BAM, 255 abort"),
+        integer("control", 8, "16 RTS, 17 CTS, 19 end of message, 32 BAM, 255 abort", special=(
+            (16, "RTS"), (17, "CTS"), (19, "END"), (32, "BAM"), (255, "ABORT")
+        )),
         octets("body", 4, "by control"),
         integer("pgn", 24, "group of the message that is transferred"),
     ),

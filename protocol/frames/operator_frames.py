@@ -49,8 +49,8 @@ OPERATOR_REPORT = FrameLayout(
     OperatorReport, "OPERATOR_REPORT", pgn=0xFF05, priority=4, sender=ROBOT,
     fields=(
         integer("slot", 8, "of the sender"),
-        integer("number", 4, "of the question; 0: none was asked"),
-        choice("matter", 4, ReportKind, as_enum=True),
+        integer("number", 4, "of the question; 0: none was asked", special=((0, "NONE_ASKED"),)),
+        choice("matter", 4, ReportKind, "what the robot does or asks", as_enum=True),
         scaled("x_m", 16, PLACE_M, "m", "east: the obstacle, or where the robot is going", LOWEST_M,
                clamped=True),
         scaled("y_m", 16, PLACE_M, "m", "north of the same", LOWEST_M, clamped=True),

@@ -86,7 +86,7 @@ EMERGENCY_STOP = FrameLayout(
         integer("slot", 8, PRESSER),
         integer("incarnation", 8, "low byte of the presser's incarnation"),
         integer("counter", 8, "the presser's stop counter"),
-        choice("reason", 4, Reason, strict=False),
+        choice("reason", 4, Reason, "why the stop was pressed", strict=False),
         flag("echo", "repeated by a receiver, which is the source of the frame"),
         flag("spent", "of an echo: this dot was cleared before; press with another counter"),
         reserved(2),
@@ -141,7 +141,8 @@ STOPS_HELD = FrameLayout(
     StopsHeld, "STOPS_HELD", pgn=0xFF09, priority=4, sender=ROBOT,
     fields=(
         integer("slot", 8, "of the robot"),
-        integer("stops", 8, "number of stops; 255: as many or more, or some without a name"),
+        integer("stops", 8, "number of stops; 255: as many or more, or some without a name",
+                special=((255, "AS_MANY_OR_MORE"),)),
         integer("digest", 24, "of all of them"),
         integer("tag", 24, "AES-CMAC with the operator's key, also over the 48 bits of the "
                 "question; 0 in a fleet without keys"),
@@ -190,8 +191,8 @@ class OperatorCommand(NamedTuple):
 OPERATOR_COMMAND = FrameLayout(
     OperatorCommand, "OPERATOR_COMMAND", pgn=0xFF02, priority=2, sender=TOOL,
     fields=(
-        choice("command", 8, Command),
-        integer("target", 8, "slot; 255: every robot"),
+        choice("command", 8, Command, "what the operator orders"),
+        integer("target", 8, "slot; 255: every robot", special=((255, "EVERY_ROBOT"),)),
         integer("operator", 8, OPERATOR, signal="operator_id"),
         integer("argument", 8, "WAIVE: the silent slot; SET_GOAL: check of the goal; CONTINUE, "
                 "REPLAN and WAIT: number of the question that they answer, 0: any"),

@@ -9,9 +9,9 @@ REGISTERS, BLOCKS, STOPS, BUCKETS_SINCE, ALL_BUCKETS = range(5)
 PHASES = ((0, "FREE"), (1, "CLAIMED"), (2, "STARTED"), (7, "DONE"))  # of crdt.claim_register.Phase
 
 REGISTER_FIELDS = (
-    integer("section", 16),
+    integer("section", 16, "its number"),
     integer("epoch", 8, "fencing token: release and takeover raise it"),
-    choice("phase", 3, PHASES),
+    choice("phase", 3, PHASES, "how far the section is"),
     integer("bid", 5, "cost of the section for the owner; the lowest bid wins"),
     integer("lamport", 24, "Lamport time of the operation that wrote the register"),
     integer("owner", 8, "slot"),
@@ -126,7 +126,7 @@ class WorkProgress(NamedTuple):
 WORK_PROGRESS = FrameLayout(
     WorkProgress, "WORK_PROGRESS", pgn=0xFF13, priority=6, sender=ROBOT,
     fields=(
-        integer("section", 16),
+        integer("section", 16, "its number"),
         integer("block", 8, "units 40 * block to 40 * block + 39"),
         integer("bits", 40, "bit i: unit 40 * block + i is covered"),
     ),

@@ -32,6 +32,7 @@ BENCHES = {
     "lidar": "range sensing against pymunk, world steps",
     "phrases": "plain language, misspellings, why, the inspector's screen",
     "files": "damaged files of every kind that is read: time and memory to refuse them",
+    "isobus": "devices of other makers: what a robot answers them, what their tools read of it",
     "leaks": "memory of ten robots with the map, 24 h from 30 min",
     "house": "what can be counted of the sources: cycles, names, ignored types, docstrings, lines",
     "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",

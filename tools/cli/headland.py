@@ -258,16 +258,23 @@ def export(
 @app.command()
 def dbc(
     out: Annotated[
-        Path | None, typer.Argument(help="Where to write; none: to the terminal.")
+        Path | None,
+        typer.Argument(help="Where to write, as .dbc, .kcd or .sym; none: to the terminal."),
+    ] = None,
+    addresses: Annotated[
+        str | None,
+        typer.Option(
+            help="Exact identifiers of these addresses, as 128-133; none: match by group."
+        ),
     ] = None,
 ) -> None:
     """Write a DBC of every frame, for cantools, SavvyCAN, CANalyzer and the like.
 
-    Example: headland dbc headland.dbc
+    Example: headland dbc headland.dbc --addresses 128-133
     """
     from tools.cli.dbc import dbc as command
 
-    raise SystemExit(command(out))
+    raise SystemExit(command(out, addresses))
 
 
 @app.command()

@@ -1,6 +1,7 @@
 """A recorded run, read by cantools alone with the DBC we write, against what our codec reads."""
 
 import keyword
+import re
 import shutil
 import subprocess
 import sys
@@ -20,10 +21,12 @@ from protocol.frames.messages import GROUP_OF, GROUPS, Message
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import ALL_IMPLEMENTS_STOP, AllImplementsStop, Switch
 from protocol.name import Name
-from sim.files.candump import read_candump
+from sim.files.candump import CandumpWriter, read_candump
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
+from tools.bench.cantools_judge import judge
+from tools.cli.dbc import dbc as dbc_command
 from tools.cli.dbc import to_dbc
 
 cantools = pytest.importorskip("cantools", reason="cantools is not installed")
@@ -131,11 +134,12 @@ def test_a8_no_signal_is_a_keyword_of_c_or_cpp() -> None:
     assert not names & KEYWORDS and not any(keyword.iskeyword(name) for name in names)
 
 
-def test_a8_the_generated_c_source_compiles(tmp_path: Path) -> None:
+@pytest.mark.parametrize("addresses", [(), (128, 129)])
+def test_a8_the_generated_c_source_compiles(addresses: Any, tmp_path: Path) -> None:
     compilers = [c for c in ("gcc", "g++") if shutil.which(c)]
     if not compilers:
         pytest.skip("no C compiler is installed")
-    (tmp_path / "headland.dbc").write_text(to_dbc(), encoding="ascii")
+    (tmp_path / "headland.dbc").write_text(to_dbc(addresses), encoding="ascii")
     for words in (
         [sys.executable, "-m", "cantools", "generate_c_source", "headland.dbc"],
         *([c, "-c", "-Wall", "-Wextra", "-Werror", "headland.c"] for c in compilers),
@@ -171,7 +175,7 @@ def test_a16_cycle_times_and_nodes_are_told(by_group: dict[int, Any]) -> None:
 
 def test_a17_cantools_reads_a_log_as_the_documents_say(short_run: Path, tmp_path: Path) -> None:
     text = Path("docs/use/bus.md").read_text()
-    command = next(line for line in text.splitlines() if "cantools decode" in line).split(" <")[0]
+    command = next(line for line in text.splitlines() if "--frame-id-mask" in line).split(" <")[0]
     (tmp_path / "headland.dbc").write_text(to_dbc(), encoding="ascii")
     with (short_run / "can.log").open() as log:
         done = subprocess.run(
@@ -182,3 +186,85 @@ def test_a17_cantools_reads_a_log_as_the_documents_say(short_run: Path, tmp_path
     assert done.returncode == 0 and len(lines) > 1000, done.stderr
     assert not [line for line in lines if "Unknown frame id" in line]
     assert any("POSE(" in line for line in lines)
+
+
+def test_cantools_decodes_a_run_without_flags_as_we_do(short_run: Path, tmp_path: Path) -> None:
+    dbc = tmp_path / "headland.dbc"
+    dbc.write_text(to_dbc(range(128, 131)), encoding="utf-8")
+    judgement = judge(short_run / "can.log", dbc)
+    assert judgement.frames > 1000
+    assert judgement.equal == judgement.frames, judgement.first_difference
+
+
+def test_cantools_decodes_every_kind_of_frame_without_flags(tmp_path: Path) -> None:
+    """Random frames of every group, between every two addresses that may send and receive it."""
+    rng, log = Random(6), tmp_path / "all.log"
+    robots = [128, 131]
+    writer = CandumpWriter(log)
+    for group in GROUPS:
+        for _ in range(20):
+            sources = robots if group.sender in ("robot", "gateway") else [*robots, 249, 254]
+            source = rng.choice(sources)
+            to = rng.choice([a for a in (*robots, 249, 255) if a != source])
+            identifier = Identifier(group.priority, group.pgn, to, source).pack()
+            frame = Frame(identifier, rng.randbytes(group.length))
+            while isinstance(decode(frame)[1], Malformed):
+                frame = Frame(identifier, rng.randbytes(group.length))
+            writer.write(1_000_000, frame)
+    writer.close()
+    dbc = tmp_path / "headland.dbc"
+    dbc.write_text(to_dbc(robots), encoding="utf-8")
+    judgement = judge(log, dbc)
+    assert judgement.equal == judgement.frames == 20 * len(GROUPS), judgement.first_difference
+
+
+@pytest.mark.parametrize("addresses", [(), range(128, 134)])
+def test_every_signal_has_a_comment_and_every_name_fits(addresses: Any) -> None:
+    database = cantools.database.load_string(to_dbc(addresses), "dbc")
+    names = [message.name for message in database.messages]
+    assert len(set(names)) == len(names) and max(map(len, names)) <= 32
+    for message in database.messages:
+        assert message.comment and message.is_extended_frame
+        for signal in message.signals:
+            assert signal.comment and len(signal.name) <= 32, (message.name, signal.name)
+    units = {
+        f"{m.name}.{s.name}"
+        for m in database.messages
+        for s in m.signals
+        if s.unit is None and s.name.endswith(("_m", "_s", "_ms", "_us", "_rad", "_m_s"))
+    }
+    assert not units
+    pose = next(m for m in database.messages if m.name.startswith("POSE"))
+    assert pose.cycle_time == 50
+    assert {c: str(n) for c, n in pose.get_signal_by_name("heard").choices.items()} == {255: "NONE"}
+
+
+@pytest.mark.parametrize("kind", ["kcd", "sym"])
+def test_other_formats_say_the_same(kind: str, tmp_path: Path) -> None:
+    out = tmp_path / f"headland.{kind}"
+    assert dbc_command(out, "128-129") == 0
+    theirs = {m.frame_id: m for m in cantools.database.load_file(out).messages}
+    ours = cantools.database.load_string(to_dbc((128, 129)), "dbc").messages
+    assert theirs.keys() == {m.frame_id for m in ours}
+    rng = Random(3)
+    for message in ours:
+        data = rng.randbytes(message.length)
+        expected = message.decode(data, decode_choices=False)
+        group = "_" + re.sub(r"(_\d{3})+$", "", message.name).lower()
+        read = theirs[message.frame_id].decode(data, decode_choices=False)
+        plain = {k if k in expected else k.removesuffix(group): v for k, v in read.items()}
+        assert plain == pytest.approx(expected), message.name
+
+
+@pytest.mark.parametrize("wrong", ["robots", "128-", "133-128", "254", "0-100"])
+def test_wrong_addresses_are_one_line(wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert dbc_command(None, wrong) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+
+
+def test_no_dbc_extra_is_one_line(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    monkeypatch.setitem(sys.modules, "cantools.database.can", None)
+    assert dbc_command(tmp_path / "x.kcd") == 2
+    assert "headland[formats]" in capsys.readouterr().err

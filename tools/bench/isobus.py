@@ -1,0 +1,150 @@
+"""A robot beside devices of other makers: what it answers them, and what their tools read of it."""
+
+import subprocess
+from collections.abc import Iterator
+from pathlib import Path
+from random import Random
+from tempfile import TemporaryDirectory
+
+from agent.interface.config import ADDRESS_FIRST, ADDRESS_LAST, S
+from agent.interface.effects import Send
+from agent.interface.identity import Identity
+from agent.peer.inputs import Received, Timer
+from agent.peer.peer import Peer
+from agent.runtime.peer_factory import make_peer
+from protocol.frames.codec import encode
+from protocol.frames.diagnostic_frames import (
+    DM1,
+    DM22,
+    STANDARD_HEARTBEAT,
+    BroadcastControl,
+    ClearFault,
+    StandardHeartbeat,
+)
+from protocol.frames.messages import Message
+from protocol.frames.network_frames import (
+    Acknowledgment,
+    AcknowledgmentControl,
+    RepetitionRateRequest,
+    Request,
+    Request2,
+    TransportManagement,
+)
+from protocol.name import fleet_name
+from sim.can.frame_timing import frame_bits
+from sim.files.candump import read_candump
+from tools.bench.cantools_judge import judge
+from tools.bench.figure import Figure
+from tools.common.child_process import module_command
+
+TOOL = 249  # an address
+BITS_A_SECOND = 250_000
+ROBOTS = 20
+# Groups that a tool asks for first, and whether a robot sends them (findings, table B).
+ASKED = {65259: True, 64965: True, 65242: True, 64653: True, 64654: True, 64818: True, DM1.pgn: True,
+         65227: True, 65228: True, 65235: False, 57088: False}  # fmt: skip
+RUNS = {
+    "field": ("run", "small", "--limit", "120"),
+    "delivery": ("run", "warehouse", "--limit", "60"),
+    "navigation": ("run", "rooms", "--limit", "60"),
+    "yard": ("run", "yard", "--limit", "60"),
+    "exploration": ("explore", "--robots", "3"),
+}
+
+
+def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
+    """Requests of diagnostic tools, bus load of faults, and runs as cantools reads them."""
+    yield _answers(seed)
+    yield _load(seed)
+    with TemporaryDirectory() as folder:
+        for kind in list(RUNS)[: 2 if quick else None]:
+            yield _read_by_cantools(kind, Path(folder))
+
+
+def _joined(seed: int) -> tuple[Peer, int]:
+    """A robot on the bus without a fault, and the time."""
+    identity = Identity(
+        0, frozenset({0}), fleet_name("isobus", 0), 1, started=True, first_boot=True
+    )
+    peer, now_us = make_peer(identity, Random(seed), 0, {}), 0
+    while not peer.joining.joined:
+        now_us = max(now_us, peer.due_at_us)
+        peer.step(Timer(), now_us)
+    return peer, now_us
+
+
+def _answers(seed: int) -> Figure:
+    """Requests and commands of table B, each to a robot alone."""
+    peer, now_us = _joined(seed)
+
+    def said(message: Message) -> list[Message]:
+        frame = encode(message, TOOL, peer.address or 0)
+        effects = peer.step(Received(frame), now_us)
+        return [effect.message for effect in effects if isinstance(effect, Send)]
+
+    right = 0
+    for pgn, served in ASKED.items():
+        for message in (Request(pgn), Request2(pgn, 0)):
+            peer, now_us = _joined(seed)  # each is a message to one receiver: one at a time
+            answer = said(message)
+            refused = any(
+                isinstance(m, Acknowledgment) and m.control == AcknowledgmentControl.NACK
+                for m in answer
+            )
+            right += bool(answer) and refused is not served
+    right += said(Request2(DM1.pgn, 1)) != []
+    right += isinstance(said(BroadcastControl(0))[0], Acknowledgment)
+    right += isinstance(said(ClearFault(17, 255, 110, 3, 0))[0], ClearFault)
+    right += said(RepetitionRateRequest(STANDARD_HEARTBEAT.pgn, 100)) == [] and any(
+        isinstance(effect.message, StandardHeartbeat)
+        for effect in peer.step(Timer(), now_us)
+        if isinstance(effect, Send)
+    )
+    asked = 2 * len(ASKED) + 4
+    return Figure("requests of diagnostic tools that are answered", right / asked, "share", "1",
+                  right == asked, "ISO 11783-3, -7, -12, SAE J1939-73",
+                  f"{asked} requests: identification, DM1 to DM3, DM11, DM13, {DM22.name}, Request2, "
+                  "repetition rate")  # fmt: skip
+
+
+def _load(seed: int) -> Figure:
+    """DM1 of a fleet in which each robot stands for two causes."""
+    identity = Identity(0, frozenset({0}), fleet_name("isobus", 0), 1, diagnostics=True)
+    peer, now_us, bits, seconds = make_peer(identity, Random(seed), 0, {}), 0, 0, 60
+    from_us = 10 * S
+    while now_us < from_us + seconds * S:
+        for effect in peer.step(Timer(), now_us):
+            if not isinstance(effect, Send) or now_us < from_us:
+                continue
+            frame = encode(effect.message, peer.address or 0)
+            kind = frame.identifier >> 16 & 0xFF
+            told = isinstance(effect.message, TransportManagement) or kind == 0xEB
+            if told or frame.identifier >> 8 & 0x3FFFF == DM1.pgn:
+                bits += frame_bits(*frame)
+        now_us = max(now_us + 1, peer.due_at_us)
+    share = ROBOTS * bits / seconds / BITS_A_SECOND
+    return Figure(f"bus load of faults, {ROBOTS} robots that stand", share, "share", "<= 0.04",
+                  share <= 0.04, "250 kbit/s",
+                  "DM1 and its transport frames of one robot with two causes or more, 60 s, "
+                  f"{ROBOTS} times; the standard heartbeat is not asked for")  # fmt: skip
+
+
+def _read_by_cantools(kind: str, folder: Path) -> Figure:
+    """A run of one kind, as `cantools decode` reads it without flags."""
+    from cantools import __version__
+
+    out, dbc = folder / kind, folder / "headland.dbc"
+    command = module_command("tools.cli.headland")
+    # A run that is cut short exits with 1.
+    subprocess.run([*command, *RUNS[kind], "--out", str(out)], capture_output=True, check=False)
+    sources = {frame.identifier & 0xFF for _, frame in read_candump(out / "can.log")}
+    robots = [address for address in sorted(sources) if ADDRESS_FIRST <= address <= ADDRESS_LAST]
+    addresses = ",".join(map(str, robots))
+    subprocess.run(
+        [*command, "dbc", str(dbc), "--addresses", addresses], capture_output=True, check=True
+    )
+    result = judge(out / "can.log", dbc)
+    share = result.equal / result.frames
+    return Figure(f"frames of a run that cantools reads as we do: {kind}", share, "share", "1",
+                  share == 1 and not result.first_difference, f"cantools {__version__}, no flags",
+                  f"{result.frames} frames, every signal; {result.first_difference}")  # fmt: skip
