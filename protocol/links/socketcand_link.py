@@ -35,6 +35,7 @@ DEAD_S = 1.0  # without an answer either: three questions, and ten times what a 
 UNSENT_MAX = 16_384  # bytes waiting for the server: 300 frames, a sixth of a second of a full bus
 FIRST_S = 0.1  # before the next try, doubled each time
 LAST_S = 1.0  # upper limit; at this limit a whole fleet makes a hundred tries a second
+STANDARD_DIGITS = 3  # of an 11-bit identifier
 COUNT_DIGITS_MAX = 18  # of a number of frames: more than any wire will ever carry
 NO_LINGER = struct.pack("ii", 1, 0)  # close discards what the other side has not read
 
@@ -47,6 +48,7 @@ class SocketcandLink(asyncio.Protocol):
         self.host, self.port, self.channel, self._rng = host, port, channel, rng
         self.connections = 0  # established so far
         self.malformed = 0  # answers that could not be parsed
+        self.other_frames = 0  # 11-bit and remote frames of other devices, which no robot reads
         self.refused = 0  # frames that were not accepted
         # Frames that have left the wire; see `agent.interface.ports.Confirming`.
         self.sent: int | None = None
@@ -184,10 +186,15 @@ class SocketcandLink(asyncio.Protocol):
     def _answer(self, words: list[bytes]) -> None:
         if words[:1] == [b"frame"]:
             frame = _frame(words)
-            if frame is None:
+            if frame is None and len(words) > 2 and len(words[1]) == STANDARD_DIGITS:
+                self.other_frames += 1
+            elif frame is None:
                 self.malformed += 1
             elif self._raw.is_set() and self._callback is not None:
                 self._callback(frame)
+            return
+        if words[:1] == [b"rtr"]:
+            self.other_frames += 1
             return
         if self._raw.is_set() and self._count(words):
             return

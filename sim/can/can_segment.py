@@ -19,6 +19,7 @@ from typing import Final, NamedTuple
 
 from protocol.frames.frame import Frame
 from sim.can.frame_timing import BIT_US, WORST_BITS, frame_bits
+from sim.can.other_frame import OtherFrame
 
 QUEUE_MAX = 256  # frames that a node may have waiting: 0.15 s of a bus used by it alone
 ERROR_US = 31 * BIT_US  # error flag, its superposition and delimiter, interframe space
@@ -107,6 +108,7 @@ class Wire:
         self.busy_for_us = 0
         self.worst_for_us = 0  # time of the same frames at worst-case stuffing
         self.by_group: dict[int, int] = {}  # frames of each parameter group
+        self.others = 0  # frames with an 11-bit identifier, and remote frames
         self._rng = {
             k: Random(f"{seed}/wire/{k}") for k in ("loss", "omission", "duplicate", "error")
         }
@@ -338,7 +340,10 @@ class Wire:
             return
         frame = best[2]
         identifier, data = frame
-        bits = frame_bits(identifier, data)
+        if frame.__class__ is OtherFrame:
+            bits = frame.bits
+        else:
+            bits = frame_bits(identifier, data)
         self.worst_for_us += WORST_BITS[len(data)] * self.bit_us
         node = self.nodes[sender]
         if frame is node.flood and not later_at_us and self._undisturbed(node):
@@ -371,8 +376,11 @@ class Wire:
                 self._heal_receivers(number, node.island)
             node.sent += 1
             self.frames += 1
-            group = frame[0] >> 8 & 0x3FFFF
-            self.by_group[group] = self.by_group.get(group, 0) + 1
+            if frame.__class__ is OtherFrame:
+                self.others += 1
+            else:
+                group = frame[0] >> 8 & 0x3FFFF
+                self.by_group[group] = self.by_group.get(group, 0) + 1
             repeated = (
                 self.faults.duplicate > 0
                 and self._rng["duplicate"].random() < self.faults.duplicate

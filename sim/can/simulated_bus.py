@@ -25,6 +25,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.messages import Message as AnyMessage
 from sim.can.can_segment import PASSIVE, Wire
+from sim.can.other_frame import OtherFrame
 
 # Frames kept for a program that does not read; beyond this the newest are dropped.
 RX_QUEUE_MAX = 8192
@@ -93,6 +94,10 @@ class Segment:
         # Buffers of buses that accept deferred beats.
         self.buffers: dict[int, list[BufferedBeacon]] = {}
         self.tellers: dict[int, Tap] = {}  # called when a frame of the node has left
+        # Of 11-bit and remote frames, which only clients of the hub receive.
+        self.other_ears: dict[int, Callable[[OtherFrame], None]] = {}
+        self.error_ears: dict[int, Callable[[], None]] = {}  # after frames that were broken
+        self._errors = 0  # of the wire, when they were told
         self.taps: list[Tap] = []
         self.taps_lost = 0  # taps that failed to write
         self.lock = threading.RLock()  # programs without an event loop send and receive in threads
@@ -130,7 +135,9 @@ class Segment:
         """Take a node off the wire; the others go on."""
         with self.lock:
             self.wire.detach(node, self.now_us())
-            for those in (self.buses, self.ears, self.buffers, self.tellers):
+            for those in (
+                self.buses, self.ears, self.buffers, self.tellers, self.other_ears, self.error_ears,
+            ):  # fmt: skip
                 those.pop(node, None)
             self.arm()
 
@@ -167,6 +174,9 @@ class Segment:
         buses, ears, buffers = self.buses, self.ears, self.buffers
         tellers, lost = self.tellers, NONE_LOST
         for t_us, frame, sender, receivers in self.wire.advance(self.now_us()):
+            if frame.__class__ is OtherFrame:
+                self._pass_other(t_us, frame, sender, receivers)
+                continue
             for tap in self.taps:
                 try:
                     tap(t_us, frame)
@@ -187,6 +197,19 @@ class Segment:
             if lost:
                 self._end_taps(lost)
                 lost = ()
+
+        if self._errors != self.wire.errors:
+            self._errors = self.wire.errors
+            for tell in list(self.error_ears.values()):
+                tell()
+
+    def _pass_other(self, t_us: int, frame: Frame, sender: int, receivers: tuple[int, ...]) -> None:
+        assert isinstance(frame, OtherFrame)
+        if sender in self.tellers:
+            self.tellers[sender](t_us, frame)
+        for node in receivers:
+            if node in self.other_ears:
+                self.other_ears[node](frame)
 
     def _end_taps(self, lost: Sequence[tuple[Tap, OSError]]) -> None:
         """Remove the taps that failed."""

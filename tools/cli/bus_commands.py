@@ -136,6 +136,7 @@ def hub(
         bool | None,
         typer.Option("--beacon/--no-beacon", help="Tell tools by UDP; default: on loopback only."),
     ] = None,
+    errors: Annotated[bool, typer.Option("--errors", help="Tell clients error frames.")] = False,
     json: Json = False,
 ) -> None:
     """Run a simulated bus by itself: robots on it stand while it is gone, and reconnect by themselves.
@@ -144,7 +145,7 @@ def hub(
     """
     from tools.cli.hub import hub as command
 
-    raise SystemExit(command(host, port, bitrate, seed, json, beacon))
+    raise SystemExit(command(host, port, bitrate, seed, json, beacon, errors))
 
 
 @app.command()

@@ -27,12 +27,18 @@ OPEN = (
 
 
 async def _serve(
-    host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool
+    host: str,
+    port: int,
+    bitrate: int,
+    seed: int,
+    as_json: bool,
+    announced: bool,
+    errors: bool = False,
 ) -> None:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     for number in (signal.SIGINT, signal.SIGTERM):
         loop.add_signal_handler(number, end.set)
-    served = Hub(segment(f"hub {os.getpid()}", bitrate, seed), CHANNEL)
+    served = Hub(segment(f"hub {os.getpid()}", bitrate, seed), CHANNEL, errors)
     await served.start(host, port)
     where = {"host": host, "port": served.port, "channel": CHANNEL, "pid": os.getpid()}
     if as_json:
@@ -62,15 +68,22 @@ def loopback(host: str) -> bool:
 
 
 def hub(
-    host: str, port: int, bitrate: int, seed: int, as_json: bool, announced: bool | None = None
+    host: str,
+    port: int,
+    bitrate: int,
+    seed: int,
+    as_json: bool,
+    announced: bool | None = None,
+    errors: bool = False,
 ) -> int:
     """Serve a bus until Ctrl-C. The exit code is 2 if the port is taken.
 
-    `announced`: by socketcand's beacon; None: where only this machine can hear it.
+    `announced`: by socketcand's beacon; None: where only this machine can hear it. `errors`: clients
+    are told error frames.
     """
     says = loopback(host) if announced is None else announced
     try:
-        asyncio.run(_serve(host, port, bitrate, seed, as_json, says))
+        asyncio.run(_serve(host, port, bitrate, seed, as_json, says, errors))
     except OSError as problem:
         print(
             f"headland: --port {port}: {problem.strerror or problem}; choose another or 0 for any free "

@@ -5,6 +5,7 @@ import contextlib
 import os
 import socket
 import sys
+import time
 from asyncio.subprocess import DEVNULL
 from collections.abc import Awaitable, Callable
 from pathlib import Path
@@ -325,3 +326,191 @@ def test_l6_clients_that_do_not_read_cost_little_and_starve_nobody(flood: str) -
         assert max(behind) < 20 and held < 60e6
 
     on_a_hub(f"flood {flood}", story)
+
+
+def answered(sock: socket.socket, words: bytes, until: bytes = b">") -> bytes:
+    """What comes after these words, until that ends it."""
+    sock.sendall(words)
+    heard = b""
+    while not heard.endswith(until):
+        part = sock.recv(1)
+        if not part:
+            return heard + b"closed"
+        heard += part
+    return heard
+
+
+def clients(name: str, story: Callable[[int, Hub], None]) -> None:
+    async def run(served: Served) -> None:
+        await asyncio.to_thread(story, served.hub.port, served.hub)
+
+    on_a_hub(name, run)
+
+
+def test_frames_of_every_kind_pass_between_clients_of_python_can() -> None:
+    """11-bit identifiers both ways, and python-can's own reading of them."""
+
+    def story(port: int, hub: Hub) -> None:
+        with (
+            can.Bus("can0", "socketcand", host="127.0.0.1", port=port) as one,
+            can.Bus("can0", "socketcand", host="127.0.0.1", port=port) as other,
+        ):
+            for message in (
+                can.Message(arbitration_id=0x123, data=[1, 2], is_extended_id=False),
+                can.Message(arbitration_id=0x7FF, data=[], is_extended_id=False),
+                can.Message(arbitration_id=0x18FFFF20, data=[3], is_extended_id=True),
+            ):
+                one.send(message)
+                heard = other.recv(LIMIT_S)
+                assert heard is not None
+                assert heard.arbitration_id == message.arbitration_id
+                assert heard.is_extended_id == message.is_extended_id
+                assert heard.data == message.data
+                assert abs(heard.timestamp - time.time()) < LIMIT_S  # the wall clock
+
+    clients("kinds", story)
+
+
+def test_remote_frames_are_told_as_rtr() -> None:
+    def story(port: int, hub: Hub) -> None:
+        with greeted(port) as one, greeted(port) as other:
+            told(other, b"< rawmode >", b"< ok >")
+            for words, answer in (
+                (b"< sendrtr 123 4 >", b"< rtr 123 "),
+                (b"< sendrtr 1AAAAAAA 2 >", b"< rtr 1AAAAAAA "),
+            ):
+                one.sendall(words)
+                line = answered(other, b"")
+                assert line.startswith(answer) and line.endswith(words[-4:]), line
+            assert answered(one, b"< sendrtr 800 4 >") == b"< error not a classic CAN frame >"
+            assert answered(one, b"< sendrtr 123 9 >") == b"< error not a classic CAN frame >"
+
+    clients("remote", story)
+
+
+def test_the_broadcast_manager_sends_and_filters() -> None:
+    """`open` leads to its mode; a second client in raw mode hears what it sends."""
+
+    def story(port: int, hub: Hub) -> None:
+        with greeted(port) as manager, greeted(port) as raw:
+            told(raw, b"< rawmode >", b"< ok >")
+            manager.sendall(b"< add 0 20000 123 2 42 43 >")
+            lines = [answered(raw, b"").split() for _ in range(3)]
+            assert {(line[1], line[2], line[4]) for line in lines} == {(b"frame", b"123", b"4243")}
+            manager.sendall(b"< update 123 1 44 >")
+            while answered(raw, b"").split()[4] != b"44":
+                pass
+            manager.sendall(b"< delete 123 >")
+            assert (
+                answered(manager, b"< delete 123 >") == b"< error no send job of this identifier >"
+            )
+
+            told(manager, b"< subscribe 0 0 18FFFF20 >< echo >", b"< echo >")
+            raw.sendall(b"< send 18FFFF21 1 1 >< send 18FFFF20 1 2 >")
+            assert answered(manager, b"").split()[2::2][:2] == [b"18FFFF20", b"02"]
+            told(manager, b"< unsubscribe 18FFFF20 >< filter 0 0 124 1 F0 >< echo >", b"< echo >")
+            raw.sendall(b"< send 18FFFF20 1 3 >< send 124 1 10 >< send 124 1 11 >< send 124 1 20 >")
+            assert [answered(manager, b"").split()[4] for _ in range(2)] == [b"10", b"20"]
+            mux = b"< muxfilter 0 0 125 2 FF 00 00 00 00 00 00 00 33 FF FF FF FF FF FF FF >< echo >"
+            told(manager, mux, b"< echo >")
+            raw.sendall(b"< send 125 2 33 1 >< send 125 2 44 1 >< send 125 2 33 2 >")
+            assert [answered(manager, b"").split()[4] for _ in range(2)] == [b"3301", b"3302"]
+
+            # Its jobs and filters end with the mode, and so do its commands.
+            told(manager, b"< add 0 20000 126 0 >< rawmode >", b"< ok >")
+            refused = b"< error add is a command of bcmmode >"
+            manager.sendall(b"< add 0 20000 123 0 >")
+            line = b""
+            while not line.startswith(b"< error"):
+                line = answered(manager, b"")
+            assert line == refused
+
+    clients("manager", story)
+
+
+def test_statistics_come_in_control_mode() -> None:
+    def story(port: int, hub: Hub) -> None:
+        with greeted(port) as one, greeted(port) as other:
+            told(one, b"< controlmode >", b"< ok >")
+            one.sendall(b"< statistics 10 >")
+            assert answered(one, b"") == b"< stat 0 0 0 0 >"
+            other.sendall(b"< send 18FFFF21 2 1 2 >")
+            one.sendall(b"< send 123 1 1 >")
+            while answered(one, b"") != b"< stat 2 1 1 1 >":
+                pass
+            one.sendall(b"< statistics 0 >< echo >")
+            while answered(one, b"") != b"< echo >":
+                pass
+            assert answered(other, b"< statistics 10 >").startswith(b"< error statistics is a")
+
+    clients("statistics", story)
+
+
+def test_a_wrong_bus_ends_the_connection() -> None:
+    def story(port: int, hub: Hub) -> None:
+        with socket.create_connection(("127.0.0.1", port), LIMIT_S) as sock:
+            told(sock, b"", b"< hi >")
+            assert answered(sock, b"< open can7 >") == b"< error could not open bus can7 >"
+            assert sock.recv(1) == b""
+
+    clients("wrong bus", story)
+
+
+def test_broken_frames_are_told_where_the_hub_tells_errors() -> None:
+    """python-can reads them as error frames."""
+
+    async def main() -> None:
+        line = segment("errors", seed=3)
+        hub = Hub(line, errors=True)
+        await hub.start()
+        line.wire.faults.error = 1.0
+        try:
+            await asyncio.to_thread(story, hub.port)
+        finally:
+            await hub.stop()
+            forget("errors")
+
+    def story(port: int) -> None:
+        with (
+            can.Bus("can0", "socketcand", host="127.0.0.1", port=port) as one,
+            can.Bus("can0", "socketcand", host="127.0.0.1", port=port) as other,
+        ):
+            one.send(can.Message(arbitration_id=0x18FFFF20, data=[1]))
+            heard = other.recv(LIMIT_S)
+            assert heard is not None and heard.is_error_frame and heard.arbitration_id == 0x088
+            kinds = set()
+            while 0x040 not in kinds:  # bus-off after 32 of them
+                heard = one.recv(LIMIT_S)
+                assert heard is not None and heard.is_error_frame
+                kinds.add(heard.arbitration_id)
+            assert kinds == {0x088, 0x004, 0x040}
+
+    asyncio.run(main())
+
+
+def test_our_robots_count_frames_of_other_kinds_and_read_none() -> None:
+    async def story(served: Served) -> None:
+        link, heard = SocketcandLink("127.0.0.1", served.hub.port, "can0", Random(1)), list[Frame]()
+        link.subscribe(heard.append)
+        await link.up()
+        with await asyncio.to_thread(greeted, served.hub.port) as sock:
+            await asyncio.to_thread(
+                sock.sendall, b"< send 123 1 1 >< sendrtr 123 2 >< send 18FFFF20 1 2 >"
+            )
+            await served.until(lambda: heard == [Frame(0x18FFFF20, b"\x02")])
+        assert link.other_frames == 2 and link.malformed == 0
+        link.close()
+
+    on_a_hub("robots and others", story)
+
+
+COMMANDS = (
+    "open", "rawmode", "bcmmode", "controlmode", "isotpmode", "send", "sendrtr", "add", "update",
+    "delete", "subscribe", "unsubscribe", "filter", "muxfilter", "statistics", "echo", "confirm",
+)  # fmt: skip
+
+
+def test_the_documents_have_every_command() -> None:
+    text = Path("docs/use/bus.md").read_text()
+    for command in COMMANDS:
+        assert f"| `< {command}" in text, command
