@@ -40,7 +40,7 @@ check: setup
 
 # Once and beside the types: tests that begin together would each compile what they both need.
 kernels: setup
-	@$(BIN)/headland warmup
+	@$(BIN)/headland compile --kernels
 
 test: setup
 	@$(MAKE) --no-print-directory --jobs=2 --output-sync=target check kernels

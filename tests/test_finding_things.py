@@ -52,7 +52,7 @@ QUESTIONS = {
     "Which faults can chaos play?": "sim/fleet/fault_injector.py",
     "Who judges what robots covered?": "sim/world/coverage_truth.py",
     "Which bugs are planted to test the judges?": "sim/chaos/planted_bugs.py",
-    "What does `headland estop` do?": "tools/operate/estop.py",
+    "What does `headland stop` do?": "tools/operate/estop.py",
     "What does `headland launch` start?": "tools/run/launch.py",
     "Which subcommands are there?": "tools/cli/headland.py",
     "How are commands in plain language understood?": "tools/language/parse.py",

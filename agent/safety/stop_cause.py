@@ -54,7 +54,7 @@ class StopCause(Enum):
         Severity.PAUSE,
         ClearCondition.BY_START,
         "no start was given since boot or reset",
-        "give the start: headland reset --start, or START on the map",
+        "give the start: headland release --start, or START on the map",
     )
     OBSTACLE_AHEAD = _Rule(
         Severity.PAUSE,
@@ -168,13 +168,13 @@ class StopCause(Enum):
         Severity.LATCHED,
         ClearCondition.BY_RESET,
         "an emergency stop",
-        "see that no person is in danger, then headland reset",
+        "see that no person is in danger, then headland release",
     )
     BOOT_UNCONFIRMED = _Rule(
         Severity.LATCHED,
         ClearCondition.BY_RESET,
         "durable memory was lost or is unreadable",
-        "look at this robot, then headland reset",
+        "look at this robot, then headland release",
     )
 
     severity: Severity
@@ -253,7 +253,7 @@ def sentence(number: int, subject: int, count: int = 0) -> str:
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
     'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'
     >>> sentence(StandsBy.STOP_DOT, NOBODY, 3)
-    'STOP_DOT (3 stops): see that no person is in danger, then headland reset'
+    'STOP_DOT (3 stops): see that no person is in danger, then headland release'
     """
     cause = cause_of(number)
     if cause is None:

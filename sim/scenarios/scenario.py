@@ -1,6 +1,7 @@
 """Scenario files: validated TOML; an invalid file gives one line with the key and the reason."""
 
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -420,12 +421,21 @@ def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
     if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"
     if not path.exists():
-        known = ", ".join(shipped(folder))
-        raise ScenarioError(f"{name}: no such file, and no scenario of that name ships ({known})")
+        raise ScenarioError(
+            f"{name}: no such file, and no scenario of that name ships{_meant(name)}"
+        )
     try:
         return read_toml(path, SCENARIO_BYTES_MAX), path.parent
     except GivenFileError as problem:
         raise ScenarioError(f"{name}: {problem}") from None
+
+
+def _meant(name: str) -> str:
+    """The shipped name that was probably meant, of any kind, or all of them."""
+    folders = (SHIPPED, SHIPPED.parent / "warehouses", SHIPPED.parent / "arenas")
+    known = sorted({each for folder in folders for each in shipped(folder)})
+    near = get_close_matches(name, known, n=1)
+    return f"; did you mean {near[0]!r}?" if near else f" ({', '.join(known)})"
 
 
 def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:

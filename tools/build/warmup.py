@@ -1,4 +1,4 @@
-"""`headland warmup`: compile the kernels once, so that no robot waits for it in the field."""
+"""`headland compile --kernels`: compile the kernels once, so that no robot waits for it in the field."""
 
 import os
 import signal

@@ -5,6 +5,7 @@ from typing import Annotated
 
 import typer
 
+from tools.cli.panels import LOOK, OPERATE, SET_UP
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
@@ -19,21 +20,26 @@ from tools.common.options import (
     Port,
 )
 
+REASONS = (
+    "OBSTACLE_DETECTED, OPERATOR_INTERVENTION, SYSTEM_FAULT, COLLISION_DETECTED, PERSON_IN_FIELD, "
+    "EQUIPMENT_MALFUNCTION or MAINTENANCE_REQUIRED"
+)
 app = typer.Typer()
 
 
-@app.command()
-def estop(
+@app.command("stop", rich_help_panel=OPERATE)
+@app.command("estop", hidden=True)
+def stop(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
-    reason: Annotated[str, typer.Option(help="Reason code.")] = "OPERATOR_INTERVENTION",
+    reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = "OPERATOR_INTERVENTION",
     timeout: Annotated[float, typer.Option(help="Seconds to wait for every robot's echo.")] = 2.0,
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Stop every robot on a bus, and say which have confirmed. Exit 0 only when all live ones did.
 
-    Example: headland estop -i socketcan -c can0
+    Example: headland stop -i socketcan -c can0
     """
     from tools.operate.estop import estop as command
 
@@ -42,8 +48,9 @@ def estop(
     )
 
 
-@app.command()
-def reset(
+@app.command("release", rich_help_panel=OPERATE)
+@app.command("reset", hidden=True)
+def release(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
     start: Annotated[bool, typer.Option("--start/--no-start", help="And start the work.")] = False,
@@ -52,14 +59,14 @@ def reset(
 ) -> None:  # fmt: skip
     """Clear the stops that are shown, reset each machine, and (with --start) start the work again.
 
-    Example: headland reset --start
+    Example: headland release --start
     """
     from tools.operate.reset import reset as command
 
     raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout, json))
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATE)
 def order(
     robot: Annotated[int, typer.Argument(help="The robot's number.")],
     what: Annotated[
@@ -83,7 +90,7 @@ def order(
     raise SystemExit(command(robot, what, place, bus, key, timeout, json))
 
 
-@app.command()
+@app.command(rich_help_panel=OPERATE)
 def say(
     phrase: Annotated[
         list[str] | None, typer.Argument(help="What you want, in words; none: a conversation.")
@@ -126,7 +133,7 @@ def say(
     raise SystemExit(command(phrase or [], options))
 
 
-@app.command()
+@app.command(rich_help_panel=SET_UP)
 def hub(
     host: Host = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 29536,
@@ -148,7 +155,7 @@ def hub(
     raise SystemExit(command(host, port, bitrate, seed, json, beacon, errors))
 
 
-@app.command()
+@app.command(rich_help_panel=LOOK)
 def inspect(
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
@@ -176,7 +183,7 @@ def inspect(
     )
 
 
-@app.command("map")
+@app.command("map", rich_help_panel=LOOK)
 def show_map(
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
@@ -211,7 +218,7 @@ def show_map(
     )
 
 
-@app.command()
+@app.command(rich_help_panel=SET_UP)
 def bridge(
     segment: Annotated[int, typer.Option(help="Number of this segment, from 1.")],
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,

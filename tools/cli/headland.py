@@ -1,19 +1,31 @@
 """The one command. Each sub-command imports what it needs when it is called: `--help` stays quick."""
 
 import sys
+import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from tools.cli import bus_commands, keys, tasks
+from tools.cli import bus_commands, keys, setup_commands, tasks
 from tools.cli import test_commands as trial_commands
+from tools.cli.panels import (
+    DEVELOP,
+    LOOK,
+    OPERATE,
+    PLAY,
+    SET_UP,
+    SETTINGS,
+    Panels,
+    show_version,
+)
 from tools.common import extras
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
     Channel,
+    Drive,
     Host,
     Json,
     KeyFile,
@@ -21,31 +33,55 @@ from tools.common.options import (
     MapOperatorKey,
     PagePort,
     Port,
+    Robots,
+    Seed,
 )
+from tools.common.verbosity import Verbosity
 from tools.run import coverage
 
 WRONG, INTERRUPTED = 2, 130
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
+KIND_WORDS = {  # of a scenario, in an error
+    "delivery": "a warehouse", "exploration": "an arena", "grid": "a grid map",
+}  # fmt: skip
 WORDS = "Words such as beat, dot, lease and unit: docs/glossary.md in the repository."
 app = typer.Typer(
     help=HELP,
     epilog=WORDS,
+    cls=Panels,
+    context_settings=SETTINGS,
     no_args_is_help=True,
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
 
 
-@app.command()
+@app.callback()
+def headland(
+    version: Annotated[
+        bool,
+        typer.Option("--version", is_eager=True, callback=show_version, help="Print the version."),
+    ] = False,
+    quiet: Annotated[
+        bool, typer.Option("-q", "--quiet", help="Print only errors, and with --json the JSON.")
+    ] = False,
+    verbose: Annotated[
+        bool, typer.Option("-v", "--verbose", help="Also where an error came from.")
+    ] = False,
+) -> None:
+    """A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."""
+
+
+@app.command(rich_help_panel=PLAY)
 def run(
     scenario: Annotated[
-        str, typer.Argument(help="A scenario file, or the name of one that ships.")
+        str, typer.Argument(help="One that ships (headland list), or a .toml, .map or field file.")
     ] = "oxted",
-    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    robots: Robots = None,
+    seed: Seed = None,
     feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
-    drive: Annotated[str | None, typer.Option(help="mecanum, differential or ackermann.")] = None,
+    drive: Annotated[Drive | None, typer.Option(help="Of a field's robots.")] = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
     ] = None,
@@ -64,33 +100,51 @@ def run(
     ] = 0,
     seconds: Annotated[float | None, typer.Option(help="With --live: end after this long.")] = None,
     keys: KeyFile = None,
+    film: Annotated[
+        bool, typer.Option("--film", help="An exploration: also maps.gif, the map growing.")
+    ] = False,
     show_map: Map = False,
     page_port: PagePort = 8700,
     json: Json = False,
 ) -> None:
-    """Work a scenario to its end in virtual time, as fast as it can go. A field file is one, too.
+    """Play a scenario in virtual time: a field, a building, a warehouse, an arena or a grid map.
 
+    The scenario says which. Exit 0 only for a run without a flaw.
     Example: headland run oxted --robots 8 --seed 3 --out runs/eight
+    Example: headland run ring --robots 4 --film
     Example: headland run warehouse --live, then elsewhere: headland task add 9.5,2.5 1.5,8.5
     """
-    from sim.scenarios.delivery_scenario import is_warehouse
-    from tools.run.run_field import run as command
+    from sim.scenarios.scenario_kind import Kind, named
 
-    warehouse = is_warehouse(scenario)
+    kind, name = named(scenario)
+    worked = kind in (Kind.FIELD, Kind.ERRANDS, Kind.PROTOCOL)
+    warehouse, arena = kind is Kind.DELIVERY, kind is Kind.EXPLORATION
     unfit = {
         "--live": live and not warehouse, "--port": port and not live,
-        "--seconds": seconds is not None and not live, "--map": show_map and warehouse,
-        "--drive": drive is not None and warehouse, "--feature": feature is not None and warehouse,
-        "--log": bool(log) and warehouse, "--limit": limit is not None and live,
+        "--seconds": seconds is not None and not live, "--map": show_map and not worked,
+        "--drive": drive is not None and not worked,
+        "--feature": feature is not None and not worked, "--log": bool(log) and not worked,
+        "--limit": limit is not None and (live or not (worked or warehouse)),
+        "--keys": keys is not None and not (worked or warehouse), "--film": film and not arena,
     }  # fmt: skip
-    _refuse(scenario, "a warehouse" if warehouse else "no warehouse", live, unfit)
+    _refuse(scenario, KIND_WORDS.get(kind.value, "no warehouse"), live, unfit)
     if warehouse:
         from tools.run.run_delivery import haul
 
-        raise SystemExit(haul(scenario, robots, seed, out, json, keys, live, port, seconds, limit))
+        raise SystemExit(haul(name, robots, seed, out, json, keys, live, port, seconds, limit))
+    if arena:
+        from tools.run.run_exploration import explore as command
+
+        raise SystemExit(command(name, robots, seed, out, json, film))
+    if kind is Kind.GRID:
+        from tools.run.coverage import GRID_ROBOTS, drive_grid
+
+        raise SystemExit(drive_grid(Path(name), robots or GRID_ROBOTS, seed or 0, out, json))
+    from tools.run.run_field import run as work
+
     page = page_port if show_map else None
     raise SystemExit(
-        command(scenario, robots, seed, out, json, keys, log or [], feature, drive, page, limit)
+        work(name, robots, seed, out, json, keys, log or [], feature, drive, page, limit)
     )
 
 
@@ -99,6 +153,7 @@ def _refuse(scenario: str, kind: str, live: bool, unfit: Mapping[str, object]) -
     for option, is_unfit in unfit.items():
         if is_unfit:
             how = "" if option == "--live" or live else " without --live"
+            how = how if option in ("--port", "--seconds") else ""
             print(
                 f"headland: {option}: does nothing here: {scenario} is {kind}{how}; leave it out",
                 file=sys.stderr,
@@ -106,37 +161,35 @@ def _refuse(scenario: str, kind: str, live: bool, unfit: Mapping[str, object]) -
             raise SystemExit(WRONG)
 
 
-@app.command()
+@app.command(hidden=True)
 def explore(
     scenario: Annotated[
         str, typer.Argument(help="An arena file, or the name of one that ships.")
     ] = "arena",
-    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    robots: Robots = None,
+    seed: Seed = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
     ] = None,
-    animate: Annotated[
-        bool, typer.Option("--film", help="Also maps.gif: the map, growing.")
-    ] = False,
+    film: Annotated[bool, typer.Option("--film", help="Also maps.gif: the map, growing.")] = False,
     json: Json = False,
 ) -> None:
-    """Explore an arena to its end in virtual time. Exit 0 only for a run without a flaw.
+    """The older name of `headland run` for arenas.
 
-    Example: headland explore offices --robots 6 --out runs/offices
+    Example: headland run offices --robots 6 --out runs/offices
     """
     from tools.run.run_exploration import explore as command
 
-    raise SystemExit(command(scenario, robots, seed, out, json, animate))
+    raise SystemExit(command(scenario, robots, seed, out, json, film))
 
 
-@app.command()
+@app.command(rich_help_panel=PLAY)
 def launch(
     scenario: Annotated[
         str, typer.Argument(help="A scenario file, or the name of one that ships.")
     ] = "oxted",
-    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
-    seed: Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")] = None,
+    robots: Robots = None,
+    seed: Seed = None,
     out: Annotated[
         Path | None, typer.Option(help="Folder of this fleet (none: runs/NAME-N, and runs/launch).")
     ] = None,
@@ -162,7 +215,7 @@ def launch(
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
 
     A fleet whose work is not done is continued by the same command, with its stops and its work.
-    Example: headland launch --robots 6, then in another terminal: headland estop
+    Example: headland launch --robots 6, then in another terminal: headland stop
     """
     from tools.run.launch_command import launch as command
 
@@ -186,7 +239,7 @@ def launch(
     )
 
 
-@app.command()
+@app.command(hidden=True)
 def replay(
     log: Annotated[Path, typer.Argument(help="Run folder, or log: .log .mcap .asc .blf .csv .trc")],
     speed: Annotated[float, typer.Option(help="Times real time; 0: at once.")] = 0.0,
@@ -207,7 +260,7 @@ def replay(
     raise SystemExit(command(log, speed, interface, channel, bitrate, host, port, json, page))
 
 
-@app.command()
+@app.command(rich_help_panel=LOOK)
 def report(
     source: Annotated[Path, typer.Argument(help="Run folder or log.")] = Path("runs/latest"),
     out: Annotated[
@@ -224,7 +277,7 @@ def report(
     raise SystemExit(command(source, out, json))
 
 
-@app.command()
+@app.command(rich_help_panel=SET_UP)
 def fields(
     file: Annotated[Path, typer.Argument(help="GeoJSON, or task data: TASKDATA.XML, folder, zip.")],
     json: Json = False,
@@ -238,7 +291,7 @@ def fields(
     raise SystemExit(command(file, json))
 
 
-@app.command()
+@app.command(rich_help_panel=LOOK)
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],
     isoxml: Annotated[
@@ -255,7 +308,7 @@ def export(
     raise SystemExit(command(run, isoxml, geojson))
 
 
-@app.command()
+@app.command(rich_help_panel=SET_UP)
 def dbc(
     out: Annotated[
         Path | None,
@@ -277,7 +330,7 @@ def dbc(
     raise SystemExit(command(out, addresses))
 
 
-@app.command()
+@app.command(hidden=True)
 def warmup(
     jobs: Annotated[int, typer.Option(min=0, help="Processes; 0: one for each core.")] = 0,
 ) -> None:
@@ -290,15 +343,23 @@ def warmup(
     raise SystemExit(command(jobs))
 
 
-@app.command(name="compile")
+@app.command(name="compile", rich_help_panel=DEVELOP)
 def compile_core(
     remove: Annotated[bool, typer.Option("--remove", help="Delete what was compiled.")] = False,
+    kernels: Annotated[
+        bool, typer.Option("--kernels", help="Only the kernels of every run: no C compiler needed.")
+    ] = False,
 ) -> None:
     """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.
 
     Takes some minutes and a C compiler; results stay the same, bit for bit.
     Example: headland compile
+    Example: headland compile --kernels
     """
+    if kernels:
+        from tools.build.warmup import main as compile_kernels
+
+        raise SystemExit(compile_kernels(0))
     from tools.build.compile import compile_core as command
 
     raise SystemExit(command(remove))
@@ -306,9 +367,10 @@ def compile_core(
 
 app.add_typer(bus_commands.app)
 app.add_typer(trial_commands.app)
-app.add_typer(coverage.app, name="coverage")
-app.add_typer(keys.app, name="keys")
-app.add_typer(tasks.app, name="task")
+app.add_typer(setup_commands.app)
+app.add_typer(coverage.app, name="coverage", cls=Panels, rich_help_panel=PLAY)
+app.add_typer(keys.app, name="keys", cls=Panels, rich_help_panel=SET_UP)
+app.add_typer(tasks.app, name="task", cls=Panels, rich_help_panel=OPERATE)
 
 
 def main() -> None:
@@ -318,6 +380,7 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         raise SystemExit(INTERRUPTED) from None
     except WRONG_WORDS as problem:
+        _tell_origin()
         context = problem.ctx
         where = "headland" if context is None else context.command_path
         if (
@@ -335,9 +398,16 @@ def main() -> None:
         print(f"headland: {missing}", file=sys.stderr)
         raise SystemExit(WRONG) from None
     except OSError as problem:  # a full disk, a folder that is none: what no command expected
+        _tell_origin()
         name = "" if problem.filename is None else f"{problem.filename}: "
         print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
         raise SystemExit(WRONG) from None
+
+
+def _tell_origin() -> None:
+    """With -v: where the error came from, before its one line."""
+    if Verbosity.verbose:
+        traceback.print_exc()
 
 
 if __name__ == "__main__":

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from tools.common.options import PORT_MAX, Json
+from tools.common.options import PORT_MAX, Bitrate, Channel, Host, Interface, Json
 
 app = typer.Typer(help="Tasks of a delivering fleet.", no_args_is_help=True)
 
@@ -16,10 +16,8 @@ def add(
     dropoff: Annotated[str | None, typer.Argument(help="Where it is to go: X,Y.")] = None,
     file: Annotated[Path | None, typer.Option(help="Instead: CSV or JSON lines.")] = None,
     scenario: Annotated[str, typer.Option(help="Whose map says what is floor.")] = "warehouse",
-    interface: Annotated[str, typer.Option("-i", "--interface")] = "socketcand",
-    channel: Annotated[str, typer.Option("-c", "--channel")] = "can0",
-    bitrate: Annotated[int, typer.Option("-b", "--bitrate")] = 250_000,
-    host: Annotated[str, typer.Option("--host")] = "127.0.0.1",
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1",
     port: Annotated[
         int, typer.Option("--port", min=0, max=PORT_MAX, help="0: the newest live run or launch.")
     ] = 0,

@@ -5,12 +5,13 @@ from typing import Annotated
 
 import typer
 
+from tools.cli.panels import DEVELOP
 from tools.common.options import Cluster, Json
 
 app = typer.Typer()
 
 
-@app.command()
+@app.command(rich_help_panel=DEVELOP)
 def chaos(
     seeds: Annotated[
         str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
@@ -65,7 +66,7 @@ def chaos(
     )
 
 
-@app.command()
+@app.command(rich_help_panel=DEVELOP)
 def fuzz(
     targets: Annotated[list[str] | None, typer.Argument(help="Decoders; none: all.")] = None,
     files: Annotated[
@@ -97,7 +98,7 @@ def fuzz(
     raise SystemExit(command(named, runs, seconds, seed, engine, keep, out, json))
 
 
-@app.command()
+@app.command(rich_help_panel=DEVELOP)
 def bench(
     name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
     quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,

@@ -1,16 +1,33 @@
 """Options that several commands share."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 PORT_MAX = 65535
+Drive = Literal["mecanum", "differential", "ackermann"]
+Silence = Literal["stop", "slow", "continue"]
+Robots = Annotated[int | None, typer.Option(help="Instead of the scenario's number.")]
+Seed = Annotated[int | None, typer.Option(help="Instead of the scenario's seed.")]
+# The variables are python-can's own; its configuration file is read in tools/cli/panels.py.
 Interface = Annotated[
-    str, typer.Option("-i", "--interface", help="python-can interface, as for can_logger.")
+    str,
+    typer.Option(
+        "-i",
+        "--interface",
+        envvar="CAN_INTERFACE",
+        help="python-can interface, as for can_logger.",
+    ),
 ]
-Channel = Annotated[str, typer.Option("-c", "--channel", help="Channel of the interface.")]
-Bitrate = Annotated[int, typer.Option("-b", "--bitrate", help="Bit rate of the bus, bit/s.")]
+Channel = Annotated[
+    str,
+    typer.Option("-c", "--channel", envvar="CAN_CHANNEL", help="Channel of the interface."),
+]
+Bitrate = Annotated[
+    int,
+    typer.Option("-b", "--bitrate", envvar="CAN_BITRATE", help="Bit rate of the bus, bit/s."),
+]
 Host = Annotated[str, typer.Option("--host", help="Host of a socketcand interface.")]
 Port = Annotated[
     int,
@@ -22,9 +39,11 @@ Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text."
 Cluster = Annotated[
     str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")
 ]
-KeyFile = Annotated[Path | None, typer.Option("--keys", help="The fleet's key file.")]
+KeyFile = Annotated[
+    Path | None, typer.Option("--keys", help="The fleet's key file, or its folder.")
+]
 OperatorKey = Annotated[
-    Path | None, typer.Option("--operator-key", help="The operator's key file.")
+    Path | None, typer.Option("--keys", help="The operator's key file, or its folder.")
 ]
 MapOperatorKey = Annotated[
     Path | None,

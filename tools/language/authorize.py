@@ -173,7 +173,7 @@ class _Scales:
             raise Refused(
                 QuestionReason.NOT_NOW,
                 f"robot {slot} stands in emergency stop",
-                "headland reset --start",
+                "headland release --start",
             )
         if not robot.started:
             raise Refused(
@@ -221,7 +221,7 @@ class _Scales:
             raise Refused(
                 QuestionReason.NOT_NOW,
                 f"robot {slot} stands in emergency stop",
-                "headland reset --start",
+                "headland release --start",
             )
 
     def _stop(self, control: Control) -> None:

@@ -119,7 +119,9 @@ def _unread(words: list[str], places: Places) -> Question | None:
         word = _first(found, words)
         return Question(QuestionReason.AMBIGUOUS, f"{word!r} can mean two things", DOUBTFUL[word])
     if found := said & UNSAFE:
-        instead = ("headland reset, with the operator's key",) if "reset" in found else (STOP_NOW,)
+        instead = (
+            ("headland release, with the operator's key",) if "reset" in found else (STOP_NOW,)
+        )
         return Question(
             QuestionReason.UNSAFE,
             f"{_first(found, words)!r}: nothing that weakens safety is obeyed",

@@ -24,7 +24,7 @@ class PanelError(Exception):
 
 STARTS = 3  # repeats of a start, because a lost one means another walk to the machine
 NO_KEY = (
-    "this map holds no operator's key: start it with --operator-key, or use headland reset; "
+    "this map holds no operator's key: start it with --operator-key, or use headland release; "
     "where the fleet has no keys, say so"
 )
 

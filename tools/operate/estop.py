@@ -1,4 +1,4 @@
-"""`headland estop`: stop every robot on a bus, and say which robots have confirmed."""
+"""`headland stop`: stop every robot on a bus, and say which robots have confirmed."""
 
 import asyncio
 import sys
@@ -27,7 +27,7 @@ def estop(
     interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
     reason: str, timeout: float, watch: bool, as_json: bool,
 ) -> int:  # fmt: skip
-    """The exit code of `headland estop`: 0 if every robot that is or was there has confirmed within
+    """The exit code of `headland stop`: 0 if every robot that is or was there has confirmed within
     `timeout` seconds, 1 if some have not, 2 if there is no bus or the reason is unknown."""
     if reason not in Reason.__members__:
         known = ", ".join(Reason.__members__)

@@ -1,4 +1,4 @@
-"""`headland reset`: clear the stops that are shown, reset each machine, and start only if asked."""
+"""`headland release`: clear the stops that are shown, reset each machine, and start only if asked."""
 
 import asyncio
 import sys
@@ -29,7 +29,7 @@ def reset(
     interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
     start: bool, timeout: float, as_json: bool,
 ) -> int:  # fmt: skip
-    """The exit code of `headland reset`: 0 if every robot is reset (and started, with `start`)
+    """The exit code of `headland release`: 0 if every robot is reset (and started, with `start`)
     within `timeout` seconds, 1 if something holds one still, 2 if there is no bus or the key is
     no operator's."""
     try:
@@ -117,9 +117,7 @@ def word(operator: Operator, robot: KnownRobot, start: bool) -> str:
         )
     if robot.stopped or robot.state is State.EMERGENCY_STOP:
         if operator.keyring is None:
-            return (
-                "NOT RELEASED: it holds a stop or a fault; a fleet with keys needs --operator-key"
-            )
+            return "NOT RELEASED: it holds a stop or a fault; a fleet with keys needs --keys"
         return (
             "NOT RELEASED: it holds a stop that was not cleared, or a fault at the machine; again"
         )
@@ -155,7 +153,7 @@ def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
         blocks = 1 + round(timeout_s) // BLOCK_S
         return None if key is None else read(key, OPERATOR).keyring(blocks * RESERVE)
     except KeyFileError as problem:
-        raise AttachError(f"--operator-key {problem}") from None
+        raise AttachError(f"--keys {problem}") from None
 
 
 def clear_named(operator: Operator) -> None:

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.common.options import Json
+from tools.common.options import Json, Silence
 
 if TYPE_CHECKING:
     import numpy as np
@@ -19,13 +19,14 @@ app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
 )  # fmt: skip
 
+GRID_ROBOTS = 6  # of `headland run MAP`, where no number is given
 ROBOT_CELLS_MAX = 1 << 27  # a team keeps eight bytes for each robot and cell: a gibibyte
 
 
 @app.command()
 def solve(
     map: Annotated[Path | None, typer.Argument(help="A .map or .mcpp; none: a random map.")] = None,
-    agents: Annotated[int | None, typer.Option(help="Robots (an .mcpp: only the first).")] = None,
+    robots: Annotated[int | None, typer.Option(help="How many (an .mcpp: only the first).")] = None,
     seed: Annotated[int, typer.Option(help="Of the start cells and of a random map.")] = 0,
     height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = 32,
     width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = 32,
@@ -45,13 +46,13 @@ def solve(
 ) -> None:
     """Plan a coverage run, judge it, and write the plan file. Exit 0 only for a plan without faults.
 
-    Example: headland coverage solve --H 32 --W 32 --agents 20 --wall-prob 0.20 --seed 1
+    Example: headland coverage solve --H 32 --W 32 --robots 20 --wall-prob 0.20 --seed 1
     """
     from sim.files.grid_map import GridFileError, write_instance
     from tools.run.coverage_report import solved
 
     try:
-        instance = _instance(map, agents, seed, (height, width, wall_prob), gate)
+        instance = _instance(map, robots, seed, (height, width, wall_prob), gate)
         _check_turn_cost(turn_cost)
         events = _deaths(die or [], instance), _arrivals(join or [], instance)
         if export is not None:
@@ -99,10 +100,10 @@ def replay(
     raise SystemExit(replayed(found, delay, stop_on_done, turn_cost, json))
 
 
-@app.command()
+@app.command(hidden=True)
 def drive(
     map: Annotated[Path | None, typer.Argument(help="A .map or .mcpp; none: a random map.")] = None,
-    agents: Annotated[int | None, typer.Option(help="Robots (an .mcpp: only the first).")] = None,
+    robots: Annotated[int | None, typer.Option(help="How many (an .mcpp: only the first).")] = None,
     seed: Annotated[int, typer.Option(help="Of start cells, a random map, and the wire.")] = 0,
     height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = 32,
     width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = 32,
@@ -115,7 +116,7 @@ def drive(
         list[str] | None, typer.Option(help="ROBOT,...@SECOND-SECOND: cut off from the others.")
     ] = None,
     loss: Annotated[float, typer.Option(help="Odds that a receiver misses a frame.")] = 0.0,
-    silence: Annotated[str, typer.Option(help="stop, slow or continue.")] = "continue",
+    silence: Annotated[Silence, typer.Option(help="When a robot falls silent.")] = "continue",
     out: Annotated[
         Path | None, typer.Option(help="Folder for the trace and a candump log.")
     ] = None,
@@ -126,7 +127,7 @@ def drive(
 ) -> None:
     """Cover a map with whole peers on the simulated bus, judged from outside. Exit 0: no faults.
 
-    Example: headland coverage drive --H 24 --W 24 --agents 6 --die 2@70 --split 0,1,2@90-150
+    Example: headland coverage drive --H 24 --W 24 --robots 6 --die 2@70 --split 0,1,2@90-150
     """
     from sim.files.grid_map import GridFileError
     from sim.scenarios.scenario import ScenarioError
@@ -134,7 +135,7 @@ def drive(
     from tools.run.coverage_report import unreached
 
     try:
-        instance = _instance(map, agents, seed, (height, width, wall_prob), gate)
+        instance = _instance(map, robots, seed, (height, width, wall_prob), gate)
         faults = faults_of(die or [], join or [], split or [], len(instance.starts))
         setting = setting_of(instance, seed, faults, loss, silence, turn_cost)
         left = unreached(instance.walls, instance.starts)
@@ -142,6 +143,23 @@ def drive(
     except (GridFileError, ScenarioError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         raise SystemExit(2) from None
+
+
+def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: bool) -> int:
+    """`headland run` of a .map or .mcpp: whole peers, without faults. Returns the exit code."""
+    from sim.files.grid_map import GridFileError
+    from sim.scenarios.scenario import ScenarioError
+    from tools.run.coverage_drive import driven, setting_of
+    from tools.run.coverage_report import unreached
+
+    try:
+        instance = _instance(map, robots, seed, (0, 0, 0.0), False)
+        setting = setting_of(instance, seed, (), 0.0, "continue", 0.0)
+        left = unreached(instance.walls, instance.starts)
+        return driven(setting, out, as_json, left, False)
+    except (GridFileError, ScenarioError, OSError) as error:
+        typer.echo(f"headland: {error}", err=True)
+        return 2
 
 
 def _instance(
@@ -173,7 +191,7 @@ def _instance(
         walls = random_walls(rows, columns, share, seed)
     _check_size(walls)
     if agents is None or agents < 1:
-        raise GridFileError("say how many robots: --agents K")
+        raise GridFileError("say how many robots: --robots K")
     if agents * walls.size > ROBOT_CELLS_MAX:
         raise GridFileError(f"{agents} robots on {walls.size} cells need too much memory")
     try:

@@ -1,4 +1,4 @@
-"""`headland explore`: a fleet explores an arena in virtual time, with a report and pictures of it."""
+"""`headland run`: a fleet explores an arena in virtual time, with a report and pictures of it."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def explore(
     as_json: bool,
     animate: bool,
 ) -> int:
-    """The exit code of `headland explore`: 0 for a run without a flaw, 1 for any other, 2 for a
+    """The exit code of `headland run`: 0 for a run without a flaw, 1 for any other, 2 for a
     wrong argument."""
 
     def make() -> ExplorationCommand:

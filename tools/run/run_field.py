@@ -54,6 +54,7 @@ class FieldCommand(MissionCommand[FieldRun]):
     """A field in virtual time, with its picture, and work for farm software."""
 
     unit = "sections"
+    follow_up = (("export {} --isoxml TASKDATA", "the finished work, for farm software"),)
 
     def report(self, outcome: FieldOutcome) -> dict[str, Any]:
         return {"faults": self.run.told_faults}

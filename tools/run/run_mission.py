@@ -1,4 +1,4 @@
-"""The body that `headland run` and `headland explore` share: a run, its folder, report, and table.
+"""The body that all kinds of `headland run` share: a run, its folder, report, and table.
 
 Each mission is a small subclass of `MissionCommand`. It says how its outcome is shown and drawn.
 """
@@ -19,8 +19,9 @@ from sim.record.recording import Recording
 from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
 from tools.common.result_table import Fact, run_table
-from tools.common.run_folder import FolderError, folder_for
+from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.run_recorder import RunRecorder
+from tools.common.verbosity import Verbosity
 from tools.livemap.command import MapThread, ServerError
 
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
@@ -36,6 +37,7 @@ class MissionCommand(ABC, Generic[RunT]):
     the exit code."""
 
     unit = ""  # of which progress is counted
+    follow_up: tuple[tuple[str, str], ...] = ()  # commands for what this mission leaves, and why
 
     def __init__(self, run: RunT) -> None:
         self.run = run
@@ -70,7 +72,7 @@ def run_mission(
     `make` may raise ScenarioError. `page_port`: of a map that shows the run, and at a terminal stays
     after its end.
     """
-    console = Console(stderr=as_json)
+    console = Console(stderr=as_json, quiet=Verbosity.quiet)
     shown = None
     try:
         command = make()
@@ -105,10 +107,27 @@ def run_mission(
         console.print(run_table(outcome, command.facts(outcome)))
         written = ", ".join(["report.json", *drawn, "trace.jsonl", recorder.logs])
         console.print(f"{written} are in {folder}")
+        console.print(next_commands(folder, command.follow_up), highlight=False, markup=False)
     if shown is not None and sys.stdout.isatty():  # without a person it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return command.exit_code(outcome)
+
+
+LOOKS = (
+    ("report {}", "one HTML page: tracks, sections, stops, bus load"),
+    ("map {}", "the run in a browser, to look through"),
+    ("inspect {}", "states, sections and who knew what"),
+)
+
+
+def next_commands(folder: Path, further: Sequence[tuple[str, str]] = ()) -> str:
+    """The commands that look at this run; the newest is shorter to name."""
+    latest = RUNS / "latest"
+    name = latest if latest.exists() and latest.resolve() == folder.resolve() else folder
+    rows = [(f"headland {words.format(name)}", why) for words, why in (*LOOKS, *further)]
+    width = max(len(words) for words, _ in rows)
+    return "next:\n" + "\n".join(f"  {words:<{width}}  # {why}" for words, why in rows)
 
 
 def _wrong(problem: object) -> int:

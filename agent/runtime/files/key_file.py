@@ -21,6 +21,7 @@ PANEL = 140  # sender of a stop panel that holds the fleet's keys
 DEVICE = 249  # the operator device if the file names no other
 DEVICE_MAX = 254
 RESERVE = 8192  # frames; a reset of a hundred machines that takes 5 s sends 6,000
+NAMES = {FLEET: "fleet.json", OPERATOR: "operator.json"}  # in the folder of both
 
 
 class KeyFileError(Exception):
@@ -86,7 +87,10 @@ def _create(path: Path, text: str) -> None:
 
 
 def read(path: Path, kind: str | None = None) -> KeyFile:
-    """Read a key file. `kind`: the only kind to accept, or None. Raises KeyFileError."""
+    """Read a key file. `kind`: the only kind to accept, or None. A folder stands for the file of that
+    kind in it, as `headland keys new` names it. Raises KeyFileError."""
+    if kind is not None and path.is_dir():
+        path = path / NAMES[kind]
     try:
         document = read_json(path, KEY_BYTES_MAX)
         mode = path.stat().st_mode

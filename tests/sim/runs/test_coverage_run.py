@@ -142,7 +142,7 @@ def test_trouble_of_any_kind(seed: int) -> None:
 
 
 def test_the_command(tmp_path: Path) -> None:
-    words = ["drive", "--H", "8", "--W", "8", "--agents", "3", "--die", "1@10", "--out",
+    words = ["drive", "--H", "8", "--W", "8", "--robots", "3", "--die", "1@10", "--out",
              str(tmp_path), "--json"]  # fmt: skip
     done = CliRunner().invoke(app, words)
     report = json.loads(done.stdout)
@@ -152,11 +152,11 @@ def test_the_command(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [
-    ["--agents", "3", "--die", "3@1"], ["--agents", "3", "--die", "x"], ["--agents", "200"],
-    ["--agents", "3", "--split", "0@9-5"], ["--agents", "3", "--split", "0@5"],
-    ["--agents", "1", "--join", "0@5"], ["--agents", "3", "--loss", "2"],
-    ["--agents", "3", "--silence", "no"], ["--agents", "3", "--turn-cost", "-1"],
-    ["--agents", "3", "--H", "300", "--W", "300", "--wall-prob", "0"],
+    ["--robots", "3", "--die", "3@1"], ["--robots", "3", "--die", "x"], ["--robots", "200"],
+    ["--robots", "3", "--split", "0@9-5"], ["--robots", "3", "--split", "0@5"],
+    ["--robots", "1", "--join", "0@5"], ["--robots", "3", "--loss", "2"],
+    ["--robots", "3", "--turn-cost", "-1"],
+    ["--robots", "3", "--H", "300", "--W", "300", "--wall-prob", "0"],
 ])  # fmt: skip
 def test_bad_input_is_one_line(words: list[str]) -> None:
     done = CliRunner().invoke(app, ["drive", *words])

@@ -81,7 +81,7 @@ def test_wrong_key_files_get_one_line(
     run = "run small --keys"
     wrong(f"{run} nowhere.json", "fleet.keys", "nowhere.json")
     wrong(f"{run} operator.json", "operator key", "is needed")
-    wrong("reset --operator-key fleet.json", "--operator-key")
+    wrong("reset --operator-key fleet.json", "--keys")
     wrong("estop --keys no.json -i virtual", "--keys")
     fleet.chmod(0o640)
     wrong(f"{run} fleet.json", "others may read it", "chmod 600")

@@ -1,4 +1,4 @@
-"""`headland reset` against fleets that hold many stops, and while somebody forges stops."""
+"""`headland release` against fleets that hold many stops, and while somebody forges stops."""
 
 import asyncio
 from pathlib import Path

@@ -93,7 +93,7 @@ def heard_frames(*causes: StopCause) -> tuple[Peer, list[tuple[int, Frame]]]:
 
 
 def told_everywhere(frames: list[tuple[int, Frame]]) -> list[list[str]]:
-    """What `headland inspect` and `headland reset` say of robot 0 in the end."""
+    """What `headland inspect` and `headland release` say of robot 0 in the end."""
     inspector = Inspector()
     operator = Operator(CanBus(FieldBus("told")), None)
     for t_us, frame in frames:

@@ -18,7 +18,7 @@ def call(*words: object) -> Result:
 
 def test_the_missions_own_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)
-    done = call("solve", "--H", 32, "--W", 32, "--agents", 20, "--wall-prob", "0.20", "--seed", 1)
+    done = call("solve", "--H", 32, "--W", 32, "--robots", 20, "--wall-prob", "0.20", "--seed", 1)
     assert done.exit_code == 0 and "makespan" in done.stdout
     plan = json.loads((tmp_path / "vacuum_plan.json").read_text())
     assert (plan["H"], plan["W"], plan["n_agents"]) == (32, 32, 20)
@@ -30,26 +30,26 @@ def test_the_missions_own_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPat
 
 def test_equal_seeds_give_equal_plans(tmp_path: Path) -> None:
     for name in ("a", "b"):
-        assert call("solve", "--agents", 5, "--seed", 3, "--out", tmp_path / name).exit_code == 0
+        assert call("solve", "--robots", 5, "--seed", 3, "--out", tmp_path / name).exit_code == 0
     assert (tmp_path / "a").read_text() == (tmp_path / "b").read_text()
 
 
 def test_an_export_is_solved_as_the_original(tmp_path: Path) -> None:
     first, second = tmp_path / "first.json", tmp_path / "second.json"
     export = tmp_path / "x.mcpp"
-    call("solve", "--agents", 7, "--seed", 2, "--out", first, "--export", export)
+    call("solve", "--robots", 7, "--seed", 2, "--out", first, "--export", export)
     assert len(read_instance(export).starts) == 7
     assert call("solve", export, "--out", second, "--json").exit_code == 0
     assert first.read_text() == second.read_text()
-    third = call("solve", export, "--agents", 3, "--out", second, "--json")
+    third = call("solve", export, "--robots", 3, "--out", second, "--json")
     assert json.loads(third.stdout)["robots"] == 3
-    fourth = call("solve", export.with_suffix(".map"), "--agents", 3, "--gate", "--out", second)
+    fourth = call("solve", export.with_suffix(".map"), "--robots", 3, "--gate", "--out", second)
     assert fourth.exit_code == 0
 
 
 def test_deaths_and_joins_are_in_the_plan(tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    words = ["--H", 24, "--W", 24, "--wall-prob", 0, "--agents", 4, "--out", out, "--json"]
+    words = ["--H", 24, "--W", 24, "--wall-prob", 0, "--robots", 4, "--out", out, "--json"]
     done = call("solve", *words, "--die", "2@40", "--join", "23,23@60")
     report = json.loads(done.stdout)
     assert done.exit_code == 0 and report["ok"] and report["robots"] == 5
@@ -60,7 +60,7 @@ def test_deaths_and_joins_are_in_the_plan(tmp_path: Path) -> None:
 
 def test_a_plan_with_faults_is_not_exit_0(tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
-    call("solve", "--agents", 4, "--out", out)
+    call("solve", "--robots", 4, "--out", out)
     document = json.loads(out.read_text())
     document["per_agent_actions"][0] = []
     out.write_text(json.dumps(document))
@@ -69,13 +69,13 @@ def test_a_plan_with_faults_is_not_exit_0(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("words", [
-    ["solve"], ["solve", "--agents", "0"], ["solve", "--agents", "9999"],
-    ["solve", "--agents", "3", "--wall-prob", "2"], ["solve", "--agents", "3", "--H", "0"],
-    ["solve", "none.map", "--agents", "3"], ["solve", "none.mcpp"], ["replay", "none.json"],
-    ["solve", "--agents", "3", "--die", "3@1"], ["solve", "--agents", "3", "--die", "x"],
-    ["solve", "--agents", "3", "--join", "0,99@1"], ["solve", "--agents", "3", "--turn-cost", "-1"],
-    ["solve", "--agents", "3", "--export", "x.txt"], ["replay", "none.json", "--delay", "-1"],
-    ["solve", "--agents", "9", "--H", "2000", "--W", "3000"],
+    ["solve"], ["solve", "--robots", "0"], ["solve", "--robots", "9999"],
+    ["solve", "--robots", "3", "--wall-prob", "2"], ["solve", "--robots", "3", "--H", "0"],
+    ["solve", "none.map", "--robots", "3"], ["solve", "none.mcpp"], ["replay", "none.json"],
+    ["solve", "--robots", "3", "--die", "3@1"], ["solve", "--robots", "3", "--die", "x"],
+    ["solve", "--robots", "3", "--join", "0,99@1"], ["solve", "--robots", "3", "--turn-cost", "-1"],
+    ["solve", "--robots", "3", "--export", "x.txt"], ["replay", "none.json", "--delay", "-1"],
+    ["solve", "--robots", "9", "--H", "2000", "--W", "3000"],
     ["replay", "none.json", "--turn-cost", "nan"], ["replay", "none.json", "--turn-cost", "-1"],
 ])  # fmt: skip
 def test_bad_input_is_one_line(

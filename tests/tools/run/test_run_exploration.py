@@ -1,4 +1,4 @@
-"""`headland explore` from the outside."""
+"""`headland run` from the outside."""
 
 import json
 import re

@@ -1,0 +1,110 @@
+"""The list of commands, the names that were there before, and where the bus options come from."""
+
+import re
+from pathlib import Path
+
+import pytest
+import typer
+from typer.testing import CliRunner
+
+from tests.tools.documented import parse
+from tools.cli.headland import app
+from tools.cli.panels import PANELS, can_defaults
+
+OLD = (
+    "explore ring --robots 4", "replay runs/latest", "warmup", "coverage drive --H 8 --W 8 --agents 3",
+    "estop", "reset --operator-key keys/operator.json", "coverage solve --agents=3",
+    "order 1 wait --operator-key keys/operator.json", "map --operator-key keys/operator.json",
+)  # fmt: skip
+
+
+def shown(*words: str, **environment: str) -> str:
+    done = CliRunner().invoke(app, words, env=environment, prog_name="headland")
+    assert done.exit_code == 0, done.output
+    return done.output
+
+
+def test_every_command_stands_in_one_of_five_panels() -> None:
+    told = shown("--help")
+    titles = re.findall(r"^(\S.*):$", told, re.M)
+    assert [title for title in titles if title != "Options"] == list(PANELS)
+    assert not re.search(r"^ +(explore|replay|warmup|estop|reset) ", told, re.M)
+
+
+@pytest.mark.parametrize("words", OLD)
+def test_an_old_name_still_works(words: str) -> None:
+    parse(["headland", *words.split()], whole=True)
+
+
+def test_help_uses_the_width_of_the_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    def widest(columns: int) -> int:
+        monkeypatch.setenv("COLUMNS", str(columns))
+        command = typer.main.get_command(app)
+        return max(
+            map(len, command.get_help(command.make_context("headland", ["list"])).splitlines())
+        )
+
+    assert 80 < widest(160) <= 160 and widest(60) <= 60
+
+
+def test_each_example_has_a_line_of_its_own() -> None:
+    told = shown("run", "--help", COLUMNS="160")
+    assert len(re.findall(r"^ *Example: headland run", told, re.M)) == 3
+
+
+def test_choices_are_in_the_help() -> None:
+    assert "mecanum|differential|ackermann" in shown("run", "--help")
+    assert "PERSON_IN_FIELD" in shown("stop", "--help")
+
+
+def test_quiet_prints_nothing_but_json(tmp_path: Path) -> None:
+    words = (
+        "coverage",
+        "solve",
+        "--H",
+        "4",
+        "--W",
+        "4",
+        "--robots",
+        "1",
+        "--out",
+        str(tmp_path / "p"),
+    )
+    assert shown(*words, "-q") == "" == shown("-q", *words)
+    assert '"ok": true' in shown(*words, "-q", "--json")
+
+
+def interface_of(*words: str) -> tuple[str, str, int]:
+    """Interface, channel and bit rate with which a command of the bus would be called."""
+    command = typer.main.get_command(app)
+    context = command.make_context("headland", list(words))
+    _, found, rest = command.resolve_command(  # type: ignore[attr-defined]
+        context, [*context._protected_args, *context.args]
+    )
+    values = found.make_context(found.name, rest, parent=context).params
+    return values["interface"], values["channel"], values["bitrate"]
+
+
+def test_the_bus_is_that_of_python_can(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Options before variables, variables before its file, and its file before the newest launch."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("CAN_INTERFACE", "CAN_CHANNEL", "CAN_BITRATE"):
+        monkeypatch.delenv(name, raising=False)
+    assert interface_of("stop") == ("socketcand", "can0", 250_000)
+    (tmp_path / ".canrc").write_text(
+        "[default]\ninterface = slcan\nchannel = can7\nbitrate = 500000\n"
+    )
+    assert interface_of("stop") == ("slcan", "can7", 500_000)
+    from can.util import load_file_config  # the counterpart reads the same
+
+    assert load_file_config() == can_defaults()
+    monkeypatch.setenv("CAN_CHANNEL", "vcan1")
+    assert interface_of("release") == ("slcan", "vcan1", 500_000)
+    assert interface_of("inspect", "-i", "virtual") == ("virtual", "vcan1", 500_000)
+
+
+def test_a_broken_file_of_python_can_counts_as_none(tmp_path: Path) -> None:
+    bad = tmp_path / "can.conf"
+    bad.write_bytes(b"\xff\xfe interface")
+    assert can_defaults((str(bad),)) == {}

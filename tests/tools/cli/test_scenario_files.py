@@ -1,0 +1,70 @@
+"""`headland list`, `new`, `check` and `doctor`, and the kind of run that a name stands for."""
+
+import json
+from pathlib import Path
+
+import pytest
+
+from sim.scenarios.scenario_kind import Kind, all_shipped, named
+from tests.tools.complaint import Complaints
+from tools.cli import scenario_files
+from tools.cli.doctor import doctor
+
+
+@pytest.mark.parametrize(
+    ("name", "kind"),
+    [
+        ("oxted", Kind.FIELD), ("rooms", Kind.ERRANDS), ("warehouse", Kind.DELIVERY),
+        ("ring", Kind.EXPLORATION), ("arenas/warehouse", Kind.EXPLORATION), ("floor.map", Kind.GRID),
+        ("x.mcpp", Kind.GRID), ("field.geojson", Kind.FIELD), ("nowhere", Kind.FIELD),
+    ],
+)  # fmt: skip
+def test_the_scenario_says_which_kind_it_is(name: str, kind: Kind) -> None:
+    assert named(name).kind is kind
+
+
+def test_everything_that_ships_is_listed_and_right(capsys: pytest.CaptureFixture[str]) -> None:
+    assert scenario_files.list_shipped(True) == 0
+    rows = json.loads(capsys.readouterr().out)
+    assert {row["name"] for row in rows} == set(all_shipped()) and all(row["about"] for row in rows)
+    assert scenario_files.check([row["name"] for row in rows], True) == 0
+    assert {row["kind"] for row in json.loads(capsys.readouterr().out)} == {
+        "field", "errands", "delivery", "exploration",
+    }  # fmt: skip
+
+
+@pytest.mark.parametrize("like", ["small", "rooms", "warehouse", "ring", "arenas/warehouse"])
+def test_a_new_scenario_is_right_as_it_is_written(
+    like: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert scenario_files.new(Path("own/mine.toml"), like, False) == 0
+    assert "headland run own/mine.toml" in capsys.readouterr().out
+    assert scenario_files.check(["own/mine.toml"], False) == 0
+    assert scenario_files.new(Path("own/mine.toml"), like, False) == 2, "nothing is replaced"
+
+
+@pytest.mark.parametrize(
+    ("words", "why"),
+    [
+        ("run oxtd", "did you mean 'oxted'"), ("run warehous", "did you mean 'warehouse'"),
+        ("check smal", "did you mean 'small'"), ("runn", "Did you mean 'run'"), ("new x", ".toml"),
+        ("new x.toml --like nothing", "is none of"), ("run small --film", "--film"),
+        ("run ring --map", "an arena"), ("run no.map --robots 3", "no.map"),
+        ("run small --robts 3", "--robots"), ("check", "scenarios"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_one_line_with_what_was_meant(
+    words: str, why: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    said = Complaints(monkeypatch, capfd).of(words, tmp_path)
+    assert said.code == 2 and why in said.line
+
+
+def test_the_doctor_names_what_it_looked_at(capsys: pytest.CaptureFixture[str]) -> None:
+    assert doctor(True) == 0
+    told = json.loads(capsys.readouterr().out)
+    found = {row["what"]: row["ok"] for row in told["findings"]}
+    assert told["ready"] and found["Python"] and found["loopback"] and "headland[operator]" in found
+    assert doctor(False) == 0 and "headland[operator]" in capsys.readouterr().out

@@ -1,0 +1,108 @@
+"""How the command line is presented: five panels, old names that still work, and defaults of python-can.
+
+A command names its panel where it is registered: `@app.command(rich_help_panel=LOOK)`. One without a
+panel is printed last, under "Commands". A command that only keeps an old name alive is `hidden=True`.
+"""
+
+import configparser
+import os
+from collections.abc import Sequence
+from contextlib import redirect_stdout
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import typer
+from typer.core import TyperGroup
+
+from tools.common.verbosity import Verbosity, taken_from
+
+PLAY, LOOK, OPERATE, SET_UP, DEVELOP = "Play", "Look", "Operate", "Set up", "Develop"
+PANELS = (PLAY, LOOK, OPERATE, SET_UP, DEVELOP)
+# Options that were renamed: an old name is obeyed where a command has only the new one.
+RENAMED = {"--agents": "--robots", "--operator-key": "--keys", "--animate": "--film"}
+# The files that python-can reads, later ones first (its documentation, "Configuration file").
+CAN_FILES = ("can.ini", "~/.canrc", "~/.can", "/etc/can.conf", "~/can.conf")
+CAN_KEYS = ("interface", "channel", "bitrate")
+SHORT_MAX = 200  # characters of a command in the list: its first sentence, wrapped
+SETTINGS: dict[str, Any] = {
+    "help_option_names": ["-h", "--help"],
+    "max_content_width": 200,  # a terminal that is wider is hard to read
+}
+
+
+class Panels(TyperGroup):
+    """A group of commands that prints them by panel and obeys old names of options."""
+
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """One section for each panel, in the order of `PANELS`."""
+        shown = [(n, c) for n, c in self.commands.items() if not c.hidden]
+        panel = {name: getattr(command, "rich_help_panel", None) or "" for name, command in shown}
+        for title in (*PANELS, *sorted(set(panel.values()) - set(PANELS))):
+            rows = [(n, c.get_short_help_str(SHORT_MAX)) for n, c in shown if panel[n] == title]
+            if rows:
+                with formatter.section(title or "Commands"):
+                    formatter.write_dl(rows)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Words of verbosity may stand anywhere."""
+        return super().parse_args(ctx, taken_from(args) if ctx.parent is None else args)
+
+    def invoke(self, ctx: Any) -> Any:
+        """With -q, what a command would print for people goes nowhere."""
+        if ctx.parent is not None or not Verbosity.quiet or "--json" in ctx.args:
+            return super().invoke(ctx)
+        with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
+            return super().invoke(ctx)
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        """The command of the first word, and the rest with the names that it knows."""
+        name, command, rest = super().resolve_command(ctx, args)
+        if command is None:
+            return name, command, rest
+        known = {option for param in command.params for option in param.opts}
+        if command.help and "\b" not in command.help:  # an example has a line of its own
+            command.help = command.help.replace("\nExample:", "\n\nExample:")
+        for param in command.params:
+            if param.name == "interface" and param.default == "socketcand":
+                ctx.default_map = {name: can_defaults()}
+        return name, command, [_renamed(word, known) for word in rest]
+
+
+def _renamed(word: str, known: set[str]) -> str:
+    option, equals, value = word.partition("=")
+    new = RENAMED.get(option)
+    if new is None or option in known or new not in known:
+        return word
+    return f"{new}{equals}{value}"
+
+
+def can_defaults(files: Sequence[str] = CAN_FILES) -> dict[str, str]:
+    """Interface, channel and bit rate from the configuration file of python-can, where there is one.
+
+    `CAN_INTERFACE`, `CAN_CHANNEL` and `CAN_BITRATE` come before the file, options of the command line
+    before both. A file that cannot be read counts as none, as for python-can.
+    """
+    found = configparser.ConfigParser(interpolation=None)
+    paths = [str(Path(name).expanduser()) for name in reversed(files)]
+    try:
+        found.read(paths, encoding="utf-8")
+        values = found["default"] if "default" in found else found.defaults()
+        return {key: values[key] for key in CAN_KEYS if key in values}
+    except (configparser.Error, UnicodeDecodeError):
+        return {}
+
+
+def version_text() -> str:
+    """Name and version, as `--version` prints them."""
+    try:
+        return f"headland {version('headland')}"
+    except PackageNotFoundError:
+        return "headland (not installed)"
+
+
+def show_version(asked: bool) -> None:
+    """Print the version and end, where it is asked for."""
+    if asked:
+        typer.echo(version_text())
+        raise typer.Exit

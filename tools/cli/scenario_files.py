@@ -1,0 +1,126 @@
+"""`headland list`, `new` and `check`: scenario files before they are run."""
+
+import re
+import shutil
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+
+from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, read_text
+from sim.files.strict_json import dumps
+from sim.scenarios.delivery_scenario import load_warehouse
+from sim.scenarios.delivery_setup import DeliverySetup
+from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.fleet_setup import FleetSetup
+from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
+from sim.scenarios.scenario import SHIPPED, ScenarioError
+from sim.scenarios.scenario_kind import Kind, all_shipped, named
+
+WRONG = 2
+FILE_KEY = re.compile(r'^(?:file|map|tasks) = "([^"\n]+)"', re.M)
+
+
+def list_shipped(as_json: bool) -> int:
+    """The exit code of `headland list`, which is 0."""
+    rows = [
+        {"name": name, "kind": named(name).kind.value, "about": _about(path), "file": str(path)}
+        for name, path in all_shipped().items()
+    ]
+    if as_json:
+        print(dumps(rows))
+        return 0
+    console = Console(highlight=False)
+    width = max(len(row["name"]) for row in rows)
+    for kind in Kind:
+        own = [row for row in rows if row["kind"] == kind.value]
+        if own:
+            console.print(f"[bold]{kind.value}[/bold]")
+            for row in own:
+                console.print(f"  {row['name']:<{width}}  {escape(row['about'])}", soft_wrap=True)
+    console.print("[bold]grid[/bold]\n  any .map (Moving AI) or .mcpp file", highlight=False)
+    return 0
+
+
+def _about(path: Path) -> str:
+    """The first sentence of the comment with which a scenario begins."""
+    lines = []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        if not line.startswith("#"):
+            break
+        lines.append(line.removeprefix("#").strip())
+    first = re.match(r".*?[.](?= |$)", " ".join(lines))
+    return first[0] if first else " ".join(lines)
+
+
+def new(file: Path, like: str, as_json: bool) -> int:
+    """The exit code of `headland new`: 2 where nothing was written."""
+    ships = all_shipped()
+    try:
+        if like not in ships:
+            raise ScenarioError(f"--like {like}: is none of {', '.join(sorted(ships))}")
+        if file.suffix != ".toml":
+            raise ScenarioError(f"{file}: a scenario file ends in .toml")
+        source = ships[like]
+        text = read_text(source, SCENARIO_BYTES_MAX)
+        text = re.sub(r'^name = ".*"', f'name = "{file.stem[:64]}"', text, count=1, flags=re.M)
+        beside = [
+            name for name in FILE_KEY.findall(text) if not (SHIPPED / name).exists()
+        ]  # what ships with fields is found anyway
+        written = [file, *(file.parent / name for name in beside)]
+        for path in written:
+            if path.exists():
+                raise ScenarioError(f"{path} is there already: choose another name")
+        file.parent.mkdir(parents=True, exist_ok=True)
+        file.write_text(text, encoding="utf-8")
+        for name in beside:
+            shutil.copyfile(source.parent / name, file.parent / name)
+    except ScenarioError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    if as_json:
+        print(dumps({"written": [str(path) for path in written], "like": like}))
+    else:
+        print(f"{', '.join(map(str, written))}: a copy of {like}")
+        print(f"next:\n  headland check {file}\n  headland run {file}")
+    return 0
+
+
+def check(names: list[str], as_json: bool) -> int:
+    """The exit code of `headland check`: 0, or 2 if one is wrong."""
+    told = []
+    for name in names:
+        row: dict[str, object] = {"scenario": name, "kind": named(name).kind.value}
+        try:
+            setup = setup_of(name)
+        except ScenarioError as problem:
+            row |= {"ok": False, "problem": str(problem)}
+            if not as_json:
+                print(f"headland: {problem}", file=sys.stderr)
+        else:
+            scenario = setup.scenario
+            row |= {"ok": True, "robots": scenario.fleet.robots, "faults": len(scenario.fault)}
+            if not as_json:
+                faults = f", {len(scenario.fault)} faults" if scenario.fault else ""
+                print(f"{name}: right: {row['kind']}, {scenario.fleet.robots} robots{faults}")
+        told.append(row)
+    if as_json:
+        print(dumps(told))
+    return 0 if all(row["ok"] for row in told) else WRONG
+
+
+def setup_of(name: str) -> FleetSetup:
+    """Everything that a run needs, but for its bodies. Raises ScenarioError."""
+    kind, path = named(name)
+    if kind is Kind.GRID:
+        raise ScenarioError(f"{name}: a map is no scenario: headland run {name} plans and plays it")
+    if kind is Kind.DELIVERY:
+        return DeliverySetup(load_warehouse(path))
+    if kind is Kind.EXPLORATION:
+        return ExplorationSetup(load_arena(path))
+    scenario = load_mission(path)
+    return (
+        setting_of(scenario) if isinstance(scenario, NavigationScenario) else FieldSetup(scenario)
+    )
