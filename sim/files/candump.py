@@ -38,12 +38,14 @@ class CandumpWriter:
 
 
 def read_candump(
-    path: Path, damaged: Callable[[], object] = lambda: None
+    path: Path,
+    damaged: Callable[[], object] = lambda: None,
+    other: Callable[[], object] = lambda: None,
 ) -> Iterator[tuple[int, Frame]]:
     """(microseconds, frame) of every data frame with a 29-bit identifier.
 
-    Frames with 11-bit identifiers, remote and error frames are skipped; `damaged` is called for
-    each line that is not in candump format. OSError.
+    Frames with 11-bit identifiers, remote and error frames are skipped, and `other` is called for
+    each; `damaged` is called for each line that is not in candump format. OSError.
     """
     with path.open("rb") as file:
         while line := file.readline(LINE_BYTES_MAX):
@@ -54,6 +56,7 @@ def read_candump(
                 continue
             seconds, micros, identifier, data = found.groups()
             if len(identifier) != 8 or data is None or int(identifier, 16) > 0x1FFFFFFF:
+                other()
                 continue
             t_us = int(seconds) * 1_000_000 + int(micros[:6].ljust(6, "0"))
             yield t_us, Frame(int(identifier, 16), bytes.fromhex(data))

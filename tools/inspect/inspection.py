@@ -61,7 +61,7 @@ def inspect(
             bus = (interface, channel, bitrate, host, port)
             return _screen(inspector, source, lambda: attach(*bus), speed)
         if source is not None:
-            for t_us, frame in frames_of(source):
+            for t_us, frame in frames_of(source, inspector.hear_other):
                 inspector.hear(t_us / 1e6, frame)
         else:
             asyncio.run(_listen(inspector, interface, channel, bitrate, host, port, seconds))
@@ -136,18 +136,21 @@ def _section(why: str | None) -> int | None:
     return int(digits)
 
 
-def frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
+def frames_of(
+    source: Path, other: Callable[[], object] = lambda: None
+) -> Iterator[tuple[int, Frame]]:
     """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
-    .trc). SourceError, also where there is no frame in it."""
+    .trc). `other` is called for each frame with an 11-bit identifier, and for each remote or error
+    frame. SourceError, also where there is no frame in it."""
     empty = True
-    for row in _frames_of(source):
+    for row in _frames_of(source, other):
         empty = False
         yield row
     if empty:
         raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
 
 
-def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
+def _frames_of(source: Path, other: Callable[[], object]) -> Iterator[tuple[int, Frame]]:
     path = source / "can.log" if source.is_dir() else source
     if source.is_dir() and not path.is_file():
         path = source / "run.mcap"
@@ -158,7 +161,7 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
         try:
             frames = False
             for part in parts_of(path):
-                for row in read_candump(part, lambda: next(damaged)):
+                for row in read_candump(part, lambda: next(damaged), other):
                     frames = True
                     yield row
         except OSError as problem:
@@ -183,6 +186,8 @@ def _frames_of(source: Path) -> Iterator[tuple[int, Frame]]:
                     round(message.timestamp * 1e6),
                     Frame(message.arbitration_id, bytes(message.data)),
                 )
+            else:
+                other()
     except Exception as problem:  # log readers raise any exception on files of another kind
         raise SourceError(f"{path}: not a CAN log: {_first_line(problem)}") from None
 
@@ -356,5 +361,9 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
             beyond = len(groups) - UNKNOWN_SHOWN
             more = f" and {beyond} more groups" if beyond > 0 else ""
             console.print(f"{whose}: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
+    if seen["other_frames"]:
+        console.print(
+            f"{seen['other_frames']} remote or error frames, or with an 11-bit identifier"
+        )
     if seen["malformed"]:
         console.print(f"malformed: {seen['malformed']}")

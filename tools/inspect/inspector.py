@@ -110,6 +110,7 @@ class Inspector:
         self.kinds: Counter[str] = Counter()
         self.malformed: Counter[str] = Counter()
         self.unknown: Counter[int] = Counter()  # PGN -> frames of groups that are not ours
+        self.others = 0  # frames with an 11-bit identifier, remote and error frames
         self.stops: dict[tuple[int, int, int], float] = {}
         self.cleared: dict[tuple[int, int, int], float] = {}
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
@@ -161,6 +162,10 @@ class Inspector:
         robot.last_s = t_s
         robot.frames[kind] += 1
         self._robot(t_s, robot, kind, message)
+
+    def hear_other(self) -> None:
+        """Count a frame that no robot reads: an 11-bit identifier, a remote or an error frame."""
+        self.others += 1
 
     def _member(self, t_s: float, source: int, message: Member) -> None:
         self.slot_of = {a: s for a, s in self.slot_of.items() if s != message.slot}
@@ -287,6 +292,7 @@ class Inspector:
             "malformed": dict(self.malformed),
             "unknown": {group_name(pgn): n for pgn, n in self.unknown.most_common()},
             "other_makers": {group_name(pgn): n for pgn, n in self.makers.refused.most_common()},
+            "other_frames": self.others,
             "beyond_the_field": self.beyond,
             "latched": [".".join(map(str, dot)) for dot in self.latched],
             "leader": self.leader,

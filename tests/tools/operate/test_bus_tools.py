@@ -2,6 +2,7 @@
 
 import asyncio
 import contextlib
+import json
 import os
 import shlex
 import signal
@@ -16,6 +17,7 @@ import pytest
 from protocol.frames.frame import Frame
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_server import Hub
+from tools.inspect.inspection import inspect
 from tools.inspect.inspector import Inspector
 from tools.operate.foreign_groups import NAMES
 from tools.run.launch_bus import viewer_command
@@ -155,3 +157,19 @@ def test_a14_frames_of_others_are_unknown_by_their_group_and_not_malformed() -> 
     }
     inspector.hear(9.0, Frame(0x14FF1080, b"\x00"))
     assert inspector.to_dict()["malformed"] == {"length": 1}
+
+
+def test_a14_frames_that_no_robot_reads_are_counted_in_a_log(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """11-bit identifiers, remote and error frames of a shared bus are neither malformed nor lost."""
+    log = tmp_path / "shared.log"
+    log.write_text(
+        "(1.000000) can0 0CFF1080#0000000000000000\n(1.1) can0 123#0102\n(1.2) can0 123#R\n"
+        "(1.3) can0 20000088#0000000000000000\n(1.4) can0 0CFE0D26#01FFFFFFFFFFFFFF\n"
+    )
+    words = (log, "socketcand", "can0", 250_000, "127.0.0.1", 0, 0.0, False, None)
+    assert inspect(*words, as_json=True) == 0
+    seen = json.loads(capsys.readouterr().out)
+    assert seen["other_frames"] == 3 and seen["malformed"] == {}
+    assert seen["unknown"] == {"PGN 65037 (working set master)": 1}
