@@ -27,6 +27,7 @@ QUESTIONS = {
     "How does a robot claim a section?": "agent/peer/section_claims.py",
     "How does a robot notice that its position is old or frozen?": "agent/peer/sense_freshness.py",
     "Where is Theta*?": "agent/paths/theta_star.py",
+    "When does each robot begin each section of a plan?": "agent/field/plan_schedule.py",
     "Where is ORCA?": "agent/avoidance/orca.py",
     "Where is PIBT?": "agent/mapf/pibt.py",
     "Where are Dubins paths?": "agent/paths/dubins.py",

@@ -64,8 +64,9 @@ class PlanProblem(NamedTuple):
 class FleetPlan:
     """The newest plan of one peer."""
 
-    def __init__(self, travel: TravelTimes) -> None:
-        self.travel = travel
+    def __init__(self, travel: TravelTimes, seed: int = 0) -> None:
+        """`seed`: of the search. Robots use 0, so that equal problems have equal plans."""
+        self.travel, self.seed = travel, seed
         self.rows: Rows = {}
         self.entries: dict[int, int] = {}  # section that is first in a row -> the end to enter at
         self.last_finish_at_ms = 0
@@ -83,18 +84,19 @@ class FleetPlan:
         if not jobs or not slots:
             self.rows = {slot: [] for slot in slots}
             return self.rows
-        problem = self._problem(left, [robots[s] for s in slots])
+        problem = self.problem(left, [robots[s] for s in slots])
         kept = self._kept(slots, jobs)
         rows, ends, self.last_finish_at_ms = self._solved(problem, kept)
         self.rows = {slot: [jobs[j] for j in row] for slot, row in zip(slots, rows, strict=True)}
         self.entries = {jobs[row[0]]: end for row, end in zip(rows, ends, strict=True) if row}
         return self.rows
 
-    def _problem(
+    def problem(
         self,
         left: Mapping[int, Remainder | None],
         robots: Sequence[FreedRobot],
     ) -> PlanProblem:
+        """The problem of these sections, in the order of their numbers, and these robots."""
         jobs = sorted(left)
         ends = np.array([2 * job + end for job in jobs for end in range(2)], dtype=np.int64)
         places = [_rounded(robot.place) for robot in robots]
@@ -117,13 +119,13 @@ class FleetPlan:
 
     def _solved(self, problem: PlanProblem, begun: list[list[int]] | None) -> Solution:
         """`solve`, once for all peers of a process that have the same problem."""
-        key = b"".join(array.tobytes() for array in problem) + repr(begun).encode()
+        key = b"".join(array.tobytes() for array in problem) + repr((begun, self.seed)).encode()
         plans = self.travel.plans
         found = plans.get(key)
         if found is None:
             if len(plans) >= PLANS_KEPT:
                 plans.clear()
-            found = plans[key] = solve(problem, begun)
+            found = plans[key] = solve(problem, begun, self.seed)
         return found
 
     def _kept(self, slots: Sequence[int], jobs: Sequence[int]) -> list[list[int]] | None:
@@ -140,7 +142,7 @@ class FleetPlan:
         return rows
 
 
-def solve(problem: PlanProblem, begun: Sequence[Sequence[int]] | None) -> Solution:
+def solve(problem: PlanProblem, begun: Sequence[Sequence[int]] | None, seed: int = 0) -> Solution:
     """A good plan. `begun`: the rows to begin with; None: none. Equal arguments give equal plans."""
     ready, lead, work, link = problem
     jobs = len(work)
@@ -152,7 +154,7 @@ def solve(problem: PlanProblem, begun: Sequence[Sequence[int]] | None) -> Soluti
         for r, row in enumerate(begun):
             route[r, : len(row)], size[r] = row, len(row)
     moves, hot_for_ms = (FIRST_MOVES, HOT_MS) if begun is None else (AGAIN_MOVES, AGAIN_HOT_MS)
-    state = np.zeros(1, dtype=np.uint64)
+    state = np.full(1, seed, dtype=np.uint64)
     last_at_ms = improve(
         route, size, ready, lead, work, link, nearest_jobs(link, NEAR), moves, hot_for_ms, COLD_MS,
         SUM_SHARE, state,

@@ -83,15 +83,16 @@ class TravelTimes:
     @cached_property
     def work_for_ms(self) -> Whole:
         """(sections,): all swaths of each section, with the turns between them."""
-        works_for_ms = [self._driven_for_ms(section.swaths) for section in self.field.sections]
+        works_for_ms = [self.driven_for_ms(section.swaths) for section in self.field.sections]
         return np.array(works_for_ms, dtype=np.int64)
 
     def remainder(self, section: Section, is_covered: Callable[[int], bool]) -> Remainder:
         """What is left of a section with an uncovered unit. `is_covered`: of each unit."""
         left = [line for line, _ in section.stretches(lambda unit: not is_covered(unit))]
-        return Remainder((left[0][0], left[-1][-1]), self._driven_for_ms(left))
+        return Remainder((left[0][0], left[-1][-1]), self.driven_for_ms(left))
 
-    def _driven_for_ms(self, lines: Sequence[Polyline]) -> int:
+    def driven_for_ms(self, lines: Sequence[Polyline]) -> int:
+        """To work these swaths, or parts of swaths, in this order, with the turns between them."""
         lengths_m: list[float] = []
         for swath in lines:
             lead_m = [LEAD_M, *[0.0] * (len(swath) - 3), LEAD_M]

@@ -11,6 +11,7 @@ Written as a folder, or as a zip if the name ends in .zip.
 """
 
 import zipfile
+from collections.abc import Callable
 from datetime import timedelta
 from decimal import Decimal
 from importlib.metadata import version
@@ -32,13 +33,7 @@ ZONE = 1  # code of the treatment zone that was worked
 def write_isoxml(record: WorkRecord, out: Path) -> None:
     """Write task data into a folder (created if needed) or a zip. FieldFileError without
     `isoxml`."""
-    try:
-        from isoxml.util.isoxml_io import isoxml_to_text
-    except ImportError:
-        raise FieldFileError(
-            f"{out}: task data needs the package isoxml: pip install 'headland[isoxml]'"
-        ) from None
-    files = {NAME: isoxml_to_text(_task_data(record)).encode()}
+    files = {NAME: task_file(out, lambda: _contents(record))}
     for number, (robot, log) in enumerate(sorted(record.logs.items()), 1):
         files[f"TLG{number:05d}.xml"] = header(f"DET-{robot + 1}").encode()
         files[f"TLG{number:05d}.bin"] = pack(log, record.started)
@@ -53,43 +48,67 @@ def write_isoxml(record: WorkRecord, out: Path) -> None:
         (out / name).write_bytes(content)
 
 
-def _task_data(record: WorkRecord) -> Any:
-    import isoxml.models.base.v4 as iso
+def task_file(out: Path, contents: Callable[[], dict[str, Any]]) -> bytes:
+    """A TASKDATA.XML with these devices, partfields and tasks. FieldFileError without `isoxml`.
 
+    `out`: the name for the message.
+    """
+    try:
+        import isoxml.models.base.v4 as iso
+        from isoxml.util.isoxml_io import isoxml_to_text
+    except ImportError:
+        raise FieldFileError(
+            f"{out}: task data needs the package isoxml: pip install 'headland[isoxml]'"
+        ) from None
     headland = version("headland")
-    return iso.Iso11783TaskData(
+    document = iso.Iso11783TaskData(
         management_software_manufacturer="Headland",
         management_software_version=headland,
         task_controller_manufacturer="Headland",
         task_controller_version=headland,
         data_transfer_origin=iso.Iso11783TaskDataDataTransferOrigin.MICS,
-        devices=[_device(iso, record, robot) for robot in sorted(record.logs)],
-        partfields=[_partfield(iso, record)],
-        tasks=[_task(iso, record)],
+        **contents(),
     )
+    return bytes(isoxml_to_text(document).encode())
+
+
+def _contents(record: WorkRecord) -> dict[str, Any]:
+    import isoxml.models.base.v4 as iso
+
+    robots = sorted(record.logs)
+    return {
+        "devices": [device(iso, record.name, record.width_mm, robot) for robot in robots],
+        "partfields": [_partfield(iso, record)],
+        "tasks": [_task(iso, record)],
+    }
 
 
 def _partfield(iso: Any, record: WorkRecord) -> Any:
-    kinds = iso.GuidancePatternType
     patterns = [
-        iso.GuidancePattern(
-            id=f"GPN-{number}",
-            designator=f"S{swath.section}",
-            type=kinds.AB if len(swath.points) == 2 else kinds.Curve,
-            propagation_direction=iso.GuidancePatternPropagationDirection.NoPropagation,
-            extension=iso.GuidancePatternExtension.NoExtensions,
-            line_strings=[_guidance_line(iso, swath.points)],
-        )
+        guidance_pattern(iso, number, f"S{swath.section}", swath.points)
         for number, swath in enumerate(record.swaths, 1)
     ]
     return iso.Partfield(
         id="PFD-1",
         designator=record.name,
         area=area_m2(record.boundary),
-        polygons=[_polygon(iso, record.boundary, iso.PolygonType.PartfieldBoundary)],
+        polygons=[polygon_of(iso, record.boundary, iso.PolygonType.PartfieldBoundary)],
         guidance_groups=[
             iso.GuidanceGroup(id="GGP-1", designator="swaths", guidance_patterns=patterns)
         ],
+    )
+
+
+def guidance_pattern(iso: Any, number: int, name: str, points: tuple[LonLat, ...]) -> Any:
+    """The GPN of one swath: AB where it is straight, else a curve."""
+    kinds = iso.GuidancePatternType
+    return iso.GuidancePattern(
+        id=f"GPN-{number}",
+        designator=name,
+        type=kinds.AB if len(points) == 2 else kinds.Curve,
+        propagation_direction=iso.GuidancePatternPropagationDirection.NoPropagation,
+        extension=iso.GuidancePatternExtension.NoExtensions,
+        line_strings=[_guidance_line(iso, points)],
     )
 
 
@@ -103,7 +122,8 @@ def _guidance_line(iso: Any, points: tuple[LonLat, ...]) -> Any:
     )
 
 
-def _polygon(iso: Any, rings: Rings, kind: Any) -> Any:
+def polygon_of(iso: Any, rings: Rings, kind: Any) -> Any:
+    """The PLN of an outline with its holes."""
     kinds = iso.LineStringType
     lines = [
         iso.LineString(
@@ -120,7 +140,8 @@ def _point(iso: Any, at: LonLat, kind: Any) -> Any:
     return iso.Point(type=kind, north=north, east=east)
 
 
-def _device(iso: Any, record: WorkRecord, robot: int) -> Any:
+def device(iso: Any, name: str, width_mm: int, robot: int) -> Any:
+    """The element of a robot of the field or fleet `name`."""
     element = iso.DeviceElement(
         id=f"DET-{robot + 1}", object_id=DEVICE + 10, type=iso.DeviceElementType.Device,
         designator=f"robot {robot}", number=0, parent_object_id=DEVICE,
@@ -132,13 +153,11 @@ def _device(iso: Any, record: WorkRecord, robot: int) -> Any:
     return iso.Device(
         id=f"DVC-{robot + 1}",
         designator=f"robot {robot}",
-        client_name=fleet_name(record.name, robot).pack().to_bytes(8, "big"),
+        client_name=fleet_name(name, robot).pack().to_bytes(8, "big"),
         structure_label="48454144000001",  # any seven bytes that change with the elements below
         localization_label=b"\xff\x00\x00\x00\x00\x6e\x65",  # byte 7 first: no units, "en"
         elements=[element],
-        properties=[
-            iso.DeviceProperty(object_id=WIDTH_OBJECT, ddi=_ddi(WIDTH), value=record.width_mm)
-        ],
+        properties=[iso.DeviceProperty(object_id=WIDTH_OBJECT, ddi=_ddi(WIDTH), value=width_mm)],
         process_data=[
             iso.DeviceProcessData(
                 object_id=STATE_OBJECT, ddi=_ddi(WORK_STATE), property=0, trigger_methods=ON_CHANGE
@@ -157,7 +176,9 @@ def _task(iso: Any, record: WorkRecord) -> Any:
     zone = iso.TreatmentZone(
         code=ZONE,
         designator="covered",
-        polygons=[_polygon(iso, rings, iso.PolygonType.TreatmentZone) for rings in record.covered],
+        polygons=[
+            polygon_of(iso, rings, iso.PolygonType.TreatmentZone) for rings in record.covered
+        ],
     )
     stopped = record.started + timedelta(milliseconds=record.duration_ms)
     statuses = iso.TaskStatus

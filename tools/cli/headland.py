@@ -291,6 +291,34 @@ def fields(
     raise SystemExit(command(file, json))
 
 
+@app.command(rich_help_panel=PLAY)
+def plan(
+    field: Annotated[
+        str, typer.Argument(help="A field file, all its fields; a scenario, or one that ships.")
+    ] = "oxted",
+    robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
+    out: Annotated[
+        Path | None,
+        typer.Option(help="Folder for plan.geojson, plan.kml and TASKDATA (none: a table alone)."),
+    ] = None,
+    done: Annotated[
+        Path | None, typer.Option(help="The work.geojson of a run: plan what it left.")
+    ] = None,
+    feature: Annotated[str | None, typer.Option(help="One field of a file with several.")] = None,
+    drive: Annotated[str | None, typer.Option(help="Of the bodies: mecanum.")] = None,
+    seed: Annotated[int, typer.Option(min=0, help="Of the search; robots use 0.")] = 0,
+    json: Json = False,
+) -> None:
+    """Plan who works which sections from when to when, as robots do it, without a run.
+
+    Exit 0 when every field is planned, 1 when one could not be, 2 when none could.
+    Example: headland plan oxted --robots 6 --out plan
+    """
+    from tools.run.plan import plan as command
+
+    raise SystemExit(command(field, robots, out, done, feature, drive, seed, json))
+
+
 @app.command(rich_help_panel=LOOK)
 def export(
     run: Annotated[Path, typer.Argument(help="Folder of a run.")],

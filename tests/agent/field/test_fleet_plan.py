@@ -18,7 +18,7 @@ from agent.paths.route import Route
 Floats = NDArray[np.float64]
 
 
-def _drawn(seed: int, robots: int, jobs: int) -> PlanProblem:
+def drawn_problem(seed: int, robots: int, jobs: int) -> PlanProblem:
     """Robots and sections at random places of a square of 300 m, at one metre a second."""
     rng = np.random.default_rng(seed)
     ends, starts = rng.uniform(0, 300_000, (2 * jobs, 2)), rng.uniform(0, 300_000, (robots, 2))
@@ -56,7 +56,7 @@ def _row_ms(problem: PlanProblem, robot: int, row: list[int]) -> int:
 @settings(deadline=None)  # the first example compiles
 @given(seed=st.integers(0, 1 << 30), jobs=st.integers(1, 6))
 def test_a_row_is_worked_from_its_best_ends(seed: int, jobs: int) -> None:
-    problem, row = _drawn(seed, 1, jobs), list(range(jobs))
+    problem, row = drawn_problem(seed, 1, jobs), list(range(jobs))
     args = (0, np.array(row), jobs, *problem)
     assert finish(*args) == _row_ms(problem, 0, row)
     entered = first_end(*args)
@@ -69,7 +69,7 @@ def test_a_row_is_worked_from_its_best_ends(seed: int, jobs: int) -> None:
 
 @pytest.mark.parametrize("seed", range(12))
 def test_a_small_fleet_gets_the_best_plan_there_is(seed: int) -> None:
-    problem, jobs = _drawn(seed, 2, 5), range(5)
+    problem, jobs = drawn_problem(seed, 2, 5), range(5)
     best_ms = min(
         max(_row_ms(problem, 0, list(order[:cut])), _row_ms(problem, 1, list(order[cut:])))
         for order in permutations(jobs)
@@ -84,7 +84,7 @@ def test_a_small_fleet_gets_the_best_plan_there_is(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_plan_that_begins_with_another_is_complete_and_no_worse(seed: int) -> None:
-    problem = _drawn(seed, 6, 40)
+    problem = drawn_problem(seed, 6, 40)
     begun = [list(range(robot, 40, 6)) for robot in range(6)]
     before_ms = max(
         int(finish(r, np.array(row), len(row), *problem)) for r, row in enumerate(begun)
@@ -163,7 +163,7 @@ def test_a_robot_that_ends_late_in_any_case_does_not_leave_the_others_idle() -> 
 @pytest.mark.parametrize("seed", range(6))
 def test_rows_are_dealt_so_that_ways_to_them_are_short(seed: int) -> None:
     """No two robots could exchange their rows for less driving and no later end."""
-    problem = _drawn(seed, 5, 15)
+    problem = drawn_problem(seed, 5, 15)
     found = solve(problem, None)
     rows = [np.array(row + [0] * (15 - len(row))) for row in found.rows]
 

@@ -28,7 +28,7 @@ RUN = (
     "export runs/latest --isoxml TASKDATA", "export runs/latest --geojson work.geojson",
     "replay runs/latest", "replay runs/latest --speed 10", "dbc", "dbc headland.dbc",
     "say --log runs/latest", "say --read", "keys new", "keys new keys", "keys rotate keys",
-    "keys show keys", "coverage solve --H", "coverage replay vacuum_plan.json",
+    "keys show keys", "coverage solve --H", "plan oxted --robots", "coverage replay vacuum_plan.json",
     "coverage replay PLAN", "--help", "--show-completion", "--version", "list", "doctor", "check small",
 )  # fmt: skip
 # Why a command is only parsed, by what it contains; the first that fits.
@@ -48,6 +48,7 @@ PARSED = {
     "headland run": "a minute each; run by tests of its mission",
     "headland launch": "runs in real time; the tutorial's is run here",
     "headland fields": "a reader's own file; tests/tools/cli/test_given_files.py",
+    "headland plan": "a reader's own file; tests/tools/run/test_plan.py",
     "headland hub": "runs until it is ended; tests/tools/cli/test_hub_restart.py",
     "headland bridge": "runs until it is ended; tests/tools/cli/test_bridge.py",
     "headland map": "serves until it is ended; tests/tools/livemap/test_map.py",

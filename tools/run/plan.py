@@ -1,0 +1,144 @@
+"""`headland plan`: who would work what, from when to when, without a run."""
+
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import fields_of
+from sim.files.strict_json import dumps
+from sim.runs.work_geojson import read_work_geojson
+from sim.runs.work_plan import WorkPlan, plan_work
+from sim.runs.work_plan_files import write_plan_geojson, write_plan_isoxml, write_plan_kml
+from sim.runs.work_record import WorkRecord
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import Scenario, ScenarioError, load
+
+SOME_FAILED, WRONG = 1, 2
+GEOJSON, KML, TASK_DATA = "plan.geojson", "plan.kml", "TASKDATA"
+
+
+def plan(
+    name: str,
+    robots: int | None,
+    out: Path | None,
+    done: Path | None,
+    feature: str | None,
+    drive: str | None,
+    seed: int,
+    as_json: bool,
+) -> int:
+    """The exit code of `headland plan`: 0 if each field is planned, 1 if one is not, 2 if none is.
+
+    `name`: of a scenario, or a field file. `out`: folder of the files; None: only the table. `done`:
+    a work record; what it covers is not planned.
+    """
+    plans: list[WorkPlan] = []
+    failed = False
+    try:
+        record = None if done is None else read_work_geojson(done)
+        for scenario in _fields(load(name).changed(robots, None, None, feature, drive)):
+            try:
+                plans.append(_planned(scenario, record, seed))
+            except ScenarioError as problem:
+                print(f"headland: {problem}", file=sys.stderr)
+                failed = True
+        if not plans:
+            return WRONG
+        files = [] if out is None else _written(plans, out)
+    except (ScenarioError, FieldFileError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: {problem.filename}: {problem.strerror}", file=sys.stderr)
+        return WRONG
+    if as_json:
+        print(dumps({"fields": [_told(p) for p in plans], "files": files}))
+    else:
+        _print(plans, files)
+    return SOME_FAILED if failed else 0
+
+
+def _fields(scenario: Scenario) -> Iterator[Scenario]:
+    """The scenario once for each field of its file, if it names none."""
+    path = scenario.path_of(scenario.field.file)
+    try:
+        outlines, broken = fields_of(path)
+    except FieldFileError as problem:
+        raise ScenarioError(f"{scenario.name}: field.file: {problem}") from None
+    names = sorted({*outlines, *broken})
+    if scenario.field.feature is not None or len(names) < 2:
+        yield scenario
+        return
+    for name in names:
+        yield scenario.changed(feature=name)
+
+
+def _planned(scenario: Scenario, record: WorkRecord | None, seed: int) -> WorkPlan:
+    try:
+        return plan_work(FieldSetup(scenario), record, seed)
+    except ScenarioError as problem:
+        feature = scenario.field.feature
+        if feature is None or feature in str(problem):
+            raise
+        raise ScenarioError(f"{feature}: {problem}") from None
+
+
+def _written(plans: list[WorkPlan], out: Path) -> list[str]:
+    out.mkdir(parents=True, exist_ok=True)
+    write_plan_geojson(plans, out / GEOJSON)
+    write_plan_kml(plans, out / KML)
+    files = [str(out / GEOJSON), str(out / KML)]
+    try:
+        write_plan_isoxml(plans, out / TASK_DATA)
+        files.append(str(out / TASK_DATA))
+    except FieldFileError as problem:  # without the package; the other files are there
+        print(f"headland: left out: {problem}", file=sys.stderr)
+    return files
+
+
+def _told(planned: WorkPlan) -> dict[str, object]:
+    return {
+        "name": planned.name,
+        "hectares": round(planned.hectares, 2),
+        "method": planned.method,
+        "sections": planned.sections,
+        "done": planned.done,
+        "ends_at_s": round(planned.ends_at_s, 1),
+        "robots": [
+            {
+                "robot": robot.robot,
+                "sections": [section.section for section in robot.sections],
+                "work_for_s": round(robot.work_for_s, 1),
+                "ways_for_s": round(robot.ways_for_s, 1),
+                "ends_at_s": round(robot.ends_at_s, 1),
+            }
+            for robot in planned.robots
+        ],
+    }
+
+
+def _print(plans: list[WorkPlan], files: list[str]) -> None:
+    console = Console()
+    for planned in plans:
+        left = planned.sections - planned.done
+        table = Table(
+            title=f"{escape(planned.name)}: {planned.hectares:.2f} ha, {left} of "
+            f"{planned.sections} sections, {planned.ends_at_s:.0f} s"
+        )
+        table.add_column("robot", justify="right")
+        table.add_column("sections in order")
+        for column in ("work, s", "ways, s", "end, s"):
+            table.add_column(column, justify="right")
+        for robot in planned.robots:
+            table.add_row(
+                str(robot.robot), " ".join(f"S{s.section}" for s in robot.sections),
+                f"{robot.work_for_s:.0f}", f"{robot.ways_for_s:.0f}", f"{robot.ends_at_s:.0f}",
+            )  # fmt: skip
+        console.print(table)
+    for file in files:
+        console.print(escape(file), soft_wrap=True)
