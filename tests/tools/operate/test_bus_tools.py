@@ -149,7 +149,7 @@ def test_a14_frames_of_others_are_unknown_by_their_group_and_not_malformed() -> 
         inspector.hear(number, Frame(0x0CCB2680, b"\xff" * 8))  # to a destination
         inspector.hear(number, Frame(0x18FEFF80, b""))
     told = inspector.to_dict()
-    assert told["malformed"] == {} and len(NAMES) == 20
+    assert told["malformed"] == {} and len(NAMES) >= 20
     assert told["unknown"] == {
         "PGN 61444 (EEC1: engine speed)": 5,
         "PGN 51968 (process data (ISO 11783-10))": 5,
