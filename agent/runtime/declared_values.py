@@ -4,9 +4,11 @@ A robot file has them, and so has a scenario, which adds what only a simulation 
 and a value out of range are errors of one line (`first_error`).
 """
 
+import re
+from collections.abc import Sequence
 from difflib import get_close_matches
 from math import radians
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
@@ -89,22 +91,76 @@ class WarehouseTable(Table):
     t_max: int = Field(default=4, ge=1, le=100)
 
 
-def first_error(problem: ValidationError, model: type[BaseModel]) -> str:
-    """One line: the first wrong key, what is wrong with it, and the key that was probably meant.
+# What a wrong value is not, in words for people, by pydantic's name of the error.
+_NOT = {
+    "int_parsing": "not a whole number", "int_type": "not a whole number",
+    "int_from_float": "not a whole number", "float_parsing": "not a number",
+    "float_type": "not a number", "bool_parsing": "not true or false", "bool_type": "not true or false",
+    "string_type": "not a text in quotes", "list_type": "not a list", "tuple_type": "not a list",
+    "model_type": "not a table", "dict_type": "not a table", "finite_number": "not a finite number",
+}  # fmt: skip
 
-    `model`: the model of the whole file."""
-    error = problem.errors()[0]
-    path = [str(part) for part in error["loc"]]
-    key = ".".join(path)
+
+def first_error(problem: ValidationError, model: type[BaseModel], text: str = "") -> str:
+    """One line: the wrong key, what is wrong with it, and the key or value that was probably meant.
+
+    `model`: the model of the whole file. `text`: of the file; with it the line is named. An unknown key
+    comes before a missing one, because it is often the missing one with a typing error.
+    """
+    errors = problem.errors()
+    error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])
+    path = [part for part in error["loc"] if not isinstance(part, str) or part not in _tags(model)]
+    key = ".".join(map(str, path))
+    number = line_of(text, path)
+    where = key if number is None else f"line {number}: {key}"
     if error["type"] == "extra_forbidden":
-        meant = get_close_matches(path[-1], _keys_beside(path, model), n=1)
-        return f"{key}: unknown key" + (f"; did you mean {meant[0]!r}?" if meant else "")
+        meant = get_close_matches(str(path[-1]), _keys_beside(list(error["loc"]), model), n=1)
+        return f"{where}: unknown key" + (f"; did you mean {meant[0]!r}?" if meant else "")
     if error["type"] == "missing":
-        return f"{key}: is missing"
-    message = error["msg"][0].lower() + error["msg"][1:]
-    more = len(problem.errors()) - 1
+        return f"{where}: is missing"
+    context = error.get("ctx", {})
+    choices = str(context.get("expected_tags" if "tag" in context else "expected", ""))
+    if error["type"] in ("union_tag_invalid", "literal_error"):
+        known = [choice.strip().strip("'") for choice in choices.replace(" or ", ", ").split(", ")]
+        given = context.get("tag", error["input"])
+        place = f"{where}.kind" if "tag" in context else where
+        meant = get_close_matches(str(given), known, n=1)
+        hint = f"did you mean {meant[0]!r}?" if meant else f"it is one of {', '.join(known)}"
+        return f"{place}: not {_said(given)}; {hint}"
+    if error["type"] == "union_tag_not_found":
+        return f"{where}.kind: is missing"
+    more = len(errors) - 1
     tail = f" (and {more} more)" if more else ""
-    return f"{key}: {message}, not {_said(error['input'])}{tail}"
+    if error["type"] in _NOT:
+        return f"{where}: {_NOT[error['type']]}: {_said(error['input'])}{tail}"
+    message = error["msg"][0].lower() + error["msg"][1:]
+    return f"{where}: {message}, not {_said(error['input'])}{tail}"
+
+
+def line_of(text: str, path: Sequence[str | int]) -> int | None:
+    """The line of a file on which a key stands, or the table that lacks it; counted from 1."""
+    tables: dict[str, int] = {}
+    here: list[str | int] = []
+    best: tuple[int, int] | None = None  # how many parts of the path fit, and the line
+    for number, line in enumerate(text.splitlines(), start=1):
+        if head := _HEAD.match(line):
+            name = head["list"] or head["table"]
+            here = [part.strip().strip("\"'") for part in name.split(".")]
+            if head["list"]:
+                tables[name] = tables.get(name, -1) + 1
+                here.append(tables[name])
+            found = here
+        elif key := _KEY.match(line):
+            found = [*here, *(part.strip().strip("\"'") for part in key[1].split("."))]
+        else:
+            continue
+        if found == list(path[: len(found)]) and (best is None or len(found) > best[0]):
+            best = (len(found), number)
+    return None if best is None else best[1]
+
+
+_HEAD = re.compile(r"\s*(?:\[\[(?P<list>[^]]+)\]\]|\[(?P<table>[^][]+)\])\s*(?:#.*)?$")
+_KEY = re.compile(r"\s*([\w\"'.-]+)\s*=")
 
 
 def _said(value: object) -> str:
@@ -115,13 +171,34 @@ def _said(value: object) -> str:
     return text if len(text) <= SAID_MAX else f"{text[: SAID_MAX - 4]} ..."
 
 
-def _keys_beside(path: list[str], whole: type[BaseModel]) -> list[str]:
-    model: Any = whole
+def _tags(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
+    """The models of a list of kinds, by the word that `kind` has for each."""
+    found: dict[str, type[BaseModel]] = {}
+    for field in model.model_fields.values():
+        for each in _models(field.annotation):
+            kind = each.model_fields.get("kind")
+            if kind is not None:
+                found |= {str(word): each for word in get_args(kind.annotation)}
+    return found
+
+
+def _models(annotation: Any) -> list[type[BaseModel]]:
+    """Every model in a type: `list[A | B]`, `A | None`, `A`."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    return [model for part in get_args(annotation) for model in _models(part)]
+
+
+def _keys_beside(path: list[str | int], whole: type[BaseModel]) -> list[str]:
+    """The keys of the table in which the last part of a path stands."""
+    model, tags = whole, _tags(whole)
     for part in path[:-1]:
-        field = getattr(model, "model_fields", {}).get(part)
-        if field is None or not isinstance(field.annotation, type):
+        if isinstance(part, int):
+            continue
+        field = model.model_fields.get(part)
+        models = [tags[part]] if part in tags and field is None else []
+        models = models or ([] if field is None else _models(field.annotation))
+        if not models:
             return []
-        model = field.annotation
-    return (
-        list(model.model_fields) if isinstance(model, type) and issubclass(model, BaseModel) else []
-    )
+        model = models[0]
+    return list(model.model_fields)

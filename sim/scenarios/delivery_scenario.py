@@ -79,7 +79,9 @@ class DeliveryScenario(Scenario):
     battery: BatteryTable = BatteryTable()
 
 
-class _Parsed(DeliveryScenario):
+class DeliveryFile(DeliveryScenario):
+    """A scenario file with `mission = "delivery"`, with the smaller robots of a warehouse as defaults."""
+
     fleet: WarehouseFleet = WarehouseFleet()
 
 
@@ -98,7 +100,7 @@ def is_warehouse(name: str) -> bool:
 
 def load_warehouse(name: str) -> DeliveryScenario:
     """Load by file, or by the name of a shipped one."""
-    return load_kind(name, _Parsed, WAREHOUSES)
+    return load_kind(name, DeliveryFile, WAREHOUSES)
 
 
 def read_tasks(path: Path) -> list[TaskRow]:

@@ -20,7 +20,7 @@ from agent.runtime.files.given_file import GivenFileError, read_bytes
 from agent.runtime.mission_parts import field_parts, values_of
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import Crash, CrashWorking, Scenario, ScenarioError
+from sim.scenarios.scenario import Box, Crash, CrashWorking, Order, Scenario, ScenarioError
 from sim.scenarios.time_limit import time_limit_s
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
@@ -54,6 +54,25 @@ class FieldSetup(FleetSetup):
             )
         except ValueError as problem:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
+        self._check_places()
+
+    def _check_places(self) -> None:
+        """ScenarioError for an obstacle or a goal where no robot of this field could ever meet it."""
+        west, south, east, north = self.field.polygon.bounds
+        for number, fault in enumerate(self.scenario.fault):
+            if isinstance(fault, Box):
+                reach_m, x_m, y_m = fault.size_m / 2, fault.x_m, fault.y_m
+            elif isinstance(fault, Order) and fault.order == "set_goal":
+                reach_m, x_m, y_m = 0.0, fault.x_m, fault.y_m
+            else:
+                continue
+            inside_x = west - reach_m <= x_m <= east + reach_m
+            if not (inside_x and south - reach_m <= y_m <= north + reach_m):
+                raise ScenarioError(
+                    f"{self.scenario.name}: fault.{number}: {x_m:g}, {y_m:g} is outside of the field, "
+                    f"which reaches from {west:.0f} to {east:.0f} m east and from {south:.0f} to "
+                    f"{north:.0f} m north of its middle"
+                )
 
     def _field(self) -> Field:
         table = self.scenario.field

@@ -8,9 +8,14 @@ from typing import Annotated, Any, Literal, Self, TypeVar
 from pydantic import Field, ValidationError
 
 from agent.interface.config import PEERS_MAX
-from agent.runtime.declared_values import FieldTable, Table, first_error
+from agent.runtime.declared_values import FieldTable, Table, first_error, line_of
 from agent.runtime.declared_values import FleetTable as RobotFleet
-from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
+from agent.runtime.files.given_file import (
+    SCENARIO_BYTES_MAX,
+    GivenFileError,
+    parse_toml,
+    read_text,
+)
 from sim.world.step_engine import Engine
 
 SHIPPED = Path(__file__).parent
@@ -337,6 +342,7 @@ Fault = Annotated[
 ]  # fmt: skip
 
 
+MISSIONS = ("field", "errands", "delivery", "exploration", "drill", "sprint")
 DRILLS = ("drill", "sprint")  # no world, only work by the clock; a sprint is short and contended
 
 
@@ -410,13 +416,18 @@ def load(name: str) -> Scenario:
 
 def load_kind(name: str, kind: type[Kind], folder: Path) -> Kind:
     """The same for another kind of scenario, shipped in another folder."""
-    document, beside = read_document(name, folder)
-    return _validate(document, name, beside, kind)
+    document, beside, text = _read(name, folder)
+    return _validate(document, name, beside, kind, text)
 
 
 def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
     """The parsed scenario file, and the folder that its file names are relative to. Raises
     ScenarioError if there is no such file, or if it is no TOML."""
+    return _read(name, folder)[:2]
+
+
+def _read(name: str, folder: Path) -> tuple[dict[str, Any], Path, str]:
+    """The same, and the text of the file."""
     path = Path(name)
     if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"
@@ -425,7 +436,8 @@ def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
             f"{name}: no such file, and no scenario of that name ships{_meant(name)}"
         )
     try:
-        return read_toml(path, SCENARIO_BYTES_MAX), path.parent
+        text = read_text(path, SCENARIO_BYTES_MAX)
+        return parse_toml(text), path.parent, text
     except GivenFileError as problem:
         raise ScenarioError(f"{name}: {problem}") from None
 
@@ -438,23 +450,41 @@ def _meant(name: str) -> str:
     return f"; did you mean {near[0]!r}?" if near else f" ({', '.join(known)})"
 
 
-def _validate(document: dict[str, Any], name: str, folder: Path, kind: type[Kind]) -> Kind:
+def _validate(
+    document: dict[str, Any], name: str, folder: Path, kind: type[Kind], text: str = ""
+) -> Kind:
+    mission = document.get("mission", "field")
+    if mission not in MISSIONS:
+        meant = get_close_matches(str(mission), MISSIONS, n=1)
+        hint = f"did you mean {meant[0]!r}?" if meant else f"it is one of {', '.join(MISSIONS)}"
+        raise ScenarioError(f"{name}: mission: not {str(mission)!r:.60}; {hint}")
     try:
         scenario = kind(**{**document, "folder": folder})
     except ValidationError as problem:
-        raise ScenarioError(f"{name}: {first_error(problem, Scenario)}") from None
+        raise ScenarioError(f"{name}: {first_error(problem, kind, text)}") from None
     except TypeError as problem:
         raise ScenarioError(f"{name}: {problem}") from None
     for number, fault in enumerate(scenario.fault):
-        robot = getattr(fault, "robot", 0)
-        if robot >= scenario.fleet.robots:
-            raise ScenarioError(
-                f"{name}: fault.{number}.robot: robot {robot} is not one of {scenario.fleet.robots} "
-                f"(0 to {scenario.fleet.robots - 1})"
-            )
+        for key in ("robot", "sender", "receiver"):
+            robot = getattr(fault, key, 0)
+            if robot >= scenario.fleet.robots:
+                raise ScenarioError(
+                    f"{name}: {_line(text, number, key)}fault.{number}.{key}: robot {robot} is not one "
+                    f"of {scenario.fleet.robots} (0 to {scenario.fleet.robots - 1})"
+                )
         if isinstance(fault, Partition):
-            _check_islands(fault.islands, scenario.fleet.robots, f"{name}: fault.{number}.islands")
+            _check_islands(
+                fault.islands,
+                scenario.fleet.robots,
+                f"{name}: {_line(text, number, 'islands')}fault.{number}.islands",
+            )
     return scenario
+
+
+def _line(text: str, number: int, key: str) -> str:
+    """Where a key of a fault stands in the file, as the beginning of a message."""
+    line = line_of(text, ("fault", number, key))
+    return "" if line is None else f"line {line}: "
 
 
 def _check_islands(islands: list[list[int]], robots: int, where: str) -> None:

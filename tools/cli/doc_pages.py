@@ -1,7 +1,7 @@
-"""What the documents print from the code: frames with their layouts, states with their edges, and the
-programming interface.
+"""What the documents print from the code: frames with their layouts, states with their edges,
+the keys of scenarios, and the programming interface.
 
-    python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.*, use/api.md
+    python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.*, use/api.md ...
 
 A test compares the files with what is printed here, so that they cannot be older than the code.
 """
@@ -12,6 +12,7 @@ from pathlib import Path
 from tools.cli.api_page import api
 from tools.cli.frame_pages import frames
 from tools.cli.route_pages import routes
+from tools.cli.scenario_pages import scenario_page
 from tools.cli.state_pages import MACHINES, diagram, states
 
 NOTE = "<!-- printed by python -m tools.cli.doc_pages docs; do not edit -->"
@@ -24,6 +25,7 @@ def pages() -> dict[str, str]:
         **{f"how/{machine.picture}": diagram(machine) for machine in MACHINES},
         "how/routes.md": f"{NOTE}\n{routes()}",
         "use/api.md": f"{NOTE}\n{api()}",
+        "use/scenario.md": f"{NOTE}\n{scenario_page()}",
     }  # fmt: skip
 
 

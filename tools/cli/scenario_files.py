@@ -83,7 +83,7 @@ def new(file: Path, like: str, as_json: bool) -> int:
     if as_json:
         print(dumps({"written": [str(path) for path in written], "like": like}))
     else:
-        print(f"{', '.join(map(str, written))}: a copy of {like}")
+        print(f"{', '.join(map(str, written))}: a copy of {like}; its keys: docs/use/scenario.md")
         print(f"next:\n  headland check {file}\n  headland run {file}")
     return 0
 

@@ -41,7 +41,12 @@ def new(
 
 @app.command(rich_help_panel=SET_UP)
 def check(
-    scenarios: Annotated[list[str], typer.Argument(help="Scenario files, or names that ship.")],
+    scenarios: Annotated[
+        list[str] | None, typer.Argument(help="Scenario files, or names that ship.")
+    ] = None,
+    schema: Annotated[
+        bool, typer.Option("--schema", help="Print the JSON Schema of scenario files instead.")
+    ] = False,
     json: Json = False,
 ) -> None:
     """Check scenarios without running them: keys, values, files, places and faults.
@@ -51,6 +56,14 @@ def check(
     """
     from tools.cli.scenario_files import check as command
 
+    if schema:
+        from sim.files.strict_json import dumps
+        from tools.cli.scenario_pages import schema as printed
+
+        print(dumps(printed(), indent=1))
+        raise SystemExit(0)
+    if not scenarios:
+        raise typer.BadParameter("name the scenarios to check, or --schema")
     raise SystemExit(command(scenarios, json))
 
 

@@ -29,7 +29,8 @@ RUN = (
     "replay runs/latest", "replay runs/latest --speed 10", "dbc", "dbc headland.dbc",
     "say --log runs/latest", "say --read", "keys new", "keys new keys", "keys rotate keys",
     "keys show keys", "coverage solve --H", "plan oxted --robots", "coverage replay vacuum_plan.json",
-    "coverage replay PLAN", "--help", "--show-completion", "--version", "list", "doctor", "check small",
+    "coverage replay PLAN", "--help", "--show-completion", "--version", "list", "doctor",
+    "check small", "check --schema",
 )  # fmt: skip
 # Why a command is only parsed, by what it contains; the first that fits.
 PARSED = {
