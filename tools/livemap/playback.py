@@ -14,6 +14,7 @@ from time import perf_counter
 from typing import NamedTuple
 
 from sim.record.recording import Recording
+from tools.livemap.event_notes import Event, EventNotes
 from tools.livemap.map_state import Watcher
 
 SNAPSHOT_US = 10_000_000
@@ -21,6 +22,7 @@ SPEED_MAX = 256.0
 AGES = 16  # snapshots thin out with age: the gap round one is at least its age divided by this
 EVENTS_MAX = 512  # most marks on the time line; more cannot be distinguished
 FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
+NOTE_US = 500_000  # of recorded time between two looks for events
 LOOK = 512  # rows between two looks at the clock
 
 
@@ -72,10 +74,9 @@ class Index:
         self.recording = recording
         self.reader = Reader(recording)
         self.snapshots: list[Snapshot] = []
-        self.events: deque[tuple[float, str]] = deque(maxlen=EVENTS_MAX)  # for the line of time
+        self.events: deque[Event] = deque(maxlen=EVENTS_MAX)  # for the line of time and the list
         self.noted = 0  # events in all
-        self._stops = 0
-        self._cleared = 0
+        self._notes = EventNotes()
 
     @property
     def complete(self) -> bool:
@@ -92,7 +93,7 @@ class Index:
             )
             left_s = end_s - perf_counter()
             if (
-                reader.read(min(due_at_us, recording.end_at_us), left_s)
+                reader.read(min(due_at_us, reader.t_us + NOTE_US, recording.end_at_us), left_s)
                 and reader.t_us >= due_at_us
             ):
                 state = zlib.compress(pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL), FAST)
@@ -121,13 +122,14 @@ class Index:
         return min(oldest_us, self.snapshots[0].t_us) if self.snapshots else oldest_us
 
     def _note(self) -> None:
-        watcher, now_s = self.reader.watcher, self.reader.t_us / 1e6
-        if len(watcher.stops) > self._stops:
-            self.events.append((min(list(watcher.stops.values())[self._stops :]), "stop"))
-            self._stops, self.noted = len(watcher.stops), self.noted + 1
-        if len(watcher.cleared) > self._cleared:
-            self.events.append((now_s, "reset"))
-            self._cleared, self.noted = len(watcher.cleared), self.noted + 1
+        watcher, recording = self.reader.watcher, self.recording
+        watcher.intents.clear()
+        for t_us, intent in recording.intents_at(self.reader.t_us):
+            watcher.intend(t_us / 1e6, intent)
+        events = self._notes.look(watcher, self.reader.t_us / 1e6)
+        watcher.intents.clear()  # so that no snapshot holds them
+        self.events.extend(events)
+        self.noted += len(events)
 
     def before(self, t_us: int) -> Snapshot | None:
         """The last snapshot that is not later than `t_us`; the first if all are later; None if

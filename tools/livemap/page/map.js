@@ -50,8 +50,8 @@ function hear(message) {
   const paths = new Map((message.jumped ? [] : told?.robots ?? []).map((robot) => [robot.s, robot.path]));
   for (const robot of message.robots) robot.path ??= paths.get(robot.s);
   told = message;
-  if (message.events) events = message.events;
   side.from = message.from;
+  if (message.events) side.showEvents(events = message.events, (t) => ask({ do: "seek", t }));
   field.take(message);
   if (!field.fitted) fit();
   side.take(message);
@@ -63,6 +63,7 @@ function hear(message) {
 function begin({ title, scene, live: isLive, releases: mayRelease, colours }) {
   live = isLive; releases = mayRelease; denied = false;
   told = null;
+  side.showEvents(events = [], () => {});
   heard = drawn = 0;
   setColours(colours);
   field.forget(); side.forget();

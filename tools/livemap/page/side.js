@@ -5,6 +5,8 @@ import { colourOf } from "./field.js";
 export const $ = (id) => document.getElementById(id);
 const STATES = ["DISCONNECTED", "IDLE", "SYNCHRONIZING", "WORKING", "EMERGENCY_STOP"];
 const words = (name) => name.toLowerCase().replaceAll("_", " ");
+const EVENTS_SHOWN = 100;
+const MARKS = { stop: "#f5222d", reset: "#4fd17c", back: "#4fd17c", other: "#ffb020" };
 const HISTORY = 120; // looks at the load of the bus, two a second
 
 function node(tag, text, kind) {
@@ -173,12 +175,26 @@ export class Side {
     $("split-who").textContent = islands.map((island, k) => `${"ABCDEFGH"[k % 8]}: ${island.join(" ")}`).join("   |   ");
   }
 
+  // What happened, newest first; each line is a button that goes there.
+  showEvents(events, go) {
+    const shown = events.slice(-EVENTS_SHOWN).reverse();
+    $("events-none").hidden = shown.length > 0;
+    $("events").replaceChildren(...shown.map(([t, kind, text]) => {
+      const line = node("li"), button = node("button");
+      button.type = "button"; button.dataset.t = t; button.dataset.kind = kind;
+      button.append(node("span", clock(t - this.from), "when"), node("span", text));
+      button.addEventListener("click", () => go(t));
+      line.append(button);
+      return line;
+    }));
+  }
+
   drawMarks(told, events) {
     const canvas = $("marks"), pen = canvas.getContext("2d"), span = Math.max(told.until - told.from, 1e-6);
     canvas.width = canvas.clientWidth;
     pen.clearRect(0, 0, canvas.width, canvas.height);
     for (const [t, kind] of events) {
-      pen.fillStyle = kind === "stop" ? "#f5222d" : "#4fd17c";
+      pen.fillStyle = MARKS[kind] ?? MARKS.other;
       const x = 8 + (canvas.width - 16) * (t - told.from) / span;
       pen.beginPath(); pen.moveTo(x, 12); pen.lineTo(x - 5, 1); pen.lineTo(x + 5, 1); pen.fill();
     }
