@@ -44,13 +44,13 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
     scene = recording.scene
     marks = [*faults, *(e for e in history.seen if e.kind in ("stop", "reset"))]
     bitrate = (scene or {}).get("bitrate", history.load.bitrate)
+    yield _events(evidence, faults, history)
+    yield _stops(history)
     yield _tracks(scene, history)
     yield from _planned(scene, followed(recording.intents, evidence.zero_at_us))
     yield _sections(history, marks)
     yield _load(history, bitrate if isinstance(bitrate, int) and bitrate > 0 else 250_000, marks)
     yield _states(history, marks)
-    yield _stops(history)
-    yield _events(evidence, faults, history)
 
 
 def _faults(evidence: RunEvidence) -> list[TimelineEvent]:

@@ -51,7 +51,7 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
         return 0
     for chapter in found:
         if chapter.missing:
-            print(f"without {chapter.title.lower()}: {chapter.missing}")
+            print(f"{chapter.title}: {chapter.missing}")
     print(f"{out}; its pictures and values are in {out.with_suffix('')}")
     return 0
 

@@ -12,16 +12,28 @@ POLICY = (
     "form-action 'none'"
 )
 STYLE = """
+:root { color-scheme: light dark; --ground: #fff; --text: #222; --dim: #595959; --edge: #ccc;
+        --bad: #b00020; --good: #1a7f37; --note: #8a4b00; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 70rem; padding: 0 1rem;
-       color: #222; background: #fff; }
-h1 { font-size: 1.6rem; } h2 { font-size: 1.2rem; margin-top: 2.5rem; border-bottom: 1px solid #ccc; }
-img { max-width: 100%; height: auto; }
+       color: var(--text); background: var(--ground); }
+h1 { font-size: 1.6rem; }
+h2 { font-size: 1.2rem; margin-top: 2.5rem; border-bottom: 1px solid var(--edge); }
+img { max-width: 100%; height: auto; background: #fff; border-radius: 6px; }
 table { border-collapse: collapse; margin: 0.7rem 0; font-size: 0.9rem; }
-th, td { text-align: left; padding: 0.15rem 0.9rem 0.15rem 0; border-bottom: 1px solid #e5e5e5;
+th, td { text-align: left; padding: 0.15rem 0.9rem 0.15rem 0; border-bottom: 1px solid var(--edge);
          font-variant-numeric: tabular-nums; vertical-align: top; }
-.missing { color: #8a4b00; } .more { color: #666; font-size: 0.85rem; }
-.bad { color: #b00020; font-weight: bold; } .good { color: #1a7f37; font-weight: bold; }
+a { color: inherit; } summary { cursor: pointer; margin-top: 1rem; }
+.missing { color: var(--note); } .more { color: var(--dim); font-size: 0.85rem; }
+.bad { color: var(--bad); font-weight: bold; } .good { color: var(--good); font-weight: bold; }
 nav a { margin-right: 1rem; }
+.tiles { display: grid; grid-template-columns: repeat(auto-fit, minmax(9rem, 1fr)); gap: 0.7rem;
+         margin: 1rem 0; }
+.tiles div { border: 1px solid var(--edge); border-radius: 8px; padding: 0.6rem 0.9rem; }
+.tiles dt { color: var(--dim); font-size: 0.85rem; } .tiles dd { margin: 0; font-size: 1.5rem; }
+@media (prefers-color-scheme: dark) {
+  :root { --ground: #12181b; --text: #e6edf0; --dim: #a5b4bc; --edge: #38474f;
+          --bad: #ff8a94; --good: #6fdc93; --note: #ffc878; }
+}
 @media print { nav { display: none; } h2 { break-after: avoid; } img { break-inside: avoid; } }
 """
 
@@ -49,14 +61,70 @@ def _figures(figures: dict[str, Any]) -> str:
     verdict = ""
     if isinstance(figures.get("success"), bool):
         good = figures["success"]
-        told = "without a flaw" if good else "not without a flaw"
-        verdict = f'<p class="{"good" if good else "bad"}">{told}</p>\n'
+        told = "without a flaw" if good else f"not without a flaw: {'; '.join(flaws(figures))}"
+        verdict = f'<p class="{"good" if good else "bad"}">{escape(told)}</p>\n'
     rows = [
         (key.replace("_", " "), f"{value:.6g}" if isinstance(value, float) else value)
         for key, value in figures.items()
         if isinstance(value, str | int | float | bool)
     ]
-    return verdict + table_of((("figure", "value"), rows), len(rows))
+    table = table_of((("figure", "value"), rows), len(rows))
+    return f"{verdict}{_tiles(figures)}<details><summary>All figures</summary>{table}</details>\n"
+
+
+TILES = (  # what it is called, keys of which the first one that there is counts, how it is told
+    ("covered", ("coverage",), "{:.1%}"), ("explored", ("explored",), "{:.1%}"),
+    ("delivered", ("delivered",), "{}"), ("arrived", ("arrived",), "{}"),
+    ("time", ("makespan_s", "time_s"), "{:.0f} s"), ("contacts", ("contacts",), "{}"),
+    ("moved after a stop", ("moved_after_stop",), "{}"), ("replicas equal", ("replicas_equal",), "{}"),
+    ("bus load", ("bus_load",), "{:.1%}"), ("driven", ("travel_m",), "{:.0f} m"),
+)  # fmt: skip
+TILES_MAX = 6
+FIGURE_MAX = 1e15
+# What makes a run flawed, by the figures that say so; each with what is told of it.
+FLAWS = {
+    "contacts": "{} contacts of bodies", "moved_after_stop": "{} times a robot moved after a stop",
+    "implement_contacts": "implements met {} times", "claims_lost": "{} claims lost",
+    "malformed": "{} malformed frames", "uncovered": "{} cells uncovered",
+}  # fmt: skip
+
+
+def _tiles(figures: dict[str, Any]) -> str:
+    """The six figures that people look for first."""
+    found = []
+    for name, keys, form in TILES:
+        value = next((figures[key] for key in keys if key in figures), None)
+        if isinstance(value, bool):
+            text = "yes" if value else "no"
+        elif isinstance(value, int | float) and abs(value) < FIGURE_MAX:
+            text = form.format(value)
+        else:
+            continue  # what others wrote may be anything
+        found.append(f"<div><dt>{escape(name)}</dt><dd>{escape(text)}</dd></div>")
+    return f'<dl class="tiles">{"".join(found[:TILES_MAX])}</dl>\n' if found else ""
+
+
+def flaws(figures: dict[str, Any]) -> list[str]:
+    """What was wrong with a run, in words, as far as its figures say; never empty."""
+    found = []
+    if figures.get("finished") is False:
+        found.append("not all work was done")
+    coverage = figures.get("coverage")
+    if isinstance(coverage, float) and coverage < 1.0:
+        left = f"{coverage:.2%} of the area is covered"
+        parts = figures.get("unreached")
+        if isinstance(parts, list):
+            why = "; ".join(str(p["why"]) for p in parts if isinstance(p, dict) and "why" in p)
+            left += f" ({why})" if why else ""
+        found.append(left)
+    for key, told in FLAWS.items():
+        count = figures.get(key)
+        if isinstance(count, int) and not isinstance(count, bool) and count > 0:
+            found.append(told.format(count))
+    for key in ("replicas_equal", "maps_equal"):
+        if figures.get(key) is False:
+            found.append(f"{key.split('_')[0]} differ")
+    return found or ["report.json has the figures"]
 
 
 def _chapter(chapter: Chapter, beside: str) -> str:

@@ -24,6 +24,7 @@ from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, 
 from tools.bench.browser import browser, complaints, missing
 from tools.common.run_recorder import RunRecorder
 from tools.report.command import report
+from tools.report.page import flaws, page
 from tools.report.run_data import gather
 from tools.report.timeline import History
 from tools.report.tracking_error import SAME_M, followed
@@ -317,3 +318,24 @@ def test_a_browser_shows_every_picture(run: Path) -> None:
         assert len(widths) == 7 and all(width > 500 for width in widths)
         assert not complaints(page)
         assert page.execute_script("return document.querySelectorAll('script').length") == 0
+
+
+def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
+    good = {"success": True, "coverage": 1.0, "makespan_s": 176.2, "contacts": 0, "bus_load": 0.038,
+            "moved_after_stop": 0, "replicas_equal": True, "travel_m": 1009.0}  # fmt: skip
+    text = page("t", good, [], "t")
+    assert text.count("<dt>") == 6 and "176 s" in text and "without a flaw" in text
+    assert text.index('class="tiles"') < text.index("<details>"), (
+        "the other figures are folded away"
+    )
+    left = [{"area_m2": 3.0, "why": "under a <wreck>"}]
+    bad = good | {"success": False, "coverage": 0.9981, "unreached": left, "contacts": 2}
+    told = page("t", bad, [], "t")
+    assert "99.81% of the area is covered (under a &lt;wreck&gt;); 2 contacts of bodies" in told
+    assert flaws({"success": False}) == ["report.json has the figures"]
+
+
+@pytest.mark.parametrize("value", [10**400, float("inf"), "<b>", None, [1], {"a": 1}, float("nan")])
+def test_a_figure_that_is_none_makes_no_tile(value: object) -> None:
+    figures = {"success": False, "coverage": value, "contacts": value, "unreached": value}
+    assert "<b>" not in page("t", figures, [], "t")
