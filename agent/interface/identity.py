@@ -25,7 +25,9 @@ class Identity(NamedTuple):
     started: bool = False  # permission to move is given at boot, not by a separate start
     first_boot: bool = False  # a new machine: an empty memory is expected, not a loss
     release: str = ""  # of the software, for diagnostic tools
-    diagnostics: bool = False  # DM1 is sent unasked: on a bus where tools may listen
+    # On a bus with devices of other makers: DM1 is sent unasked, a task controller is answered.
+    diagnostics: bool = False
+    implement_width_mm: int = 0  # for a task controller; 0: not known
 
     @property
     def component(self) -> str:

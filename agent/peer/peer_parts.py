@@ -49,6 +49,7 @@ from agent.peer.slot_discovery import SlotDiscovery
 from agent.peer.state_sync import StateSync
 from agent.peer.stop_reception import StopReception
 from agent.peer.stop_release import StopRelease
+from agent.peer.task_reporting import TaskReporting
 from agent.peer.work_admission import Admission
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
@@ -117,6 +118,7 @@ class PeerParts:
             identity, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining, self.safety
         )
         self.diagnostics = DiagnosticBroadcasts(self.safety, self.letters, identity.diagnostics)
+        self.tasks = TaskReporting(identity, self.letters)
         self.letters.answer(
             FLEET_SUMMARY_PGN,
             lambda ctx: write(compose(ctx, self.membership, self.allocation)),
@@ -164,7 +166,7 @@ class PeerParts:
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
             self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
-            self.departure, self.diagnostics,
+            self.departure, self.diagnostics, self.tasks,
         ]  # fmt: skip
 
     def _may_choose(self, now_us: int) -> bool:

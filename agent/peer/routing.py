@@ -20,6 +20,7 @@ from agent.peer.sender_origins import SenderOrigins
 from agent.peer.state_sync import StateSync
 from agent.peer.stop_reception import StopReception
 from agent.peer.stop_release import StopRelease
+from agent.peer.task_reporting import TaskReporting
 from protocol.frames.agreement_frames import AgreementMessage, SilentPosition
 from protocol.frames.codec import Malformed
 from protocol.frames.delivery_frames import (
@@ -68,6 +69,7 @@ from protocol.frames.safety_frames import (
     OperatorCommand,
     StopsHeld,
 )
+from protocol.frames.task_frames import ProcessData, WorkingSetMaster
 from protocol.frames.work_frames import (
     Digests,
     StateSyncRequest,
@@ -124,6 +126,7 @@ ROUTES: Routes = {
     Request: MessageRoute(PgnResponder, DEVICE),
     Request2: MessageRoute(PgnResponder, DEVICE),
     RepetitionRateRequest: MessageRoute(DiagnosticBroadcasts, DEVICE),
+    ProcessData: MessageRoute(TaskReporting, DEVICE),
     BroadcastControl: MessageRoute(DiagnosticBroadcasts, DEVICE),
     ClearFault: MessageRoute(DiagnosticBroadcasts, DEVICE),
     TransportManagement: MessageRoute(PgnResponder, DEVICE),
@@ -138,4 +141,5 @@ NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
     DiagnosticProtocols: "diagnostic tools",
     Functionalities: "diagnostic tools",
     StandardHeartbeat: "the device that asked for it",
+    WorkingSetMaster: "task controllers",
 }

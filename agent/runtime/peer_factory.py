@@ -44,13 +44,14 @@ def identity_of(
     *,
     first_boot: bool = False,
     diagnostics: bool = False,
+    implement_width_m: float = 0.0,
 ) -> Identity:
     """The identity of one slot of a fleet of `robots` robots, with permission to move at boot.
 
     `fleet`: the name that all its robots share; their NAMEs on the bus are made from it.
     `field_hash`: u24; robots with another one work somewhere else and are refused.
     `first_boot`: a new machine, for which an empty memory is no loss. `diagnostics`: whether active
-    faults are told unasked (DM1).
+    faults are told unasked (DM1), and a task controller is answered, with `implement_width_m`.
     """
     return Identity(
         slot=slot,
@@ -62,6 +63,7 @@ def identity_of(
         first_boot=first_boot,
         release=release(),
         diagnostics=diagnostics,
+        implement_width_mm=round(1000 * implement_width_m),
     )
 
 

@@ -12,6 +12,7 @@ from protocol.frames import (
     operator_frames,
     safety_frames,
     segment_frames,
+    task_frames,
     work_frames,
 )
 from protocol.frames.agreement_frames import AgreementMessage, SilentPosition
@@ -63,6 +64,7 @@ from protocol.frames.safety_frames import (
     StopsHeld,
 )  # fmt: skip
 from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
+from protocol.frames.task_frames import ProcessData, WorkingSetMaster
 from protocol.frames.work_frames import (
     Digests,
     StateSyncRequest,
@@ -84,6 +86,7 @@ Message = (
     | TransportManagement | TransportData
     | ActiveFaults | PreviousFaults | DiagnosticProtocols | Functionalities
     | BroadcastControl | ClearFault | StandardHeartbeat
+    | ProcessData | WorkingSetMaster
 )  # fmt: skip
 
 # By PGN family and priority; `docs/how/frames.md` is in this order.
@@ -137,6 +140,8 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     diagnostic_frames.DM13,
     diagnostic_frames.DM22,
     diagnostic_frames.STANDARD_HEARTBEAT,
+    task_frames.PROCESS_DATA,
+    task_frames.WORKING_SET_MASTER,
 )
 GROUP_OF: dict[type, FrameLayout[Any]] = {layout.kind: layout for layout in GROUPS}
 assert len({layout.pgn for layout in GROUPS}) == len(GROUPS)

@@ -33,8 +33,8 @@ class _Job:
 class _Filter:
     """What is told of one identifier: all frames, or those whose content changes under a mask."""
 
-    def __init__(self, masks: tuple[bytes, ...], gap_us: int) -> None:
-        self.masks, self.gap_us = masks, gap_us  # no masks: every frame
+    def __init__(self, masks: tuple[bytes, ...], gap_for_us: int) -> None:
+        self.masks, self.gap_for_us = masks, gap_for_us  # no masks: every frame
         self.last: dict[int, bytes] = {}  # by number of the mask
         self.held: Frame | None = None  # the newest, until it may be told
         self.due_at_us = NEVER_US  # when the next may be told; NEVER: at once
@@ -98,8 +98,8 @@ class BroadcastManager:
         if self._jobs.pop(key, None) is None:
             raise BroadcastError("no send job of this identifier")
 
-    def subscribe(self, key: Key, gap_us: int, masks: tuple[bytes, ...] = ()) -> None:
-        """Tell frames of this identifier, at most one each `gap_us`.
+    def subscribe(self, key: Key, gap_for_us: int, masks: tuple[bytes, ...] = ()) -> None:
+        """Tell frames of this identifier, at most one each `gap_for_us`.
 
         `masks`: none: every frame; one: frames that change under it; more: the first is the
         multiplex mask, the others are a multiplex number with its mask. Replaces an earlier one.
@@ -107,7 +107,7 @@ class BroadcastManager:
         """
         if key not in self._filters and len(self._filters) >= FILTERS_MAX:
             raise BroadcastError(f"{FILTERS_MAX} filters at most")
-        self._filters[key] = _Filter(masks, gap_us)
+        self._filters[key] = _Filter(masks, gap_for_us)
 
     def unsubscribe(self, key: Key) -> None:
         """Tell nothing of this identifier. Raises BroadcastError if nothing is told of it."""
@@ -122,8 +122,8 @@ class BroadcastManager:
         if found.due_at_us != NEVER_US and now_us < found.due_at_us:
             found.held = frame
             return None
-        if found.gap_us:
-            found.due_at_us = now_us + found.gap_us
+        if found.gap_for_us:
+            found.due_at_us = now_us + found.gap_for_us
         return frame
 
     def on_timer(self, now_us: int) -> "Iterator[Due]":
@@ -137,7 +137,7 @@ class BroadcastManager:
             if found.due_at_us > now_us:
                 continue
             held, found.held = found.held, None
-            found.due_at_us = now_us + found.gap_us if held is not None else NEVER_US
+            found.due_at_us = now_us + found.gap_for_us if held is not None else NEVER_US
             if held is not None:
                 yield Due(held, False)
 

@@ -147,7 +147,7 @@ def key_of(identifier: str) -> Key:
     return extended, number
 
 
-def _interval_us(seconds: str, microseconds: str) -> int:
+def _interval_for_us(seconds: str, microseconds: str) -> int:
     """The time of a command. Raises CommandError."""
     if not (seconds.isdecimal() and microseconds.isdecimal()) or len(seconds + microseconds) > 20:
         raise CommandError(NO_NUMBER)
@@ -304,7 +304,7 @@ class Client(asyncio.BufferedProtocol):
                 self.manager.delete(key_of(identifier))
                 return
             case "add", [seconds, microseconds, identifier, length, *data]:
-                period_us = _interval_us(seconds, microseconds)
+                period_us = _interval_for_us(seconds, microseconds)
             case "update", [identifier, length, *data]:
                 period_us = 0
             case _:
@@ -338,7 +338,7 @@ class Client(asyncio.BufferedProtocol):
                 masks = tuple(octets[8 * k : 8 * k + 8] for k in range(count))
             case _:
                 raise CommandError("error unknown command")
-        self.manager.subscribe(key_of(identifier), _interval_us(seconds, microseconds), masks)
+        self.manager.subscribe(key_of(identifier), _interval_for_us(seconds, microseconds), masks)
 
     def _statistics(self, words: list[str]) -> None:
         if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > 9:
@@ -464,7 +464,7 @@ class Client(asyncio.BufferedProtocol):
 
     def _now_s(self) -> float:
         """The time of the wall clock at which the bus is now."""
-        return (self.hub.segment.now_us() + self.hub.epoch_us) / 1e6
+        return (self.hub.segment.now_us() + self.hub.epoch_at_us) / 1e6
 
     def _tell(self, frame: Frame) -> None:
         t_s = self._now_s()
@@ -578,7 +578,7 @@ class Hub:
     def __init__(self, segment: Segment, channel: str = "can0", errors: bool = False) -> None:
         """`errors`: clients are told error frames, as with the option -e of socketcand."""
         self.segment, self.channel, self.errors = segment, channel, errors
-        self.epoch_us = (
+        self.epoch_at_us = (
             0  # added to the time of the bus, so that clients get that of the wall clock
         )
         self.spare = FieldBus(segment.channel)
@@ -593,7 +593,7 @@ class Hub:
     async def start(self, host: str = "127.0.0.1", port: int = 0) -> None:
         """Listen; the port is in `port`. OSError if it is in use."""
         loop = asyncio.get_running_loop()
-        self.epoch_us = time.time_ns() // 1000 - self.segment.now_us()
+        self.epoch_at_us = time.time_ns() // 1000 - self.segment.now_us()
         self._server = await loop.create_server(lambda: Client(self), host, port)
         self.port = self._server.sockets[0].getsockname()[1]
 

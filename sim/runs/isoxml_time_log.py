@@ -12,10 +12,10 @@ from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from struct import Struct
 
+from protocol.device_description import WORK_STATE
 from sim.runs.work_record import LogPoint
 
 EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
-WORK_STATE = 141  # DDI: Actual Work State
 RTK_FIXED = 4
 DEGREE = 10_000_000
 DAY_MS = 86_400_000

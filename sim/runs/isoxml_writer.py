@@ -20,11 +20,11 @@ from typing import Any
 
 from agent.runtime.files.field_error import FieldFileError, LonLat
 from agent.runtime.files.isoxml_reader import NAME
+from protocol.device_description import WIDTH, WORK_STATE
 from protocol.name import fleet_name
-from sim.runs.isoxml_time_log import WORK_STATE, header, pack
+from sim.runs.isoxml_time_log import header, pack
 from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord, area_m2
 
-WIDTH = 67  # DDI: Actual Working Width, mm
 DEVICE, WIDTH_OBJECT, STATE_OBJECT = 0, 1, 2  # object numbers within a device
 ON_CHANGE = 8  # DPD D: the value is logged when it changes
 ZONE = 1  # code of the treatment zone that was worked

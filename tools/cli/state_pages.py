@@ -13,13 +13,14 @@ from agent.interface import lifecycle
 from agent.mapf import joint_plan_agreement
 from agent.motion import obstacle_stop
 from agent.segments import gateway_election
-from protocol import address, transport
+from protocol import address, task_client, transport
 from protocol.state_machine import edges
 
 WIDTH, HEIGHT = 860, 620
 BOX_W, BOX_H = 156, 40
 BEND = 0.16  # of an edge's length to its left, so that there and back are two lines
-COLOURS = ("#e0e0e0", "#bfe3f2", "#fbe3b5", "#bfe6c4", "#f5b7b1")  # of states, in their order
+COLOURS = ("#e0e0e0", "#bfe3f2", "#fbe3b5", "#bfe6c4", "#f5b7b1",
+           "#d9c8ee", "#c9ded8", "#f3d3e4", "#dfe6ae")  # of states, in their order  # fmt: skip
 
 
 class Machine(NamedTuple):
@@ -47,6 +48,11 @@ MACHINES = (
         "states_transport.svg", "Transport session",
         "A long message that a device sends to another one; a broadcast starts in SENDING.",
         "protocol/transport.py", transport.SENDING_TABLE, transport.AWAITING,
+    ),
+    Machine(
+        "states_task_client.svg", "Session with a task controller",
+        "How a robot logs in at a task controller of another maker.",
+        "protocol/task_client.py", task_client.SESSION_TABLE, task_client.SessionState.WAITING,
     ),
     Machine(
         "states_obstacle.svg", "Question about an obstacle",

@@ -1,7 +1,6 @@
 """Names of parameter groups that Headland does not speak and that are common on a tractor's bus."""
 
 NAMES = {
-    0x0CB00: "process data (ISO 11783-10)",
     0x0E600: "virtual terminal to device",
     0x0E700: "device to virtual terminal",
     0x0C700: "extended transport data",
@@ -17,7 +16,6 @@ NAMES = {
     0x0FD43: "machine selected speed command",
     0x0FE08: "hitch and PTO commands",
     0x0FE0C: "working set member",
-    0x0FE0D: "working set master",
     0x0FE0F: "language command",
     0x0FE43: "rear PTO output shaft",
     0x0FE45: "rear hitch",

@@ -146,13 +146,13 @@ def test_a14_frames_of_others_are_unknown_by_their_group_and_not_malformed() -> 
     inspector = Inspector()
     for number in range(5):
         inspector.hear(number, Frame(0x0CF00400, b"\xff" * 8))
-        inspector.hear(number, Frame(0x0CCB2680, b"\xff" * 8))  # to a destination
+        inspector.hear(number, Frame(0x0CE62680, b"\xff" * 8))  # to a destination
         inspector.hear(number, Frame(0x18FEFF80, b""))
     told = inspector.to_dict()
     assert told["malformed"] == {} and len(NAMES) >= 20
     assert told["unknown"] == {
         "PGN 61444 (EEC1: engine speed)": 5,
-        "PGN 51968 (process data (ISO 11783-10))": 5,
+        "PGN 58880 (virtual terminal to device)": 5,
         "PGN 65279": 5,
     }
     inspector.hear(9.0, Frame(0x14FF1080, b"\x00"))
@@ -166,10 +166,10 @@ def test_a14_frames_that_no_robot_reads_are_counted_in_a_log(
     log = tmp_path / "shared.log"
     log.write_text(
         "(1.000000) can0 0CFF1080#0000000000000000\n(1.1) can0 123#0102\n(1.2) can0 123#R\n"
-        "(1.3) can0 20000088#0000000000000000\n(1.4) can0 0CFE0D26#01FFFFFFFFFFFFFF\n"
+        "(1.3) can0 20000088#0000000000000000\n(1.4) can0 0CFE0C26#01FFFFFFFFFFFFFF\n"
     )
     words = (log, "socketcand", "can0", 250_000, "127.0.0.1", 0, 0.0, False, None)
     assert inspect(*words, as_json=True) == 0
     seen = json.loads(capsys.readouterr().out)
     assert seen["other_frames"] == 3 and seen["malformed"] == {}
-    assert seen["unknown"] == {"PGN 65037 (working set master)": 1}
+    assert seen["unknown"] == {"PGN 65036 (working set member)": 1}
