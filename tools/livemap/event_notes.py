@@ -14,7 +14,7 @@ ROBOTS_END = 128  # a stop from a number beyond was pressed at an operator's dev
 HELD = (Phase.CLAIMED, Phase.STARTED)
 
 
-class Event(NamedTuple):
+class NotedEvent(NamedTuple):
     """One line of the list. `kind` chooses the mark on the line of time."""
 
     at_s: float
@@ -34,7 +34,7 @@ class EventNotes:
         self._islands: list[list[int]] = []
         self._owners: dict[int, int | None] = {}
 
-    def look(self, watcher: Watcher, now_s: float) -> list[Event]:
+    def look(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
         """Events since the look before, oldest first. `watcher`: with the intents of this instant."""
         found = [
             *self._pressed(watcher, now_s), *self._robots(watcher, now_s),
@@ -42,20 +42,20 @@ class EventNotes:
         ]  # fmt: skip
         return sorted(found, key=lambda event: event.at_s)
 
-    def _pressed(self, watcher: Watcher, now_s: float) -> list[Event]:
+    def _pressed(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
         found = []
         for dot in sorted(set(watcher.stops) - self._stops):
             whose = f"at robot {dot[0]}" if dot[0] < ROBOTS_END else "at an operator's device"
-            found.append(Event(watcher.stops[dot], "stop", f"stop pressed {whose}"))
+            found.append(NotedEvent(watcher.stops[dot], "stop", f"stop pressed {whose}"))
         cleared = set(watcher.cleared) - self._cleared
         if cleared:
             found.append(
-                Event(min(watcher.cleared[dot] for dot in cleared), "reset", "stop released")
+                NotedEvent(min(watcher.cleared[dot] for dot in cleared), "reset", "stop released")
             )
         self._stops, self._cleared = set(watcher.stops), set(watcher.cleared)
         return found
 
-    def _robots(self, watcher: Watcher, now_s: float) -> list[Event]:
+    def _robots(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
         found = []
         left = {slot for slot, robot in watcher.robots.items() if robot.left}
         silent = {
@@ -64,27 +64,27 @@ class EventNotes:
             if not robot.left and now_s - robot.last_s > SILENT_S
         }
         for slot in sorted(set(silent) - self._silent):
-            found.append(Event(silent[slot], "silent", f"robot {slot} falls silent"))
+            found.append(NotedEvent(silent[slot], "silent", f"robot {slot} falls silent"))
         for slot in sorted(self._silent - set(silent) - left):
-            found.append(Event(now_s, "back", f"robot {slot} is heard again"))
+            found.append(NotedEvent(now_s, "back", f"robot {slot} is heard again"))
         for slot in sorted(left - self._left):
-            found.append(Event(watcher.robots[slot].last_s, "left", f"robot {slot} leaves"))
+            found.append(NotedEvent(watcher.robots[slot].last_s, "left", f"robot {slot} leaves"))
         for slot in sorted(set(watcher.asking) - self._asking):
-            found.append(Event(now_s, "asks", f"robot {slot} asks an operator"))
+            found.append(NotedEvent(now_s, "asks", f"robot {slot} asks an operator"))
         self._silent, self._left, self._asking = set(silent), left, set(watcher.asking)
         return found
 
-    def _split(self, watcher: Watcher, now_s: float) -> list[Event]:
+    def _split(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
         islands = watcher.islands(now_s)
         before, self._islands = self._islands, islands
         if len(islands) > 1 and islands != before:
             parts = " | ".join(" ".join(map(str, island)) for island in islands)
-            return [Event(now_s, "split", f"bus split: {parts}")]
+            return [NotedEvent(now_s, "split", f"bus split: {parts}")]
         if len(before) > 1 and len(islands) == 1:
-            return [Event(now_s, "back", "the bus is one again")]
+            return [NotedEvent(now_s, "back", "the bus is one again")]
         return []
 
-    def _taken_over(self, watcher: Watcher, now_s: float) -> list[Event]:
+    def _taken_over(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
         found = []
         for section in watcher.changed_sections:
             owner = watcher.allocation.owner_of(section)
@@ -97,7 +97,7 @@ class EventNotes:
                 and owner != before
             ):
                 text = f"robot {owner} takes S{section} over from robot {before}"
-                found.append(Event(now_s, "takeover", text))
+                found.append(NotedEvent(now_s, "takeover", text))
             self._owners[section] = owner
         watcher.changed_sections.clear()
         return found

@@ -92,7 +92,9 @@ class Watcher(Inspector):
         hears = {
             slot: set(intent["hears"])
             for slot, (at_s, intent) in self.intents.items()
-            if abs(now_s - at_s) <= STALE_S and self._state_of(slot) != "DISCONNECTED"
+            if "hears" in intent  # a recording from before the key was written has none
+            and abs(now_s - at_s) <= STALE_S
+            and self._state_of(slot) != "DISCONNECTED"
         }
         left, found = set(hears), []
         while left:

@@ -14,7 +14,7 @@ from time import perf_counter
 from typing import NamedTuple
 
 from sim.record.recording import Recording
-from tools.livemap.event_notes import Event, EventNotes
+from tools.livemap.event_notes import EventNotes, NotedEvent
 from tools.livemap.map_state import Watcher
 
 SNAPSHOT_US = 10_000_000
@@ -74,7 +74,9 @@ class Index:
         self.recording = recording
         self.reader = Reader(recording)
         self.snapshots: list[Snapshot] = []
-        self.events: deque[Event] = deque(maxlen=EVENTS_MAX)  # for the line of time and the list
+        self.events: deque[NotedEvent] = deque(
+            maxlen=EVENTS_MAX
+        )  # for the line of time and the list
         self.noted = 0  # events in all
         self._notes = EventNotes()
 

@@ -16,7 +16,8 @@ def test_m5_a_fleet_that_steers_finishes_a_field(drive: str) -> None:
 
 def test_an_unknown_drive_is_one_line() -> None:
     with pytest.raises(
-        ScenarioError, match=r"fleet\.drive: .*'mecanum', 'differential' or 'ackermann'"
+        ScenarioError,
+        match=r"fleet\.drive: not 'tracks'; it is one of mecanum, differential, ackermann",
     ):
         load("small").changed(drive="tracks")
 
