@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import Point, Polygon
+from shapely.geometry.polygon import orient
 
 from agent.field.field_division import divide
 from agent.field.field_map import XY, Field, joins, rasterise
@@ -27,6 +28,7 @@ CLEARANCE_M = 0.3  # paths keep this distance from fences and holes, in addition
 assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
     "avoidance permits what was planned, a little off it too"
 )
+CORNER_M = 0.5  # corners of the field less far from the line past them are left out of ways
 TURN_CELL_M = 0.25  # the same for bodies that steer, because turns need decimetres
 # Planned circles are wider than the tightest one by this factor; the rest is for corrections.
 TURN_SPARE = 1.2
@@ -125,7 +127,26 @@ class FieldPlan:
             vehicle.speed_m_s,
             vehicle.acceleration_m_s2,
             vehicle.braking_m_s2,
+            self._corners(),
         )
+
+    def _corners(self) -> list[XY]:
+        """Places, metres, by which a body goes round the corners of the field and of its holes."""
+        clear_m = self.vehicle.radius_m + CLEARANCE_M + self.route.cell_m
+        free = self.field.polygon.buffer(-clear_m, join_style="mitre").simplify(CORNER_M)
+        found: list[XY] = []
+        for part in getattr(free, "geoms", [free]):
+            if part.is_empty:
+                continue
+            part = orient(part)  # free ground is to the left of all rings
+            for ring in (part.exterior, *part.interiors):
+                points = [(float(x), float(y)) for x, y in ring.coords[:-1]]
+                for k, (x_m, y_m) in enumerate(points):
+                    (ax, ay), (bx, by) = points[k - 1], points[(k + 1) % len(points)]
+                    turn = (x_m - ax) * (by - y_m) - (y_m - ay) * (bx - x_m)
+                    if turn < 0.0:
+                        found.append((x_m, y_m))
+        return found
 
     @cached_property
     def fences(self) -> NDArray[np.float64]:

@@ -1,14 +1,14 @@
 """How long a fleet's bodies take in a field: for each section, and between the ends of all of them.
 
 The model is that of the body: a trapezoid of speed on each straight piece, and a stop at its end.
-Ways that are not straight lead over ends of other sections, which lie on free ground; they are at
-most a little longer than what `Route` finds, and a matrix of them costs milliseconds.
+Ways that are not straight lead over corners of the field and ends of other sections; they are at most
+a little longer than what `Route` finds, and a matrix of them costs milliseconds.
 """
 
 from collections.abc import Callable, Sequence
 from functools import cached_property
 from itertools import pairwise
-from math import hypot
+from math import hypot, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import dijkstra
 
 from agent.field.field_map import Field, Polyline, Section
 from agent.motion.implement_clearance import LEAD_M
+from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
 
 Point = tuple[float, float]
@@ -53,9 +54,12 @@ class TravelTimes:
         speed_m_s: float,
         acceleration_m_s2: float,
         deceleration_m_s2: float,
+        corners: Sequence[Point] = (),
     ) -> None:
+        """`corners`: places by which ways go round the corners of the field, metres."""
         self.field, self.route = field, route
-        self.speed_m_s = speed_m_s
+        self.speed_m_s, self.corners = speed_m_s, tuple(corners)
+        self.acceleration_m_s2, self.deceleration_m_s2 = acceleration_m_s2, deceleration_m_s2
         self.plans: dict[
             bytes, Solution
         ] = {}  # of the newest problems (`agent/field/fleet_plan.py`)
@@ -77,8 +81,15 @@ class TravelTimes:
 
     @cached_property
     def _opened(self) -> list[Point]:
-        """The ends, those at fences moved to free ground."""
-        return [self.route.opened((x_m, y_m)) for x_m, y_m in self.ends.tolist()]
+        """The ends and the corners, those at fences moved to free ground."""
+        places = [*self.ends.tolist(), *self.corners]
+        return [self.route.opened((x_m, y_m)) for x_m, y_m in places]
+
+    @cached_property
+    def _nodes(self) -> Floats:
+        """(2 sections + corners, 2): the ends and the corners, metres."""
+        corners = np.array(self.corners, dtype=np.float64).reshape(-1, 2)
+        return np.vstack((self.ends, corners))
 
     @cached_property
     def work_for_ms(self) -> Whole:
@@ -92,34 +103,57 @@ class TravelTimes:
         return Remainder((left[0][0], left[-1][-1]), self.driven_for_ms(left))
 
     def driven_for_ms(self, lines: Sequence[Polyline]) -> int:
-        """To work these swaths, or parts of swaths, in this order, with the turns between them."""
-        lengths_m: list[float] = []
-        for swath in lines:
-            lead_m = [LEAD_M, *[0.0] * (len(swath) - 3), LEAD_M]
-            if len(swath) == 2:
-                lead_m = [2 * LEAD_M]
-            lengths_m += [
-                hypot(b[0] - a[0], b[1] - a[1]) + extra_m
-                for (a, b), extra_m in zip(pairwise(swath), lead_m, strict=True)
-            ]
+        """To work these lines in this order. The robot stands at both ends of each of them."""
+        for_s, turns_m = 0.0, []
+        for line in lines:
+            for_s += self._line_for_s(line)
         for before, after in pairwise(lines):
-            lengths_m.append(hypot(after[0][0] - before[-1][0], after[0][1] - before[-1][1]))
-        return round(1000 * float(self.straight_for_s(np.array(lengths_m)).sum()))
+            turns_m.append(hypot(after[0][0] - before[-1][0], after[0][1] - before[-1][1]))
+        return round(1000 * (for_s + float(self.straight_for_s(np.array(turns_m)).sum())))
+
+    def _line_for_s(self, line: Polyline) -> float:
+        """One line with its lead-in and lead-out, as `PathTracker` passes its corners."""
+        lengths_m = [hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(line)]
+        lengths_m[0], lengths_m[-1] = lengths_m[0] + LEAD_M, lengths_m[-1] + LEAD_M
+        if len(line) == 2:
+            return float(self.straight_for_s(np.array(lengths_m)).sum())
+        tracker = PathTracker(list(line), self.speed_m_s, self.deceleration_m_s2)
+        return self._passed_for_s(lengths_m, tracker.passing_m_s)
+
+    def _passed_for_s(self, lengths_m: Sequence[float], passing_m_s: Sequence[float]) -> float:
+        """From standing to standing over segments, with these highest speeds at their ends."""
+        up, down, for_s, now_m_s = self.acceleration_m_s2, self.deceleration_m_s2, 0.0, 0.0
+        for length_m, end_m_s in zip(lengths_m, passing_m_s[1:], strict=True):
+            end_m_s = min(end_m_s, sqrt(now_m_s**2 + 2 * up * length_m))
+            # The speed at which as much is left as braking to the end takes.
+            top2 = (2 * up * down * length_m + down * now_m_s**2 + up * end_m_s**2) / (up + down)
+            top_m_s = max(min(self.speed_m_s, sqrt(top2)), now_m_s, end_m_s)
+            ramps_m = (top_m_s**2 - now_m_s**2) / (2 * up) + (top_m_s**2 - end_m_s**2) / (2 * down)
+            for_s += (top_m_s - now_m_s) / up + (top_m_s - end_m_s) / down
+            for_s += max(length_m - ramps_m, 0.0) / top_m_s
+            now_m_s = end_m_s
+        return for_s
 
     @cached_property
     def link_for_ms(self) -> Whole:
         """(2 sections, 2 sections): from each end to each other one."""
-        count = len(self.ends)
+        return np.rint(self._ways_for_ms[: len(self.ends)]).astype(np.int64)
+
+    @cached_property
+    def _ways_for_ms(self) -> Floats:
+        """(2 sections + corners, 2 sections): from each end and each corner to each end."""
+        count, ends = len(self._nodes), len(self.ends)
         straight_for_ms = np.full((count, count), np.inf)
         for a in range(count):
             straight_for_ms[a] = self._straight_for_ms(self._opened[a], a)
         direct = np.minimum(straight_for_ms, straight_for_ms.T)
         np.fill_diagonal(direct, 0.0)
         ways_for_ms: Floats = dijkstra(np.where(np.isinf(direct), 0.0, np.maximum(direct, 1e-3)))
-        apart_m = np.hypot(*(self.ends[:, None, :] - self.ends[None, :, :]).transpose(2, 0, 1))
+        ways_for_ms = ways_for_ms[:, :ends]
+        apart_m = np.hypot(*(self._nodes[:, None, :] - self.ends[None, :, :]).transpose(2, 0, 1))
         lost = ~np.isfinite(ways_for_ms)
         ways_for_ms[lost] = UNJOINED * 1000 * self.straight_for_s(apart_m[lost])
-        return np.rint(ways_for_ms).astype(np.int64)
+        return ways_for_ms
 
     def lead_for_ms(self, start: Point) -> Whole:
         """(2 sections,): from a place, (x, y) metres, to each end."""
@@ -128,7 +162,7 @@ class TravelTimes:
         if seen.size == 0:
             apart_m = np.hypot(self.ends[:, 0] - start[0], self.ends[:, 1] - start[1])
             return np.rint(UNJOINED * 1000 * self.straight_for_s(apart_m)).astype(np.int64)
-        over = direct_for_ms[seen, None] + self.link_for_ms[seen]
+        over = direct_for_ms[seen, None] + self._ways_for_ms[seen]
         soonest: Whole = np.rint(over.min(axis=0)).astype(np.int64)
         return soonest
 
@@ -140,11 +174,12 @@ class TravelTimes:
         return int((self.lead_for_ms(start) + self.lead_for_ms(goal)).min())
 
     def _straight_for_ms(self, start: Point, after: int = -1) -> Floats:
-        """To each end with a number above `after` that is in sight; infinity to the others."""
-        found = np.full(len(self.ends), np.inf)
-        apart_m = np.hypot(self.ends[:, 0] - start[0], self.ends[:, 1] - start[1])
+        """To each end and corner with a number above `after` that is in sight; infinity to the
+        others."""
+        found = np.full(len(self._nodes), np.inf)
+        apart_m = np.hypot(self._nodes[:, 0] - start[0], self._nodes[:, 1] - start[1])
         times_for_ms = 1000 * self.straight_for_s(apart_m)
-        for b in range(after + 1, len(self.ends)):
+        for b in range(after + 1, len(self._nodes)):
             if self.route.straight(start, self._opened[b]):
                 found[b] = times_for_ms[b]
         return found

@@ -28,6 +28,9 @@ MOVES_M_S: Final = 0.2  # slower robots keep their last course, and soon take th
 STEADY_M_S: Final = 0.6  # a faster robot cannot turn its course about within a few periods
 COURSES: Final = 3
 EQUAL_COS: Final = 0.95  # of two courses that are nearly equal
+# Robots that travel keep this much more from a working robot than makes its bar go up. Avoidance plans
+# for the course of a moment, and bars turn with their courses.
+KEEP_M: Final = 0.4
 NOT_NEARER_M: Final = 0.02  # a robot that is too near already keeps its distance less this
 
 
@@ -57,7 +60,11 @@ class Implement:
 
         `apart_m`: the distance now. `bodies_m`: the distance to keep without a bar.
         """
-        return max(bodies_m, min(self.aside_m, apart_m - NOT_NEARER_M)) if self.has else bodies_m
+        return (
+            max(bodies_m, min(self.aside_m + KEEP_M, apart_m - NOT_NEARER_M))
+            if self.has
+            else bodies_m
+        )
 
     def must_be_up(
         self,

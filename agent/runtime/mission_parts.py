@@ -79,7 +79,7 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
             vehicle.braking_m_s2,
             plan.travel,
         ),
-        HolonomicMotion(slot, vehicle.limits, plan.fences, half_bar_m=half_bar_m),
+        HolonomicMotion(slot, vehicle.limits, plan.fences, half_bar_m=half_bar_m, stops=True),
     )
 
 
