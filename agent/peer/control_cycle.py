@@ -5,7 +5,7 @@ from math import hypot
 from typing import Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US
-from agent.interface.effects import Send, Trace
+from agent.interface.effects import Drive, Send, Trace
 from agent.interface.lifecycle import IDLE, WORKING
 from agent.interface.mission import NOTHING_COVERED, STILL, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import MotionController
@@ -48,6 +48,7 @@ class ControlCycle(Part):
         self.at_work = False  # as others know
         self.stall = Stall()
         self._drove_at_us = 0  # time of the newest command to the actuator
+        self._raised = False  # a command since the last control period raised the implement
 
     @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
@@ -69,10 +70,10 @@ class ControlCycle(Part):
         mission, motion, here = self.mission, self.motion, self.senses.here
         if mission is None or motion is None or here is None:
             return NOTHING
-        if now_us > self._drove_at_us + ACTUATOR_TTL_US:
-            # We were late, so the command has expired and the implement is raised.
+        # If we were late, the command has expired and the implement is raised.
+        if self._raised or now_us > self._drove_at_us + ACTUATOR_TTL_US:
             mission.on_implement_raised()
-        self._drove_at_us = now_us
+        self._raised, self._drove_at_us = False, now_us
         outputs: list[Any] = []
         view = self.views.view(now_us)
         mission.on_control_period(view, self.lifecycle.state)
@@ -91,9 +92,14 @@ class ControlCycle(Part):
         outputs += asked
         drive = self.safety.gate(wanted, now_us)
         self.senses.drove(drive)
-        if not drive.tool_on:
-            mission.on_implement_raised()
         return [drive, *outputs, *self._watch(mission, view)]
+
+    def commanded(self, drive: Drive) -> None:
+        """A command to the body: ours, or of a part that brakes between two control periods.
+
+        The mission learns in the next period that the implement was up, so a stop waits for no mission.
+        """
+        self._raised = self._raised or not drive.tool_on
 
     def _watch(self, mission: Mission, view: FleetView) -> Outputs:
         """If the robot wants to move and is stuck, the mission replans and people are notified."""

@@ -262,6 +262,8 @@ class Peer:
                 effects.append(output)
                 if kind is Trace:
                     self.letters.note(now_us, output)
+                elif kind is Drive:
+                    self.named.control.commanded(output)
             elif kind is notices.HeardAgain:
                 again = self._heard(output.source, GLOBAL_ADDRESS, output.message, output.at_us)
                 self._settle(again, effects, output.at_us)
