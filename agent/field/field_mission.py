@@ -204,12 +204,27 @@ class FieldMission(Mission):
         late = self.headway.observe(bool(covered), self._left_m, view.now_us)
         if late and self.plans_without_headway:
             self.on_stalled(view)
-        if self.headway.lost:
+        if self.headway.lost and view.leave_out and self._leaves_out(view):
+            self.headway.begin()
+            self._go_round(view)
+        elif self.headway.lost:
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
             self.abandon()
             return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
         rest_for_s = max(missing * self.field.unit_m, self._left_m) / self.speed_m_s
         return _covering(wish, covered, False, rest_for_s < NEAR_END_S)
+
+    def _leaves_out(self, view: FleetView) -> bool:
+        """Whether the next unit is out of reach beside an obstacle that an operator confirmed."""
+        assert self.section is not None
+        section, progress = self.section, view.progress
+        blocked = self._blocked(view, last=True) | self.worked
+        left = [
+            unit
+            for unit in range(section.units)
+            if unit not in blocked and not progress.has(section.id, unit)
+        ]
+        return self.blockage.out_of_reach(section, (view.here.x_m, view.here.y_m), left)
 
     def _turns_back(self) -> bool:
         """Whether to work a unit again at once that was just missed, because the bar had to go up.

@@ -3,6 +3,7 @@
 Paths lead round them, and the units under them cannot be worked while they are there.
 """
 
+from collections.abc import Iterable
 from math import dist, hypot, inf
 from typing import Final
 
@@ -22,6 +23,7 @@ BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking round a body that stand
 PASS_M: Final = 0.25  # margin on a path past a body: ORCA's margin and the cross-track error
 # Margin beside the hull on a path past an obstacle: that of the detector and half a ground cell.
 THING_M: Final = 0.4
+OUT_OF_REACH_M: Final = 1.5  # from a body that cannot go on to the obstacle, and to the next unit
 NEAR_M: Final = 4.0  # a robot with no larger gap than this may be the reason for a stall
 STANDS_M_S: Final = 0.05  # a slower robot counts as standing
 MOVED_M: Final = 0.5  # a robot that moved further than this no longer stands in the way
@@ -52,6 +54,7 @@ class FieldObstructions:
         self.standing: dict[int, tuple[Point, int]] = {}  # robots in our way -> position, time seen
         self._silent: tuple[int, ...] = ()
         self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
+        self._out_of_reach: dict[int, set[int]] = {}  # section -> units beside an obstacle
 
     def observe(self, view: FleetView) -> frozenset[Point] | None:
         """Once each control period: the obstacles that are new since the last call.
@@ -137,6 +140,27 @@ class FieldObstructions:
         """
         if not self.bodies and not (things_too and (self.things or self.standing)):
             return frozenset()
+        if things_too and self.things and section.id in self._out_of_reach:
+            return self._near(section, things_too) | self._out_of_reach[section.id]
+        return self._near(section, things_too)
+
+    def out_of_reach(self, section: Section, at: Point, units: Iterable[int]) -> bool:
+        """The robot tried in vain to work on beside an obstacle: the nearest of `units` is left out.
+
+        `at`: where the robot is. The range sensors see one side of an obstacle only, so a unit that is
+        far enough from what is known of it need not be. Returns whether there was such a unit.
+        """
+        if not any(dist(at, thing) < self.radius_m + OUT_OF_REACH_M for thing in self.things):
+            return False
+        spot = Spot(at)
+        near = [(LineString(section.unit_lines[unit]).distance(spot), unit) for unit in units]
+        near_m, unit = min(near, default=(inf, 0))
+        if near_m > OUT_OF_REACH_M:
+            return False
+        self._out_of_reach.setdefault(section.id, set()).add(unit)
+        return True
+
+    def _near(self, section: Section, things_too: bool) -> frozenset[int]:
         key = section.id, things_too
         if key not in self._units:
             bodies = [(Spot(at), self.unit_m) for at in self.bodies]

@@ -6,8 +6,9 @@ another robot close by. Of two working robots the one with the higher slot gives
 know both slots, so they agree without a message. The yielding robot drives to a refuge near by. It
 waits there until the other robot is gone or a timeout ends. If it cannot give way, because it
 stands in a corner, the robot with the lower slot does so after a longer timeout. So at least one
-side resolves a jam of two. A robot that does not want to move (idle, stopped, gone) is passed by
-the same means: the refuge is then a point beside it.
+side resolves a jam of two. A robot that does not want to move (idle, stopped, gone) is gone round:
+the refuges are then a point beside it and one beyond it, because from a point before it the mission
+leads back to where the robot was stalled.
 """
 
 from math import ceil, cos, hypot, pi, sin
@@ -33,7 +34,8 @@ LONG_PATIENCE_US: Final = 7 * S  # for the robot that gives way second
 NEAR_M: Final = 1.2  # a gap wider than this stalls no robot
 APART_M: Final = 5.0  # a robot leaves its refuge when the gap is this wide
 REFUGE_US: Final = 10 * S  # a robot leaves its refuge after this time at the latest
-ROUND_US: Final = 4 * S  # duration of a detour round a standing robot
+ROUND_US: Final = 4 * S  # longest duration of one leg of a detour round a standing robot
+PASS_M: Final = 0.45  # gap to a standing robot on a detour; avoidance needs 0.15 m of it
 # Refuges are looked for in so many directions, at the distances `RADII_M`.
 DIRECTIONS: Final = 16
 STEP_M: Final = 0.5  # sampling step on the way to a refuge
@@ -83,9 +85,11 @@ class DeadlockYield:
         self._anchor: Point = (0.0, 0.0)
         self._anchor_at_us = 0
         self._wanted_m = 0.0  # distance requested since then
+        self._wanted: Point = (0.0, 0.0)  # the same as a vector, metres
         self._yield_ends_at_us = 0
         self._for: int | None = None  # slot of the robot we give way to
         self._refuge: Point = (0.0, 0.0)
+        self._beyond: Point | None = None  # the next place of a detour round a standing robot
 
     def wish(
         self, at: Point, wanted: Point, others: list[NearbyRobot], now_us: int
@@ -97,12 +101,15 @@ class DeadlockYield:
         velocity. `others`: the robots near by.
         """
         if now_us < self._yield_ends_at_us:
-            return self._go(at, others)
+            return self._go(at, others, now_us)
         moved_m = hypot(at[0] - self._anchor[0], at[1] - self._anchor[1])
         wanted_m_s = hypot(*wanted)
         self._wanted_m += wanted_m_s * PERIOD_S
+        wx_m, wy_m = self._wanted
+        self._wanted = (wx_m + wanted[0] * PERIOD_S, wy_m + wanted[1] * PERIOD_S)
         if moved_m > GOT_ON_M * self.scale or wanted_m_s < WANTS_M_S:
-            self._anchor, self._anchor_at_us, self._wanted_m = at, now_us, 0.0
+            self._anchor, self._anchor_at_us = at, now_us
+            self._wanted_m, self._wanted = 0.0, (0.0, 0.0)
             return None
         if now_us - self._anchor_at_us < PATIENCE_US or moved_m >= GETS_ON * self._wanted_m:
             return None
@@ -125,25 +132,70 @@ class DeadlockYield:
         first = standing or blocker.slot < self.slot
         if not first and now_us - self._anchor_at_us < LONG_PATIENCE_US:
             return None
-        refuge = self._find(at, wanted if standing else (0.0, 0.0), blocker, others)
-        if refuge is None:
-            return None
+        detour = self._round(at, blocker, others) if standing else None
+        if detour is not None:
+            refuge, self._beyond = detour
+        else:
+            found = self._find(at, wanted if standing else (0.0, 0.0), blocker, others)
+            if found is None:
+                return None
+            refuge, self._beyond = found, None
         self.given += 1
         self._for, self._refuge = blocker.slot, refuge
         self._yield_ends_at_us = now_us + (ROUND_US if standing else REFUGE_US)
-        self._anchor_at_us, self._wanted_m = self._yield_ends_at_us, 0.0
-        return self._go(at, others)
+        self._anchor_at_us = self._yield_ends_at_us
+        self._wanted_m, self._wanted = 0.0, (0.0, 0.0)
+        return self._go(at, others, now_us)
 
-    def _go(self, at: Point, others: list[NearbyRobot]) -> Point:
+    def _go(self, at: Point, others: list[NearbyRobot], now_us: int) -> Point:
         other = next((o for o in others if o.slot == self._for), None)
         if other is None or other.distance_m > 2 * self.radius_m + APART_M * self.scale:
             self._yield_ends_at_us = 0  # the way is free
         dx_m, dy_m = self._refuge[0] - at[0], self._refuge[1] - at[1]
         distance_m = hypot(dx_m, dy_m)
         if distance_m < 0.3 * self.scale:
-            return 0.0, 0.0
+            if self._beyond is None:
+                return 0.0, 0.0
+            self._refuge, self._beyond = self._beyond, None
+            self._yield_ends_at_us = now_us + ROUND_US
+            return self._go(at, others, now_us)
         speed_m_s = min(0.6 * self.speed_m_s, distance_m)
         return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
+
+    def _round(
+        self, at: Point, blocker: NearbyRobot, others: list[NearbyRobot]
+    ) -> tuple[Point, Point] | None:
+        """A place beside the line through a standing robot and one beyond it, on the side that is
+        nearer; None if neither side is free.
+
+        What was wanted in the whole time of the stall says where beyond is. A robot that was pushed
+        off its line wants to go back to the line at one moment, and along it at another.
+        """
+        norm_m = hypot(*self._wanted)
+        if norm_m < WANTS_M_S * PERIOD_S:
+            return None
+        ux, uy = self._wanted[0] / norm_m, self._wanted[1] / norm_m
+        keep_m = 2 * self.radius_m + PASS_M * self.scale
+        onward_m = blocker.dx_m * ux + blocker.dy_m * uy + keep_m
+        across_m = blocker.dy_m * ux - blocker.dx_m * uy  # the blocker is this far to the left
+        for side in (1.0, -1.0) if across_m < 0.0 else (-1.0, 1.0):
+            aside_m = across_m + side * keep_m
+            beside = (-aside_m * uy, aside_m * ux)
+            beyond = (beside[0] + onward_m * ux, beside[1] + onward_m * uy)
+            legs = ((0.0, 0.0), beside), (beside, beyond)
+            if all(self._leg_clear(at, a, b, others) for a, b in legs):
+                return (at[0] + beside[0], at[1] + beside[1]), (
+                    at[0] + beyond[0],
+                    at[1] + beyond[1],
+                )
+        return None
+
+    def _leg_clear(self, at: Point, a: Point, b: Point, others: list[NearbyRobot]) -> bool:
+        """Whether a straight leg between two offsets from `at` is free."""
+        length_m = hypot(b[0] - a[0], b[1] - a[1])
+        there = [o._replace(dx_m=o.dx_m - a[0], dy_m=o.dy_m - a[1]) for o in others]
+        direction = ((b[0] - a[0]) / length_m, (b[1] - a[1]) / length_m)
+        return self._clear((at[0] + a[0], at[1] + a[1]), direction, length_m, there)
 
     def _find(
         self, at: Point, wanted: Point, blocker: NearbyRobot, others: list[NearbyRobot]
