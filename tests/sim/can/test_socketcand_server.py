@@ -200,7 +200,9 @@ def test_l4_odd_commands_cost_nobody_a_frame() -> None:
                 sock.sendall(b"< send %s 8 00 00 00 00 00 00 00 00 >" % word.encode())
             sock.sendall(b"< send 18FFFF01 0 >")
             sock.shutdown(socket.SHUT_WR)
-            while sock.recv(4096):  # closed with unread answers, TCP resets, and what is unread is lost
+            while sock.recv(
+                4096
+            ):  # closed with unread answers, TCP resets, and what is unread is lost
                 pass
 
     async def story(served: Served) -> None:
