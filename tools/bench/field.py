@@ -10,17 +10,21 @@ from collections.abc import Callable, Iterator, Sequence
 from importlib.metadata import version
 from itertools import pairwise
 from math import hypot, sqrt
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.field.field_map import Section
+from agent.field.field_map import Polyline
 from agent.interface.vehicle import Vehicle
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.ground_truth import TrackPoint
+from tools.bench.drawn_fields import drawn_setup
+from tools.bench.field_changes import Change, changed_run
 from tools.bench.figure import Figure
 from tools.bench.routing_opponents import guided_search
 
@@ -34,6 +38,12 @@ TICK_S = 0.01  # unit of time of the opponent, whose times are whole numbers
 SPAN_COST = 100  # of the last finish, in those of travel
 STILL_M_S = 0.05  # a slower robot stands
 MEAN_MAX, WORST_MAX = 1.03, 1.10
+ALONE: Final = ("small", "oxted", "curitiba")
+ALONE_MAX = 1.02
+CHANGES: Final = (("small", 6), ("oxted", 6), ("curitiba", 8))
+CHANGE_MAX = 1.10
+DRAWN: Final = range(50)
+QUICK_DRAWN: Final = (8, 18, 32)  # of few robots, so that they take seconds
 IDLE_MAX = {6: 0.04, 24: 0.08}
 
 Point = tuple[float, float]
@@ -74,6 +84,59 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     mean = float(np.mean(ratios))
     yield Figure("makespan, mean of all", mean, "x", f"<= {MEAN_MAX:g}", mean <= MEAN_MAX, against,
                  f"{len(ratios)} fleets, seed {seed}")  # fmt: skip
+    for name in ALONE[:1] if quick else ALONE:
+        yield _alone(name, search_s, seed, against)
+    for name, robots in CHANGES[:1] if quick else CHANGES:
+        for change in (Change.DIES,) if quick else Change:
+            yield _changed(name, robots, change, search_s, seed, against)
+    yield from _drawn(QUICK_DRAWN if quick else DRAWN)
+
+
+def _alone(name: str, search_s: float, seed: int, against: str) -> Figure:
+    setup = FieldSetup(load(name).changed(1, seed))
+    outcome, problem = FieldRun(setup).run(), problem_of(setup)
+    searched_s, rows_s = central_plan_s(problem, search_s), snake_s(problem)
+    ratio = outcome.makespan_s / min(searched_s, rows_s)
+    scope = (
+        f"{outcome.makespan_s:.0f} s driven; {searched_s:.0f} s planned, {rows_s:.0f} s section after "
+        f"section; seed {seed}"
+    )
+    return Figure(f"makespan, {name}, 1 robot", ratio, "x", f"<= {ALONE_MAX:g}",
+                  ratio <= ALONE_MAX and outcome.success, f"{against}, or the sections in their order",
+                  scope)  # fmt: skip
+
+
+def _changed(
+    name: str, robots: int, change: Change, search_s: float, seed: int, against: str
+) -> Figure:
+    driven = changed_run(name, robots, seed, change)
+    moment, outcome = driven.moment, driven.outcome
+    rest_s = central_plan_s(problem_at(driven.setup, moment.places, moment.left), search_s)
+    ratio = outcome.makespan_s / (moment.at_s + rest_s)
+    scope = (
+        f"at {moment.at_s:.0f} s; {outcome.makespan_s:.0f} s driven against {moment.at_s + rest_s:.0f} "
+        f"s, planned again then, from the start; {outcome.contacts} contacts; seed {seed}"
+    )
+    return Figure(f"makespan, {name}, {robots} robots, one {change.value}", ratio, "x",
+                  f"<= {CHANGE_MAX:g}", ratio <= CHANGE_MAX and outcome.finished, against,
+                  scope)  # fmt: skip
+
+
+def _drawn(seeds: Sequence[int]) -> Iterator[Figure]:
+    """How many fields of odd shapes are left with a flaw."""
+    flawed, robots = [], 0
+    for seed in seeds:
+        with TemporaryDirectory() as folder:
+            outcome = FieldRun(drawn_setup(seed, Path(folder))).run()
+        robots += outcome.robots
+        whole = outcome.success and outcome.reached == 1.0 and outcome.units_twice == 0
+        if not whole:
+            flawed.append(seed)
+    named = f"; seeds {flawed}" if flawed else ""
+    yield Figure("drawn fields with a gap, a contact or a unit worked twice", len(flawed), "",
+                 "<= 0", not flawed, "",
+                 f"{len(seeds)} stars, combs, letters U, slivers and fields with islands, "
+                 f"{robots} robots in sum{named}")  # fmt: skip
 
 
 def standing_share(tracks: Sequence[Sequence[TrackPoint]], end_s: float) -> float:
@@ -108,22 +171,41 @@ def _straight_s(length_m: float, vehicle: Vehicle) -> float:
 
 def problem_of(setup: FieldSetup) -> FleetProblem:
     """All times of a field and its fleet."""
-    vehicle, route, sections = setup.vehicle, setup.plan.route, setup.field.sections
-    begins = [end for section in sections for end in section.ends]
-    ends = [end for section in sections for end in section.ends[::-1]]
+    return problem_at(setup, setup.starts, [section.swaths for section in setup.field.sections])
+
+
+def problem_at(
+    setup: FieldSetup, places: Sequence[Point], left: Sequence[Sequence[Polyline]]
+) -> FleetProblem:
+    """All times of what is left of a field: the swaths of each section, for robots at `places`."""
+    vehicle, route = setup.vehicle, setup.plan.route
+    begins = [end for lines in left for end in (lines[0][0], lines[-1][-1])]
+    ends = [end for lines in left for end in (lines[-1][-1], lines[0][0])]
 
     def way_s(start: Point, goal: Point) -> float:
         return drive_s(route.path(start, goal), vehicle)
 
-    work = [_work_s(section, way_s, vehicle) for section in sections for _ in range(2)]
-    lead = [[way_s(start, begin) for begin in begins] for start in setup.starts]
+    work = [_work_s(lines, way_s, vehicle) for lines in left for _ in range(2)]
+    lead = [[way_s(place, begin) for begin in begins] for place in places]
     link = [[way_s(end, begin) for begin in begins] for end in ends]
     return FleetProblem(_ticks(work), _ticks(lead), _ticks(link))
 
 
-def _work_s(section: Section, way_s: Callable[[Point, Point], float], vehicle: Vehicle) -> float:
-    turns_s = sum(way_s(a[-1], b[0]) for a, b in pairwise(section.swaths))
-    return turns_s + sum(drive_s(swath, vehicle) for swath in section.swaths)
+def snake_s(problem: FleetProblem) -> float:
+    """Seconds of one robot that works the sections in their order, each from the end that is nearer."""
+    now, at = 0, -1
+    for section in range(len(problem.work) // 2):
+        ways = (problem.lead[0] if at < 0 else problem.link[at])[2 * section : 2 * section + 2]
+        at = 2 * section + int(np.argmin(ways))
+        now += int(ways.min()) + int(problem.work[at])
+    return now * TICK_S
+
+
+def _work_s(
+    lines: Sequence[Polyline], way_s: Callable[[Point, Point], float], vehicle: Vehicle
+) -> float:
+    turns_s = sum(way_s(a[-1], b[0]) for a, b in pairwise(lines))
+    return turns_s + sum(drive_s(line, vehicle) for line in lines)
 
 
 def _ticks(seconds: object) -> Times:

@@ -17,6 +17,7 @@ from sim.runs.work_plan_files import write_plan_geojson, write_plan_isoxml, writ
 from sim.runs.work_record import WorkRecord
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Scenario, ScenarioError, load
+from sim.scenarios.scenario_kind import Kind, named
 
 SOME_FAILED, WRONG = 1, 2
 GEOJSON, KML, TASK_DATA = "plan.geojson", "plan.kml", "TASKDATA"
@@ -41,7 +42,7 @@ def plan(
     failed = False
     try:
         record = None if done is None else read_work_geojson(done)
-        for scenario in _fields(load(name).changed(robots, None, None, feature, drive)):
+        for scenario in _fields(_field_scenario(name).changed(robots, None, None, feature, drive)):
             try:
                 plans.append(_planned(scenario, record, seed))
             except ScenarioError as problem:
@@ -61,6 +62,14 @@ def plan(
     else:
         _print(plans, files)
     return SOME_FAILED if failed else 0
+
+
+def _field_scenario(name: str) -> Scenario:
+    """The scenario of a name. Raises ScenarioError, also if it is of another kind."""
+    kind, found = named(name)
+    if kind is not Kind.FIELD:
+        raise ScenarioError(f"{name}: only fields are planned, and this is of kind {kind.value}")
+    return load(found)
 
 
 def _fields(scenario: Scenario) -> Iterator[Scenario]:

@@ -1,11 +1,25 @@
 """The plan of the whole fleet by OR-Tools, and what robots stand."""
 
+from pathlib import Path
+
 import pytest
+from shapely.geometry import LineString, Point
 
 from agent.interface.vehicle import Vehicle
+from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
-from tools.bench.field import TICK_S, central_plan_s, drive_s, problem_of, standing_share
+from tools.bench.drawn_fields import drawn_setup
+from tools.bench.field import (
+    TICK_S,
+    central_plan_s,
+    drive_s,
+    problem_at,
+    problem_of,
+    snake_s,
+    standing_share,
+)
+from tools.bench.field_changes import WatchedRun
 
 pytest.importorskip("ortools", reason="the opponent is in the extra dev")
 
@@ -32,3 +46,41 @@ def test_a_robot_that_stands_for_a_quarter_of_the_time() -> None:
     drives = [(k * 1_000_000, float(k), 0.0, False) for k in range(76)]
     stands = [(k * 1_000_000, 75.0, 0.0, False) for k in range(76, 90)]
     assert standing_share([[*drives, *stands]], 100.0) == pytest.approx(0.25)
+
+
+def test_one_robot_that_takes_the_sections_in_their_order_is_no_faster_than_the_search() -> None:
+    problem = problem_of(FieldSetup(load("small").changed(1, 1)))
+    work_s = float(problem.work[::2].sum()) * TICK_S
+    assert work_s < central_plan_s(problem, 0.5) <= snake_s(problem)
+
+
+def test_the_truth_of_a_moment_is_what_is_left_then() -> None:
+    setup = FieldSetup(load("small").changed(3, 1, time_limit_s=45.0))
+    run = WatchedRun(setup, 40.0)
+    run.run()
+    moment = run.moment
+    assert moment is not None and moment.at_s == 40.0 and len(moment.places) == 3
+    left_m = sum(LineString(line).length for lines in moment.left for line in lines)
+    worked_m = setup.field.work_m - left_m
+    # Three robots at 2 m/s for 40 s, with the way from the gate.
+    assert 0.3 * 240 < worked_m < 240
+    assert all(setup.field.polygon.contains(Point(place)) for place in moment.places)
+    rest_s = central_plan_s(problem_at(setup, moment.places, moment.left), 0.5)
+    assert left_m / 2.0 / 3 < rest_s < central_plan_s(problem_of(setup), 0.5)
+
+
+def test_drawn_fields_are_valid_and_the_same_for_a_seed(tmp_path: Path) -> None:
+    for seed in range(50):
+        setup = drawn_setup(seed, tmp_path)
+        assert 1 <= setup.scenario.fleet.robots <= 24 and setup.field.sections, seed
+        assert setup.field.polygon.is_valid and setup.field.polygon.area > 300.0, seed
+    assert drawn_setup(49, tmp_path).field == setup.field
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [1, 2, 3, 4])
+def test_a_drawn_field_is_worked_without_a_flaw(seed: int, tmp_path: Path) -> None:
+    """`reached` is read from the tracks of the bodies: of the ground that their bars can sweep."""
+    run = FieldRun(drawn_setup(seed, tmp_path))
+    outcome = run.run()
+    assert outcome.success and outcome.reached == 1.0 and outcome.units_twice == 0, (seed, outcome)

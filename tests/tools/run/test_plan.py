@@ -242,6 +242,8 @@ def test_two_fields_of_a_file_are_planned_and_a_bad_one_is_said(tmp_path: Path) 
     ("words", "said"),
     [
         (("nowhere",), "no such file"),
+        (("warehouse",), "only fields"),
+        (("rooms",), "only fields"),
         (("small", "--robots", 0), "robots"),
         (("small", "--drive", "ackermann"), "mecanum"),
         (("small", "--feature", "none"), "no field named"),
