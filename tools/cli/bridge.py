@@ -10,7 +10,7 @@ import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.interface.ports import Bus
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
@@ -26,6 +26,10 @@ from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, keep_attached
+from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
+
+if TYPE_CHECKING:
+    from tools.inspect.prometheus_metrics import MetricsServer
 
 TELL_S = 5.0  # a status line this often
 WRONG = 2
@@ -114,8 +118,9 @@ async def open_bus_of(
 
 
 async def carry(
-    area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str
-) -> None:
+    area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str,
+    served: MetricsAddress | None = None,
+) -> None:  # fmt: skip
     """Until a signal, or for the given time."""
     loop = asyncio.get_running_loop()
     end = asyncio.Event()
@@ -136,10 +141,15 @@ async def carry(
 
     shell = GatewayRunner(gateway, bus, backbone, now_us, at)
     freeze_gc()
+
+    def told() -> dict[str, Any]:
+        return {**gateway.status(now_us()), "bus": bus.health.name}
+
+    metrics = None if served is None else _metrics_of(told, served)
     shell.start()
     shown: object = None
     while not end.is_set():
-        status = {**gateway.status(now_us()), "bus": bus.health.name}
+        status = told()
         news = (status["number"], status["leads"], status["reached"], status["bus"])
         if news != shown:
             shown = news
@@ -149,6 +159,17 @@ async def carry(
         except TimeoutError:
             continue
     shell.stop()
+    if metrics is not None:
+        metrics.close()
+
+
+def _metrics_of(status: Callable[[], dict[str, Any]], served: MetricsAddress) -> "MetricsServer":
+    from tools.inspect.prometheus_metrics import GatewayCollector, MetricsServer
+
+    server = MetricsServer(served)
+    GatewayCollector(status, server.registry)
+    print(f"metrics: {server.start()}", file=sys.stderr, flush=True)
+    return server
 
 
 def _line(status: dict[str, Any]) -> str:
@@ -164,7 +185,7 @@ def _line(status: dict[str, Any]) -> str:
 def bridge(
     segment: int, interface: str, channel: str, bitrate: int, host: str, port: int, fleet: str,
     connect: list[str], listen: list[str], mode: str, config: Path | None, area: Path | None,
-    seconds: float | None, as_json: bool, arena: str = "",
+    seconds: float | None, as_json: bool, arena: str = "", metrics: str | None = None,
 ) -> int:  # fmt: skip
     """The exit code of `headland bridge`: 0 after `seconds` or Ctrl-C, 2 where bus, backbone or
     area are wrong."""
@@ -172,15 +193,17 @@ def bridge(
     async def run() -> None:
         if not connect and not listen and config is None:
             raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")
+        served = None if metrics is None else metrics_address(metrics)
         place = read_area(segment, area)
         link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
         key = f"headland/{fleet}/{segment}/bus"
         bus = await open_bus_of(interface, channel, bitrate, host, port, link, key)
-        await carry(place, bus, ZenohBackbone(link, fleet, segment), as_json, seconds, arena)
+        backbone = ZenohBackbone(link, fleet, segment)
+        await carry(place, bus, backbone, as_json, seconds, arena, served)
 
     try:
         asyncio.run(run())
-    except (AttachError, LinkError) as problem:
+    except (AttachError, LinkError, MetricsError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     return 0

@@ -15,6 +15,7 @@ from tools.common.options import (
     Json,
     KeyFile,
     MapOperatorKey,
+    Metrics,
     OperatorKey,
     PagePort,
     Port,
@@ -160,7 +161,12 @@ def inspect(
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0,
-    seconds: Annotated[float, typer.Option(help="Listen this long to a live bus.")] = 3.0,
+    seconds: Annotated[
+        float | None, typer.Option(help="Listen this long to a live bus (3; with --watch: for ever).")
+    ] = None,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Of a live bus, what is heard so far, every second.")
+    ] = False,
     mermaid: Annotated[bool, typer.Option("--mermaid", help="Print the state machine.")] = False,
     why: Annotated[str | None, typer.Option(help="How a section (S7) came to its owner.")] = None,
     traces: Annotated[int | None, typer.Option(help="Ask this robot for its newest traces.")] = None,
@@ -179,7 +185,7 @@ def inspect(
 
     bus = (interface, channel, bitrate, host, port)
     raise SystemExit(
-        command(source, *bus, seconds, mermaid, why, json, traces, plain, speed, picture)
+        command(source, *bus, seconds, mermaid, why, json, traces, plain, speed, picture, watch)
     )
 
 
@@ -193,6 +199,7 @@ def show_map(
     ] = None,
     page_port: PagePort = 8700,
     operator_key: MapOperatorKey = None,
+    metrics: Metrics = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
@@ -214,6 +221,7 @@ def show_map(
             page_port,
             json,
             operator_key=operator_key,
+            metrics=metrics,
         )
     )
 
@@ -239,6 +247,7 @@ def bridge(
     ] = "",
     fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
+    metrics: Metrics = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Join a bus to the rest of the fleet. Stops pass first and always; start two for each bus.
@@ -249,5 +258,5 @@ def bridge(
 
     raise SystemExit(
         command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
-                mode, config, area, seconds, json, arena)
+                mode, config, area, seconds, json, arena, metrics)
     )  # fmt: skip

@@ -31,6 +31,7 @@ from tools.common.options import (
     KeyFile,
     Map,
     MapOperatorKey,
+    Metrics,
     PagePort,
     Port,
     Robots,
@@ -210,6 +211,7 @@ def launch(
     hub: Annotated[
         int, typer.Option(min=0, max=PORT_MAX, help="Port of a bus by itself: headland hub.")
     ] = 0,
+    metrics: Metrics = None,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -235,6 +237,7 @@ def launch(
             hub,
             fresh,
             operator_key,
+            metrics,
         )
     )
 

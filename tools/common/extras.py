@@ -4,6 +4,7 @@ EXTRA_OF = {
     "textual": "operator", "starlette": "operator", "uvicorn": "operator", "websockets": "operator",
     "lark": "operator", "mcap": "operator", "httpx": "operator",
     "isoxml": "isoxml",
+    "prometheus_client": "metrics",
     "cantools": "formats",
     "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",
     "atheris": "fuzz",

@@ -52,6 +52,14 @@ MapOperatorKey = Annotated[
         help="The operator's key file: the map's page may release and start with it.",
     ),
 ]
+Metrics = Annotated[
+    str | None,
+    typer.Option(
+        "--metrics",
+        metavar="PORT",
+        help="Serve figures for Prometheus on this port of loopback, or on HOST:PORT.",
+    ),
+]
 Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
 PagePort = Annotated[
     int,

@@ -3,8 +3,10 @@
 import asyncio
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from importlib.util import find_spec
 from itertools import chain, count
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -28,6 +30,8 @@ from tools.inspect.inspector import Inspector
 
 WRONG = 2
 UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
+LISTEN_S = 3.0  # to a live bus, where nothing else is said
+WATCH_S = 1.0  # between two lines of a watch
 HEARD_S = 0.3  # by then we are on the bus
 
 
@@ -37,13 +41,14 @@ class SourceError(Exception):
 
 def inspect(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
-    seconds: float, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
-    plain: bool = False, speed: float = 0.0, picture: Path | None = None,
+    seconds: float | None, mermaid: bool, why: str | None, as_json: bool, traces_of: int | None = None,
+    plain: bool = False, speed: float = 0.0, picture: Path | None = None, watch: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland inspect`: 0; 1 if the section of `why`, or the traces, were not
     heard; 2 for a wrong argument, source or bus.
 
-    `seconds`: how long a live bus is heard. `traces_of`: slot of a robot that is asked for its
+    `seconds`: how long a live bus is heard; None: 3, with `watch` until Ctrl-C. `watch`: what is heard so
+    far, every second, as one line of JSON or as text. `traces_of`: slot of a robot that is asked for its
     traces. `speed`: of a log, times real time; 0 shows its end.
     """
     if mermaid:
@@ -51,20 +56,29 @@ def inspect(
         print(dumps({"mermaid": diagram}) if as_json else diagram)
         return 0
     inspector = Inspector()
+    for_s = seconds if seconds is not None or watch else LISTEN_S
     try:
+        if watch and (source is not None or why is not None or traces_of is not None):
+            raise SourceError("--watch: of a live bus, without a log, --why or --traces")
         if traces_of is not None:
-            return _traces(traces_of, interface, channel, bitrate, host, port, seconds, as_json)
+            asked_s = LISTEN_S if for_s is None else for_s
+            return _traces(traces_of, interface, channel, bitrate, host, port, asked_s, as_json)
         section = _section(why)
         if picture is not None:
             return _draw(inspector, source, picture)
-        if _screen_wanted(plain or as_json or section is not None):
+        if _screen_wanted(plain or as_json or watch or section is not None):
             bus = (interface, channel, bitrate, host, port)
             return _screen(inspector, source, lambda: attach(*bus), speed)
         if source is not None:
             for t_us, frame in frames_of(source, inspector.hear_other):
                 inspector.hear(t_us / 1e6, frame)
         else:
-            asyncio.run(_listen(inspector, interface, channel, bitrate, host, port, seconds))
+            tell = (_told_json if as_json else _told_text) if watch else None
+            bus = (interface, channel, bitrate, host, port)
+            with suppress(KeyboardInterrupt):  # of a watch, the usual end
+                asyncio.run(_listen(inspector, *bus, for_s, tell))
+            if watch:
+                return 0
     except (AttachError, SourceError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -204,7 +218,8 @@ async def _listen(
     bitrate: int,
     host: str,
     port: int,
-    seconds: float,
+    seconds: float | None,
+    tell: Callable[[Inspector], None] | None,
 ) -> None:
     from tools.operate.operator_device import Operator
 
@@ -214,9 +229,23 @@ async def _listen(
         bus.subscribe(lambda frame: inspector.hear(loop.time(), frame))
         operator = Operator(bus, None)
         loop.call_later(HEARD_S, operator.ask_work)
-        await operator.listen(seconds)
+        end_s = inf if seconds is None else loop.time() + seconds
+        while (left_s := end_s - loop.time()) > 0:
+            await operator.listen(left_s if tell is None else min(left_s, WATCH_S))
+            if tell is not None:
+                if inspector.first_s is not None:
+                    inspector.now_s = loop.time()  # quiet is time, too
+                tell(inspector)
     finally:
         bus.close()
+
+
+def _told_json(inspector: Inspector) -> None:
+    print(dumps(inspector.to_dict()), flush=True)
+
+
+def _told_text(inspector: Inspector) -> None:
+    _show(Console(), inspector.to_dict())
 
 
 def _traces(

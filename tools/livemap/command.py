@@ -6,7 +6,7 @@ import secrets
 import socket
 import sys
 import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,13 +31,17 @@ from sim.record.scene import Scene, in_folder, scene_named
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_attach import LAUNCH, AttachError, attach
 from tools.common.run_recorder import MCAP
+from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.inspection import SourceError, frames_of
+from tools.inspect.measured_inspector import MeasuredInspector
+from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 from tools.livemap.stop_panel import Panel
 from tools.operate.estop import keyring_of
 
 if TYPE_CHECKING:
     from tools.livemap.server import MapServer
 
+Heard = Callable[[float, Frame], None]  # seconds of the loop's clock
 HOST = "127.0.0.1"  # not visible from other machines; there is no option for that
 WRONG = 2
 RECORDED_SPEED = 10.0
@@ -48,13 +52,13 @@ NO_SERVER = "the map needs the operator extra: pip install 'headland[operator]'"
 def show_map(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
     keys: Path | None, scenario: str | None, page_port: int, as_json: bool,
-    speed: float = RECORDED_SPEED, operator_key: Path | None = None,
+    speed: float = RECORDED_SPEED, operator_key: Path | None = None, metrics: str | None = None,
 ) -> int:  # fmt: skip
     """Serve the map until Ctrl-C, and return the exit code of the command: 2 where the source, the
     bus or the port is wrong.
 
     `speed`: of a recording, as a factor of real time; 0: the usual one. `operator_key`: the file by which
-    the page may release a fleet with keys.
+    the page may release a fleet with keys. `metrics`: PORT or HOST:PORT of figures for Prometheus.
     """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
@@ -64,13 +68,18 @@ def show_map(
             if source is None or launch is not None:
                 where = (interface, channel, bitrate, host, port)
                 own = KeyFiles(keys, operator_key)
-                return _live(scene, launch, where, own, listener, console, as_json)
+                served = None if metrics is None else metrics_address(metrics)
+                return _live(scene, launch, where, own, listener, console, as_json, served)
+            if metrics is not None:
+                raise MetricsError("--metrics: of a live bus; a recording has no present")
             with console.status(f"reading {source}"):
                 recording = recorded(source, scene)
             server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
             _announce(console, as_json, url_of(listener, server))
             asyncio.run(serve(server, listener))
-    except (AttachError, SourceError, ScenarioError, McapMissing, ServerError) as problem:
+    except (
+        AttachError, SourceError, ScenarioError, McapMissing, ServerError, MetricsError
+    ) as problem:  # fmt: skip
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     return 0
@@ -121,11 +130,13 @@ def url_of(listener: socket.socket, server: "MapServer") -> str:
     return f"http://{HOST}:{listener.getsockname()[1]}/#{server.token}"
 
 
-def _announce(console: Console, as_json: bool, url: str) -> None:
+def _announce(console: Console, as_json: bool, url: str, metrics: str | None = None) -> None:
     if as_json:
-        print(dumps({"map": url}), flush=True)
-    else:
-        console.print(f"map: {url}   (Ctrl-C ends it)")
+        print(dumps({"map": url, **({"metrics": metrics} if metrics else {})}), flush=True)
+        return
+    console.print(f"map: {url}   (Ctrl-C ends it)")
+    if metrics:
+        console.print(f"metrics: {metrics}")
 
 
 async def serve(server: "MapServer", listener: socket.socket) -> None:
@@ -226,6 +237,7 @@ class KeyFiles(NamedTuple):
 def _live(
     scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
     keys: KeyFiles, listener: socket.socket, console: Console, as_json: bool,
+    served: MetricsAddress | None,
 ) -> int:  # fmt: skip
     keyring = keyring_of(keys.panel)
     check_operator_key(keys.operator)
@@ -241,11 +253,11 @@ def _live(
         loop = asyncio.get_running_loop()
         recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)
-        with _hearing(bus, recording, panel):
+        with _metrics(served, scene) as (metrics, count), _hearing(bus, recording, panel, count):
             bodies = None if launch is None else launch.get("bodies")
             watching = asyncio.create_task(_watch(recording, bodies))
             asking = asyncio.create_task(panel.keep_asking())
-            _announce(console, as_json, url_of(listener, server))
+            _announce(console, as_json, url_of(listener, server), metrics)
             try:
                 await serve(server, listener)
             finally:
@@ -257,13 +269,43 @@ def _live(
 
 
 @contextlib.contextmanager
-def _hearing(bus: CanBus, recording: Recording, panel: Panel) -> Iterator[None]:
+def _metrics(
+    served: MetricsAddress | None, scene: Scene | None
+) -> Iterator[tuple[str | None, Heard | None]]:
+    """Figures for Prometheus, at the URL, of the frames that are passed on; None: not asked for. Raises
+    MetricsError."""
+    if served is None:
+        yield None, None
+        return
+    from tools.inspect.prometheus_metrics import FleetCollector, MetricsServer
+
+    clock = asyncio.get_running_loop().time
+    known = scene or {}
+    inspector = MeasuredInspector(
+        frozenset(int(section["id"]) for section in known.get("sections", ())),
+        int(known.get("bitrate", BIT_RATE)),
+    )
+    server = MetricsServer(served)
+    FleetCollector(inspector, clock, server.registry)
+    url = server.start()
+    try:
+        yield url, inspector.hear
+    finally:
+        server.close()
+
+
+@contextlib.contextmanager
+def _hearing(
+    bus: CanBus, recording: Recording, panel: Panel, count: Heard | None
+) -> Iterator[None]:
     loop = asyncio.get_running_loop()
 
     def heard(frame: Frame) -> None:
         now_s = loop.time()
         recording.write(round(now_s * 1e6), frame)
         panel.hear(now_s, frame)
+        if count is not None:
+            count(now_s, frame)
 
     bus.subscribe(heard)
     try:

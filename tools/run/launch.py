@@ -11,7 +11,7 @@ import os
 import signal
 import time
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
 
@@ -34,10 +34,15 @@ from tools.common.child_process import module_command
 from tools.common.process_identity import identity
 from tools.common.run_recorder import RunRecorder
 from tools.inspect.inspector import SILENT_S, Inspector
+from tools.inspect.measured_inspector import MeasuredInspector
+from tools.inspect.metrics_address import MetricsAddress
 from tools.language.places import Places
 from tools.run.fleet_folder import TRUTH, FleetFolder, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.run.launch_setup import AnySetting, robot_document
+
+if TYPE_CHECKING:
+    from tools.inspect.prometheus_metrics import MetricsServer
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
@@ -71,6 +76,7 @@ class Launch:
         self.page_port, self.log_hash, self.logs = page_port, "", ""
         self.segment = 0  # number of the segment; 0: the fleet has no others
         self.hub_port = 0  # port of a hub that runs by itself; 0: ours
+        self.metrics_address: MetricsAddress | None = None  # of figures for Prometheus
         self.map: asyncio.subprocess.Process | None = None
         self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
         self.keys = None if keys is None else str(keys.absolute())
@@ -97,6 +103,7 @@ class Launch:
         for body in self.world.robots.values():
             body.track.straight_m = STRAIGHT_M
         bus = self._bus(port)
+        metrics = self._serve_metrics(loop)
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
         begin_at_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
@@ -151,6 +158,8 @@ class Launch:
             for task in (stepping, *going_on):
                 task.cancel()
             await bus.stop()
+            if metrics is not None:
+                metrics.close()
             bodies.close()
             self._keep_truth()
             Ending(TRUTH, self._untold).close(memory.close)
@@ -223,6 +232,25 @@ class Launch:
             process.stdin.write(dumps(order).encode() + b"\n")
             self.processes[slot] = process
             self.console.print(f"robot {slot}: process {process.pid}")
+
+    def _serve_metrics(self, loop: asyncio.AbstractEventLoop) -> "MetricsServer | None":
+        """Before the bus: the inspector then also counts. Raises OSError if the port is taken."""
+        if self.metrics_address is None:
+            return None
+        from tools.inspect.prometheus_metrics import FleetCollector, MetricsServer, RobotProcesses
+
+        server = MetricsServer(self.metrics_address)
+        measured = MeasuredInspector(self._sections(), self.setting.scenario.bus.bitrate)
+        self.inspector = measured
+        FleetCollector(measured, loop.time, server.registry)
+        RobotProcesses(lambda: list(self.processes), self._pids, server.registry)
+        self.console.print(f"metrics: {server.start()}")
+        return server
+
+    def _pids(self) -> dict[int, int]:
+        """Of the robots whose process runs."""
+        running = self.processes.items()
+        return {slot: process.pid for slot, process in running if process.returncode is None}
 
     async def _start_map(self) -> None:
         """A process of its own, and a polite one: the bus and the robots go first."""

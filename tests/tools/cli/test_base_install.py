@@ -45,6 +45,7 @@ def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         ("bridge --segment 1 --listen tcp/127.0.0.1:0", "backbone"),
         ("map can.log --page-port 0", "operator"),
         ("inspect can.log --picture out.svg", "operator"),
+        ("launch small --metrics 0", "metrics"),
         ("inspect run.mcap --plain", "operator"),
         ("run task --robots 2", "isoxml"),
         ("chaos --help", ""),
