@@ -24,7 +24,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.ground_truth import TrackPoint
 from tools.bench.drawn_fields import drawn_setup
-from tools.bench.field_changes import Change, changed_run
+from tools.bench.field_changes import FleetChange, changed_run
 from tools.bench.figure import Figure
 from tools.bench.routing_opponents import guided_search
 
@@ -87,7 +87,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     for name in ALONE[:1] if quick else ALONE:
         yield _alone(name, search_s, seed, against)
     for name, robots in CHANGES[:1] if quick else CHANGES:
-        for change in (Change.DIES,) if quick else Change:
+        for change in (FleetChange.DIES,) if quick else FleetChange:
             yield _changed(name, robots, change, search_s, seed, against)
     yield from _drawn(QUICK_DRAWN if quick else DRAWN)
 
@@ -107,7 +107,7 @@ def _alone(name: str, search_s: float, seed: int, against: str) -> Figure:
 
 
 def _changed(
-    name: str, robots: int, change: Change, search_s: float, seed: int, against: str
+    name: str, robots: int, change: FleetChange, search_s: float, seed: int, against: str
 ) -> Figure:
     driven = changed_run(name, robots, seed, change)
     moment, outcome = driven.moment, driven.outcome

@@ -17,15 +17,15 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 
 
-class Change(Enum):
+class FleetChange(Enum):
     """What happens to the last robot."""
 
     DIES = "dies"
     JOINS = "joins"
 
 
-SHARES = {Change.DIES: 0.5, Change.JOINS: 1 / 3}  # of the time that the whole fleet takes
-KINDS = {Change.DIES: "crash", Change.JOINS: "join"}  # of the fault
+SHARES = {FleetChange.DIES: 0.5, FleetChange.JOINS: 1 / 3}  # of the time that the whole fleet takes
+KINDS = {FleetChange.DIES: "crash", FleetChange.JOINS: "join"}  # of the fault
 Point = tuple[float, float]
 
 
@@ -76,7 +76,7 @@ class WatchedRun(FieldRun):
         self.moment = Moment(now_s, places, left)
 
 
-def changed_run(name: str, robots: int, seed: int, change: Change) -> DrivenChange:
+def changed_run(name: str, robots: int, seed: int, change: FleetChange) -> DrivenChange:
     """Run a shipped scenario in which its last robot dies, or joins late."""
     plain = FieldRun(FieldSetup(load(name).changed(robots, seed))).run()
     at_s = round(SHARES[change] * plain.makespan_s, 1)

@@ -99,7 +99,8 @@ def test_b2_what_works_on_a_run_works_as_documented(tmp_path: Path) -> None:
     done = _headland(["run", "small"], tmp_path)
     assert done.returncode == 0, done.stderr
     tried = 0
-    commands = sorted((c for c in shown() if is_run(c)), key=_turn)
+    once = {command.text: command for command in shown() if is_run(command)}
+    commands = sorted(once.values(), key=_turn)
     for command in commands:
         words = command.words[1:]
         if words[:2] == ["keys", "new"]:
