@@ -51,6 +51,7 @@ def scene_of(setting: FleetSetup) -> Scene:
         scene["name"] = field.name
         scene["rings"] = [_line(ring) for ring in (field.exterior, *field.holes)]
         scene["gate"], scene["width_m"] = _point(field.gate), field.implement_width_m
+        scene["earth"] = list(field.origin)  # latitude and longitude of (0, 0), degrees
         scene["sections"] = [
             {"id": s.id, "swaths": [_line(swath) for swath in s.swaths], "units": list(s.units_of)}
             for s in field.sections

@@ -10,6 +10,7 @@ from tools.common.options import (
     PORT_MAX,
     Bitrate,
     Channel,
+    Foxglove,
     Host,
     Interface,
     Json,
@@ -200,6 +201,7 @@ def show_map(
     page_port: PagePort = 8700,
     operator_key: MapOperatorKey = None,
     metrics: Metrics = None,
+    foxglove: Foxglove = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
@@ -222,6 +224,7 @@ def show_map(
             json,
             operator_key=operator_key,
             metrics=metrics,
+            foxglove=foxglove,
         )
     )
 

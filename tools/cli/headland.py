@@ -26,6 +26,7 @@ from tools.common.options import (
     Bitrate,
     Channel,
     Drive,
+    Foxglove,
     Host,
     Json,
     KeyFile,
@@ -212,6 +213,7 @@ def launch(
         int, typer.Option(min=0, max=PORT_MAX, help="Port of a bus by itself: headland hub.")
     ] = 0,
     metrics: Metrics = None,
+    foxglove: Foxglove = None,
     json: Json = False,
 ) -> None:
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
@@ -238,6 +240,7 @@ def launch(
             fresh,
             operator_key,
             metrics,
+            foxglove,
         )
     )
 

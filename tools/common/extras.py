@@ -5,6 +5,7 @@ EXTRA_OF = {
     "lark": "operator", "mcap": "operator", "httpx": "operator",
     "isoxml": "isoxml",
     "prometheus_client": "metrics",
+    "foxglove": "foxglove",
     "cantools": "formats",
     "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",
     "atheris": "fuzz",

@@ -60,6 +60,16 @@ Metrics = Annotated[
         help="Serve figures for Prometheus on this port of loopback, or on HOST:PORT.",
     ),
 ]
+Foxglove = Annotated[
+    int | None,
+    typer.Option(
+        "--foxglove",
+        metavar="PORT",
+        min=0,
+        max=PORT_MAX,
+        help="Let Foxglove or Lichtblick look, on this port of loopback (theirs is 8765).",
+    ),
+]
 Map = Annotated[bool, typer.Option("--map", help="Show it in a browser.")]
 PagePort = Annotated[
     int,

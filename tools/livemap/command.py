@@ -6,7 +6,7 @@ import secrets
 import socket
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -35,10 +35,12 @@ from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.inspection import SourceError, frames_of
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
+from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.livemap.stop_panel import Panel
 from tools.operate.estop import keyring_of
 
 if TYPE_CHECKING:
+    from tools.livemap.foxglove_live import FoxgloveFeed
     from tools.livemap.server import MapServer
 
 Heard = Callable[[float, Frame], None]  # seconds of the loop's clock
@@ -53,12 +55,14 @@ def show_map(
     source: Path | None, interface: str, channel: str, bitrate: int, host: str, port: int,
     keys: Path | None, scenario: str | None, page_port: int, as_json: bool,
     speed: float = RECORDED_SPEED, operator_key: Path | None = None, metrics: str | None = None,
+    foxglove: int | None = None,
 ) -> int:  # fmt: skip
     """Serve the map until Ctrl-C, and return the exit code of the command: 2 where the source, the
     bus or the port is wrong.
 
     `speed`: of a recording, as a factor of real time; 0: the usual one. `operator_key`: the file by which
     the page may release a fleet with keys. `metrics`: PORT or HOST:PORT of figures for Prometheus.
+    `foxglove`: a port for viewers.
     """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
@@ -69,16 +73,23 @@ def show_map(
                 where = (interface, channel, bitrate, host, port)
                 own = KeyFiles(keys, operator_key)
                 served = None if metrics is None else metrics_address(metrics)
-                return _live(scene, launch, where, own, listener, console, as_json, served)
-            if metrics is not None:
-                raise MetricsError("--metrics: of a live bus; a recording has no present")
+                if foxglove is not None:
+                    check_port(foxglove)
+                return _live(
+                    scene, launch, where, own, listener, console, as_json, served, foxglove
+                )
+            if metrics is not None or foxglove is not None:
+                raise MetricsError(
+                    "--metrics, --foxglove: of a live bus; a recording has no present"
+                )
             with console.status(f"reading {source}"):
                 recording = recorded(source, scene)
             server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
             _announce(console, as_json, url_of(listener, server))
             asyncio.run(serve(server, listener))
     except (
-        AttachError, SourceError, ScenarioError, McapMissing, ServerError, MetricsError
+        AttachError, SourceError, ScenarioError, McapMissing, ServerError, MetricsError,
+        PortTaken,
     ) as problem:  # fmt: skip
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -130,13 +141,14 @@ def url_of(listener: socket.socket, server: "MapServer") -> str:
     return f"http://{HOST}:{listener.getsockname()[1]}/#{server.token}"
 
 
-def _announce(console: Console, as_json: bool, url: str, metrics: str | None = None) -> None:
+def _announce(console: Console, as_json: bool, url: str, **more: str | None) -> None:
+    others = {name: address for name, address in more.items() if address}
     if as_json:
-        print(dumps({"map": url, **({"metrics": metrics} if metrics else {})}), flush=True)
+        print(dumps({"map": url, **others}), flush=True)
         return
     console.print(f"map: {url}   (Ctrl-C ends it)")
-    if metrics:
-        console.print(f"metrics: {metrics}")
+    for name, address in others.items():
+        console.print(f"{name}: {address}")
 
 
 async def serve(server: "MapServer", listener: socket.socket) -> None:
@@ -237,7 +249,7 @@ class KeyFiles(NamedTuple):
 def _live(
     scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
     keys: KeyFiles, listener: socket.socket, console: Console, as_json: bool,
-    served: MetricsAddress | None,
+    served: MetricsAddress | None, foxglove: int | None,
 ) -> int:  # fmt: skip
     keyring = keyring_of(keys.panel)
     check_operator_key(keys.operator)
@@ -253,11 +265,17 @@ def _live(
         loop = asyncio.get_running_loop()
         recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)
-        with _metrics(served, scene) as (metrics, count), _hearing(bus, recording, panel, count):
+        with (
+            _metrics(served, scene) as (metrics, count),
+            _viewers(foxglove, scene) as feed,
+            _hearing(bus, recording, panel, [h for h in (count, feed and feed.hear) if h]),
+        ):
             bodies = None if launch is None else launch.get("bodies")
-            watching = asyncio.create_task(_watch(recording, bodies))
+            watching = asyncio.create_task(_watch(recording, bodies, feed))
             asking = asyncio.create_task(panel.keep_asking())
-            _announce(console, as_json, url_of(listener, server), metrics)
+            seen_at = None if feed is None else feed.url
+            own = url_of(listener, server)
+            _announce(console, as_json, own, metrics=metrics, foxglove=seen_at)
             try:
                 await serve(server, listener)
             finally:
@@ -295,8 +313,23 @@ def _metrics(
 
 
 @contextlib.contextmanager
+def _viewers(port: int | None, scene: Scene | None) -> Iterator["FoxgloveFeed | None"]:
+    """A feed for viewers; None: not asked for. Raises PortTaken."""
+    if port is None:
+        yield None
+        return
+    from tools.livemap.foxglove_live import start_feed
+
+    feed = start_feed(scene, port)
+    try:
+        yield feed
+    finally:
+        feed.close()
+
+
+@contextlib.contextmanager
 def _hearing(
-    bus: CanBus, recording: Recording, panel: Panel, count: Heard | None
+    bus: CanBus, recording: Recording, panel: Panel, listeners: Sequence[Heard]
 ) -> Iterator[None]:
     loop = asyncio.get_running_loop()
 
@@ -304,8 +337,8 @@ def _hearing(
         now_s = loop.time()
         recording.write(round(now_s * 1e6), frame)
         panel.hear(now_s, frame)
-        if count is not None:
-            count(now_s, frame)
+        for hear in listeners:
+            hear(now_s, frame)
 
     bus.subscribe(heard)
     try:
@@ -314,12 +347,18 @@ def _hearing(
         bus.close()
 
 
-async def _watch(recording: Recording, bodies: str | None) -> None:
+async def _watch(recording: Recording, bodies: str | None, feed: "FoxgloveFeed | None") -> None:
     """What the robots of a launch intend; not available on another bus, nor to another user."""
     if bodies is None:
         return
     loop = asyncio.get_running_loop()
-    watching = IntentListener(lambda intent: recording.tell(round(loop.time() * 1e6), intent))
+
+    def intend(intent: dict[str, Any]) -> None:
+        recording.tell(round(loop.time() * 1e6), intent)
+        if feed is not None:
+            feed.intend(loop.time(), intent)
+
+    watching = IntentListener(intend)
     try:
         await watching.connect(Path(bodies))
         await watching.run()

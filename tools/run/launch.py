@@ -24,6 +24,7 @@ from sim.files.recording_end import Ending
 from sim.files.strict_json import dumps
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.remote_body import BodyServer
+from sim.record.scene import scene_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import implement_contacts
@@ -43,6 +44,7 @@ from tools.run.launch_setup import AnySetting, robot_document
 
 if TYPE_CHECKING:
     from tools.inspect.prometheus_metrics import MetricsServer
+    from tools.livemap.foxglove_live import FoxgloveFeed
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
@@ -77,6 +79,8 @@ class Launch:
         self.segment = 0  # number of the segment; 0: the fleet has no others
         self.hub_port = 0  # port of a hub that runs by itself; 0: ours
         self.metrics_address: MetricsAddress | None = None  # of figures for Prometheus
+        self.foxglove_port: int | None = None  # where viewers look
+        self.feed: FoxgloveFeed | None = None
         self.map: asyncio.subprocess.Process | None = None
         self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
         self.keys = None if keys is None else str(keys.absolute())
@@ -104,6 +108,7 @@ class Launch:
             body.track.straight_m = STRAIGHT_M
         bus = self._bus(port)
         metrics = self._serve_metrics(loop)
+        self._serve_viewers()
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
         begin_at_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
@@ -136,7 +141,13 @@ class Launch:
             "robots": sorted(self.world.robots),
         }  # fmt: skip
         going_on = self._furnish(bodies, bus)
-        bodies.relay.keep = lambda intent: keeping.tell(epoch_us + round(loop.time() * 1e6), intent)
+
+        def intend(intent: dict[str, Any]) -> None:
+            keeping.tell(epoch_us + round(loop.time() * 1e6), intent)
+            if self.feed is not None:
+                self.feed.intend(loop.time(), intent)
+
+        bodies.relay.keep = intend
         (self.out / "bus.json").write_text(dumps(where))
         (self.out / "places.toml").write_text(self._places())
         self.console.print(
@@ -160,6 +171,8 @@ class Launch:
             await bus.stop()
             if metrics is not None:
                 metrics.close()
+            if self.feed is not None:
+                self.feed.close()
             bodies.close()
             self._keep_truth()
             Ending(TRUTH, self._untold).close(memory.close)
@@ -213,6 +226,8 @@ class Launch:
 
     def _heard(self, t_us: int, frame: Frame) -> None:
         self.inspector.hear(t_us / 1e6, frame)
+        if self.feed is not None:
+            self.feed.hear(t_us / 1e6, frame)
 
     async def _start_all(self, bus_port: int, bodies: Path) -> None:
         bus = {
@@ -246,6 +261,14 @@ class Launch:
         RobotProcesses(lambda: list(self.processes), self._pids, server.registry)
         self.console.print(f"metrics: {server.start()}")
         return server
+
+    def _serve_viewers(self) -> None:
+        if self.foxglove_port is None:
+            return
+        from tools.livemap.foxglove_live import start_feed
+
+        self.feed = start_feed(scene_of(self.setting), self.foxglove_port)
+        self.console.print(f"foxglove: {self.feed.url}")
 
     def _pids(self) -> dict[int, int]:
         """Of the robots whose process runs."""

@@ -15,6 +15,7 @@ from tools.common.bus_attach import AttachError
 from tools.common.run_folder import FolderError
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.livemap.command import ServerError, check_operator_key, listen
+from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.run.fleet_folder import fleet_folder
 from tools.run.launch import (
     WRONG,
@@ -29,7 +30,7 @@ def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
     segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
-    metrics: str | None = None,
+    metrics: str | None = None, foxglove: int | None = None,
 ) -> int:  # fmt: skip
     """The exit code of `headland launch`: 0 if all is done in truth, 1 if not, 2 for a wrong
     argument, 130 after Ctrl-C.
@@ -37,7 +38,7 @@ def launch(
     `page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
     named after the scenario. `fresh`: a new fleet, also where the last one is not done.
     `operator_key`: the map's page may release and start with it. `metrics`: PORT or HOST:PORT of figures
-    for Prometheus.
+    for Prometheus. `foxglove`: a port for viewers.
     """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
@@ -55,8 +56,17 @@ def launch(
             listen(page_port).close()  # a port that is taken is reported before robots start
             check_operator_key(operator_key)
         served = None if metrics is None else metrics_address(metrics)
+        if foxglove is not None:
+            check_port(foxglove)
         fleet = fleet_folder(out, setting, fresh)
-    except (ScenarioError, ServerError, FolderError, AttachError, MetricsError) as problem:
+    except (
+        ScenarioError,
+        ServerError,
+        FolderError,
+        AttachError,
+        MetricsError,
+        PortTaken,
+    ) as problem:
         return _wrong(str(problem))
     except OSError as problem:
         return _wrong(f"--out: {problem}")
@@ -68,7 +78,7 @@ def launch(
     running = kind(setting, scenario, fleet, console, keys, page_port)
     running.operator_key = None if operator_key is None else str(operator_key.absolute())
     running.segment, running.hub_port = segment, hub_port
-    running.metrics_address = served
+    running.metrics_address, running.foxglove_port = served, foxglove
     begun = time.monotonic()
     try:
         code = asyncio.run(running.run(port, seconds))

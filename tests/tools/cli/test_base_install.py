@@ -46,6 +46,7 @@ def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         ("map can.log --page-port 0", "operator"),
         ("inspect can.log --picture out.svg", "operator"),
         ("launch small --metrics 0", "metrics"),
+        ("launch small --foxglove 0", "foxglove"),
         ("inspect run.mcap --plain", "operator"),
         ("run task --robots 2", "isoxml"),
         ("chaos --help", ""),
