@@ -3,7 +3,17 @@
 let colours = ["#4cc2ff"]; // of robots; the server tells those of all our pictures
 export function setColours(told) { colours = told; }
 export const colourOf = (slot) => colours[slot % colours.length];
-const GROUND = "#0e1316", FIELD = "#18221d", HOLE = "#0a0e10", FENCE = "#7d8f86", FREE_LINE = "#31423a";
+// Colours of the ground and of lines and words on it, for a dark room and for the sun.
+const DARK = {
+  ground: "#0e1316", field: "#18221d", hole: "#0a0e10", fence: "#7d8f86", free: "#31423a", open: "#2c3f4a", wall: "#dfe9ee", gate: "#e6edf0",
+  mesh: "#1b2429", done: "#6d7b74", word: "#c6d3cc", line: "#ffffff", rim: "#0a0f12", faint: "#9fb0b8", block: "#8fa1aa", floor: "#182126", warn: "#ffd884", ask: "#ffb020", bad: "#ff6a70", load: "#4cc2ff",
+};
+const LIGHT = {
+  ground: "#ffffff", field: "#eef3ea", hole: "#d5dad6", fence: "#4a5750", free: "#b9c6be", open: "#dce8ef", wall: "#27343b", gate: "#1a2226",
+  mesh: "#e3e9ec", done: "#8a968f", word: "#33413a", line: "#101619", rim: "#ffffff", faint: "#5a6a72", block: "#5c6c75", floor: "#f1f4f5", warn: "#6b4700", ask: "#8a5200", bad: "#b00020", load: "#0b6ea8",
+};
+const sun = matchMedia("(prefers-color-scheme: light)");
+export const paint = () => sun.matches ? LIGHT : DARK;
 const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 28;
 const BOX = 1, DISC = 2; // shapes of things, as rows of sim/world/walls.py
 const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
@@ -87,7 +97,7 @@ export class Field {
       const value = values[k];
       if (value === UNKNOWN) continue;
       this.known.add((row + (k >> 2)) * canvas.width + column + (k % 4));
-      pen.fillStyle = value === OPEN ? "#2c3f4a" : "#dfe9ee";
+      pen.fillStyle = value === OPEN ? paint().open : paint().wall;
       pen.fillRect(column + (k % 4), canvas.height - 1 - (row + (k >> 2)), 1, 1);
     }
     this.stale = true;
@@ -173,13 +183,13 @@ export class Field {
 
   drawGround(pen) {
     const scene = this.scene, scale = this.view.scale;
-    pen.fillStyle = GROUND;
+    pen.fillStyle = paint().ground;
     pen.fillRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     pen.lineJoin = pen.lineCap = "round";
     if (!scene) { this.drawMesh(pen); return; }
     scene.rings.forEach((ring, k) => {
       pen.beginPath(); this.trace(pen, ring, true);
-      pen.fillStyle = k ? HOLE : FIELD; pen.fill();
+      pen.fillStyle = k ? paint().hole : paint().field; pen.fill();
     });
     for (const [picture, from] of [[this.grid, scene.grid], [this.cells, scene.cells]]) {
       if (!picture) continue;
@@ -188,7 +198,7 @@ export class Field {
       pen.drawImage(picture.canvas, x, y, from.columns * from.cell_m * scale, from.rows * from.cell_m * scale);
     }
     if (this.layers.sections) this.drawSections(pen);
-    pen.strokeStyle = FENCE; pen.lineWidth = 1.6;
+    pen.strokeStyle = paint().fence; pen.lineWidth = 1.6;
     for (const ring of scene.rings) { pen.beginPath(); this.trace(pen, ring, true); pen.stroke(); }
     for (const [slot, gx, gy] of scene.goals) {
       const [x, y] = this.toScreen(gx, gy);
@@ -197,13 +207,13 @@ export class Field {
     }
     if (scene.gate) {
       const [x, y] = this.toScreen(...scene.gate);
-      pen.fillStyle = "#e6edf0"; pen.beginPath();
+      pen.fillStyle = paint().gate; pen.beginPath();
       pen.moveTo(x, y - 8); pen.lineTo(x + 7, y + 6); pen.lineTo(x - 7, y + 6); pen.fill();
     }
   }
 
   drawMesh(pen) {
-    pen.strokeStyle = "#1b2429"; pen.lineWidth = 1; pen.beginPath();
+    pen.strokeStyle = paint().mesh; pen.lineWidth = 1; pen.beginPath();
     const step = 10, [west, north] = this.toField(0, 0), [east, south] = this.toField(this.canvas.clientWidth, this.canvas.clientHeight);
     if ((east - west) / step > 200) return;
     for (let x = Math.ceil(west / step) * step; x < east; x += step) this.trace(pen, [[x, south], [x, north]]);
@@ -223,14 +233,14 @@ export class Field {
     }
     pen.lineCap = "butt";
     for (const [owner, pieces] of bands) {
-      pen.strokeStyle = owner < 0 ? "#6d7b74" : colourOf(owner); pen.lineWidth = wide; pen.globalAlpha = 0.42;
+      pen.strokeStyle = owner < 0 ? paint().done : colourOf(owner); pen.lineWidth = wide; pen.globalAlpha = 0.42;
       pen.beginPath(); for (const piece of pieces) this.trace(pen, piece); pen.stroke();
     }
     pen.globalAlpha = 1;
     for (const [key, pieces] of lines) {
       const [phase, owner] = key.split(" ");
       const free = phase === "FREE" || owner === "";
-      pen.strokeStyle = free ? FREE_LINE : colourOf(Number(owner));
+      pen.strokeStyle = free ? paint().free : colourOf(Number(owner));
       pen.lineWidth = phase === "STARTED" ? 1.8 : 1.1;
       pen.setLineDash(phase === "CLAIMED" ? [7, 5] : []);
       pen.beginPath(); for (const piece of pieces) this.trace(pen, piece); pen.stroke();
@@ -241,7 +251,7 @@ export class Field {
   }
 
   drawNames(pen) {
-    pen.font = "11px system-ui, sans-serif"; pen.textAlign = "center"; pen.textBaseline = "middle"; pen.fillStyle = "#c6d3cc";
+    pen.font = "11px system-ui, sans-serif"; pen.textAlign = "center"; pen.textBaseline = "middle"; pen.fillStyle = paint().word;
     for (const section of this.scene.sections) {
       const units = this.units.get(section.id), line = units[units.length >> 1];
       if (line) pen.fillText(`S${section.id}`, ...this.toScreen(...line[0]));
@@ -301,7 +311,7 @@ export class Field {
 
   drawNear(pen, robot, where, radius, chosen) {
     const [x, y] = this.toScreen(robot.x, robot.y);
-    pen.strokeStyle = chosen ? "#ffffff" : "#9fb0b8"; pen.lineWidth = chosen ? 1.6 : 1; pen.globalAlpha = chosen ? 0.9 : 0.45;
+    pen.strokeStyle = chosen ? paint().line : paint().faint; pen.lineWidth = chosen ? 1.6 : 1; pen.globalAlpha = chosen ? 0.9 : 0.45;
     pen.setLineDash([2, 4]);
     for (const slot of robot.near) {
       const other = where.get(slot);
@@ -338,19 +348,19 @@ export class Field {
       if (long > 0.05) arrow(pen, x, y, vx / long, -vy / long, radius + 6 + long * 14);
     }
     pen.fillStyle = dark ? "#5b666c" : colourOf(robot.s);
-    pen.strokeStyle = robot.stopped ? "#f5222d" : chosen ? "#fff" : "#0a0f12";
+    pen.strokeStyle = robot.stopped ? "#f5222d" : chosen ? paint().line : paint().rim;
     pen.lineWidth = robot.stopped ? 5 : chosen ? 3 : 2;
     pen.beginPath(); pen.arc(x, y, radius, 0, 2 * Math.PI); pen.fill(); pen.stroke();
     if (this.scene?.front !== false) this.drawNose(pen, robot, x, y, radius, heading);
     pen.fillStyle = dark ? "#fff" : "#081014"; pen.font = `700 ${Math.max(11, Math.min(radius * 1.1, 26))}px system-ui, sans-serif`;
     pen.textAlign = "center"; pen.textBaseline = "middle";
     pen.fillText(String(robot.s), x, y + 0.5);
-    if (robot.silent) label(pen, "silent", x, y + radius + 14, "#ffd884");
+    if (robot.silent) label(pen, "silent", x, y + radius + 14, paint().warn);
     else if (robot.asks) {
       const [matter, ax, ay] = robot.asks;
-      label(pen, "?", ...this.toScreen(ax, ay), "#ffb020", 22);
-      label(pen, matter === "ASKING" ? "asks what to do" : "waits", x, y + radius + 14, "#ffb020");
-    } else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, "#ff6a70");
+      label(pen, "?", ...this.toScreen(ax, ay), paint().ask, 22);
+      label(pen, matter === "ASKING" ? "asks what to do" : "waits", x, y + radius + 14, paint().ask);
+    } else if (standing && !robot.stopped) label(pen, "NOT STOPPED", x, y + radius + 14, paint().bad);
   }
 
   // So that the heading of a machine with a front is seen where it stands.
@@ -358,7 +368,7 @@ export class Field {
     pen.save();
     pen.translate(x, y); pen.rotate(-heading);
     pen.beginPath(); pen.moveTo(radius * 1.62, 0); pen.lineTo(radius * 0.9, -radius * 0.62); pen.lineTo(radius * 0.9, radius * 0.62); pen.closePath();
-    pen.fillStyle = robot.stopped ? "#f5222d" : "#ffffff"; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = "#0a0f12"; pen.stroke();
+    pen.fillStyle = robot.stopped ? "#f5222d" : paint().line; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = paint().rim; pen.stroke();
     pen.restore();
   }
 }
@@ -394,7 +404,7 @@ function gridPicture(grid) {
   const picture = layer(grid), bits = atob(grid.walls);
   for (let k = 0; k < grid.rows * grid.columns; k++) {
     const wall = bits.charCodeAt(k >> 3) & (128 >> (k & 7));
-    picture.pen.fillStyle = wall ? "#8fa1aa" : "#182126";
+    picture.pen.fillStyle = wall ? paint().block : paint().floor;
     picture.pen.fillRect(k % grid.columns, grid.rows - 1 - Math.floor(k / grid.columns), 1, 1);
   }
   return picture;
@@ -402,7 +412,7 @@ function gridPicture(grid) {
 
 function arrow(pen, x, y, ux, uy, long) {
   const ax = x + ux * long, ay = y + uy * long;
-  pen.strokeStyle = pen.fillStyle = "#ffffff"; pen.lineWidth = 2.2;
+  pen.strokeStyle = pen.fillStyle = paint().line; pen.lineWidth = 2.2;
   pen.beginPath(); pen.moveTo(x, y); pen.lineTo(ax, ay); pen.stroke();
   pen.beginPath(); pen.moveTo(ax + ux * 7, ay + uy * 7); pen.lineTo(ax - uy * 4.5, ay + ux * 4.5); pen.lineTo(ax + uy * 4.5, ay - ux * 4.5); pen.fill();
 }
@@ -414,6 +424,6 @@ function cross(pen, x, y, colour) {
 
 function label(pen, text, x, y, colour, size = 12) {
   pen.font = `600 ${size}px system-ui, sans-serif`; pen.textAlign = "center"; pen.textBaseline = "middle";
-  pen.lineWidth = 4; pen.strokeStyle = "#0a0f12"; pen.strokeText(text, x, y);
+  pen.lineWidth = 4; pen.strokeStyle = paint().rim; pen.strokeText(text, x, y);
   pen.fillStyle = colour; pen.fillText(text, x, y);
 }

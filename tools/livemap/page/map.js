@@ -312,6 +312,8 @@ addEventListener("keydown", (event) => {
   act();
 });
 
+// Another light: the ground and the maps on it are drawn again in its colours.
+matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => location.reload());
 addEventListener("hashchange", () => { if (location.hash.length > 1) location.reload(); });
 takeToken();
 connect();

@@ -1,6 +1,6 @@
 // Everything that is text: the header, the fleet's table, one robot, the line of time.
 
-import { colourOf } from "./field.js";
+import { colourOf, paint } from "./field.js";
 
 export const $ = (id) => document.getElementById(id);
 const STATES = ["DISCONNECTED", "IDLE", "SYNCHRONIZING", "WORKING", "EMERGENCY_STOP"];
@@ -129,10 +129,10 @@ export class Side {
   drawLoad() {
     const canvas = $("load-line"), pen = canvas.getContext("2d"), high = canvas.height;
     pen.clearRect(0, 0, canvas.width, high);
-    pen.fillStyle = "#1d272d"; pen.fillRect(0, 0, canvas.width, high);
+    pen.fillStyle = paint().mesh; pen.fillRect(0, 0, canvas.width, high);
     pen.strokeStyle = "#ffb020"; pen.setLineDash([2, 3]);
     pen.beginPath(); pen.moveTo(0, high * 0.3); pen.lineTo(canvas.width, high * 0.3); pen.stroke(); pen.setLineDash([]);
-    pen.strokeStyle = "#4cc2ff"; pen.lineWidth = 1.5; pen.beginPath();
+    pen.strokeStyle = paint().load; pen.lineWidth = 1.5; pen.beginPath();
     this.loads.forEach((load, k) => pen.lineTo(k * canvas.width / HISTORY, high - 1 - Math.min(load, 1) * (high - 2)));
     pen.stroke();
   }
