@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).parents[1]
-LAYERS = ["crdt", "protocol", "agent", "sim", "tools"]
+LAYERS = ["crdt", "protocol", "agent", "sim", "tools", "headland"]
 TIMED = ["crdt", "protocol", "agent", "sim"]
 UNIT = re.compile(r"_(ns|us|ms|s)$")
 FORM = re.compile(r"(^|_)(at|for|now)_(ns|us|ms|s)$")

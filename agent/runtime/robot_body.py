@@ -5,10 +5,12 @@
         def drive(self, command, now_us): ...
 
 A robot file names what makes it: `factory = "my_tractor:Tractor"`. It is called with the slot and with
-the options of the file, `Tractor(slot, port="/dev/ttyUSB0")`.
+the options of the file, `Tractor(slot, port="/dev/ttyUSB0")`. Ours are named as in a checkout,
+`agent.runtime.robot_body:StandingBody`, also where Headland was installed as a wheel.
 """
 
 from importlib import import_module
+from importlib.util import find_spec
 from typing import Any
 
 from agent.interface.effects import GatedDrive
@@ -56,14 +58,23 @@ class StandingBody(RobotBody):
         """It has no wheels."""
 
 
+PREFIX = __name__.removesuffix("agent.runtime.robot_body")  # in a wheel: `headland.`
+LAYERS = ("crdt", "protocol", "agent", "sim")
+
+
 class FactoryError(ValueError):
     """One line: why a factory that a robot file names cannot be used."""
 
 
 def called(factory: str, *given: Any, **options: Any) -> Any:
-    """The result of a factory named "package.module:name". Raises FactoryError."""
+    """The result of a factory named "package.module:name". Raises FactoryError.
+
+    A module that Headland has is Headland's, although the working folder may have one of that name.
+    """
     module, _, name = factory.partition(":")
     try:
+        if PREFIX and module.split(".")[0] in LAYERS and _is_there(PREFIX + module):
+            module = PREFIX + module
         make = getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as problem:
         raise FactoryError(f"{factory!r} cannot be imported: {problem}") from None
@@ -71,3 +82,10 @@ def called(factory: str, *given: Any, **options: Any) -> Any:
         return make(*given, **options)
     except TypeError as problem:  # an option that it does not take
         raise FactoryError(f"{factory!r}: {problem}") from None
+
+
+def _is_there(module: str) -> bool:
+    try:
+        return find_spec(module) is not None
+    except ModuleNotFoundError:  # of a package above it
+        return False

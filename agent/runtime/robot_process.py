@@ -1,7 +1,7 @@
 """One robot as a process, without a simulator: bus, body, keys, work and memory from one file.
 
-    python -m agent.runtime.robot_process robot2.toml --first-boot    # a new machine
-    python -m agent.runtime.robot_process robot2.toml                 # later
+    python -m headland.agent.runtime.robot_process robot2.toml --first-boot    # a new machine
+    python -m headland.agent.runtime.robot_process robot2.toml                 # later
 
 It ends on SIGTERM or Ctrl-C, with a farewell on the bus. `docs/use/robot.md` says how to add a body.
 """
@@ -249,7 +249,8 @@ async def _until_told(robot: RobotFile, first_boot: bool) -> None:
 def main() -> None:
     """The command line."""
     parser = argparse.ArgumentParser(
-        prog="python -m agent.runtime.robot_process", description="Run one robot from a robot file."
+        prog="python -m headland.agent.runtime.robot_process",
+        description="Run one robot from a robot file.",
     )
     parser.add_argument("file", type=Path, help="the robot file (TOML)")
     parser.add_argument(

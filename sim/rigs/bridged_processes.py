@@ -28,7 +28,7 @@ class Program:
     def __init__(self, command: Sequence[str]) -> None:
         self.process = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1,
-            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[2])},
+            env={**os.environ, "PYTHONPATH": str(Path(__file__).parents[__name__.count(".")])},
         )  # fmt: skip
 
     def ask(self, order: dict[str, Any]) -> dict[str, Any]:
@@ -77,7 +77,7 @@ class BridgedSegments:
             self.gateways[number] = []
 
     def _start_host(self, number: int, robots: int, port: int) -> None:
-        command = [*self.prefix(number), sys.executable, "-m", "sim.rigs.segment_process"]
+        command = [*self.prefix(number), sys.executable, "-m", f"{__package__}.segment_process"]
         host = self.hosts[number] = Program(command)
         assert host.process.stdin is not None
         order = {"segment": number, "segments": self.count, "home": HOME, "shared": SHARED,
@@ -94,7 +94,7 @@ class BridgedSegments:
         """Start `headland bridge` on the segment with this number, with these further options."""
         borders = () if area is None else ("--area", str(area))
         command = [
-            *self.prefix(number), sys.executable, "-m", "tools.cli.headland", "bridge",
+            *self.prefix(number), sys.executable, "-m", "headland", "bridge",
             "--segment", str(number), "--port", str(self.ports[number]), "--json", *borders, *options,
         ]  # fmt: skip
         gateway = Program(command)

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sim.files.strict_json import dumps
 from tools.build.compiled_core import OFF, use
-from tools.common.fingerprint import ROOT
+from tools.common.child_process import ROOT
 
 if TYPE_CHECKING:
     from sim.scenarios.scenario import Scenario

@@ -99,7 +99,7 @@ def _all_figures(name: str, quick: bool, seed: int, seconds: float | None) -> li
 
 
 def _figures(name: str, quick: bool, seed: int, seconds: float | None) -> Iterator[Figure]:
-    figures: Callable[..., Iterator[Figure]] = import_module(f"tools.bench.{name}").figures
+    figures: Callable[..., Iterator[Figure]] = import_module(f"{__package__}.{name}").figures
     taken = inspect.signature(figures).parameters
     given = {"seed": seed, "seconds": seconds}
     yield from figures(quick, **{key: value for key, value in given.items() if key in taken})

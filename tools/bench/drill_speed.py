@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from sim.files.strict_json import dumps
 from tools.build.compiled_core import OFF, use
-from tools.common.fingerprint import ROOT
+from tools.common.child_process import ROOT
 from tools.common.gc_collector import patient
 
 if TYPE_CHECKING:

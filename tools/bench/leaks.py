@@ -15,7 +15,6 @@ import re
 import signal
 import statistics
 import subprocess
-import sys
 import tempfile
 import threading
 import time
@@ -24,6 +23,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from tools.bench.figure import Figure
+from tools.common.child_process import module_command
 
 ROBOTS = 10
 SECONDS, QUICK_S = 1800.0, 60.0
@@ -108,13 +108,11 @@ silence = "continue"
 
 def _run(folder: Path, seconds: float, seed: int) -> list[Sample]:
     (folder / "leaks.toml").write_text(SCENARIO)
-    words = [sys.executable, "-m", "tools.cli.headland", "launch", "leaks.toml", "--seed", str(seed),
+    words = [*module_command("tools.cli.headland"), "launch", "leaks.toml", "--seed", str(seed),
              "--map", "--page-port", "0", "--out", "launch"]  # fmt: skip
-    root = str(Path(__file__).parents[2])
     process = subprocess.Popen(
-        words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
-        env={**os.environ, "PYTHONPATH": root},
-    )  # fmt: skip
+        words, cwd=folder, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
     lines: queue.Queue[str] = queue.Queue()
     threading.Thread(target=_read, args=(process, lines), daemon=True).start()
     over = threading.Event()

@@ -27,6 +27,7 @@ from tools.bench.browser import browser, missing, open_page, until
 from tools.bench.figure import Figure, percentile
 from tools.bench.stop import _Presses
 from tools.build.warmup import warm
+from tools.common.child_process import module_command
 from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, recorded
 from tools.livemap.playback import Index, Player
@@ -55,7 +56,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
 
 def map_help() -> Figure:
     """CPU time, so that a busy machine does not count."""
-    words = [sys.executable, "-m", "tools.cli.headland", "--help"]
+    words = [*module_command("tools.cli.headland"), "--help"]
     times = []
     for _ in range(HELPS):
         before = resource.getrusage(resource.RUSAGE_CHILDREN)

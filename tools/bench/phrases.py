@@ -27,6 +27,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.drill import ProtocolFleet
 from tools.bench.figure import Figure
+from tools.common.child_process import module_command
 from tools.inspect.inspector import Inspector
 from tools.language.authorize import Authorization, weigh
 from tools.language.command_session import CommandSession
@@ -183,7 +184,7 @@ def _help_time(rounds: int) -> Iterator[Figure]:
     """ABAB with a Python that does nothing, so that the machine's own time is seen."""
     ours, nothing = [], []
     for _ in range(rounds):
-        ours.append(_cpu_s([sys.executable, "-m", "tools.cli.headland", "--help"]))
+        ours.append(_cpu_s([*module_command("tools.cli.headland"), "--help"]))
         nothing.append(_cpu_s([sys.executable, "-c", "pass"]))
     yield Figure(
         "headland --help", median(ours), "s", "<= 0.3", median(ours) <= 0.3,
@@ -219,7 +220,7 @@ def _errors() -> Iterator[Figure]:
     bad = 0
     for words in ERRORS:
         done = subprocess.run(
-            [sys.executable, "-m", "tools.cli.headland", *words],
+            [*module_command("tools.cli.headland"), *words],
             capture_output=True,
             text=True,
             check=False,

@@ -16,6 +16,7 @@ from typing import Any
 from rich.console import Console
 
 from tools.build.compiled_core import FOLDER, SUFFIX, place
+from tools.common.child_process import PREFIX
 from tools.common.fingerprint import ROOT
 
 WRONG = 1
@@ -76,6 +77,8 @@ def build(folder: Path, group: dict[str, str] = GROUP) -> Iterator[tuple[str, in
 
     Raises CompileError.
     """
+    if PREFIX:
+        raise ToolMissingError("a compiled core is made in a checkout (git clone), not in a wheel")
     try:
         from mypyc.build import mypycify
         from setuptools._distutils.errors import CCompilerError

@@ -22,6 +22,7 @@ from rich.console import Console
 
 from sim.chaos.fuzz_targets import TARGETS, seeds
 from sim.files.strict_json import dumps
+from tools.common.child_process import module_command
 
 FAILED, WRONG = 1, 2
 CORPUS = Path(__file__).parents[2] / "tests" / "fuzz" / "corpus"
@@ -242,7 +243,7 @@ def with_atheris(
 
 
 def _atheris(name: str, words: list[str]) -> str:
-    command = [sys.executable, "-m", "tools.chaos.fuzz_atheris", name, *words]
+    command = [*module_command("tools.chaos.fuzz_atheris"), name, *words]
     done = subprocess.run(command, capture_output=True, text=True, errors="replace", check=False)
     return done.stderr + done.stdout
 

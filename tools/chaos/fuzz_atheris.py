@@ -5,9 +5,14 @@ import sys
 
 import atheris
 
-with atheris.instrument_imports(include=["protocol", "crdt", "agent.peer.durable_records",
-                                         "agent.safety.stop_controller",
-                                         "agent.peer.peer", "agent.peer.membership"]):  # fmt: skip
+from tools.common.child_process import PREFIX
+
+INSTRUMENTED = (
+    "protocol", "crdt", "agent.peer.durable_records", "agent.safety.stop_controller",
+    "agent.peer.peer", "agent.peer.membership",
+)  # fmt: skip
+
+with atheris.instrument_imports(include=[PREFIX + name for name in INSTRUMENTED]):
     from sim.chaos.fuzz_targets import TARGETS
 
 

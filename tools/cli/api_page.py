@@ -44,14 +44,19 @@ def api(root: Path = ROOT) -> str:
     lines = [
         "# Programming interface",
         "",
-        "What a program may import. Everything else may change without a line in the changelog. Words "
+        "What a program may import. Everything else may change without a line in the changelog. Inside a "
+        "checkout each module also has its name without `headland.`, which the texts below use. Words "
         "are in the [glossary](../glossary.md); [a real can0](can0.md) and [missions](missions.md) "
         "show how the parts are used.",
         "",
     ]
     for surface in SURFACES:
         module = surface.source.removesuffix(".py").removesuffix("/__init__").replace("/", ".")
-        lines += [f"## {surface.title}: `{module}`", "", *_prose(_tree(root / surface.source))]
+        lines += [
+            f"## {surface.title}: `headland.{module}`",
+            "",
+            *_prose(_tree(root / surface.source)),
+        ]
         for node, source in _shown(surface, root):
             lines += _class(node, source) if isinstance(node, ast.ClassDef) else _function(node)
     return "\n".join(lines).rstrip("\n") + "\n"

@@ -7,13 +7,14 @@ own. `-P` excludes that folder.
 import sys
 from pathlib import Path
 
-ROOT = Path(__file__).resolve().parents[2]
+PREFIX = __name__.removesuffix("tools.common.child_process")  # in a wheel: `headland.`
+ROOT = Path(__file__).resolve().parents[__name__.count(".")]  # the folder that imports begin at
 
 
 def module_command(module: str) -> list[str]:
-    """The words that start it; its own arguments follow."""
+    """The words that start it; its own arguments follow. `module`: named as in a checkout."""
     start = (
         f"import runpy, sys; sys.path.append({str(ROOT)!r}); "
-        f"runpy.run_module({module!r}, run_name='__main__', alter_sys=True)"
+        f"runpy.run_module({PREFIX + module!r}, run_name='__main__', alter_sys=True)"
     )
     return [sys.executable, "-P", "-c", start]

@@ -63,7 +63,7 @@ def test_fields_comments_and_signatures(tmp_path: Path, monkeypatch: pytest.Monk
     (tmp_path / "pair.py").write_text(SOURCE)
     monkeypatch.setattr("tools.cli.api_page.SURFACES", (Surface("Pairs", "pair.py"),))
     page = api(tmp_path)
-    assert "## Pairs: `pair`\n\nA module.\n" in page
+    assert "## Pairs: `headland.pair`\n\nA module.\n" in page
     assert (
         "class Pair(NamedTuple):\n    left_m: int  # metres\n```\n\nTwo numbers.\n\nMore of it.\n"
         in page

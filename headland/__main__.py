@@ -1,0 +1,8 @@
+"""The `headland` command, also as `python -m headland`."""
+
+from tools.cli.headland import main
+
+__all__ = ["main"]
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,67 @@
+"""In a checkout the layers are folders beside this package; here they get the names of the wheel.
+
+`headland.agent.peer` is then the very module `agent.peer`: one module with two names, not two copies
+of it. A wheel has the layers inside and not this module.
+"""
+
+import sys
+from collections.abc import Sequence
+from importlib import import_module
+from importlib.abc import InspectLoader
+from importlib.machinery import ModuleSpec
+from importlib.util import find_spec, spec_from_loader
+from types import CodeType, ModuleType
+
+PREFIX = "headland."
+LAYERS = ("crdt", "protocol", "agent", "sim", "tools")
+
+
+class SameModule(InspectLoader):
+    """Gives a module that has another name already."""
+
+    def __init__(self, spec: ModuleSpec) -> None:
+        self.spec = spec
+
+    def create_module(self, spec: ModuleSpec) -> ModuleType:
+        """The module itself, imported under its own name."""
+        return import_module(self.spec.name)
+
+    def exec_module(self, module: ModuleType) -> None:
+        """It has been executed. The import system has just given it the spec of its second name."""
+        module.__spec__ = self.spec
+
+    def is_package(self, fullname: str) -> bool:
+        """True where it has submodules."""
+        return self.spec.submodule_search_locations is not None
+
+    def get_source(self, fullname: str) -> str | None:
+        """For tracebacks."""
+        loader = self.spec.loader
+        return loader.get_source(self.spec.name) if isinstance(loader, InspectLoader) else None
+
+    def get_code(self, fullname: str) -> CodeType | None:
+        """For `python -m`."""
+        loader = self.spec.loader
+        return loader.get_code(self.spec.name) if isinstance(loader, InspectLoader) else None
+
+
+class LayerFinder:
+    """Looks for `headland.agent.peer` under its own name."""
+
+    def find_spec(
+        self, name: str, path: Sequence[str] | None = None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """None for modules that are not of a layer (the import system calls it)."""
+        own = name.removeprefix(PREFIX)
+        if own == name or own.split(".")[0] not in LAYERS:
+            return None
+        spec = find_spec(own)
+        if spec is None:
+            return None
+        return spec_from_loader(name, SameModule(spec), origin=spec.origin)
+
+
+def find_layers() -> None:
+    """From now on the layers are found under their names in the wheel, too."""
+    if not any(isinstance(finder, LayerFinder) for finder in sys.meta_path):
+        sys.meta_path.insert(0, LayerFinder())  # before the one that would load a second copy
