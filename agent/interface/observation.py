@@ -44,3 +44,6 @@ class Observation(NamedTuple):
     parcels: Mapping[int, VisibleParcel] = NOTHING_SEEN  # parcels within a carrier's reach
     sensed_at_us: int = NEVER_US  # on the clock of the peer that receives it
     health: float = 1.0  # reported by the machine's own controller: 0.0 failed to 1.0 healthy
+    # Standard deviation of the place, in metres and in each direction; 0.0: exact, as in a simulator.
+    position_accuracy_m: float = 0.0
+    heading_accuracy_rad: float = 0.0  # standard deviation

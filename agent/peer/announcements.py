@@ -39,6 +39,8 @@ STANDS_M_S: Final = 0.02
 STANDSTILL_US: Final = 1 * S  # between two reported causes: 7 % of the bus if 108 robots stand
 CAUSES_MAX: Final = 15  # causes reported by one robot: four bits
 
+NOWHERE: Final = NOWHERE_M, NOWHERE_M, 0.0
+
 
 class Announcements(Part):
     """The part that sends our beat, our heartbeat, and what goes with them."""
@@ -113,11 +115,11 @@ class Announcements(Part):
         here, state = ctx.here, ctx.state
         stopped = state is EMERGENCY_STOP
         heard = self._reflected(ctx.live)
-        if here is None:
-            return Pose(NOWHERE_M, NOWHERE_M, 0.0, PLACE_UNKNOWN_M_S, state, stopped, heard)
-        x_m, y_m, heading_rad, vx_m_s, vy_m_s = here[:5]
-        if not self.senses.current:  # send the last known place, marked as unknown by its speed
+        if here is None or not self.senses.current:  # its last known place, marked by its speed
+            known = self.senses.known
+            x_m, y_m, heading_rad = NOWHERE if known is None else known[:3]
             return Pose(x_m, y_m, heading_rad, PLACE_UNKNOWN_M_S, state, stopped, heard)
+        x_m, y_m, heading_rad, vx_m_s, vy_m_s = here[:5]
         speed_m_s = hypot(vx_m_s, vy_m_s)
         course_rad = atan2(vy_m_s, vx_m_s) if speed_m_s > STANDS_M_S else heading_rad
         return Pose(x_m, y_m, course_rad, speed_m_s, state, stopped, heard, self.at_work)

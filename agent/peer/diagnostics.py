@@ -40,6 +40,7 @@ FAILURE_MODES: Final = {
     StopCause.BUS_OFF: 19,  # received network data in error
     StopCause.ERROR_PASSIVE: 19,
     StopCause.PLACE_FROZEN: 7,  # mechanical system does not respond
+    StopCause.PLACE_LOST: 2,  # data erratic
     StopCause.CONFIG_MISMATCH: 13,  # out of calibration
     StopCause.DUPLICATE_ID: 13,
     StopCause.DISK_ERROR: 12,  # bad intelligent device

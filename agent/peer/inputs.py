@@ -67,6 +67,8 @@ class ManualReset(NamedTuple):
 class Start(NamedTuple):
     """Permission to move. A latched robot refuses it, because it would start after the reset."""
 
+    named: bool = True  # it is for this robot alone: the operator vouches for its place
+
 
 class Hold(NamedTuple):
     """The permission to move is withdrawn."""

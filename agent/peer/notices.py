@@ -108,6 +108,8 @@ class WasReset(NamedTuple):
 class WasStarted(NamedTuple):
     """An operator has permitted motion."""
 
+    named: bool  # of this robot alone
+
 
 # ---------------------------------------------------------------- other devices
 

@@ -69,7 +69,8 @@ class OperatorDirective(Part):
             case Command.MANUAL_RESET:
                 return [inputs.ManualReset()]
             case Command.START:
-                return [inputs.Start(), *self.over("an operator's start")]
+                named = m.target == self.slot
+                return [inputs.Start(named), *self.over("an operator's start")]
             case Command.HOLD:
                 return [inputs.Hold()]
             case Command.WAIVE:

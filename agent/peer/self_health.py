@@ -91,6 +91,7 @@ OF_CAUSE: Final[Mapping[StopCause, tuple[float, HealthSource]]] = {
     StopCause.BOOT_UNCONFIRMED: (HOLDS, HealthSource.DISK),  # it has lost what it had written
     StopCause.SENSES_OLD: (HOLDS, HealthSource.SENSES),  # lower while they are old; see `_senses`
     StopCause.PLACE_FROZEN: (FAILED, HealthSource.SENSES),  # the sensed place is wrong
+    StopCause.PLACE_LOST: (FAILED, HealthSource.SENSES),
     StopCause.LATE_TICK: (DEGRADED, HealthSource.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({

@@ -1,24 +1,29 @@
-"""Whether the senses of a robot are current: absent, old or frozen senses stop it.
+"""Whether the senses of a robot are current: absent, old, frozen or impossible senses stop it.
 
 An observation carries the time at which it was sensed. Without one younger than `AGE_MAX_US` the
 robot does not know where it is. A receiver with a hung filter sends the same place with new times.
 This shows when the wheels are commanded to drive and the place does not change: two control periods
 at full speed are enough to detect it, and a tenth of a metre from standstill. Spinning wheels look
 the same as a frozen place, so the robot stops in this case as well.
+
+A place is lost when its accuracy is worse than the clearances allow, or when it changes by more than the
+wheels can drive in that time. The robot then stands. It goes on when the place is accurate and has jumped
+back for `STEADY_US`, or when an operator says by a start of this robot that the new place is right.
 """
 
 from collections.abc import Mapping
-from math import cos, hypot, pi, radians, remainder, sin
-from typing import Any, Final
+from math import cos, degrees, hypot, isfinite, pi, radians, remainder, sin
+from typing import Any, Final, NamedTuple
 
-from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, SPEED_MAX_M_S, S
 from agent.interface.effects import HALT, Drive, Effect, Trace
-from agent.interface.motion_controller import MotionController
+from agent.interface.motion_controller import BodyLimits, MotionController
 from agent.interface.observation import Observation
 from agent.peer import inputs, notices
 from agent.peer.part import NOTHING, DirectListener, Listener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
+from protocol.frames.fleet_frames import NOWHERE_M
 
 # Two missed control periods, the lifetime of a drive command. It is detected at most one period later,
 # so the robot drives 0.15 s: 0.38 m at 2.5 m/s. It plans to brake with 0.7 of its deceleration
@@ -32,7 +37,31 @@ TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not froze
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 ACCELERATION_SHARE: Final = 0.5
 ACCELERATION_M_S2: Final = 0.5  # used if the acceleration of the body is not known
+FASTEST: Final = BodyLimits(0.0, SPEED_MAX_M_S, ACCELERATION_M_S2)
 assert AGE_MAX_US <= ACTUATOR_TTL_US
+# As a standard deviation. Twice this is within the reserve before a fence at full speed (above), and
+# within the clearance of two robots, which plan with a margin of 0.15 m each.
+POSITION_ACCURACY_M: Final = 0.15
+HEADING_ACCURACY_RAD: Final = radians(10.0)  # 0.17 m to the side on a metre: the same error
+# What the place may change beyond what the wheels drive: twice the accuracy.
+JUMP_M: Final = 2 * POSITION_ACCURACY_M
+JUMP_RAD: Final = 2 * HEADING_ACCURACY_RAD
+# Wheels can do half as much again as the speed limit: a mecanum robot on its diagonal needs 1.41.
+FASTER: Final = 1.5
+STARTS_M_S: Final = 0.3  # below, the direction in which it drives is not known
+ASIDE: Final = (
+    0.25  # share of its way by which a body may leave its course while it brakes; radians
+)
+NO_OFFSET: Final = (0.0, 0.0, 0.0)  # metres east and north, radians
+TURN_RAD_S: Final = 8.0  # no body turns faster: 2.5 m/s with the wheels 0.31 m from its middle
+
+
+class Unseen(NamedTuple):
+    """How a body may have moved at most while its place did not change."""
+
+    way_m: float = 0.0
+    speed_m_s: float = 0.0
+    turned_rad: float = 0.0
 
 
 class Senses(Part):
@@ -44,6 +73,7 @@ class Senses(Part):
         """`drives`: the robot has a mission and can move."""
         self.safety, self.motion, self.drives = safety, motion, drives
         self.here: Observation | None = None  # the newest observation
+        self.known: Observation | None = None  # the newest observation that was believed
         self.current = False  # whether the sensed place is our current place
         self._sensed_at_us: int | None = None  # time of the newest observation
         # time of the observation last compared with the wheels
@@ -55,6 +85,12 @@ class Senses(Part):
         self._periods = 0  # observations since the anchor
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
+        self._told_rad = 0.0  # sum of the turns commanded since the anchor
+        self._unseen = Unseen()  # when the place was frozen, until it changes
+        self._accurate: Observation | None = None  # the last observation with an accurate place
+        self._turn_rad_s = 0.0  # between the last two accurate places
+        self._offset = NO_OFFSET  # between the sensed place and the one that wheels can reach
+        self._lost_at_us = 0  # when the place was last wrong
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
@@ -85,8 +121,10 @@ class Senses(Part):
         self._drive = drive
 
     def _started(self, ctx: StepContext, notice: notices.WasStarted) -> Outputs:
-        """Restart the check whether the place follows the wheels."""
+        """Restart the checks. If the start is for this robot alone, its place is believed."""
         self._anchor = None
+        if notice.named:
+            self._accurate, self._offset = None, NO_OFFSET
         return NOTHING
 
     def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
@@ -109,13 +147,113 @@ class Senses(Part):
             self._sensed_at_us is not None
             and self._sensed_at_us != self._compared_at_us
             and not old
+            and self._on_map
         ):
             frozen = self._frozen(self._sensed_at_us)
             self._compared_at_us = self._sensed_at_us
         if frozen or self._changed:
             effects += self._set(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
-        self.current = not (old or safety.holds(StopCause.PLACE_FROZEN))
+        if not (safety.holds(StopCause.PLACE_FROZEN) and not self._changed):
+            effects += self._believe(now_us, bool(old))
+        doubted = safety.holds(StopCause.PLACE_FROZEN) or safety.holds(StopCause.PLACE_LOST)
+        self.current = not (old or doubted)
+        if self.current:
+            self.known = self.here
         return effects
+
+    @property
+    def _on_map(self) -> bool:
+        """Whether the place is one that frames can carry."""
+        here = self.here
+        return here is not None and (
+            abs(here.x_m) < -NOWHERE_M and abs(here.y_m) < -NOWHERE_M and isfinite(here.heading_rad)
+        )
+
+    def _believe(self, now_us: int, old: bool) -> list[Effect]:
+        """Believe the newest place, or find it lost."""
+        here = self.here
+        if here is None or old:
+            return []
+        wrong = self._inaccurate(here) or self._jumped(here)
+        if wrong:
+            self._lost_at_us = now_us
+        elif not self.safety.holds(StopCause.PLACE_LOST):
+            return []
+        back = not wrong and now_us - self._lost_at_us >= STEADY_US
+        return self._set(StopCause.PLACE_LOST, not back, wrong, now_us)
+
+    def _inaccurate(self, here: Observation) -> str:
+        """Why the place is too inaccurate to drive by; empty if it is not."""
+        if not self._on_map:
+            return "further from the origin than frames can say, or not a number"
+        if not here.position_accuracy_m <= POSITION_ACCURACY_M:  # not a number is inaccurate, too
+            return f"accurate to {here.position_accuracy_m:.2f} m"
+        if not here.heading_accuracy_rad <= HEADING_ACCURACY_RAD:
+            return f"heading accurate to {degrees(here.heading_accuracy_rad):.0f} degrees"
+        return ""
+
+    def _jumped(self, here: Observation) -> str:
+        """Why the body cannot have driven to this accurate place; empty if it can.
+
+        The offset is the sum of all changes of the place that no wheels can make: it is zero again
+        when the place jumps back.
+        """
+        before, self._accurate = self._accurate, here
+        unseen, self._unseen = self._unseen, Unseen()
+        if before is None:
+            return ""
+        passed_for_us = max(here.sensed_at_us - before.sensed_at_us, 0)
+        passed_for_s = passed_for_us / S
+        dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
+        turned_rad = remainder(here.heading_rad - before.heading_rad, 2 * pi)
+        in_time = passed_for_us <= AGE_MAX_US and unseen == Unseen()
+        if in_time:
+            way_m, turn_rad_s = FASTER * self.limits.speed_m_s * passed_for_s, TURN_RAD_S
+            possible = hypot(dx_m, dy_m) <= JUMP_M + way_m
+            possible &= abs(turned_rad) <= JUMP_RAD + turn_rad_s * passed_for_s
+        else:
+            possible = self._stopped_there(before, unseen, dx_m, dy_m, turned_rad)
+        if not possible:
+            driven_for_s = passed_for_s if in_time else 0.0
+            x_m, y_m, angle_rad = self._offset
+            self._offset = (
+                x_m + dx_m - before.vx_m_s * driven_for_s,
+                y_m + dy_m - before.vy_m_s * driven_for_s,
+                remainder(angle_rad + turned_rad, 2 * pi),
+            )
+        elif in_time and passed_for_us:
+            self._turn_rad_s = turned_rad / passed_for_s
+        x_m, y_m, angle_rad = self._offset
+        if hypot(x_m, y_m) > JUMP_M:
+            return f"jumped by {hypot(x_m, y_m):.1f} m"
+        if abs(angle_rad) > JUMP_RAD:
+            return f"heading jumped by {degrees(angle_rad):.0f} degrees"
+        return ""
+
+    def _stopped_there(
+        self, before: Observation, unseen: Unseen, dx_m: float, dy_m: float, turned_rad: float
+    ) -> bool:
+        """Whether a body that lost its senses can have stopped this far away.
+
+        It drove until its senses were old, for the lifetime of a command, and braked, with no more
+        than the acceleration of its limits, and nearly in the direction in which it was driving.
+        """
+        acceleration_m_s2 = self.limits.acceleration_m_s2
+        driving_for_s = (AGE_MAX_US + ACTUATOR_TTL_US) / S
+        speed_m_s = hypot(before.vx_m_s, before.vy_m_s)
+        fastest_m_s = max(speed_m_s, unseen.speed_m_s) + acceleration_m_s2 * driving_for_s
+        way_for_s = driving_for_s + fastest_m_s / acceleration_m_s2 / 2  # braking at half the speed
+        way_m = unseen.way_m + fastest_m_s * way_for_s
+        along_m, across_m = hypot(dx_m, dy_m), 0.0
+        if speed_m_s > STARTS_M_S:
+            east, north = before.vx_m_s / speed_m_s, before.vy_m_s / speed_m_s
+            along_m, across_m = dx_m * east + dy_m * north, abs(dy_m * east - dx_m * north)
+        return (
+            -JUMP_M <= along_m <= JUMP_M + way_m
+            and across_m <= JUMP_M + ASIDE * way_m
+            and abs(turned_rad)
+            <= JUMP_RAD + unseen.turned_rad + abs(self._turn_rad_s) * way_for_s + ASIDE
+        )
 
     def _old(self, now_us: int) -> str:
         """Why the senses are not current; empty if they are."""
@@ -138,7 +276,7 @@ class Senses(Part):
             passed_for_us = sensed_at_us - self._anchor_at_us
             self._expected_m_s = away_m * S / passed_for_us if passed_for_us > 0 else 0.0
             self._anchor, self._anchor_at_us = here, sensed_at_us
-            self._periods, self._expected_m = 0, 0.0
+            self._periods, self._expected_m, self._told_rad = 0, 0.0, 0.0
             return ""
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         # After the lifetime of the command it is void.
@@ -147,9 +285,16 @@ class Senses(Part):
         faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_for_s
         self._expected_m_s = min(told_m_s, faster_m_s)
         self._expected_m += self._expected_m_s * passed_for_s
+        self._told_rad += abs(self._drive.turn_rad_s) * passed_for_s
         self._periods += 1
         if self._expected_m < FROZEN_M or self._periods < 2:
             return ""
+        # A body with the acceleration of its limits is faster than expected by this.
+        self._unseen = Unseen(
+            self._expected_m / ACCELERATION_SHARE,
+            self._expected_m_s / ACCELERATION_SHARE,
+            self._told_rad,
+        )
         return f"told to drive {self._expected_m:.2f} m, moved {away_m * 1000:.0f} mm"
 
     def _told_m_s(self, here: Observation, anchor: Observation) -> float:
@@ -169,6 +314,12 @@ class Senses(Part):
         if limits is None:
             return ACCELERATION_M_S2
         return ACCELERATION_SHARE * limits.acceleration_m_s2
+
+    @property
+    def limits(self) -> BodyLimits:
+        """The limits of the body; if they are not known, those of the fastest body."""
+        limits = None if self.motion is None else self.motion.body_limits
+        return FASTEST if limits is None else limits
 
     def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
         safety = self.safety

@@ -167,8 +167,8 @@ class StopReception(Part):
         if self.safety.latched:
             return [Trace("safety", "LATCHED", "START", "LATCHED", "refused")]
         return [
-            notices.WasStarted(),
-            *self.safety.start(ctx.now_us),
+            notices.WasStarted(call.named),
+            *self.safety.start(ctx.now_us, call.named),
             Trace("safety", "HELD", "START", "STARTED", "operator"),
         ]
 

@@ -32,6 +32,7 @@ class ClearCondition(Enum):
     BY_MOVE_OR_START = (
         "the place changes, or an operator's start after a look at receiver and wheels"
     )
+    BY_RETURN_OR_START = "it is accurate, and back where it was before it jumped, for 1 s; or an operator's start of this robot alone"
     BY_TIMEOUT = "it is not repeated for its time"
     BY_RESET = "every stop dot is cleared by an operator's reset, then a person resets this machine"
     WHEN_APART = "that machine agrees, changes its address or has not been heard for 5 s"
@@ -115,6 +116,12 @@ class StopCause(Enum):
         ClearCondition.BY_MOVE_OR_START,
         "the wheels were told to drive and the place did not change",
         "look at receiver and wheels of this robot, then give it a start",
+    )
+    PLACE_LOST = _Rule(
+        Severity.PROTECTIVE,
+        ClearCondition.BY_RETURN_OR_START,
+        "the sensed place is inaccurate, or jumped further than the wheels can drive",
+        "look at the receiver and its corrections; if the new place is right, headland order ROBOT start",
     )
     ADDRESS_LOST = _Rule(
         Severity.PROTECTIVE,

@@ -509,10 +509,14 @@ class StopController:
             self._causes.pop(cause, None)
         return True
 
-    def start(self, now_us: int) -> Sequence[Effect]:
-        """A person starts this machine: NOT_STARTED and PLACE_FROZEN end."""
+    def start(self, now_us: int, named: bool = False) -> Sequence[Effect]:
+        """A person starts this machine: NOT_STARTED and PLACE_FROZEN end. PLACE_LOST ends only by a
+        start that is for this machine alone (`named`): a start of the whole fleet does not vouch for
+        the place of each robot."""
         self.clear_cause(StopCause.NOT_STARTED, now_us)
         self.clear_cause(StopCause.PLACE_FROZEN, now_us)
+        if named:
+            self.clear_cause(StopCause.PLACE_LOST, now_us)
         return [self.remember_hold()]
 
     def hold(self, now_us: int) -> Sequence[Effect]:

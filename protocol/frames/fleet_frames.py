@@ -165,6 +165,7 @@ class StandsBy(IntEnum):
     SPENT_STOP = 19
     SENSES_OLD = 20
     PLACE_FROZEN = 21
+    PLACE_LOST = 22
 
 
 class Standstill(NamedTuple):

@@ -4,6 +4,7 @@ A generator gets the random source, the fleet size, when the fault begins, and w
 """
 
 from collections.abc import Callable
+from math import cos, pi, sin
 from random import Random
 
 from sim.scenarios import scenario as kinds
@@ -123,6 +124,16 @@ def _blind(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault
 def _frozen(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     for_s = min(rng.choice((0.1, 0.5, 3.0, 8.0)), end_at_s - at_s)
     return [kinds.Frozen(at_s=at_s, kind="frozen", robot=rng.randrange(robots), for_s=for_s)]
+
+
+def _jumped(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    """Further than wheels can drive in a control period, or turned by more than they can turn."""
+    angle_rad, far_m = rng.uniform(0.0, 2 * pi), rng.choice((1.0, 3.0, 10.0, 100.0))
+    turn_rad = rng.choice((0.0, 0.0, pi, -1.5))
+    robot, for_s = rng.randrange(robots), min(rng.choice((0.3, 2.0, 8.0)), end_at_s - at_s)
+    fault = {"at_s": at_s, "kind": "jumped", "robot": robot, "for_s": for_s, "turn_rad": turn_rad}
+    where = {"dx_m": far_m * cos(angle_rad), "dy_m": far_m * sin(angle_rad)}
+    return [kinds.Jumped.model_validate(fault | where)]
 
 
 def _late(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
@@ -245,6 +256,7 @@ DRAWS: dict[str, Draw] = {
     "pushed": _push,
     "blind": _blind,
     "frozen": _frozen,
+    "jumped": _jumped,
     "late": _late,
     "disk_full": _disk_full,
     "estop": _press,

@@ -196,6 +196,8 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
+            case kinds.Jumped(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._place_jumps, robot, at_us + round(for_s * S)))
             case kinds.Blind(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
@@ -284,6 +286,12 @@ class ScenarioJudge:
             watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
             self._blind.setdefault(slot, []).append(watch)
             self._at(end_at_us, partial(self._sees_again, slot, watch))
+
+    def _place_jumps(self, slot: int, end_at_us: int) -> None:
+        """S19: as without senses. A jump that begins while it has none, no longer than its way to
+        standstill, cannot be told from that way."""
+        if not self._blind.get(slot):
+            self._loses_senses(slot, end_at_us)
 
     def _sees_again(self, slot: int, watch: int | None = None) -> None:
         """Its sensors work again, or a person moves it by hand."""

@@ -1,10 +1,10 @@
 """Applies a scenario's faults to a simulated fleet at their times."""
 
 from collections.abc import Callable
-from math import hypot
+from math import ceil, hypot
 from random import Random
 
-from agent.interface.config import S
+from agent.interface.config import CONTROL_PERIOD_US, S
 from protocol.frames.frame import Frame
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.operator_frames import goal_check, goal_frames
@@ -27,6 +27,7 @@ ASK_S = 0.1  # between two attempts
 ORDER_S = 0.15  # between two repeats of an order: a robot is asked, answers, and asks in turn
 # Limit for a robot to start work or for room for a box; interval of checks.
 WAIT_US, LOOK_US = 10 * S, S // 100
+PUSHED_M_S = 1.0  # walking speed of people that push a machine
 PUSHED_APART_M = 0.3  # gap left between two machines when one is pushed
 SETTLED_S = 3.0  # this long after trouble of links or members, all members receive each other again
 HEARD_ALL_THE_SAME = (kinds.Buttons, kinds.UsedStop, kinds.Estop, kinds.Reset, kinds.Order,
@@ -114,7 +115,7 @@ class FaultPlan:
                 return self._box(x_m, y_m, size_m, for_s)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.stops.carried(robot)
-                self._push(robot, dx_m, dy_m)
+                return self._push(robot, dx_m, dy_m)
             case kinds.Babble(priority=priority, identifier=identifier, for_s=for_s):
                 if identifier is None:
                     identifier = priority << 26 | UNKNOWN_GROUP | BABBLER
@@ -135,6 +136,9 @@ class FaultPlan:
                 cluster.receivers[robot].blind(now_us + round(for_s * S))
             case kinds.Frozen(robot=robot, for_s=for_s):
                 cluster.receivers[robot].frozen(now_us + round(for_s * S))
+            case kinds.Jumped(robot=robot, dx_m=dx_m, dy_m=dy_m, turn_rad=turn_rad, for_s=for_s):
+                end_at_us = now_us + round(for_s * S)
+                cluster.receivers[robot].jumped(end_at_us, (dx_m, dy_m, turn_rad))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s):
                 cluster.receivers[robot].late(now_us + round(for_s * S), round(by_s * S))
             case kinds.DiskFull(robot=robot, for_s=for_s):
@@ -187,24 +191,28 @@ class FaultPlan:
         if not self.cluster.is_up(robot):  # another fault stopped it first
             self._restart(robot, disk)
 
-    def _push(self, robot: int, dx_m: float, dy_m: float) -> None:
-        """Push as far as there is room: people do not push machines through fences or into each
-        other."""
+    def _push(self, robot: int, dx_m: float, dy_m: float) -> Script[None]:
+        """Push at walking speed as far as there is room: people do not push machines through fences
+        or into each other."""
+        body = self.cluster.world.body(robot)
+        steps = ceil(hypot(dx_m, dy_m) * S / (PUSHED_M_S * CONTROL_PERIOD_US))
+        for _ in range(steps):
+            self._now_us()
+            if not self._is_free(robot, dx_m / steps, dy_m / steps):
+                return
+            body.push(dx_m / steps, dy_m / steps)
+            yield self._now_us() + CONTROL_PERIOD_US
+
+    def _is_free(self, robot: int, dx_m: float, dy_m: float) -> bool:
+        """Whether there is room for a robot beside where it stands."""
         body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
         holds = self._space(body.radius_m)
         if holds is None:
-            body.push(dx_m, dy_m)
-            return
-        others = [other.position for other in bodies if other is not body]
-        for share in (1.0, 0.5, 0.25):
-            x_m, y_m = body.position[0] + share * dx_m, body.position[1] + share * dy_m
-            free = all(
-                hypot(x_m - at[0], y_m - at[1]) > 2 * body.radius_m + PUSHED_APART_M
-                for at in others
-            )
-            if free and holds(x_m, y_m):
-                body.push(share * dx_m, share * dy_m)
-                return
+            return True
+        x_m, y_m = body.position[0] + dx_m, body.position[1] + dy_m
+        apart_m = 2 * body.radius_m + PUSHED_APART_M
+        others = (other.position for other in bodies if other is not body)
+        return holds(x_m, y_m) and all(hypot(x_m - x, y_m - y) > apart_m for x, y in others)
 
     def _space(self, radius_m: float) -> Callable[[float, float], bool] | None:
         """Whether a body's centre can be at a point; None if there is no world."""

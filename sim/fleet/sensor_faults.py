@@ -23,7 +23,9 @@ class Receiver:
     def __init__(self) -> None:
         # End of each fault.
         self._blind_ends_at_us = self._frozen_ends_at_us = self._late_ends_at_us = -1
+        self._jump_ends_at_us = -1
         self._late_for_us = 0  # delay
+        self._jump = (0.0, 0.0, 0.0)  # metres east and north, radians
         self._place: Observation | None = None  # what the filter repeats when it hangs
         self._last: Observation | None = None  # what arrived last
         self._way: deque[Observation] = deque(maxlen=HISTORY_MAX)
@@ -35,6 +37,13 @@ class Receiver:
     def frozen(self, end_at_us: int) -> None:
         """The old position with new timestamps: a filter that hangs."""
         self._frozen_ends_at_us = max(self._frozen_ends_at_us, end_at_us)
+
+    def jumped(self, end_at_us: int, by: tuple[float, float, float]) -> None:
+        """A place that is wrong by this much: reflected signals, a wrong fix, swapped antennas.
+
+        `by`: metres east and north, radians. Of two faults at once the later one holds.
+        """
+        self._jump_ends_at_us, self._jump = max(self._jump_ends_at_us, end_at_us), by
 
     def late(self, end_at_us: int, late_for_us: int) -> None:
         """The true position, delayed: a buffer that fills."""
@@ -52,6 +61,11 @@ class Receiver:
         """
         if world_now_us < self._frozen_ends_at_us and self._place is not None:
             seen = self._place._replace(sensed_at_us=world_now_us)
+        if world_now_us < self._jump_ends_at_us:
+            x_m, y_m, turn_rad = self._jump
+            seen = seen._replace(
+                x_m=seen.x_m + x_m, y_m=seen.y_m + y_m, heading_rad=seen.heading_rad + turn_rad
+            )
         self._place = seen
         last, self._last = self._last, seen
         if world_now_us < self._blind_ends_at_us:

@@ -290,6 +290,17 @@ class Frozen(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class Jumped(_Fault):
+    """The place of a robot arrives wrong by this much: a wrong fix, reflections, swapped antennas."""
+
+    kind: Literal["jumped"]
+    robot: Slot
+    dx_m: float = Field(ge=-1e4, le=1e4)
+    dy_m: float = Field(ge=-1e4, le=1e4)
+    turn_rad: float = Field(default=0.0, ge=-3.2, le=3.2)
+    for_s: float = Field(gt=0.0)
+
+
 class Late(_Fault):
     """The observations of a robot arrive this much later."""
 
@@ -336,7 +347,7 @@ class CrashWorking(_Fault):
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
     | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
-    | ClockJump | CrashWorking | Blind | Frozen | Late | DiskFull
+    | ClockJump | CrashWorking | Blind | Frozen | Jumped | Late | DiskFull
     | Buttons | UsedStop | Foreign | Twin | Nonsense,
     Field(discriminator="kind"),
 ]  # fmt: skip

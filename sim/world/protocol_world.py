@@ -22,6 +22,7 @@ from sim.world.world import World
 
 SPEED_M_S = 2.5
 SPACING_M = 12.0  # far enough apart that no robot gives way
+CIRCLE_M = 0.1  # a body told to stand still moves too: less than a wrong place (`JUMP_M`)
 UNIT_US = 1 * S  # a unit takes this long
 UNITS = 20  # of a section; so claims are made three times as often as in a field of short rows
 SECTIONS_A_ROBOT = 8
@@ -94,11 +95,11 @@ class StationaryBody(SimulatedBody):
         self._moving = False
 
     def sense(self, now_us: int) -> Observation:
-        """A position that circles within a metre, so that no two frames are equal."""
+        """A position that circles within `CIRCLE_M`, so that no two frames are equal."""
         angle = now_us * 1e-6 + self.slot
-        x, y = cos(angle), sin(angle)
-        x_m, y_m, course_rad = self.x_m + x, self.y_m + y, angle % 6.28
-        seen = x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN, now_us, 1.0
+        x, y = CIRCLE_M * cos(angle), CIRCLE_M * sin(angle)
+        x_m, y_m, course_rad = self.x_m + x, self.y_m + y, 0.0
+        seen = x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN, now_us, 1.0, 0.0, 0.0
         return _tuple(Observation, seen)
 
     def drive(self, command: Drive, now_us: int) -> None:

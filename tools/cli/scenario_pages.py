@@ -112,6 +112,7 @@ MEANING = {
     "x_m": "metres east",
     "y_m": "metres north",
     "dx_m": "metres to the east",
+    "turn_rad": "radians counter-clockwise",
     "dy_m": "metres to the north",
     "priority": "of a group that no robot knows; 0 wins",
     "identifier": "instead: all 29 bits",

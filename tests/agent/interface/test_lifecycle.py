@@ -132,6 +132,7 @@ ENDED_BY: dict[StopCause, str | None] = {
     StopCause.SENSES_OLD: "time",  # here they are in time again
     # or when the place changes, which it does not while the robot stands
     StopCause.PLACE_FROZEN: "start",
+    StopCause.PLACE_LOST: "time",  # here it stays at one place, which is accurate
     StopCause.ADDRESS_LOST: "time",  # it claims another
     StopCause.CONFIG_MISMATCH: "time",  # the other machine is not heard any more
     StopCause.DUPLICATE_ID: "time",
@@ -159,6 +160,7 @@ def test_what_ends_each_cause_in_every_state(cause: StopCause) -> None:
         peer = peer_in(source, cause)
         act(peer)
         back = cause is StopCause.BUS_OFF and name == "time"  # here its driver reports ACTIVE
+        back |= cause is StopCause.PLACE_LOST and name == "start"
         ended = ENDED_BY[cause] == name or back
         expected = (
             (set() if ended else {cause}) | {RAISED_BY[name]}

@@ -1,7 +1,7 @@
 """Item 3: senses that are old, absent or frozen stop a robot, and it says so in its beats."""
 
-from collections.abc import Iterable
-from math import hypot, inf
+from collections.abc import Callable, Iterable
+from math import hypot, inf, nan, pi, radians
 from random import Random
 
 import numpy as np
@@ -22,7 +22,7 @@ from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, POSE, Pos
 from tests.agent.lone_peer import held_by, introduce, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
-SENSES = {StopCause.SENSES_OLD, StopCause.PLACE_FROZEN}
+SENSES = {StopCause.SENSES_OLD, StopCause.PLACE_FROZEN, StopCause.PLACE_LOST}
 
 
 class Robot:
@@ -33,6 +33,7 @@ class Robot:
         self.now_us, self.x_m, self.v_m_s, self.told = 0, 0.0, 0.0, HALT
         self.sensed: Observation | None = None
         self.blind = self.frozen = False
+        self.spoilt: Callable[[Observation], Observation] = lambda sensed: sensed
         self.said: list[Pose] = []
 
     def period(self) -> None:
@@ -49,7 +50,7 @@ class Robot:
         self.peer.step(
             BusState(Health.ACTIVE, True, self.now_us), self.now_us
         )  # a frame leaves each time
-        self.peer.step(Sensed(self.sensed), self.now_us)
+        self.peer.step(Sensed(self.sensed and self.spoilt(self.sensed)), self.now_us)
         effects = self.peer.step(Timer(), self.now_us)
         self.told = next((e for e in effects if isinstance(e, Drive)), self.told)
         self.said += poses(effects)
@@ -212,3 +213,74 @@ def test_item_3_a_peer_without_a_drive_is_not_held_by_its_senses() -> None:
     for now_us in range(0, 2 * S, 50 * MS):
         bare.step(Timer(), now_us)
     assert not held_by(bare) & SENSES
+
+
+SPOILT: dict[str, Callable[[Observation], Observation]] = {
+    "jumped": lambda o: o._replace(y_m=o.y_m + 2.0),
+    "inaccurate": lambda o: o._replace(position_accuracy_m=0.5),
+    "accuracy is not a number": lambda o: o._replace(position_accuracy_m=nan),
+    "place is not a number": lambda o: o._replace(x_m=nan),
+    "heading turned round": lambda o: o._replace(heading_rad=o.heading_rad + pi),
+    "heading inaccurate": lambda o: o._replace(heading_accuracy_rad=radians(20.0)),
+}
+
+
+@pytest.mark.parametrize("fault", SPOILT)
+def test_a_lost_place_stops_a_robot_at_once_and_it_drives_on_by_itself(fault: str) -> None:
+    robot = driving()
+    robot.spoilt = SPOILT[fault]
+    robot.period()
+    assert robot.told == HALT and robot.held == {StopCause.PLACE_LOST}
+    robot.periods(100)
+    assert robot.held == {StopCause.PLACE_LOST}, "a place that stays wrong is not believed"
+    assert robot.said[-1].speed_m_s == PLACE_UNKNOWN_M_S
+    robot.spoilt, back_us = lambda o: o, robot.now_us
+    while robot.told == HALT:
+        robot.period()
+    assert STEADY_US <= robot.now_us - back_us <= STEADY_US + 2 * CONTROL_PERIOD_US
+    assert not robot.held
+
+
+def test_a_place_that_jumped_is_believed_after_a_start() -> None:
+    robot = driving()
+    robot.spoilt = SPOILT["jumped"]
+    robot.periods(100)
+    assert robot.held == {StopCause.PLACE_LOST}
+    robot.peer.step(Start(), robot.now_us)
+    assert not robot.held and not robot.periods(20).held
+
+
+@pytest.mark.parametrize("begins_at_period", range(0, 80, 5))
+def test_a_place_that_was_frozen_is_believed_where_the_body_can_have_stopped(
+    begins_at_period: int,
+) -> None:
+    """Before it is noticed, the body drives on: further than the frozen place tells of."""
+    robot = Robot().periods(begins_at_period)
+    robot.frozen = True
+    robot.periods(60)
+    assert robot.held == {StopCause.PLACE_FROZEN}
+    robot.frozen = False
+    robot.periods(2)
+    assert not robot.held
+
+
+def test_a_place_that_comes_back_after_a_gap_must_be_where_the_body_can_have_stopped() -> None:
+    for moved_m, held in ((0.0, set[StopCause]()), (20.0, {StopCause.PLACE_LOST})):
+        robot = driving()
+        robot.blind = True
+        robot.periods(100)
+        robot.blind = False
+        robot.x_m += moved_m  # towed, or a receiver that comes back with a wrong place
+        robot.periods(40)
+        assert robot.held == held
+
+
+@pytest.mark.parametrize("wave_m", [0.0, 0.05, 0.14])
+def test_noise_within_the_accuracy_is_no_jump(wave_m: float) -> None:
+    robot, rng = driving(), np.random.default_rng(5)
+    robot.spoilt = lambda o: o._replace(
+        x_m=o.x_m + rng.uniform(-wave_m, wave_m), position_accuracy_m=wave_m
+    )
+    for _ in range(400):
+        robot.period()
+        assert not robot.held

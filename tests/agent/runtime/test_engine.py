@@ -346,7 +346,7 @@ def test_m18_a_machine_whose_receiver_falls_silent_stands_and_says_so() -> None:
             await elapse(0.05)
         assert engines[0].speed_limit_m_s == inf
         for _ in range(60):
-            engines[1].update(30.0, 4.0, 0.0, 0.0)
+            engines[1].update(3.0, 4.0, 0.0, 0.0)
             await elapse(0.05)
         assert engines[0].speed_limit_m_s == 0.0 and engines[1].speed_limit_m_s == inf
         assert [why.split(":")[0] for why in engines[0].stands] == ["SENSES_OLD"]
@@ -356,7 +356,7 @@ def test_m18_a_machine_whose_receiver_falls_silent_stands_and_says_so() -> None:
         assert engines[0].refusal.startswith("SENSES_OLD")
         for _ in range(40):
             engines[0].update(3.0, 4.0, 0.0, 0.0)
-            engines[1].update(30.0, 4.0, 0.0, 0.0)
+            engines[1].update(3.0, 4.0, 0.0, 0.0)
             await elapse(0.05)
         assert engines[0].speed_limit_m_s == inf
 

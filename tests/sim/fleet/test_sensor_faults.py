@@ -41,3 +41,11 @@ def test_what_a_hung_filter_repeats_is_delayed_by_a_full_buffer() -> None:
     assert {age_us for _, age_us in both} == {500_000}
     assert both[-1][0] == 1.95
     assert set(arrivals(receiver, 4_000_000, 6_000_000)) == {(1.95, 0)}
+
+
+def test_a_place_that_jumped_is_wrong_by_as_much_and_then_right_again() -> None:
+    receiver = Receiver()
+    receiver.jumped(1_000_000, (3.0, -4.0, 0.5))
+    arrived = receiver.tells(seen(500_000), 500_000)
+    assert arrived is not None and arrived[:3] == (3.5, -4.0, 0.5)
+    assert arrivals(receiver, 1_000_000, 1_050_000) == [(1.0, 0)]
