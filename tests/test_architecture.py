@@ -45,7 +45,9 @@ ALLOWED: dict[str, str] = {
     "agent.runtime.files": "interface",
     "agent.runtime": "interface safety peer segments runtime.files paths mapf motion mapping field "
     "navigation exploration delivery coverage",
+    "agent.runtime.bodies": "interface motion runtime runtime.files",
     "sim.files": "",
+    "sim.machines": "",
     "sim.can": "files",
     "sim.world": "files",
     "sim.scenarios": "files world",

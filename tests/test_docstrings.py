@@ -35,6 +35,7 @@ FLOORS = {
     "sim/chaos": 95,
     "sim/files": 95,
     "sim/fleet": 95,
+    "sim/machines": 95,
     "sim/record": 95,
     "sim/rigs": 95,
     "sim/runs": 94,

@@ -7,19 +7,50 @@
 A robot file names what makes it: `factory = "my_tractor:Tractor"`. It is called with the slot and with
 the options of the file, `Tractor(slot, port="/dev/ttyUSB0")`. Ours are named as in a checkout,
 `agent.runtime.robot_body:StandingBody`, also where Headland was installed as a wheel.
+
+The contract:
+
+* Times are microseconds on the clock of `now_us`, `time.monotonic()`. An observation has the time at
+  which the place was true, not the time at which it arrived.
+* Places are metres east and north of the origin of the field, of the middle of the body. Headings are
+  radians, counter-clockwise from east. Accuracies are standard deviations.
+* A drive command is a velocity in the field frame, metres a second. A mecanum body drives it at once, in
+  any direction. A differential and an Ackermann body turn to its course first. `WheelDrive` of
+  `agent/motion/wheel_kinematics.py` makes wheel speeds of it for all three.
+* A command lives for `ACTUATOR_TTL_US`, 100 ms. Then the wheels stand. The controller of the wheels
+  counts this time, because nobody else can when this process dies.
+* `tool_on` lowers the implement. It is raised when the command expires.
+* `sense` and `drive` are called every 50 ms in the thread of the bus, and must not wait.
+* `close` stands. A body can be opened again after it.
+
+`headland body-check` tries all of it on a body.
 """
 
 from importlib import import_module
 from importlib.util import find_spec
-from typing import Any
+from typing import Any, ClassVar, NamedTuple
 
-from agent.interface.effects import GatedDrive
+from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
+from agent.interface.vehicle import Vehicle
 from agent.peer.peer import Peer
+
+
+class DeclaredMachine(NamedTuple):
+    """What a robot file declares of the machine of a body, and of its field."""
+
+    vehicle: Vehicle
+    origin: tuple[float, float] | None  # latitude and longitude of (0, 0), degrees; None: no field
 
 
 class RobotBody:
     """Sensors and actuators of one robot, with a beginning and an end."""
+
+    # Whether it has range sensors. Without them a robot does not see what is no member of its fleet.
+    has_range_sensors: ClassVar[bool] = False
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        """Called once before `open`, with what the robot file declares. Raises ValueError."""
 
     async def open(self) -> None:
         """Connect, and return when the body can be driven. Raises OSError."""
@@ -58,6 +89,39 @@ class StandingBody(RobotBody):
         """It has no wheels."""
 
 
+class DryBody(RobotBody):
+    """A body that senses and is never driven: to see what a robot would do."""
+
+    def __init__(self, body: RobotBody) -> None:
+        self.body = body
+        self.wanted = HALT  # the newest command, which the body was not given
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        """Tell the body that is never driven what the file says."""
+        self.body.declare(machine)
+
+    async def open(self) -> None:
+        """Connect all the same: its sensors are wanted. Raises OSError."""
+        await self.body.open()
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest reading, as the body returns it."""
+        return self.body.sense(now_us)
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        """Remember the command, and let the body stand."""
+        self.wanted = command
+        self.body.drive(HALT, now_us)
+
+    async def watch(self, peer: Peer) -> None:
+        """Run what the body runs beside the robot."""
+        await self.body.watch(peer)
+
+    def close(self) -> None:
+        """Free what it has connected to."""
+        self.body.close()
+
+
 PREFIX = __name__.removesuffix("agent.runtime.robot_body")  # in a wheel: `headland.`
 LAYERS = ("crdt", "protocol", "agent", "sim")
 
@@ -66,8 +130,8 @@ class FactoryError(ValueError):
     """One line: why a factory that a robot file names cannot be used."""
 
 
-def called(factory: str, *given: Any, **options: Any) -> Any:
-    """The result of a factory named "package.module:name". Raises FactoryError.
+def named(factory: str) -> Any:
+    """What "package.module:name" names. Raises FactoryError.
 
     A module that Headland has is Headland's, although the working folder may have one of that name.
     """
@@ -75,9 +139,14 @@ def called(factory: str, *given: Any, **options: Any) -> Any:
     try:
         if PREFIX and module.split(".")[0] in LAYERS and _is_there(PREFIX + module):
             module = PREFIX + module
-        make = getattr(import_module(module), name)
+        return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as problem:
         raise FactoryError(f"{factory!r} cannot be imported: {problem}") from None
+
+
+def called(factory: str, *given: Any, **options: Any) -> Any:
+    """The result of a factory named "package.module:name". Raises FactoryError."""
+    make = named(factory)
     try:
         return make(*given, **options)
     except TypeError as problem:  # an option that it does not take

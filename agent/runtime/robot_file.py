@@ -12,16 +12,24 @@
     interface = "socketcan"
     channel = "can0"
     [body]
-    factory = "my_tractor:Tractor"
+    plugin = "nmea"                         # or: factory = "my_tractor:Tractor"
+    options = { gnss = "tcp://10.0.0.5:2947", wheels = "serial:/dev/ttyUSB0" }
+
+One file can be that of the whole fleet. `headland robot fleet.toml --slot 2` says which robot this is,
+and a table of each machine has what differs:
+
+    [[machine]]
+    slot = 2
+    body_options = { wheels = "serial:/dev/ttyUSB1" }
 
 File names are relative to the folder of the robot file. Its work is a `[field]`, a `[warehouse]`, or a
 `[mission]` of your own; without one, the robot is a member that does no work.
 """
 
 from pathlib import Path
-from typing import Any, Self
+from typing import Any, NamedTuple, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field, ValidationError, model_validator
 
 from agent.interface.config import PEERS_MAX
 from agent.runtime.declared_values import (
@@ -46,6 +54,18 @@ class RobotError(Exception):
         super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
 
 
+class Changes(NamedTuple):
+    """What a command line says instead of the file; None: what the file says."""
+
+    slot: int | None = None
+    interface: str | None = None
+    channel: str | None = None
+    plugin: str | None = None
+
+
+AS_WRITTEN = Changes()
+
+
 class RobotTable(Table):
     """What differs between the robots of a fleet."""
 
@@ -68,6 +88,29 @@ class FactoryTable(Table):
 
     factory: str
     options: dict[str, Any] = Field(default={})
+
+
+class BodyTable(Table):
+    """The body: a plug-in of the group `headland.body`, or a factory "package.module:name"."""
+
+    plugin: str | None = None
+    factory: str | None = None
+    options: dict[str, Any] = Field(default={})
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.plugin is None) == (self.factory is None):
+            raise ValueError("a body has either plugin or factory")
+        return self
+
+
+class MachineTable(Table):
+    """What differs between the machines of one file."""
+
+    slot: int = Field(ge=0, lt=PEERS_MAX)
+    body: BodyTable | None = None  # instead of the fleet's
+    body_options: dict[str, Any] = Field(default={})  # added to those of the body
+    bus: RobotBusTable | None = None  # instead of the fleet's
 
 
 class TaskTable(Table):
@@ -97,7 +140,8 @@ class RobotFile(Table):
     warehouse: CarrierTable | None = None
     mission: FactoryTable | None = None
     bus: RobotBusTable = RobotBusTable()
-    body: FactoryTable = FactoryTable(factory="agent.runtime.robot_body:StandingBody")
+    body: BodyTable = BodyTable(plugin="standing")
+    machine: list[MachineTable] = Field(default=[])
     folder: Path = Field(Path(), exclude=True)  # file names are relative to this folder
 
     @classmethod
@@ -116,12 +160,41 @@ class RobotFile(Table):
             )
         if sum(work is not None for work in (found.field, found.warehouse, found.mission)) > 1:
             raise RobotError(f"{name}: field, warehouse, mission: a robot has one work")
-        return found
+        slots = [machine.slot for machine in found.machine]
+        if len(set(slots)) < len(slots):
+            raise RobotError(f"{name}: machine: two have one slot")
+        mine = next((each for each in found.machine if each.slot == found.robot.slot), None)
+        return found if mine is None else found._on(mine)
+
+    def _on(self, machine: MachineTable) -> Self:
+        """With what this machine has of its own."""
+        body = machine.body or self.body
+        options = {**body.options, **machine.body_options}
+        return self.model_copy(
+            update={
+                "body": body.model_copy(update={"options": options}),
+                "bus": machine.bus or self.bus,
+            }
+        )
+
+    def changed(self, changes: Changes) -> Self:
+        """With what a command line says instead."""
+        bus = {key: value for key in ("interface", "channel") if (value := getattr(changes, key))}
+        update: dict[str, Any] = {"bus": self.bus.model_copy(update=bus)}
+        if changes.plugin is not None and changes.plugin != self.body.plugin:
+            update["body"] = BodyTable(plugin=changes.plugin)
+        return self.model_copy(update=update)
 
     @classmethod
-    def read(cls, path: Path) -> Self:
-        """From a file. Raises RobotError."""
+    def read(cls, path: Path, changes: Changes = AS_WRITTEN) -> Self:
+        """From a file, with what a command line says instead. Raises RobotError."""
         try:
-            return cls.of(read_toml(path, SETTINGS_BYTES_MAX), str(path), path.parent)
+            document = read_toml(path, SETTINGS_BYTES_MAX)
+            if changes.slot is not None:
+                robot = document.get("robot", {})
+                document["robot"] = (
+                    {**robot, "slot": changes.slot} if isinstance(robot, dict) else robot
+                )
+            return cls.of(document, str(path), path.parent).changed(changes)
         except GivenFileError as problem:
             raise RobotError(f"{path}: {problem}") from None

@@ -21,6 +21,7 @@ from agent.delivery.warehouse import Warehouse
 from agent.field.field_plan import FieldError, FieldPlan, divided
 from agent.interface.ports import Bus
 from agent.mapping.building import Floor, FloorError
+from agent.runtime.body_plugins import made
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
@@ -36,7 +37,7 @@ from agent.runtime.peer_factory import (
     make_peer,
 )
 from agent.runtime.peer_runner import PeerRunner
-from agent.runtime.robot_body import FactoryError, RobotBody, called
+from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody, called
 from agent.runtime.robot_file import CarrierTable, RobotBusTable, RobotError, RobotFile
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
@@ -115,7 +116,7 @@ def _house(robot: RobotFile, table: CarrierTable) -> Warehouse:
     return Warehouse(floor, carrier, table.bays, known, table.t_max)
 
 
-def _keys(robot: RobotFile) -> Keys | None:
+def keys_of(robot: RobotFile) -> Keys | None:
     """The keys of its fleet; None without any. Raises RobotError."""
     if robot.fleet.keys is None:
         return None
@@ -135,7 +136,7 @@ def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
         raise RobotError(f"robot {slot}: its journal cannot be opened: {problem}") from None
 
 
-async def _bus(table: RobotBusTable, slot: int) -> Bus:
+async def opened_bus(table: RobotBusTable, slot: int) -> Bus:
     """The bus; one behind a socketcand server reconnects by itself. Raises RobotError."""
     options = table.options
     try:
@@ -152,17 +153,30 @@ async def _bus(table: RobotBusTable, slot: int) -> Bus:
     return link
 
 
-async def _body(robot: RobotFile) -> RobotBody:
-    """Its body, connected. Raises RobotError."""
+def origin_of(robot: RobotFile) -> tuple[float, float] | None:
+    """Latitude and longitude, degrees, of the origin of its field; None without a field.
+
+    Raises RobotError."""
+    if robot.field is None:
+        return None
+    try:
+        return read_boundary(robot.folder / robot.field.file, robot.field.feature).origin
+    except FieldFileError as problem:
+        raise RobotError(f"robot {robot.robot.slot}: field.file: {problem}") from None
+
+
+async def opened_body(robot: RobotFile, *, dry: bool = False) -> RobotBody:
+    """Its body, connected; with `dry` one that is never driven. Raises RobotError."""
     slot = robot.robot.slot
     try:
-        body = called(robot.body.factory, slot, **robot.body.options)
-        if not isinstance(body, RobotBody):
-            raise FactoryError(f"{robot.body.factory!r} makes no RobotBody")
+        body = made(robot.body.plugin, robot.body.factory, slot, robot.body.options)
+        body = DryBody(body) if dry else body
+        body.declare(DeclaredMachine(robot.fleet.vehicle, origin_of(robot)))
         await body.open()
     except FactoryError as problem:
-        raise RobotError(f"robot {slot}: body.factory: {problem}") from None
-    except OSError as problem:
+        named = "plugin" if robot.body.factory is None else "factory"
+        raise RobotError(f"robot {slot}: body.{named}: {problem}") from None
+    except (OSError, ValueError) as problem:
         raise RobotError(f"robot {slot}: body: {problem}") from None
     return body
 
@@ -172,20 +186,21 @@ async def run_robot(
     end: asyncio.Event,
     *,
     first_boot: bool = False,
+    dry: bool = False,
     started: Callable[[PeerRunner], None] | None = None,
 ) -> None:
     """Run one robot until `end` is set; then it leaves the fleet with a farewell.
 
     `first_boot`: a new machine. Otherwise an empty memory counts as lost, and the robot stays latched
-    until a person resets it. `started`: called once, when it takes part. Raises RobotError before
-    it takes part, and whatever ends its peer.
+    until a person resets it. `dry`: its body is never driven. `started`: called once, when it takes
+    part. Raises RobotError before it takes part, and whatever ends its peer.
     """
-    slot, keys = robot.robot.slot, _keys(robot)
+    slot, keys = robot.robot.slot, keys_of(robot)
     journal, recalled = _journal(robot)
     try:
-        body = await _body(robot)
+        body = await opened_body(robot, dry=dry)
         try:
-            bus = await _bus(robot.bus, slot)
+            bus = await opened_bus(robot.bus, slot)
             try:
                 now_us, lot = PeerRunner.now_us(), secrets.token_bytes(16)
                 work = work_of(robot, now_us, recalled)
@@ -234,8 +249,8 @@ async def _take_part(
         raise failure
 
 
-async def _until_told(robot: RobotFile, first_boot: bool) -> None:
-    """Run until SIGTERM or SIGINT."""
+async def until_told(robot: RobotFile, *, first_boot: bool = False, dry: bool = False) -> None:
+    """Run until SIGTERM or SIGINT. Raises RobotError."""
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     for number in (signal.SIGTERM, signal.SIGINT):
         loop.add_signal_handler(number, end.set)
@@ -243,7 +258,7 @@ async def _until_told(robot: RobotFile, first_boot: bool) -> None:
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)
 
-    await run_robot(robot, end, first_boot=first_boot, started=started)
+    await run_robot(robot, end, first_boot=first_boot, dry=dry, started=started)
 
 
 def main() -> None:
@@ -259,7 +274,7 @@ def main() -> None:
     )  # fmt: skip
     options = parser.parse_args()
     try:
-        asyncio.run(_until_told(RobotFile.read(options.file), options.first_boot))
+        asyncio.run(until_told(RobotFile.read(options.file), first_boot=options.first_boot))
     except RobotError as problem:
         print(problem, file=sys.stderr)
         sys.exit(WRONG)

@@ -11,6 +11,7 @@ import asyncio
 import struct
 from collections.abc import Callable
 from pathlib import Path
+from typing import ClassVar
 
 from agent.interface.effects import Drive, GatedDrive
 from agent.interface.observation import Observation, VisibleParcel
@@ -196,6 +197,8 @@ class RemoteBody(Link):
 
 class WorldBody(RobotBody):
     """A body in the world of another process, as a robot file names it."""
+
+    has_range_sensors: ClassVar[bool] = True  # as far as the scenario gives it rays
 
     def __init__(self, slot: int, socket: str) -> None:
         """`socket`: the path that `BodyServer.start` returns."""

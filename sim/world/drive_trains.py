@@ -1,35 +1,30 @@
 """How a drive command becomes motion: wheels with limits and slip, for three kinds of drive train.
 
-Body frame: x forward, y left, turn counter-clockwise. Wheel radius R, half the wheel base L, half
-the track W, metres; wheels in rad/s.
-
-* Mecanum, rollers at 45 degrees (thesis section 5.2); goes anywhere without turning:
-
-      w_fl = (vx - vy - (L + W) turn) / R      w_fr = (vx + vy + (L + W) turn) / R
-      w_rl = (vx + vy - (L + W) turn) / R      w_rr = (vx - vy + (L + W) turn) / R
-
-* Differential: w_left = (vx - W turn) / R, w_right = (vx + W turn) / R. It turns to the commanded
-  course on the spot, front or back foremost, whichever is nearer, and drives as far as it points
-  there: slower than commanded, but never off the course.
-* Ackermann (a tractor): rear axle driven, front wheels steered, angle = atan(2 L turn / vx). It
-  turns to the commanded course as fast as its steering allows and never on the spot. It backs up
-  only when told to go almost straight back with the implement raised.
-
-Limits belong to the wheels, not to the body: a command that asks too much of one wheel is scaled as
-a whole, which keeps its direction. What the body then does is the inverse of the wheels, with slip:
-the grip of each wheel wanders with a correlation time of `GRIP_S`. Its chance is a hash of (robot's
-key, step, wheel), so it depends on nothing else that happens in the world.
+`agent/motion/wheel_kinematics.py` says how a command becomes wheel speeds. What the body then does is the
+inverse of the wheels, with slip: the grip of each wheel wanders with a correlation time of `GRIP_S`. Its
+chance is a hash of (robot's key, step, wheel), so it depends on nothing else that happens in the world.
 """
 
-from math import atan, atan2, cos, exp, hypot, pi, sin, sqrt, tan
+from math import cos, exp, hypot, sin, sqrt, tan
 from struct import Struct
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from agent.interface.vehicle import DriveTrain
+from agent.motion.wheel_kinematics import (
+    MARGIN,
+    ackermann_body,
+    ackermann_wheels,
+    differential_body,
+    differential_wheels,
+    mecanum_body,
+    mecanum_wheels,
+    pivot_course,
+    tractor_course,
+)
 
 Floats = NDArray[np.float64]
 
@@ -38,15 +33,9 @@ STEP_S = STEP_US / 1_000_000
 GRIP_S = 0.2  # half a metre of ground at field speed
 _KEEP = exp(-STEP_S / GRIP_S)
 _FRESH = sqrt(1.0 - _KEEP * _KEEP)
-MARGIN = 1.5  # wheels can do this much more than straight ahead asks: a diagonal needs 1.41
 # 0.7 g, rubber on dry ground: a robot that shoves another pushes with this at most.
 TRACTION_M_S2 = 7.0
 SPIN_RAD_S2 = 70.0  # the same, with wheels a decimetre from the middle
-BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward
-# A differential drive; between the two it keeps its present direction.
-BACK_FOREMOST_RAD, FRONT_FOREMOST_RAD = 1.8, 1.3
-PIVOT_PER_S = 4.0  # a differential drive turns this share of its course error per second
-CREEP = 0.4  # share of the wanted speed that a tractor keeps while it turns towards its course
 
 
 class Chassis(NamedTuple):
@@ -113,51 +102,6 @@ def row_of(chassis: Chassis) -> list[float]:
 
 
 @njit(cache=True, error_model="numpy")
-def mecanum_wheels(r: float, arm_m: float, vx: float, vy: float, turn: float) -> Any:
-    """Wheel speeds from body velocity; `arm_m` is L + W."""
-    a = arm_m * turn
-    return (vx - vy - a) / r, (vx + vy + a) / r, (vx + vy - a) / r, (vx - vy + a) / r
-
-
-@njit(cache=True, error_model="numpy")
-def mecanum_body(r: float, arm_m: float, fl: float, fr: float, rl: float, rr: float) -> Any:
-    """Body velocity (forward m/s, left m/s, turn rad/s) from wheel speeds in rad/s: the
-    least-squares inverse. `r` is the wheel radius, metres; `fl`, `fr`, `rl`, `rr` are front and
-    rear, left and right."""
-    q = r / 4
-    return q * (fl + fr + rl + rr), q * (-fl + fr + rl - rr), q * (-fl + fr - rl + rr) / arm_m
-
-
-@njit(cache=True, error_model="numpy")
-def differential_wheels(r: float, half_track_m: float, vx: float, turn: float) -> Any:
-    """Speeds of the left and the right wheel, rad/s, for `vx` in m/s and `turn` in rad/s. `r` is
-    the wheel radius, metres."""
-    return (vx - half_track_m * turn) / r, (vx + half_track_m * turn) / r
-
-
-@njit(cache=True, error_model="numpy")
-def differential_body(r: float, half_track_m: float, left: float, right: float) -> Any:
-    """Speed ahead, m/s, and turn rate, rad/s, of two wheels with radius `r` metres that turn with
-    `left` and `right` rad/s."""
-    return r * (left + right) / 2, r * (right - left) / (2 * half_track_m)
-
-
-@njit(cache=True, error_model="numpy")
-def ackermann_wheels(r: float, half_base_m: float, vx: float, turn: float) -> Any:
-    """Axle speed in rad/s and steering angle in radians for `vx` in m/s and `turn` in rad/s;
-    straight ahead where it stands. `r` is the wheel radius, metres."""
-    steer = atan(2 * half_base_m * turn / vx) if abs(vx) > 1e-9 else 0.0
-    return vx / r, steer
-
-
-@njit(cache=True, error_model="numpy")
-def ackermann_body(r: float, half_base_m: float, axle: float, steer: float) -> Any:
-    """Speed ahead, m/s, and turn rate, rad/s, for an axle with radius `r` metres that turns with
-    `axle` rad/s, and a steering angle `steer` in radians."""
-    return r * axle, r * axle * tan(steer) / (2 * half_base_m)
-
-
-@njit(cache=True, error_model="numpy")
 def _noise(key, step, wheel):  # type: ignore[no-untyped-def]
     """Mean 0, deviation 1, within 3.5: four 16-bit numbers of one splitmix64 hash, added."""
     z = key + (np.uint64(step) * np.uint64(4) + np.uint64(wheel)) * np.uint64(0x9E3779B97F4A7C15)
@@ -167,37 +111,6 @@ def _noise(key, step, wheel):  # type: ignore[no-untyped-def]
     low = np.uint64(0xFFFF)
     a, b, c, d = z & low, z >> np.uint64(16) & low, z >> np.uint64(32) & low, z >> np.uint64(48)
     return (float(a + b + c + d) / 65535.0 - 2.0) * 1.7320508075688772
-
-
-@njit(cache=True, error_model="numpy")
-def _tractor(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
-    """Body velocity (forward, turn) that a tractor should have for a commanded course."""
-    off = atan2(left, ahead)
-    if row[BACKING] == 0.0 and abs(off) > BACK_RAD and row[WANT_TOOL] == 0.0:
-        row[BACKING] = 1.0
-    elif row[BACKING] == 1.0 and (abs(off) < FORTH_RAD or row[WANT_TOOL] != 0.0):
-        row[BACKING] = 0.0
-    if row[BACKING] == 1.0:
-        off = off - pi if off > 0.0 else off + pi
-        speed = min(speed, row[REVERSE])
-    along = max(cos(off), CREEP) * speed
-    across = sin(off) if abs(off) < pi / 2 else (1.0 if off > 0.0 else -1.0)
-    turn += speed * across / row[LEAD]
-    return (-along if row[BACKING] == 1.0 else along), turn
-
-
-@njit(cache=True, error_model="numpy")
-def _pivot(row, speed, ahead, left, turn):  # type: ignore[no-untyped-def]
-    """Body velocity (forward, turn) of a differential drive for a commanded course."""
-    off = atan2(left, ahead)
-    if row[BACKING] == 0.0 and abs(off) > BACK_FOREMOST_RAD:
-        row[BACKING] = 1.0
-    elif row[BACKING] == 1.0 and abs(off) < FRONT_FOREMOST_RAD:
-        row[BACKING] = 0.0
-    if row[BACKING] == 1.0:
-        off = off - pi if off > 0.0 else off + pi
-    along = speed * cos(2 * off) if abs(off) < pi / 4 else 0.0
-    return (-along if row[BACKING] == 1.0 else along), turn + PIVOT_PER_S * off
 
 
 @njit(cache=True, error_model="numpy")
@@ -212,13 +125,15 @@ def _wanted(row, ahead, left, turn):  # type: ignore[no-untyped-def]
         speed = hypot(ahead, left)
         forward = 0.0
         if speed > 1e-9:
-            forward, turn = _pivot(row, speed, ahead, left, turn)
+            forward, turn, row[BACKING] = pivot_course(row[BACKING], speed, ahead, left, turn)
         a, b = differential_wheels(row[R], row[W], forward, turn)
     else:
         speed = hypot(ahead, left)
         if speed < 1e-9:
             return 0.0, row[WHEEL + 1], 0.0, 0.0
-        forward, turn = _tractor(row, speed, ahead, left, turn)
+        forward, turn, row[BACKING] = tractor_course(
+            row[BACKING], row[WANT_TOOL], row[REVERSE], row[LEAD], speed, ahead, left, turn
+        )
         a, b = ackermann_wheels(row[R], row[L], forward, turn)
         a = min(max(a, -row[LIMIT]), row[LIMIT])
         return a, min(max(b, -row[STEER]), row[STEER]), 0.0, 0.0

@@ -7,29 +7,20 @@ import socket
 import sys
 from collections.abc import Callable
 from pathlib import Path
-from typing import NamedTuple
 
 from rich.console import Console
-from rich.markup import escape
 
 from sim.files.strict_json import dumps
 from tools.build.compiled_core import place
 from tools.cli.panels import CAN_FILES, can_defaults, version_text
 from tools.common.bus_attach import AttachError, address_of_launch
 from tools.common.extras import EXTRA_OF
+from tools.common.findings import Finding, print_findings
 
 FREE_BYTES_MIN = 1 << 30  # a day's run with all its logs
 PYTHON_MIN = (3, 11)
 NETWORK = Path("/sys/class/net")  # of Linux: its CAN interfaces have type 280
 CAN_TYPE = "280"
-
-
-class Finding(NamedTuple):
-    """One thing that was looked at. `ok` None: nothing is wrong, but it is worth knowing."""
-
-    what: str
-    ok: bool | None
-    found: str
 
 
 def doctor(as_json: bool) -> int:
@@ -42,11 +33,7 @@ def doctor(as_json: bool) -> int:
         print(dumps({"ready": not bad, "findings": [finding._asdict() for finding in findings]}))
         return 1 if bad else 0
     console = Console(highlight=False)
-    marks = {True: "[green]ok  [/green]", None: "[dim]note[/dim]", False: "[red]BAD [/red]"}
-    width = max(len(finding.what) for finding in findings)
-    for finding in findings:
-        text = f"{marks[finding.ok]} {escape(f'{finding.what:<{width}}')}  {escape(finding.found)}"
-        console.print(text, soft_wrap=True)
+    print_findings(console, findings)
     console.print("ready" if not bad else f"not ready: {', '.join(f.what for f in bad)}")
     return 1 if bad else 0
 

@@ -8,7 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
-from tools.cli import bus_commands, keys, setup_commands, tasks
+from tools.cli import bus_commands, keys, robot_commands, setup_commands, tasks
 from tools.cli import test_commands as trial_commands
 from tools.cli.panels import (
     DEVELOP,
@@ -402,6 +402,7 @@ def compile_core(
 app.add_typer(bus_commands.app)
 app.add_typer(trial_commands.app)
 app.add_typer(setup_commands.app)
+app.add_typer(robot_commands.app)
 app.add_typer(coverage.app, name="coverage", cls=Panels, rich_help_panel=PLAY)
 app.add_typer(keys.app, name="keys", cls=Panels, rich_help_panel=SET_UP)
 app.add_typer(tasks.app, name="task", cls=Panels, rich_help_panel=OPERATE)

@@ -9,6 +9,7 @@ MAKERS = {
     "agent/interface/effects.py",  # HALT
     "agent/safety/stop_controller.py",  # the gate
     "sim/record/remote_body.py",  # the world's end of a socket: the gate is at the robot's end
+    "tools/run/body_check.py",  # a person tries a driver without a robot
 }
 SNIPPET = """
 from agent.interface.effects import HALT, Drive

@@ -10,10 +10,7 @@ from hypothesis import strategies as st
 
 from agent.interface.effects import Drive
 from agent.interface.vehicle import DriveTrain
-from sim.world.drive_trains import (
-    STEP_US,
-    TRACTOR,
-    Chassis,
+from agent.motion.wheel_kinematics import (
     ackermann_body,
     ackermann_wheels,
     differential_body,
@@ -21,6 +18,7 @@ from sim.world.drive_trains import (
     mecanum_body,
     mecanum_wheels,
 )
+from sim.world.drive_trains import STEP_US, TRACTOR, Chassis
 from sim.world.world import World
 
 velocity = st.floats(-12.0, 12.0)

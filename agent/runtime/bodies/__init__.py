@@ -1,0 +1,4 @@
+"""The bodies that ship: `nmea_body`, a machine with a GNSS receiver and a wheel controller, and
+`replay_body`, a recorded log. `line_port` connects to serial, TCP and UDP, `nmea_fixes` makes
+observations of sentences, `wheel_sentences` is what a wheel controller is told.
+"""

@@ -1,0 +1,122 @@
+"""A machine with a GNSS receiver, two antennas, and a controller of its wheels.
+
+    [body]
+    plugin = "nmea"
+    options = { gnss = "tcp://10.0.0.5:2947", wheels = "serial:/dev/ttyUSB0@115200" }
+
+The receiver sends NMEA 0183, at 20 Hz: a place older than 100 ms stops the robot. `nmea_fixes.py` says
+which sentences. The controller takes the sentences of `wheel_sentences.py`.
+"""
+
+import asyncio
+from collections.abc import Callable
+from typing import Final
+
+from pyproj import Transformer
+
+from agent.interface.config import ACTUATOR_TTL_US, MS
+from agent.interface.effects import HALT, Drive, GatedDrive
+from agent.interface.observation import Observation
+from agent.motion.wheel_kinematics import WheelBase, WheelDrive
+from agent.runtime.bodies.line_port import LinePort
+from agent.runtime.bodies.nmea_fixes import NmeaFixes, ReceiverClock
+from agent.runtime.bodies.wheel_sentences import NUMBERS, WheelSentence, pack
+from agent.runtime.files.field_file import plane
+from agent.runtime.robot_body import DeclaredMachine, RobotBody
+
+FIRST_S: Final = 5.0  # for the first fix; a receiver that is warm needs less
+LOOK_S: Final = 0.02
+LATENCY_MS: Final = 20.0  # typical of RTK receivers at 20 Hz
+
+
+def in_field(origin: tuple[float, float]) -> Callable[[float, float], tuple[float, float]]:
+    """Longitude and latitude to metres east and north of an origin (latitude, longitude)."""
+    transform = Transformer.from_crs("EPSG:4326", plane(origin), always_xy=True).transform
+    return lambda longitude, latitude: transform(longitude, latitude)
+
+
+class NmeaBody(RobotBody):
+    """A body by two lines of text: sentences in, wheel speeds out."""
+
+    def __init__(
+        self,
+        slot: int,
+        gnss: str,
+        wheels: str,
+        wheel_radius_m: float = 0.1,
+        antenna_ahead_m: float = 0.0,
+        antenna_left_m: float = 0.0,
+        latency_ms: float = LATENCY_MS,
+        origin: tuple[float, float] | None = None,
+    ) -> None:
+        """`gnss`, `wheels`: addresses of `LinePort`. The antenna is this far ahead and left of the
+        middle. `latency_ms`: from the time of a place to its arrival. `origin`: latitude and longitude of
+        (0, 0), if there is no field. Raises ValueError."""
+        self.slot, self.wheel_radius_m, self.origin = slot, wheel_radius_m, origin
+        self.antenna_m, self.latency_us = (antenna_ahead_m, antenna_left_m), round(latency_ms * MS)
+        self.gnss = LinePort(gnss, self._take)
+        self.wheels = LinePort(wheels, lambda line, at_us: None)
+        self.fixes: NmeaFixes | None = None
+        self.wheel_drive: WheelDrive | None = None
+        self._newest: Observation | None = None
+        self._number = 0
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        """Raises ValueError if neither the field nor the options say where (0, 0) is."""
+        origin = self.origin or machine.origin
+        if origin is None:
+            raise ValueError(
+                "without a field, options.origin says latitude and longitude of (0, 0)"
+            )
+        self.fixes = NmeaFixes(
+            in_field(origin), self.antenna_m, ReceiverClock(self.latency_us).sensed_at_us
+        )
+        self.wheel_drive = WheelDrive(WheelBase.of(machine.vehicle, self.wheel_radius_m))
+
+    async def open(self) -> None:
+        """Connect, and wait for the first place. Raises OSError."""
+        assert self.fixes is not None, "`declare` comes before `open`"
+        self._newest = None
+        self.wheels.open()
+        try:
+            self.gnss.open()
+        except OSError:
+            self.wheels.close()
+            raise
+        loop = asyncio.get_running_loop()
+        ends_at_s = loop.time() + FIRST_S
+        while self._newest is None:
+            if loop.time() > ends_at_s:
+                heard = ", ".join(f"{count} {kind}" for kind, count in self.fixes.counts.items())
+                self.close()
+                raise OSError(
+                    f"{self.gnss.address}: no place and heading in {FIRST_S:.0f} s "
+                    f"(heard: {heard or 'nothing'})"
+                )
+            await asyncio.sleep(LOOK_S)
+
+    def _take(self, line: bytes, at_us: int) -> None:
+        assert self.fixes is not None
+        self._newest = self.fixes.take(line, at_us) or self._newest
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest place with a heading."""
+        return self._newest
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        """Send wheel speeds that last for the lifetime of a command."""
+        self._send(command)
+
+    def _send(self, command: Drive) -> None:
+        here, drive = self._newest, self.wheel_drive
+        assert drive is not None, "`declare` comes before `drive`"
+        speeds = drive.still if here is None else drive.speeds(command, here.heading_rad)
+        self._number = (self._number + 1) % NUMBERS
+        life_for_ms = ACTUATOR_TTL_US // MS
+        self.wheels.write(pack(WheelSentence(self._number, life_for_ms, command.tool_on, speeds)))
+
+    def close(self) -> None:
+        """Stand, and free both ports."""
+        self._send(HALT)
+        self.wheels.close()
+        self.gnss.close()

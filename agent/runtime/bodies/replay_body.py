@@ -1,0 +1,76 @@
+"""A recorded drive: the NMEA sentences of a file, in the time in which they were sent.
+
+    [body]
+    plugin = "replay"
+    options = { log = "field-day.nmea" }
+
+The robot sees the places and drives nothing: to look at its decisions again, or to try a receiver's log.
+"""
+
+from bisect import bisect_right
+from itertools import pairwise
+from pathlib import Path
+
+from agent.interface.effects import GatedDrive
+from agent.interface.observation import Observation
+from agent.runtime.bodies.nmea_body import in_field
+from agent.runtime.bodies.nmea_fixes import NmeaFixes
+from agent.runtime.robot_body import DeclaredMachine, RobotBody
+
+LOG_BYTES_MAX = 1 << 28  # a day at 20 Hz
+
+
+class ReplayBody(RobotBody):
+    """A body that was where a log says."""
+
+    def __init__(
+        self,
+        slot: int,
+        log: str,
+        antenna_ahead_m: float = 0.0,
+        antenna_left_m: float = 0.0,
+        origin: tuple[float, float] | None = None,
+    ) -> None:
+        """`log`: a file of sentences. The other options are those of `NmeaBody`."""
+        self.log, self.origin = Path(log), origin
+        self.antenna_m = antenna_ahead_m, antenna_left_m
+        self.seen: list[Observation] = []  # times since the first
+        self._begins_at_us: int | None = None
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        """Raises ValueError if neither the field nor the options say where (0, 0) is."""
+        self.origin = self.origin or machine.origin
+        if self.origin is None:
+            raise ValueError(
+                "without a field, options.origin says latitude and longitude of (0, 0)"
+            )
+
+    async def open(self) -> None:
+        """Read the log. Raises OSError if it is not there or has no place in it."""
+        assert self.origin is not None, "`declare` comes before `open`"
+        if self.log.stat().st_size > LOG_BYTES_MAX:
+            raise OSError(f"{self.log}: more than {LOG_BYTES_MAX >> 20} MB")
+        fixes = NmeaFixes(
+            in_field(self.origin), self.antenna_m, lambda utc_at_us, arrived_at_us: utc_at_us
+        )
+        places = [each for line in self.log.read_bytes().splitlines()
+                  if (each := fixes.take(line, fixes.utc_at_us)) is not None]  # fmt: skip
+        if not places:
+            raise OSError(f"{self.log}: no place and heading in it")
+        at_us, self.seen = 0, [places[0]._replace(sensed_at_us=0)]
+        for before, after in pairwise(places):
+            at_us += max(after.sensed_at_us - before.sensed_at_us, 0)
+            self.seen.append(after._replace(sensed_at_us=at_us))
+        self._begins_at_us = None
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The place of this time; after the last one it stays, and grows old."""
+        if self._begins_at_us is None:
+            self._begins_at_us = now_us
+        since_for_us = now_us - self._begins_at_us
+        index = bisect_right(self.seen, since_for_us, key=lambda each: each.sensed_at_us) - 1
+        seen = self.seen[index]
+        return seen._replace(sensed_at_us=seen.sensed_at_us + self._begins_at_us)
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        """A log cannot be driven."""

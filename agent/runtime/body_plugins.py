@@ -1,0 +1,45 @@
+"""Bodies that a robot file names: a plug-in of the entry point group `headland.body`, or a factory.
+
+A package of yours adds a plug-in in its `pyproject.toml`:
+
+    [project.entry-points."headland.body"]
+    rover = "my_rover:Rover"
+
+Both are called with the slot and with the options of the robot file.
+"""
+
+from collections.abc import Mapping
+from importlib.metadata import entry_points
+from typing import Any, Final
+
+from agent.runtime.robot_body import FactoryError, RobotBody, called
+
+GROUP: Final = "headland.body"
+# Those of this package, also where it runs from a tree that is not installed.
+OWN: Final = {
+    "standing": "agent.runtime.robot_body:StandingBody",
+    "nmea": "agent.runtime.bodies.nmea_body:NmeaBody",
+    "sim": "sim.record.remote_body:WorldBody",  # in the world of a launch
+    "replay": "agent.runtime.bodies.replay_body:ReplayBody",
+}
+
+
+def plugins() -> Mapping[str, str]:
+    """The factory of each plug-in that is installed, by its name; ours cannot be replaced."""
+    return {point.name: point.value for point in entry_points(group=GROUP)} | OWN
+
+
+def made(
+    plugin: str | None, factory: str | None, slot: int, options: Mapping[str, Any]
+) -> RobotBody:
+    """The body of a robot. Raises FactoryError, one line."""
+    if plugin is not None:
+        known = plugins()
+        if plugin not in known:
+            raise FactoryError(f"no plug-in {plugin!r}; there are {', '.join(sorted(known))}")
+        factory = known[plugin]
+    assert factory is not None
+    body = called(factory, slot, **options)
+    if not isinstance(body, RobotBody):
+        raise FactoryError(f"{factory!r} makes no RobotBody")
+    return body

@@ -1,0 +1,67 @@
+"""A driver of a differential rover: NMEA 0183 in, wheel speeds out (docs/use/own_machine.md)."""
+
+from math import cos, inf, radians, sin
+from typing import Any
+
+from headland.agent.interface.effects import HALT, GatedDrive
+from headland.agent.interface.observation import Observation
+from headland.agent.motion.wheel_kinematics import WheelBase, WheelDrive
+from headland.agent.runtime.bodies.line_port import LinePort
+from headland.agent.runtime.bodies.wheel_sentences import WheelSentence, pack
+from headland.agent.runtime.files.field_file import plane
+from headland.agent.runtime.robot_body import DeclaredMachine, RobotBody
+from pynmeagps import NMEAReader
+from pyproj import Transformer
+
+
+class Rover(RobotBody):
+    def __init__(self, slot: int, gnss: int = 5001, wheels: int = 5002) -> None:
+        self.receiver = LinePort(f"tcp://127.0.0.1:{gnss}", self.take)
+        self.controller = LinePort(f"tcp://127.0.0.1:{wheels}", lambda line, at_us: None)
+        self.offset_us, self.accuracy_m, self.velocity = inf, inf, (0.0, 0.0)
+        self.place: Any = None
+        self.newest: Observation | None = None
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        assert machine.origin is not None
+        to_metres = Transformer.from_crs("EPSG:4326", plane(machine.origin), always_xy=True)
+        self.to_metres = to_metres.transform
+        self.wheel_drive = WheelDrive(WheelBase.of(machine.vehicle, wheel_radius_m=0.1))
+
+    async def open(self) -> None:
+        self.newest = None
+        self.receiver.open()
+        self.controller.open()
+
+    def take(self, line: bytes, at_us: int) -> None:
+        said: Any = NMEAReader.parse(line + b"\r\n")
+        if said.msgID == "GGA":
+            t = said.time
+            utc_us = (t.hour * 3600 + t.minute * 60 + t.second) * 1_000_000 + t.microsecond
+            self.offset_us = min(self.offset_us, at_us - utc_us)  # what arrives later is late
+            sensed_at_us = round(utc_us + self.offset_us - 20_000)  # it takes 20 ms at least
+            self.place = *self.to_metres(said.lon, said.lat), sensed_at_us
+        elif said.msgID == "GST":
+            self.accuracy_m = max(said.stdLat, said.stdLong)
+        elif said.msgID == "VTG":
+            course, speed_m_s = radians(90 - said.cogt), said.sogk / 3.6
+            self.velocity = speed_m_s * cos(course), speed_m_s * sin(course)
+        elif said.msgID == "HDT" and self.place is not None:
+            x_m, y_m, sensed_at_us = self.place
+            place = Observation(x_m, y_m, radians(90 - said.headingT), *self.velocity)
+            self.newest = place._replace(
+                sensed_at_us=sensed_at_us, position_accuracy_m=self.accuracy_m
+            )
+
+    def sense(self, now_us: int) -> Observation | None:
+        return self.newest
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        if self.newest is not None:
+            speeds = self.wheel_drive.speeds(command, self.newest.heading_rad)
+            self.controller.write(pack(WheelSentence(0, 100, command.tool_on, speeds)))
+
+    def close(self) -> None:
+        self.drive(HALT, 0)
+        self.receiver.close()
+        self.controller.close()

@@ -1,0 +1,138 @@
+"""Lines over real sockets: whole lines, a device that goes and comes back, and one that does not read."""
+
+import socket
+from collections.abc import Callable, Iterator
+from queue import SimpleQueue
+
+import pytest
+
+from agent.runtime.bodies.line_port import LINE_MAX, LinePort
+
+LIMIT_S = 10.0
+
+
+@pytest.fixture
+def server() -> Iterator[socket.socket]:
+    with socket.create_server(("127.0.0.1", 0)) as listening:
+        listening.settimeout(LIMIT_S)
+        yield listening
+
+
+Open = Callable[[str], tuple[LinePort, "SimpleQueue[bytes]"]]
+
+
+@pytest.fixture
+def opened() -> Iterator[Open]:
+    made: list[LinePort] = []
+
+    def make(address: str) -> tuple[LinePort, "SimpleQueue[bytes]"]:
+        lines: SimpleQueue[bytes] = SimpleQueue()
+        port = LinePort(address, lambda line, at_us: lines.put(line))
+        made.append(port)
+        port.open()
+        return port, lines
+
+    yield make
+    for port in made:
+        port.close()
+
+
+def where(server: socket.socket) -> str:
+    return f"tcp://127.0.0.1:{server.getsockname()[1]}"
+
+
+def test_lines_arrive_whole_and_in_order(server: socket.socket, opened: Open) -> None:
+    _, lines = opened(where(server))
+    device, _ = server.accept()
+    for part in (b"on", b"e\r\ntwo\nthr", b"ee\n" + b"x" * (LINE_MAX + 1), b"y\nfour\n"):
+        device.sendall(part)
+    got = [lines.get(timeout=LIMIT_S) for _ in range(3)]
+    assert got == [b"one", b"two", b"three"]
+    while (line := lines.get(timeout=LIMIT_S)) != b"four":
+        assert len(line) <= LINE_MAX + 2
+    device.close()
+
+
+def test_a_device_that_comes_back_is_read_again(server: socket.socket, opened: Open) -> None:
+    port, lines = opened(where(server))
+    first, _ = server.accept()
+    first.sendall(b"half a li")
+    first.close()
+    second, _ = server.accept()
+    second.sendall(b"whole\n")
+    assert lines.get(timeout=LIMIT_S) == b"whole"
+    assert port.write(b"told\n") and second.recv(100) == b"told\n"
+    second.close()
+
+
+def test_a_device_that_does_not_read_never_makes_us_wait(
+    server: socket.socket, opened: Open
+) -> None:
+    port, _ = opened(where(server))
+    device, _ = server.accept()
+    while port.write(b"x" * 1000):  # until its buffers are full
+        pass
+    assert port.dropped
+    device.close()
+
+
+def test_a_line_at_which_a_driver_fails_costs_this_line(server: socket.socket) -> None:
+    lines: SimpleQueue[bytes] = SimpleQueue()
+
+    def taken(line: bytes, at_us: int) -> None:
+        lines.put(bytes([int(line)]))
+
+    port = LinePort(where(server), taken)
+    port.open()
+    device, _ = server.accept()
+    device.sendall(b"1\nno number\n2\n")
+    assert [lines.get(timeout=LIMIT_S) for _ in range(2)] == [b"\1", b"\2"] and port.failed == 1
+    port.close()
+    device.close()
+
+
+def test_datagrams_are_lines_and_the_last_sender_is_answered(opened: Open) -> None:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as device:
+        device.bind(("127.0.0.1", 0))
+        device.settimeout(LIMIT_S)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
+            free.bind(("127.0.0.1", 0))
+            number = free.getsockname()[1]
+        port, lines = opened(f"udp://127.0.0.1:{number}")
+        assert not port.write(b"to nobody yet\n")
+        device.sendto(b"one\ntwo", ("127.0.0.1", number))
+        assert [lines.get(timeout=LIMIT_S) for _ in range(2)] == [b"one", b"two"]
+        assert port.write(b"answer\n") and device.recv(100) == b"answer\n"
+
+
+def test_nothing_there_is_one_line(opened: Open) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as gone:
+        address = where(gone)
+    with pytest.raises(OSError, match="refused"):
+        opened(address)
+
+
+@pytest.mark.parametrize(
+    "address", ["", "tcp://host", "tcp://host:0", "http://host:80", "serial:", "serial:/dev/x@fast"]
+)
+def test_an_address_of_another_form_is_refused(address: str) -> None:
+    with pytest.raises(ValueError, match=r"is not|is no"):
+        LinePort(address, lambda line, at_us: None)
+
+
+def test_a_serial_port_is_read_and_written() -> None:
+    """A real pseudo-terminal under the real pyserial."""
+    pytest.importorskip("serial", reason="the extra nmea is not installed")
+    import os
+    import pty
+
+    device, name = pty.openpty()
+    lines: SimpleQueue[bytes] = SimpleQueue()
+    port = LinePort(f"serial:{os.ttyname(name)}@115200", lambda line, at_us: lines.put(line))
+    port.open()
+    os.write(device, b"$GNHDT,1.0,T*1B\r\n")
+    assert lines.get(timeout=LIMIT_S) == b"$GNHDT,1.0,T*1B"
+    assert port.write(b"told\n") and os.read(device, 100) == b"told\n"
+    port.close()
+    os.close(device)
+    os.close(name)

@@ -1,0 +1,128 @@
+"""Observations from sentences: units, axes, times, and what is left out or broken."""
+
+from functools import reduce
+from math import cos, degrees, pi, radians, remainder, sin
+from operator import xor
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.interface.config import S
+
+pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
+
+from agent.runtime.bodies.nmea_body import in_field
+from agent.runtime.bodies.nmea_fixes import DAY_US, NmeaFixes, ReceiverClock
+
+ORIGIN = (52.0, 5.0)
+LATENCY_US = 20_000
+
+
+def sentence(body: str) -> bytes:
+    return b"$%b*%02X" % (body.encode(), reduce(xor, body.encode(), 0))
+
+
+def gga(clock: str = "123519.20", place: str = "5200.0000,N,00500.0000,E", kind: int = 4) -> bytes:
+    return sentence(f"GNGGA,{clock},{place},{kind},17,0.6,80.0,M,46.0,M,1.0,0001")
+
+
+def hdt(bearing: float) -> bytes:
+    return sentence(f"GNHDT,{bearing:.3f},T")
+
+
+def fixes(antenna_m: tuple[float, float] = (0.0, 0.0)) -> NmeaFixes:
+    return NmeaFixes(in_field(ORIGIN), antenna_m, ReceiverClock(LATENCY_US).sensed_at_us)
+
+
+# As recorded from receivers of three makers; the places are those of their manuals.
+RECORDED = [
+    b"$GPGGA,172814.0,3723.46587704,N,12202.26957864,W,2,6,1.2,18.893,M,-25.669,M,2.0,0031*4F",
+    b"$GNGGA,092725.00,4717.11399,N,00833.91590,E,4,08,1.01,499.6,M,48.0,M,1.0,0000*6E",
+    b"$GPHDT,123.456,T*32",
+    b"$GPGST,172814.0,0.006,0.023,0.020,273.6,0.023,0.020,0.031*6A",
+    b"$GPVTG,,T,,M,0.00,N,0.00,K*4E",
+]
+
+
+def test_recorded_sentences_are_taken_or_counted() -> None:
+    taken = fixes()
+    for at_us, line in enumerate(RECORDED):
+        taken.take(line, at_us)
+    assert taken.counts["GGA"] + taken.counts["malformed"] >= 2 and taken.counts["HDT"] == 1
+
+
+def test_a_place_and_a_heading_make_an_observation() -> None:
+    taken = fixes()
+    assert taken.take(gga(place="5200.0600,N,00500.0600,E"), S) is None
+    seen = taken.take(hdt(90.0), S + 5_000)
+    assert seen is not None
+    # A minute of arc is 1,854 m north here, and 1,145 m east (WGS 84, 52 degrees).
+    assert seen.y_m == pytest.approx(0.06 * 1854.6, abs=0.3)
+    assert seen.x_m == pytest.approx(0.06 * 1145.0, abs=0.3)
+    assert seen.heading_rad == pytest.approx(0.0), "a bearing of 90 degrees is east"
+    assert seen.sensed_at_us == S - LATENCY_US and seen.position_accuracy_m == 0.02
+
+
+@pytest.mark.parametrize("bearing", [0.0, 45.0, 180.0, 271.0])
+def test_the_antenna_is_ahead_and_left_of_the_middle(bearing: float) -> None:
+    taken = fixes((2.0, 0.5))
+    taken.take(gga(), 0)
+    seen = taken.take(hdt(bearing), 0)
+    assert seen is not None
+    course = radians(90 - bearing)
+    x_m = seen.x_m + 2.0 * cos(course) - 0.5 * sin(course)
+    y_m = seen.y_m + 2.0 * sin(course) + 0.5 * cos(course)
+    assert (x_m, y_m) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
+def test_velocity_is_of_the_course_over_ground() -> None:
+    taken = fixes()
+    taken.take(sentence("GNVTG,180.0,T,,M,1.944,N,3.600,K,D"), 0)
+    taken.take(gga(), 0)
+    seen = taken.take(hdt(0.0), 0)
+    assert seen is not None and (seen.vx_m_s, seen.vy_m_s) == pytest.approx((0.0, -1.0), abs=1e-9)
+
+
+def test_gst_says_the_accuracy_until_it_is_old() -> None:
+    taken = fixes()
+    taken.take(sentence("GNGST,123519.20,0.5,0.3,0.3,0.0,0.31,0.11,0.5"), 0)
+    taken.take(gga(), 0)
+    seen = taken.take(hdt(0.0), 0)
+    assert seen is not None and seen.position_accuracy_m == 0.31
+    taken.take(gga("123529.20", kind=5), 10 * S)
+    seen = taken.take(hdt(0.0), 10 * S)
+    assert seen is not None and seen.position_accuracy_m == 0.4
+
+
+def test_a_repeated_place_and_one_without_a_fix_are_no_places() -> None:
+    taken = fixes()
+    taken.take(gga(), 0)
+    assert taken.take(hdt(0.0), 0) is not None
+    taken.take(gga(), S)
+    assert taken.take(hdt(0.0), S) is None and taken.counts["repeated"] == 1
+    taken.take(gga("123520.20", kind=0), S)
+    assert taken.take(hdt(0.0), S) is None
+
+
+def test_what_arrives_late_is_as_old_as_it_is() -> None:
+    clock = ReceiverClock(LATENCY_US)
+    begin_us = DAY_US - 30 * S  # over midnight
+    for tick in range(2000):
+        utc_us, delay_us = (begin_us + tick * 50_000) % DAY_US, 500_000 * (tick % 7 == 3)
+        arrived_us = 7 * S + tick * 50_000 + delay_us
+        sensed_us = clock.sensed_at_us(utc_us, arrived_us)
+        assert sensed_us == arrived_us - delay_us - LATENCY_US
+
+
+@given(st.binary(max_size=100), st.integers(0, 60 * S))
+def test_no_bytes_are_an_exception(line: bytes, at_us: int) -> None:
+    taken = fixes()
+    taken.take(gga(), at_us)
+    taken.take(line, at_us)
+    body = bytes(each for each in line if 32 <= each < 127 and each not in b"$*")
+    for kind in (b"GNGGA,", b"GNHDT,", b"GNVTG,", b"GNGST,", b"GNRMC,", b"GNTHS,"):
+        whole = kind + body
+        taken.take(b"$%b*%02X" % (whole, reduce(xor, whole, 0)), at_us)
+    seen = taken.take(hdt(degrees(1.0)), at_us)
+    assert seen is None or abs(remainder(seen.heading_rad, 2 * pi)) <= pi

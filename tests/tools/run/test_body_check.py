@@ -1,0 +1,175 @@
+"""Drivers on simulated machines in processes of their own: ours pass, and broken ones do not."""
+
+import asyncio
+import json
+import subprocess
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from math import hypot, pi
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
+
+from agent.interface.effects import Drive, GatedDrive
+from agent.interface.observation import Observation
+from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.runtime.bodies.nmea_body import NmeaBody
+from agent.runtime.robot_body import DeclaredMachine
+from tests.tools.launching import ENVIRONMENT, ROOT
+from tools.run.body_check import CHECKS, BodyTrial, judged
+
+ORIGIN = (52.0, 5.0)
+Machine = Callable[[str], dict[str, Any]]
+
+
+@pytest.fixture
+def machine() -> Iterator[Machine]:
+    running: list[subprocess.Popen[str]] = []
+
+    def start(drive: str) -> dict[str, Any]:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "tools.cli.headland", "machine", "--drive", drive, "--gnss", "0",
+             "--wheels", "0", "--orders", "0", "--place=-2,3,100", "--json"],
+            cwd=ROOT, env=ENVIRONMENT, stdout=subprocess.PIPE, text=True,
+        )  # fmt: skip
+        running.append(process)
+        assert process.stdout is not None
+        found: dict[str, Any] = json.loads(process.stdout.readline())
+        return found
+
+    yield start
+    for process in running:
+        process.terminate()
+        process.wait()
+
+
+def trial(
+    ports: dict[str, Any], drive: str = "differential", body: type[NmeaBody] = NmeaBody
+) -> BodyTrial:
+    vehicle = Vehicle(drive=DriveTrain[drive.upper()])
+    gnss, wheels = (f"tcp://127.0.0.1:{ports[name]}" for name in ("gnss", "wheels"))
+    made = body(0, gnss, wheels)
+    made.declare(DeclaredMachine(vehicle, ORIGIN))
+    return BodyTrial(made, vehicle, ("127.0.0.1", ports["orders"]))
+
+
+def failed(tried: BodyTrial, names: Sequence[str] = ()) -> dict[str, str]:
+    """What failed of these checks, or of all."""
+    chosen = {name: check for name, check in CHECKS.items() if not names or name in names}
+    findings = asyncio.run(judged(tried, lambda finding: None, chosen))
+    return {each.what: each.found for each in findings if each.ok is not True}
+
+
+def test_our_driver_opens_has_its_times_and_stops_with_its_commands(machine: Machine) -> None:
+    assert failed(trial(machine("differential")), ("opens", "times", "life of a command")) == {}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("drive", ["mecanum", "differential", "ackermann"])
+def test_our_driver_passes_all_ten(drive: str, machine: Machine) -> None:
+    assert len(CHECKS) == 10 and failed(trial(machine(drive), drive)) == {}
+
+
+class NewTimes(NmeaBody):
+    """It says that every place is of now."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return None if seen is None else seen._replace(sensed_at_us=now_us)
+
+
+class LateTimes(NmeaBody):
+    """It has a clock of its own."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return None if seen is None else seen._replace(sensed_at_us=seen.sensed_at_us + 10**6)
+
+
+class Bearings(NmeaBody):
+    """It takes bearings for headings."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return None if seen is None else seen._replace(heading_rad=pi / 2 - seen.heading_rad)
+
+
+class Kilometres(NmeaBody):
+    """It takes metres a second for kilometres an hour."""
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        slower = command._replace(vx_m_s=command.vx_m_s / 3.6, vy_m_s=command.vy_m_s / 3.6)
+        super().drive(GatedDrive(slower), now_us)
+
+
+class Mirrored(NmeaBody):
+    """North is south."""
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        super().drive(GatedDrive(command._replace(vy_m_s=-command.vy_m_s)), now_us)
+
+
+class Boastful(NmeaBody):
+    """It says an accuracy that it does not have."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return None if seen is None else seen._replace(position_accuracy_m=0.001)
+
+
+class KeepsOn(NmeaBody):
+    """It repeats the last command by itself."""
+
+    last = Drive(0.0, 0.0)
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        self.last = command
+        super().drive(command, now_us)
+
+    def sense(self, now_us: int) -> Observation | None:
+        if hypot(self.last.vx_m_s, self.last.vy_m_s):
+            super().drive(GatedDrive(self.last), now_us)
+        return super().sense(now_us)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("driver", "check"),
+    [
+        (NewTimes, "missing places"), (LateTimes, "times"), (Bearings, "ahead"),
+        (Kilometres, "ahead"), (Mirrored, "sides"), (Boastful, "accuracy"),
+        (KeepsOn, "life of a command"),
+    ],
+)  # fmt: skip
+def test_a_broken_driver_fails(driver: type[NmeaBody], check: str, machine: Machine) -> None:
+    assert check in failed(trial(machine("differential"), body=driver), ("opens", check))
+
+
+@pytest.mark.slow
+def test_the_example_passes_all_ten_by_the_command_of_its_tutorial(machine: Machine) -> None:
+    ports = machine("differential")
+    folder = ROOT / "examples" / "robot"
+    assert sum(bool(line.strip()) for line in (folder / "rover.py").read_text().splitlines()) <= 60
+    done = subprocess.run(
+        [sys.executable, "-m", "headland", "body-check", "rover:Rover", "--origin", "52,5",
+         "--option", f"gnss={ports['gnss']}", "--option", f"wheels={ports['wheels']}",
+         "--machine", f"127.0.0.1:{ports['orders']}"],
+        cwd=folder, env={**ENVIRONMENT, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+        check=False, timeout=200,
+    )  # fmt: skip
+    assert done.returncode == 0 and "10 of 10 checks passed" in done.stdout, (
+        done.stdout + done.stderr
+    )
+
+
+def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
+    for name in ("nowhere:Body", "nmae", "random:Random"):
+        done = subprocess.run(
+            [sys.executable, "-m", "tools.cli.headland", "body-check", name],
+            cwd=tmp_path, env={**ENVIRONMENT, "PYTHONPATH": str(ROOT)}, capture_output=True, text=True,
+            check=False, timeout=60,
+        )  # fmt: skip
+        assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr

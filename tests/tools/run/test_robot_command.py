@@ -1,0 +1,124 @@
+"""`headland robot` as a person calls it: what is missing, what runs, and nothing of the simulator."""
+
+import json
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.tools.launching import ENVIRONMENT, ROOT
+
+LIMIT_S = 60
+FILE = """
+name = "try"
+[fleet]
+robots = 3
+[bus]
+interface = "virtual"
+channel = "try"
+[[machine]]
+slot = 2
+body_options = { x_m = 5.0 }
+"""
+SPY = """
+import atexit, sys
+def tell():
+    print("foreign", sorted(each for each in sys.modules if each.split(".")[0] == "sim"), file=sys.stderr)
+atexit.register(tell)
+"""
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Iterator[Path]:
+    (tmp_path / "fleet.toml").write_text(FILE)
+    (tmp_path / "spy").mkdir()
+    (tmp_path / "spy" / "sitecustomize.py").write_text(SPY)
+    yield tmp_path
+
+
+def begin(folder: Path, *words: str) -> "subprocess.Popen[str]":
+    return subprocess.Popen(
+        [sys.executable, "-m", "tools.cli.headland", "robot", *words], cwd=folder,
+        env={**ENVIRONMENT, "PYTHONPATH": f"{folder / 'spy'}:{ROOT}"},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+
+
+def end(process: "subprocess.Popen[str]") -> tuple[int, str, str]:
+    out, err = process.communicate(timeout=LIMIT_S)
+    return process.returncode, out, err
+
+
+def test_check_says_what_would_run_and_what_is_missing(folder: Path) -> None:
+    code, out, err = end(begin(folder, "fleet.toml", "--slot", "2", "--check", "--json"))
+    found: dict[str, Any] = json.loads(out)
+    said = {each["what"]: each["found"] for each in found["findings"]}
+    assert code == 0 and found["ready"], (out, err)
+    assert "robot 2 of 3" in said["file"] and "5.00 m east" in said["place"]
+    assert "does not see people" in said["ranges"] and "--first-boot" in said["memory"]
+    assert "foreign []" in err, "nothing of the simulator is imported"
+    assert list(folder.glob("*.sqlite")) == [], "a check leaves nothing behind"
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--slot", "3"), "robot.slot: 3 is not one of 3 robots (0 to 2)"),
+        ((), "robot: is missing"),
+        (
+            ("--slot", "1", "--body", "nmae"),
+            "no plug-in 'nmae'; there are nmea, replay, sim, standing",
+        ),
+        (("--slot", "1", "--body", "nmea"), "body.plugin:"),
+        (("--slot", "1", "-i", "sokketcan"), "bus: cannot open sokketcan try"),
+    ],
+)
+def test_what_is_wrong_is_one_line(words: tuple[str, ...], said: str, folder: Path) -> None:
+    code, _, err = end(begin(folder, "fleet.toml", *words))
+    lines = [line for line in err.splitlines() if line.startswith("headland:")]
+    assert code == 2 and said in lines[-1] and "Traceback" not in err, err
+
+
+def test_check_names_each_thing_that_is_not_ready(folder: Path) -> None:
+    words = ("--slot", "1", "--body", "replay", "-i", "sokketcan", "--check")
+    code, out, _ = end(begin(folder, "fleet.toml", *words))
+    assert code == 2 and out.splitlines()[-1] == "not ready: bus, body", out
+
+
+@pytest.mark.parametrize("dry", [(), ("--dry",)], ids=["driven", "dry"])
+def test_it_takes_part_and_ends_with_a_farewell(dry: tuple[str, ...], folder: Path) -> None:
+    process = begin(folder, "fleet.toml", "--slot", "0", "--first-boot", *dry)
+    assert process.stdout is not None and process.stdout.readline() == "robot 0 is up\n"
+    process.send_signal(signal.SIGTERM)
+    code, _, err = end(process)
+    assert code == 0 and "foreign []" in err, err
+    assert (folder / "robot0.sqlite").exists()
+
+
+def test_a_driver_beside_the_robot_file_is_found(folder: Path) -> None:
+    (folder / "machines").mkdir()
+    place = folder / "machines"
+    (place / "mine.py").write_text(
+        "from agent.runtime.robot_body import StandingBody\n"
+        "class Mine(StandingBody):\n    has_range_sensors = True\n"
+    )
+    (place / "fleet.toml").write_text(FILE + '[body]\nfactory = "mine:Mine"\n')
+    code, out, _ = end(begin(folder, "machines/fleet.toml", "--slot", "1", "--check"))
+    assert code == 0 and "mine:Mine" in out and "ranges  yes" in out, out
+
+
+def test_a_plugin_of_another_package_is_found(folder: Path) -> None:
+    spy = folder / "spy"
+    (spy / "rover_of_others.py").write_text(
+        "from agent.runtime.robot_body import StandingBody as Rover\n"
+    )
+    metadata = spy / "rover-1.0.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: rover\nVersion: 1.0\n")
+    (metadata / "entry_points.txt").write_text("[headland.body]\nrover = rover_of_others:Rover\n")
+    code, out, _ = end(begin(folder, "fleet.toml", "--slot", "1", "--body", "rover", "--check"))
+    assert code == 0 and "body    rover" in out, out

@@ -1,0 +1,140 @@
+"""Commands for real machines: a robot as a process, the checks of its driver, a machine to try it on."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from tools.cli.panels import OPERATE, SET_UP
+from tools.common.options import PORT_MAX, Drive, Json
+
+app = typer.Typer()
+
+
+def _numbers(text: str, form: str) -> list[float]:
+    try:
+        values = [float(each) for each in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != form.count(",") + 1:
+        raise typer.BadParameter(f"not {form}: {text!r}")
+    return values
+
+
+def _place(text: str) -> tuple[float, float]:
+    latitude, longitude = _numbers(text, "LATITUDE,LONGITUDE")
+    return latitude, longitude
+
+
+@app.command(rich_help_panel=OPERATE)
+def robot(
+    file: Annotated[
+        Path, typer.Argument(help="The robot file, or that of the whole fleet (TOML).")
+    ],
+    slot: Annotated[
+        int | None, typer.Option(min=0, help="Which robot of the fleet this machine is.")
+    ] = None,
+    interface: Annotated[
+        str | None,
+        typer.Option("-i", "--interface", help="python-can interface, instead of the file's."),
+    ] = None,
+    channel: Annotated[
+        str | None, typer.Option("-c", "--channel", help="Channel, instead of the file's.")
+    ] = None,
+    body: Annotated[
+        str | None,
+        typer.Option(help="Body plug-in, instead of the file's: nmea, replay, standing."),
+    ] = None,
+    first_boot: Annotated[
+        bool, typer.Option("--first-boot", help="A new machine: an empty memory is no loss.")
+    ] = False,
+    check: Annotated[
+        bool, typer.Option("--check", help="Only tell what would run, and what is missing.")
+    ] = False,
+    dry: Annotated[
+        bool, typer.Option("--dry", help="Take part, and drive nothing: the body stands.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Run one robot on a machine: its bus, its body, its work and its memory from a file.
+
+    Exit 0 after a farewell (Ctrl-C, SIGTERM), 2 if a person has to mend something first.
+    Example: headland robot fleet.toml --slot 1 -i socketcan -c can0 --body nmea --check
+    """
+    from agent.runtime.robot_file import Changes
+    from tools.run.robot_command import robot as command
+
+    changes = Changes(slot, interface, channel, body)
+    raise SystemExit(
+        command(file, changes, first_boot=first_boot, check=check, dry=dry, as_json=json)
+    )
+
+
+@app.command("body-check", rich_help_panel=SET_UP)
+def body_check(
+    body: Annotated[str, typer.Argument(help="A body plug-in, or MODULE:CLASS of your own.")],
+    option: Annotated[
+        list[str] | None, typer.Option(help="KEY=VALUE for the body; may be repeated.")
+    ] = None,
+    drive: Annotated[Drive, typer.Option(help="Its drive train.")] = "differential",
+    speed: Annotated[float, typer.Option(help="Its top speed, m/s.")] = 2.5,
+    acceleration: Annotated[float, typer.Option(help="m/s2.")] = 1.5,
+    wheelbase: Annotated[float, typer.Option(help="Front to rear axle, m.")] = 1.2,
+    track: Annotated[float, typer.Option(help="Left to right wheel, m.")] = 1.0,
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Of (0, 0), degrees.")
+    ] = None,
+    machine: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Orders of a simulated machine.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Try a driver with ten checks. The machine drives some metres in every direction.
+
+    Exit 0 if no check failed, 1 if one did.
+    Example: headland body-check rover:Rover --origin 52,5 --machine 127.0.0.1:5003
+    """
+    from agent.interface.vehicle import DriveTrain, Vehicle
+    from tools.run.body_check import body_check as command
+
+    vehicle = Vehicle(
+        speed_m_s=speed, acceleration_m_s2=acceleration, drive=DriveTrain[drive.upper()],
+        wheelbase_m=wheelbase, track_m=track,
+    )  # fmt: skip
+    raise SystemExit(
+        command(body, option or [], vehicle, _place(origin) if origin else None, machine, json)
+    )
+
+
+@app.command(rich_help_panel=SET_UP)
+def machine(
+    drive: Annotated[Drive, typer.Option(help="Its drive train.")] = "differential",
+    origin: Annotated[str, typer.Option(metavar="LAT,LON", help="Of (0, 0), degrees.")] = "52,5",
+    place: Annotated[
+        str, typer.Option(metavar="X,Y,DEGREES", help="Metres east and north, degrees from east.")
+    ] = "0,0,0",
+    host: Annotated[str, typer.Option(help="Address to listen on.")] = "127.0.0.1",
+    gnss: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 5001,
+    wheels: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 5002,
+    orders: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 5003,
+    rate: Annotated[float, typer.Option(min=1.0, max=50.0, help="Of the receiver, Hz.")] = 20.0,
+    seed: Annotated[int, typer.Option(help="Of its noise.")] = 1,
+    json: Json = False,
+) -> None:
+    """A simulated machine: a GNSS receiver and a wheel controller on TCP ports.
+
+    A line to the orders' port makes it fail: muted 3, frozen 3, jumped 2 0 3, late 0.5 3, deaf 3, where.
+    Exit 2 if a port is taken.
+    Example: headland machine --drive ackermann --origin 52.1,5.2
+    """
+    from math import radians
+
+    from tools.run.machine_command import machine as command
+
+    x_m, y_m, heading_deg = _numbers(place, "X,Y,DEGREES")
+    raise SystemExit(
+        command(
+            drive, _place(origin), (x_m, y_m, radians(heading_deg)), (gnss, wheels, orders), host, seed,
+            rate, json,
+        )
+    )  # fmt: skip

@@ -1,0 +1,406 @@
+"""`headland body-check`: ten checks of a driver on a machine that may move some metres.
+
+The driver is judged by what it senses. With the simulated machine (`headland machine`) muted and late
+places are tried as well, and the truth of the machine is compared with what the driver senses.
+"""
+
+import asyncio
+import json
+import sys
+import time
+from collections.abc import Awaitable, Callable, Mapping, Sequence
+from itertools import pairwise
+from math import atan2, cos, degrees, dist, hypot, isfinite, pi, radians, remainder, sin
+from typing import Any, Final, NamedTuple
+
+from rich.console import Console
+
+from agent.interface.config import ACTUATOR_TTL_US, BRAKING_SHARE, CONTROL_PERIOD_US, S
+from agent.interface.effects import HALT, Drive, GatedDrive
+from agent.interface.observation import Observation
+from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.peer.sense_freshness import AGE_MAX_US, HEADING_ACCURACY_RAD, POSITION_ACCURACY_M
+from agent.runtime.body_plugins import made, plugins
+from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody
+from sim.files.strict_json import dumps
+from tools.common.findings import Finding, print_findings
+from tools.run.robot_command import import_from
+
+WRONG, INTERRUPTED = 2, 130
+SPEED_M_S: Final = 0.5  # at most, while it is tried
+OPEN_S: Final = 10.0
+STANDS_M_S: Final = 0.05  # slower is standing: a receiver is never quite still
+ASIDE_RAD: Final = radians(20.0)  # a course may be off by this after the run-up
+SHARE: Final = 0.3  # a speed may be off by this share
+WINDOW_S: Final = 0.4  # speeds are taken over this time, for noise of a centimetre
+DETECTED_S: Final = 0.25  # for standing to show in places that are noisy
+MUTED_S: Final = 0.8
+LATE_S: Final = 0.5
+
+
+class SensedSample(NamedTuple):
+    """What the driver sensed at a time."""
+
+    at_us: int
+    seen: Observation | None
+
+
+class WrongError(Exception):
+    """One line: why a check is not passed."""
+
+
+class BodyTrial:
+    """A body that is commanded every control period, and what it senses."""
+
+    def __init__(self, body: RobotBody, vehicle: Vehicle, orders: tuple[str, int] | None) -> None:
+        """`orders`: host and port of the simulated machine's orders, if it is one."""
+        self.body, self.vehicle, self.orders = body, vehicle, orders
+        self.speed_m_s = min(SPEED_M_S, vehicle.speed_m_s)
+
+    @staticmethod
+    def now_us() -> int:
+        """The clock of the contract."""
+        return time.monotonic_ns() // 1000
+
+    async def run(self, command: Drive | None, for_s: float) -> list[SensedSample]:
+        """Command it for a time (None: say nothing), and sense every period."""
+        samples = []
+        start_us = due_us = self.now_us()
+        while due_us < start_us + for_s * S:
+            now_us = self.now_us()
+            samples.append(SensedSample(now_us, self.body.sense(now_us)))
+            if command is not None:
+                self.body.drive(GatedDrive(command), self.now_us())
+            due_us += CONTROL_PERIOD_US
+            await asyncio.sleep(max(due_us - self.now_us(), 0) / S)
+        return samples
+
+    def here(self) -> Observation:
+        """The newest observation. Raises WrongError."""
+        seen = self.body.sense(self.now_us())
+        if seen is None:
+            raise WrongError("nothing is sensed")
+        return seen
+
+    def towards(self, angle_rad: float) -> Drive:
+        """A command with this course from the present heading."""
+        course_rad = self.here().heading_rad + angle_rad
+        return Drive(self.speed_m_s * cos(course_rad), self.speed_m_s * sin(course_rad))
+
+    async def order(self, line: str) -> Any:
+        """The simulated machine's answer to an order."""
+        assert self.orders is not None
+        reader, writer = await asyncio.open_connection(*self.orders)
+        writer.write(line.encode() + b"\n")
+        answer = (await reader.readline()).strip()
+        writer.close()
+        return json.loads(answer) if answer.startswith(b"{") else answer.decode()
+
+    async def stand(self) -> None:
+        """Let it stop."""
+        await self.run(HALT, 0.5 + self.stops_in_s)
+
+    @property
+    def stops_in_s(self) -> float:
+        """How long a robot plans to brake from the speed of a trial."""
+        return self.speed_m_s / (BRAKING_SHARE * self.vehicle.acceleration_m_s2)
+
+
+def seen_in(samples: Sequence[SensedSample]) -> list[Observation]:
+    """The observations, each once. Raises WrongError if there are fewer than two."""
+    seen = [sample.seen for sample in samples if sample.seen is not None]
+    once = [*seen[:1], *(b for a, b in pairwise(seen) if b.sensed_at_us != a.sensed_at_us)]
+    if len(once) < 2:
+        raise WrongError("the place has no new times")
+    return once
+
+
+def speed_of(first: Observation, last: Observation) -> tuple[float, float]:
+    """Metres a second and course between two observations."""
+    passed_s = max(last.sensed_at_us - first.sensed_at_us, 1) / S
+    x_m, y_m = last.x_m - first.x_m, last.y_m - first.y_m
+    return hypot(x_m, y_m) / passed_s, atan2(y_m, x_m)
+
+
+def windows(seen: Sequence[Observation]) -> list[tuple[Observation, Observation]]:
+    """Pairs of observations that are `WINDOW_S` apart."""
+    pairs, first = [], 0
+    for last in seen:
+        while last.sensed_at_us - seen[first].sensed_at_us > WINDOW_S * S:
+            pairs.append((seen[first], last))
+            first += 1
+    return pairs
+
+
+def moves(first: Observation, last: Observation) -> bool:
+    """Whether the places of a window differ by more than their accuracy explains."""
+    noise_m = 2 * (first.position_accuracy_m + last.position_accuracy_m)
+    passed_s = (last.sensed_at_us - first.sensed_at_us) / S
+    return dist(first[:2], last[:2]) > noise_m + STANDS_M_S * passed_s
+
+
+async def opens(trial: BodyTrial) -> str:
+    """It connects, and senses a place."""
+    start_us = trial.now_us()
+    async with asyncio.timeout(OPEN_S):
+        await trial.body.open()
+        while trial.body.sense(trial.now_us()) is None:
+            await asyncio.sleep(CONTROL_PERIOD_US / S)
+    return f"in {(trial.now_us() - start_us) / S:.1f} s"
+
+
+async def has_current_times(trial: BodyTrial) -> str:
+    """Each place has the time at which it was true, on our clock, and is never old. Raises WrongError."""
+    samples = await trial.run(HALT, 2.0)
+    seen_in(samples)
+    ages_us = [s.at_us - s.seen.sensed_at_us for s in samples if s.seen is not None]
+    if min(ages_us) < 0:
+        raise WrongError(f"sensed {-min(ages_us) / 1000:.0f} ms in the future")
+    if max(ages_us) > AGE_MAX_US:
+        raise WrongError(
+            f"up to {max(ages_us) / 1000:.0f} ms old; {AGE_MAX_US / 1000:.0f} ms stop a robot"
+        )
+    return f"{min(ages_us) / 1000:.0f} to {max(ages_us) / 1000:.0f} ms old"
+
+
+async def tells_its_accuracy(trial: BodyTrial) -> str:
+    """Places are metres near the origin, and as accurate as the clearances need. Raises WrongError."""
+    seen = seen_in(await trial.run(HALT, 2.0))
+    here = seen[-1]
+    if not all(map(isfinite, here[:5])) or abs(here.heading_rad) > 4 * pi:
+        raise WrongError(f"not numbers, or heading not in radians: {here[:5]}")
+    accuracy_m, turn_rad = here.position_accuracy_m, here.heading_accuracy_rad
+    if not accuracy_m <= POSITION_ACCURACY_M or not turn_rad <= HEADING_ACCURACY_RAD:
+        raise WrongError(
+            f"accurate to {accuracy_m:.2f} m and {degrees(turn_rad):.0f} degrees; a robot needs "
+            f"{POSITION_ACCURACY_M} m and {degrees(HEADING_ACCURACY_RAD):.0f} degrees"
+        )
+    middle = sum(s.x_m for s in seen) / len(seen), sum(s.y_m for s in seen) / len(seen)
+    wanders_m = max(dist(middle, s[:2]) for s in seen)
+    if wanders_m > max(5 * accuracy_m, 0.02):
+        raise WrongError(f"wanders {wanders_m:.2f} m standing, and says {accuracy_m:.3f} m")
+    return f"{accuracy_m:.3f} m, wanders {wanders_m:.3f} m standing"
+
+
+async def drives_ahead(trial: BodyTrial) -> str:
+    """A command along the heading moves it there, with that speed, and it says so. Raises WrongError."""
+    command, from_m = trial.towards(0.0), trial.here()
+    samples = await trial.run(command, 1.0 + 3 * trial.stops_in_s)
+    first, last = windows(seen_in(samples))[-1]
+    await trial.stand()
+    speed_m_s, course_rad = speed_of(first, last)
+    off_rad = remainder(course_rad - atan2(command.vy_m_s, command.vx_m_s), 2 * pi)
+    if dist(from_m[:2], last[:2]) < trial.speed_m_s / 4:
+        raise WrongError(f"moved {dist(from_m[:2], last[:2]):.2f} m only")
+    if abs(off_rad) > ASIDE_RAD:
+        raise WrongError(f"{degrees(off_rad):.0f} degrees to the left of the commanded course")
+    if abs(speed_m_s / trial.speed_m_s - 1) > SHARE:
+        raise WrongError(f"told {trial.speed_m_s:.2f} m/s, drove {speed_m_s:.2f} m/s")
+    points_rad = remainder(last.heading_rad - course_rad, 2 * pi)
+    if trial.vehicle.drive is not DriveTrain.MECANUM and abs(points_rad) > ASIDE_RAD:
+        raise WrongError(
+            f"drives, and says a heading {degrees(points_rad):.0f} degrees off its course"
+        )
+    says_m_s = hypot(last.vx_m_s, last.vy_m_s)
+    if hypot(last.vx_m_s - command.vx_m_s, last.vy_m_s - command.vy_m_s) > 2 * SHARE * speed_m_s:
+        raise WrongError(
+            f"drove {speed_m_s:.2f} m/s and says {says_m_s:.2f} m/s, or another course"
+        )
+    return f"told {trial.speed_m_s:.2f} m/s, drove {speed_m_s:.2f}, says {says_m_s:.2f}"
+
+
+async def turns_the_right_way(trial: BodyTrial) -> str:
+    """Left is left: a course to either side is reached, and headings grow to the left.
+
+    Raises WrongError."""
+    said = []
+    for angle_rad in (radians(60.0), -radians(60.0)):
+        before, command = trial.here(), trial.towards(angle_rad)
+        samples = await trial.run(command, 6.0)
+        first, last = windows(seen_in(samples))[-1]
+        await trial.stand()
+        course_rad = atan2(command.vy_m_s, command.vx_m_s)
+        off_rad = remainder(speed_of(first, last)[1] - course_rad, 2 * pi)
+        turned_rad = remainder(last.heading_rad - before.heading_rad, 2 * pi)
+        side = "left" if angle_rad > 0 else "right"
+        if abs(off_rad) > ASIDE_RAD:
+            raise WrongError(f"told to the {side}, it drives {degrees(off_rad):.0f} degrees off")
+        if trial.vehicle.drive is not DriveTrain.MECANUM and turned_rad * angle_rad < 0:
+            raise WrongError(
+                f"told to the {side}, its heading turned {degrees(turned_rad):.0f} degrees"
+            )
+        said.append(f"{degrees(turned_rad):+.0f}")
+    if trial.vehicle.drive is DriveTrain.MECANUM:
+        before = trial.here()
+        await trial.run(Drive(0.0, 0.0, 0.3), 2.0)
+        turned_rad = remainder(trial.here().heading_rad - before.heading_rad, 2 * pi)
+        await trial.stand()
+        if abs(turned_rad / 0.6 - 1) > SHARE + 0.2:
+            raise WrongError(
+                f"told to turn left by 34 degrees, it turned {degrees(turned_rad):.0f}"
+            )
+        said.append(f"{degrees(turned_rad):+.0f}")
+    return f"headings turned {', '.join(said)} degrees"
+
+
+async def speeds_up_as_declared(trial: BodyTrial) -> str:
+    """It accelerates no faster than the file declares: the fleet plans with it. Raises WrongError."""
+    seen = seen_in(await trial.run(trial.towards(0.0), 1.0 + trial.stops_in_s))
+    await trial.stand()
+    pairs = windows(seen)
+    fastest_m_s = max(speed_of(*pair)[0] for pair in pairs)
+    begins_us = next(p[1].sensed_at_us for p in pairs if speed_of(*p)[0] > fastest_m_s / 5)
+    ends_us = next(p[1].sensed_at_us for p in pairs if speed_of(*p)[0] > fastest_m_s * 4 / 5)
+    takes_s = max(ends_us - begins_us, 1) / S
+    rate_m_s2 = fastest_m_s * 3 / 5 / takes_s
+    limit_m_s2 = trial.vehicle.acceleration_m_s2
+    if takes_s < WINDOW_S and takes_s < fastest_m_s * 3 / 5 / limit_m_s2 / 2:
+        raise WrongError(f"{rate_m_s2:.1f} m/s2, declared {limit_m_s2:.1f}")
+    return f"{rate_m_s2:.1f} m/s2, declared {limit_m_s2:.1f}"
+
+
+async def _stops(trial: BodyTrial, command: Drive | None, more_s: float) -> str:
+    await trial.run(trial.towards(0.0), 1.0 + 2 * trial.stops_in_s)
+    from_us = trial.now_us()
+    samples = await trial.run(command, 1.5 + trial.stops_in_s + more_s)
+    await trial.stand()
+    pairs = windows(seen_in(samples))
+    moving = [pair for pair in pairs if moves(*pair)]
+    stood_at_us = sum(seen.sensed_at_us for seen in moving[-1]) / 2 if moving else from_us
+    took_s = (stood_at_us - from_us) / S
+    most_s = trial.stops_in_s + more_s + DETECTED_S
+    if moving and moving[-1] is pairs[-1]:
+        raise WrongError("it does not stop")
+    if took_s > most_s:
+        raise WrongError(f"stood after {took_s:.2f} s; {most_s:.2f} s at most")
+    return f"stood after {max(took_s, 0.0):.2f} s, {most_s:.2f} at most"
+
+
+async def stops_when_told(trial: BodyTrial) -> str:
+    """A command to stand is obeyed within the time that the fleet plans with."""
+    return await _stops(trial, HALT, CONTROL_PERIOD_US / S)
+
+
+async def stops_when_nobody_speaks(trial: BodyTrial) -> str:
+    """Without commands the wheels stand after their lifetime."""
+    return await _stops(trial, None, ACTUATOR_TTL_US / S)
+
+
+async def shows_missing_and_late_places(trial: BodyTrial) -> str:
+    """A place that does not arrive grows old; one that arrives late says so. Raises WrongError."""
+    if trial.orders is None:
+        return ""
+    said = []
+    for fault, for_s in (("muted", MUTED_S), (f"late {LATE_S}", LATE_S + MUTED_S)):
+        answer = await trial.order(f"{fault} {for_s}")
+        if answer != "ok":
+            raise WrongError(f"the machine says: {answer}")
+        samples = await trial.run(HALT, for_s)
+        seen = samples[-1].seen
+        age_us = S if seen is None else samples[-1].at_us - seen.sensed_at_us
+        if age_us <= AGE_MAX_US:
+            raise WrongError(f"{fault}: the place passes for {age_us / 1000:.0f} ms old")
+        said.append(f"{fault.split()[0]} {age_us / 1000:.0f} ms old")
+        await trial.run(HALT, 1.0 + LATE_S)
+    truth, seen = await trial.order("where"), trial.here()
+    apart_m = dist((truth["x_m"], truth["y_m"]), seen[:2])
+    if apart_m > POSITION_ACCURACY_M:
+        raise WrongError(f"{apart_m:.2f} m from where the machine truly is")
+    return f"{', '.join(said)}; {apart_m:.3f} m from the truth"
+
+
+async def opens_again(trial: BodyTrial) -> str:
+    """After `close` it stands, and can be opened again. Raises WrongError."""
+    await trial.run(trial.towards(0.0), 1.0)
+    trial.body.close()
+    await asyncio.sleep(1.0 + trial.stops_in_s)
+    said = await opens(trial)
+    if moves(*windows(seen_in(await trial.run(None, 1.0)))[-1]):
+        raise WrongError("it drives after it was closed")
+    return said
+
+
+Check = Callable[[BodyTrial], Awaitable[str]]
+CHECKS: Final[dict[str, Check]] = {
+    "opens": opens,
+    "times": has_current_times,
+    "accuracy": tells_its_accuracy,
+    "ahead": drives_ahead,
+    "sides": turns_the_right_way,
+    "acceleration": speeds_up_as_declared,
+    "stop": stops_when_told,
+    "life of a command": stops_when_nobody_speaks,
+    "missing places": shows_missing_and_late_places,
+    "restart": opens_again,
+}
+
+
+async def judged(
+    trial: BodyTrial, tell: Callable[[Finding], None], checks: Mapping[str, Check] = CHECKS
+) -> list[Finding]:
+    """Every check in order; a body that does not open ends it."""
+    findings: list[Finding] = []
+    for name, check in checks.items():
+        try:
+            said = await check(trial)
+            finding = Finding(name, True if said else None, said or "not tried: needs --machine")
+        except (WrongError, OSError, TimeoutError, StopIteration, IndexError) as problem:
+            finding = Finding(name, False, str(problem) or type(problem).__name__)
+            trial.body.drive(HALT, trial.now_us())
+        findings.append(finding)
+        tell(finding)
+        if name == "opens" and not finding.ok:
+            break
+    trial.body.close()
+    return findings
+
+
+def body_check(
+    name: str, options: Sequence[str], vehicle: Vehicle, origin: tuple[float, float] | None,
+    machine: str | None, as_json: bool,
+) -> int:  # fmt: skip
+    """The exit code of `headland body-check`: 0 if no check failed, 1 if one did, 2 for a wrong argument.
+
+    `name`: a plug-in, or "module:Name". `machine`: HOST:PORT of the simulated machine's orders.
+    """
+    from pathlib import Path
+
+    import_from(Path())
+    try:
+        orders = None
+        if machine is not None:
+            host, _, port = machine.rpartition(":")
+            orders = host, int(port)
+        values = {key: _value(text) for key, _, text in (each.partition("=") for each in options)}
+        plugin, factory = (None, name) if name not in plugins() and ":" in name else (name, None)
+        body = made(plugin, factory, 0, values)
+        body.declare(DeclaredMachine(vehicle, origin))
+    except (FactoryError, ValueError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    console = Console(highlight=False)
+
+    def tell(finding: Finding) -> None:
+        if not as_json:
+            print_findings(console, [finding._replace(what=f"{finding.what:<17}")])
+
+    try:
+        findings = asyncio.run(judged(BodyTrial(body, vehicle, orders), tell))
+    except KeyboardInterrupt:
+        body.close()
+        return INTERRUPTED
+    bad = [finding for finding in findings if finding.ok is False]
+    passed = sum(finding.ok is True for finding in findings)
+    if as_json:
+        print(dumps({"passed": passed, "findings": [finding._asdict() for finding in findings]}))
+    else:
+        console.print(f"{passed} of {len(CHECKS)} checks passed")
+    return 1 if bad else 0
+
+
+def _value(text: str) -> Any:
+    """A value of an option: JSON if it is some, else the text itself."""
+    try:
+        return json.loads(text)
+    except ValueError:
+        return text

@@ -1,0 +1,65 @@
+"""`headland machine`: a simulated machine, to which drivers connect."""
+
+import asyncio
+import signal
+import sys
+
+from sim.files.strict_json import dumps
+from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
+
+WRONG = 2
+SHOWN_S = 1.0
+
+
+def machine(
+    drive: str, origin: tuple[float, float], place: tuple[float, float, float],
+    ports: tuple[int, int, int], host: str, seed: int, rate_hz: float, as_json: bool,
+) -> int:  # fmt: skip
+    """The exit code of `headland machine`: 0 after Ctrl-C or SIGTERM, 2 if a port is taken.
+
+    `place`: metres east, metres north, radians. `ports`: of receiver, controller and orders.
+    """
+    body = WheeledBody(Dimensions(drive, rate_hz=rate_hz), *place)
+    try:
+        asyncio.run(_serve(body, origin, ports, host, seed, as_json))
+    except OSError as problem:
+        print(f"headland: {host}: {problem.strerror or problem}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+async def _serve(
+    body: WheeledBody, origin: tuple[float, float], ports: tuple[int, int, int], host: str,
+    seed: int, as_json: bool,
+) -> None:  # fmt: skip
+    made = NmeaMachine(body, origin, seed)
+    gnss, wheels, orders = await made.start(host, *ports)
+    end, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGTERM, signal.SIGINT):
+        loop.add_signal_handler(number, end.set)
+    if as_json:
+        print(dumps({"gnss": gnss, "wheels": wheels, "orders": orders}), flush=True)
+    else:
+        print(
+            f"gnss tcp://{host}:{gnss}  wheels tcp://{host}:{wheels}  orders {host}:{orders}\n"
+            "Ctrl-C ends it",
+            flush=True,
+        )
+    live = not as_json and sys.stdout.isatty()
+    while not end.is_set():
+        if live:
+            truth = made.truth()
+            print(
+                f"\r{truth.x_m:9.2f} m east {truth.y_m:9.2f} m north  {truth.ahead_m_s:5.2f} m/s  "
+                f"{made.sentences} sentences ",
+                end="",
+                flush=True,
+            )
+        try:
+            async with asyncio.timeout(SHOWN_S):
+                await end.wait()
+        except TimeoutError:
+            continue
+    if live:
+        print()
+    await made.stop()
