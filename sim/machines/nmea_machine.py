@@ -71,6 +71,7 @@ class Truth(NamedTuple):
     turn_rad_s: float
     implement: bool
     driven_m: float  # since the start
+    is_told_to_move: bool  # by a sentence in force
 
 
 class WheeledBody:
@@ -93,6 +94,10 @@ class WheeledBody:
         """A sentence is in force until then."""
         self.told_m_s = [each * self.dimensions.wheel_radius_m for each in wheels_rad_s]
         self.told_rad, self.told_implement, self.told_ends_at_s = steer_rad, implement, ends_at_s
+
+    def is_told_to_move(self, now_s: float) -> bool:
+        """Whether a sentence with a speed is in force; `now_s` in seconds."""
+        return now_s < self.told_ends_at_s and any(self.told_m_s)
 
     def step(self, now_s: float, for_s: float) -> None:
         """Wheels follow the sentence in force, and the place follows the wheels."""
@@ -182,7 +187,13 @@ class NmeaMachine:
         body = self.body
         self.move()
         return Truth(
-            body.x_m, body.y_m, body.heading_rad, *body.velocity, body.implement, body.driven_m
+            body.x_m,
+            body.y_m,
+            body.heading_rad,
+            *body.velocity,
+            body.implement,
+            body.driven_m,
+            body.is_told_to_move(self.clock()),
         )
 
     def move(self) -> None:

@@ -27,6 +27,7 @@ BENCHES = {
     "orca": "avoidance against RVO2",
     "corridor": "swaps in passages, dead ends, and a hundred robots in rooms",
     "motion": "the thesis experiment: way driven against way planned",
+    "robot": "robots as processes on machines: lost places over TCP, start, memory",
     "scale": "many segments: stops across them, bus share, heals, memory, campaigns on a cluster",
     "operator": "the map in a browser, and stops with its page open",
     "lidar": "range sensing against pymunk, world steps",

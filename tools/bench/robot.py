@@ -1,0 +1,272 @@
+"""Robots as processes on simulated machines: what a lost place does, judged by the machines' integrators.
+
+Each robot is `headland robot` with the body `nmea`, over TCP to its machine and over UDP multicast to
+the others. A machine is muted, frozen, late or wrong by some metres while it drives. Its integrator says
+when its controller was last told to move, how far it went, and when it goes on.
+"""
+
+import asyncio
+import os
+import sys
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import suppress
+from itertools import combinations
+from math import cos, dist, pi, sin
+from pathlib import Path
+from random import Random
+from typing import Final, NamedTuple
+
+from shapely.geometry import Point, Polygon
+
+from agent.runtime.files.field_file import read_boundary
+from sim.files.strict_json import dumps
+from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
+from tools.bench.figure import Figure, percentile
+from tools.common.child_process import module_command
+
+ROBOTS: Final = 4
+TRIALS, QUICK_TRIALS = 500, 1  # of each fault, in all robots together
+FAULTS: Final = ("muted", "frozen", "jumped", "late")
+RADIUS_M, SPEED_M_S = 0.8, 1.5
+MARGIN_M: Final = (
+    0.3  # of the clearance to a fence: what a robot drives before it knows, and its accuracy
+)
+STOPS_S: Final = 0.3  # from the fault to the last command to move
+# A frozen place shows after 0.1 m of expected travel: at `DRIVES_M_S`, and two periods of noticing it.
+FROZEN_STOPS_S: Final = 0.45
+DRIVES_M_S: Final = 0.3  # a trial begins at this speed
+POLL_S: Final = 0.005
+WENT_ON_M: Final = 0.1
+UP_S: Final = 60.0
+BACK_S: Final = 20.0  # a robot that does not go on for this long did not come back
+START_TARGET_S, MEMORY_TARGET_MB = 1.5, 120.0
+GROUP: Final = "239.74.163.27"
+CORNERS: Final = ((5.0, 52.0), (5.0045, 52.0), (5.0045, 52.0018), (5.0, 52.0018), (5.0, 52.0))
+FLEET: Final = """
+name = "bench"
+[fleet]
+robots = {robots}
+drive = "differential"
+radius_m = {radius}
+speed_m_s = {speed}
+[field]
+file = "field.geojson"
+implement_width_m = 3.0
+[bus]
+interface = "udp_multicast"
+channel = "{group}"
+[body]
+plugin = "nmea"
+"""
+MACHINE: Final = """
+[[machine]]
+slot = {slot}
+body_options = {{ gnss = "tcp://127.0.0.1:{gnss}", wheels = "tcp://127.0.0.1:{wheels}" }}
+"""
+
+
+class LostPlaceTrial(NamedTuple):
+    """One fault of one machine."""
+
+    fault: str
+    stopped_after_s: float  # until the last command to move
+    outside_m: float  # of the body, beyond the field
+    returned: bool  # it went on by itself
+    others_went_on: bool | None  # None: all others had trials of their own
+
+
+class Yard:
+    """Machines, their robots, and the trials so far."""
+
+    def __init__(self, folder: Path, seed: int) -> None:
+        self.folder, self.rng = folder, Random(seed)
+        self.machines: list[NmeaMachine] = []
+        self.robots: list[asyncio.subprocess.Process] = []
+        self.trials: list[LostPlaceTrial] = []
+        self.tried: set[int] = set()  # machines with a fault, or not yet back
+        self.started_s: list[float] = []
+        self.nearest_m = float("inf")  # between two middles
+        self.field = Polygon()
+
+    async def begin(self) -> None:
+        """Machines on the field, and a robot on each."""
+        (self.folder / "field.geojson").write_text(
+            dumps({"type": "Polygon", "coordinates": [CORNERS]})
+        )
+        boundary = read_boundary(self.folder / "field.geojson", None)
+        self.field = boundary.polygon
+        west_m, south_m, *_ = self.field.bounds
+        text = FLEET.format(robots=ROBOTS, radius=RADIUS_M, speed=SPEED_M_S, group=GROUP)
+        for slot in range(ROBOTS):
+            body = WheeledBody(Dimensions(), west_m + 6.0, south_m + 10.0 + 6.0 * slot, 0.0)
+            machine = NmeaMachine(body, boundary.origin, slot)
+            gnss, wheels, _ = await machine.start("127.0.0.1", 0, 0, 0)
+            text += MACHINE.format(slot=slot, gnss=gnss, wheels=wheels)
+            self.machines.append(machine)
+        (self.folder / "fleet.toml").write_text(text)
+        for slot in range(ROBOTS):
+            await self._start(slot)
+
+    async def _start(self, slot: int) -> None:
+        start_at_s = time.monotonic()
+        words = module_command("tools.cli.headland")
+        robot = await asyncio.create_subprocess_exec(
+            *words, "robot", "fleet.toml", "--slot", str(slot), "--first-boot",
+            cwd=self.folder, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL,
+        )  # fmt: skip
+        self.robots.append(robot)
+        assert robot.stdout is not None
+        async with asyncio.timeout(UP_S):
+            await robot.stdout.readline()
+        self.started_s.append(time.monotonic() - start_at_s)
+
+    def memory_mb(self) -> list[float]:
+        """Of each robot's process: what no other process shares, and files that it has mapped."""
+        sizes = []
+        for robot in self.robots:
+            status = Path(f"/proc/{robot.pid}/status").read_text()
+            rss_kb = next(line for line in status.splitlines() if line.startswith("VmRSS"))
+            sizes.append(int(rss_kb.split()[1]) / 1000)
+        return sizes
+
+    async def end(self) -> None:
+        """Robots leave, machines close."""
+        for robot in self.robots:
+            if robot.returncode is None:
+                robot.terminate()
+        await asyncio.gather(*(robot.wait() for robot in self.robots))
+        await asyncio.gather(*(machine.stop() for machine in self.machines))
+
+    def outside_m(self, machine: NmeaMachine) -> float:
+        """How far the body of a machine is beyond the field."""
+        truth = machine.truth()
+        here = Point(truth.x_m, truth.y_m)
+        inside_m: float = self.field.exterior.distance(here) * (
+            1 if self.field.contains(here) else -1
+        )
+        return max(RADIUS_M - inside_m, 0.0)
+
+    def look(self) -> None:
+        """Note how near two machines are."""
+        places = [machine.truth()[:2] for machine in self.machines]
+        self.nearest_m = min(self.nearest_m, *(dist(a, b) for a, b in combinations(places, 2)))
+
+    async def until_drives(self, slot: int, for_s: float) -> bool:
+        """Whether a machine reaches the speed of a trial in time."""
+        machine = self.machines[slot]
+        ends_at_s = time.monotonic() + for_s
+        while abs(machine.truth().ahead_m_s) < DRIVES_M_S:
+            if time.monotonic() > ends_at_s:
+                return False
+            await asyncio.sleep(POLL_S)
+        return True
+
+    async def serve(self, slot: int, faults: list[str]) -> None:
+        """Take faults from the list until it is empty."""
+        machine = self.machines[slot]
+        await self.until_drives(slot, UP_S)
+        while faults:
+            fault = faults.pop()
+            await asyncio.sleep(self.rng.uniform(1.0, 3.0))
+            if not await self.until_drives(slot, UP_S):
+                self.trials.append(LostPlaceTrial(fault, 0.0, self.outside_m(machine), False, None))
+                continue
+            self.tried.add(slot)
+            await self._trial(slot, machine, fault)
+            self.tried.discard(slot)
+
+    async def _trial(self, slot: int, machine: NmeaMachine, fault: str) -> None:
+        for_s, angle_rad = self.rng.uniform(0.8, 3.0), self.rng.uniform(-pi, pi)
+        far_m, late_for_s = self.rng.uniform(0.5, 5.0), self.rng.uniform(0.3, 1.5)
+        values = {
+            "jumped": [far_m * cos(angle_rad), far_m * sin(angle_rad)], "late": [late_for_s],
+        }.get(fault, [])  # fmt: skip
+        free = set(range(ROBOTS)) - self.tried
+        before_m = [each.truth().driven_m for each in self.machines]
+        start_at_s = time.monotonic()
+        assert machine.order([fault, *map(str, values), str(for_s)]) == b"ok"
+        told_at_s, outside_m = start_at_s, 0.0
+        while (now_s := time.monotonic()) < start_at_s + for_s:
+            if machine.truth().is_told_to_move:
+                told_at_s = now_s
+            outside_m = max(outside_m, self.outside_m(machine))
+            free -= self.tried
+            await asyncio.sleep(POLL_S)
+        returned = await self.until_drives(slot, BACK_S)
+        ways_m = [self.machines[k].truth().driven_m - before_m[k] for k in free]
+        went_on = max(ways_m) > WENT_ON_M if ways_m else None
+        self.trials.append(
+            LostPlaceTrial(fault, told_at_s - start_at_s, outside_m, returned, went_on)
+        )
+
+
+async def _measure(
+    folder: Path, trials: int, seed: int, deadline_s: float
+) -> tuple[Yard, list[float]]:
+    yard = Yard(folder, seed)
+    faults = [fault for fault in FAULTS for _ in range(trials)]
+    yard.rng.shuffle(faults)
+    try:
+        await yard.begin()
+
+        async def looks() -> None:
+            while True:
+                yard.look()
+                await asyncio.sleep(10 * POLL_S)
+
+        looking = asyncio.create_task(looks())
+        with suppress(TimeoutError):  # the trials so far
+            async with asyncio.timeout(deadline_s):
+                await asyncio.gather(*(yard.serve(slot, faults) for slot in range(ROBOTS)))
+        looking.cancel()
+        return yard, yard.memory_mb()
+    finally:
+        await yard.end()
+
+
+def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterator[Figure]:
+    """`seconds`: the trials end after this long; none: when all are done."""
+    trials = QUICK_TRIALS if quick else TRIALS
+    with tempfile.TemporaryDirectory() as folder:
+        place = Path(folder)
+        yard, memory_mb = asyncio.run(
+            _measure(place, trials, seed, seconds or (35.0 if quick else 7200.0))
+        )
+    scope = (
+        f"{ROBOTS} robots, differential, {SPEED_M_S} m/s, TCP and UDP multicast, seed {seed}, "
+        f"polled every {POLL_S * 1000:.0f} ms; load {os.getloadavg()[0]:.1f}; "
+        f"Python {sys.version_info[0]}.{sys.version_info[1]}"
+    )
+    for fault in FAULTS:
+        own = [trial for trial in yard.trials if trial.fault == fault]
+        if not own:
+            continue
+        stops_s = [trial.stopped_after_s for trial in own]
+        limit_s = FROZEN_STOPS_S if fault == "frozen" else STOPS_S
+        yield Figure(
+            f"{fault}: last command to move after the fault, worst of {len(own)}", max(stops_s), "s",
+            f"<= {limit_s}", max(stops_s) <= limit_s, "",
+            f"median {percentile(stops_s, 0.5):.3f} s; {scope}",
+        )  # fmt: skip
+        outside_m = max(max(trial.outside_m - MARGIN_M, 0.0) for trial in own)
+        yield Figure(f"{fault}: beyond the margin of {MARGIN_M} m, worst of {len(own)}", outside_m, "m",
+                     "0", outside_m == 0.0, "", scope)  # fmt: skip
+        lost = sum(not trial.returned for trial in own)
+        yield Figure(f"{fault}: robots that did not go on by themselves, of {len(own)}", lost, "", "0",
+                     lost == 0, "", f"within {BACK_S:.0f} s; {scope}")  # fmt: skip
+        judged = [trial.others_went_on for trial in own if trial.others_went_on is not None]
+        stuck = len(judged) - sum(judged)
+        yield Figure(f"{fault}: the others stood meanwhile, of {len(judged)}", stuck, "", "0",
+                     stuck == 0, "",
+                     f"less than {WENT_ON_M} m by each that had no trial; {scope}")  # fmt: skip
+    clear_m = yard.nearest_m - 2 * RADIUS_M
+    yield Figure(
+        "nearest two machines", clear_m, "m", "> 0", clear_m > 0, "", f"between circles; {scope}"
+    )
+    yield Figure("start of a robot process, warm, median", percentile(yard.started_s[1:], 0.5), "s",
+                 f"<= {START_TARGET_S}", percentile(yard.started_s[1:], 0.5) <= START_TARGET_S, "",
+                 f"from exec to taking part, first place included; {scope}")  # fmt: skip
+    yield Figure("memory of a robot process", max(memory_mb), "MB", f"<= {MEMORY_TARGET_MB:g}",
+                 max(memory_mb) <= MEMORY_TARGET_MB, "", f"VmRSS, largest; {scope}")  # fmt: skip
