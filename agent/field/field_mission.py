@@ -41,6 +41,11 @@ WAITING_M: Final = 0.1  # this far before its first unit, a robot that drifts si
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
 
 
+# The accuracy of the place may use up this share of the tolerance of a unit; the rest is for tracking.
+# A robot whose units would not count stands instead of working them again and again.
+ACCURACY_SHARE: Final = 0.75
+
+
 class FieldMission(Mission):
     """One robot's part in the field, for a body that turns on the spot. Places are (x, y)
     metres.
@@ -68,6 +73,7 @@ class FieldMission(Mission):
         self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
+        self.position_accuracy_max_m = ACCURACY_SHARE * self.tolerance_m
         self.choosing = SectionChooser(field, speed_m_s, travel)
         self.section: Section | None = None
         self.legs: list[WorkLeg] = []
@@ -429,7 +435,7 @@ class FieldMission(Mission):
         if self._on_lead_in or max(self.ends_begun_m) == inf:
             self._observe_bar(view.here)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
-            self.worst_m = max(self.worst_m, abs(self.tracker.off_m))
+            self.worst_m = max(self.worst_m, self._off_m(view.here))
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
         while self.unit < len(self.leg.units):
             end_m = LEAD_M + (self.unit + 1) * piece_m
@@ -443,8 +449,13 @@ class FieldMission(Mission):
             elif not is_last:
                 self.missed = self.leg.units[self.unit]
             self.unit += 1
-            self.worst_m = abs(self.tracker.off_m)
+            self.worst_m = self._off_m(view.here)
         return passed
+
+    def _off_m(self, here: Observation) -> float:
+        """How far the robot may be from its line: as it senses, and as its place may be wrong."""
+        assert self.tracker is not None
+        return abs(self.tracker.off_m) + here.position_accuracy_m
 
     def _bar_lags(self, here: Observation, end_m: float) -> bool:
         """Whether an end of the bar of a robot that is pushed aside has not passed the end of the

@@ -7,6 +7,7 @@ the peer sends with its next beat.
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable, Mapping, Sequence
+from math import inf
 from typing import NamedTuple
 
 from agent.interface.lifecycle import State
@@ -81,6 +82,9 @@ class Mission(ABC):
     in an argument. A mission reads no clock and no random source of its own.
     """
 
+    # A robot whose place is less accurate than this stands; standard deviation. Inf: the mission
+    # asks for no more than the clearances do.
+    position_accuracy_max_m = inf
     replans = False  # `on_stalled` finds another path; False: no watchdog looks for stalls
 
     @property

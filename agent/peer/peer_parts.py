@@ -6,6 +6,7 @@ announcements.
 """
 
 from collections.abc import Mapping
+from math import inf
 from random import Random
 
 from agent.interface import config
@@ -131,7 +132,8 @@ class PeerParts:
 
         # This robot: what it senses, decides and does.
         drives = mission is not None and motion is not None
-        self.senses = Senses(self.safety, motion, drives)
+        needed_m = inf if mission is None else mission.position_accuracy_max_m
+        self.senses = Senses(self.safety, motion, drives, needed_m)
         self.check = SelfCheck(self.safety, self.joining, self.membership, beat, now_us)
         self.knowledge = SelfKnowledge(self.safety, self.senses, self.check)
         question = None if motion is None else motion.obstacle_question()

@@ -68,9 +68,14 @@ class Senses(Part):
     """Watches one robot's senses in each control period, before any decision."""
 
     def __init__(
-        self, safety: StopController, motion: MotionController | None, drives: bool
+        self,
+        safety: StopController,
+        motion: MotionController | None,
+        drives: bool,
+        accuracy_max_m: float = POSITION_ACCURACY_M,
     ) -> None:
-        """`drives`: the robot has a mission and can move."""
+        """`drives`: the robot has a mission and can move. `accuracy_max_m`: what the mission needs."""
+        self.accuracy_max_m = min(accuracy_max_m, POSITION_ACCURACY_M)
         self.safety, self.motion, self.drives = safety, motion, drives
         self.here: Observation | None = None  # the newest observation
         self.known: Observation | None = None  # the newest observation that was believed
@@ -186,8 +191,10 @@ class Senses(Part):
         """Why the place is too inaccurate to drive by; empty if it is not."""
         if not self._on_map:
             return "further from the origin than frames can say, or not a number"
-        if not here.position_accuracy_m <= POSITION_ACCURACY_M:  # not a number is inaccurate, too
-            return f"accurate to {here.position_accuracy_m:.2f} m"
+        if not here.position_accuracy_m <= self.accuracy_max_m:  # not a number is inaccurate, too
+            return (
+                f"accurate to {here.position_accuracy_m:.2f} m, needed {self.accuracy_max_m:.2f} m"
+            )
         if not here.heading_accuracy_rad <= HEADING_ACCURACY_RAD:
             return f"heading accurate to {degrees(here.heading_accuracy_rad):.0f} degrees"
         return ""

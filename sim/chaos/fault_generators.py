@@ -136,6 +136,25 @@ def _jumped(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Faul
     return [kinds.Jumped.model_validate(fault | where)]
 
 
+def _drifting(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    angle_rad, speed_m_s = rng.uniform(0.0, 2 * pi), rng.choice((0.05, 0.3, 1.0))
+    robot, for_s = rng.randrange(robots), min(rng.choice((1.0, 4.0, 10.0)), end_at_s - at_s)
+    fault = {"at_s": at_s, "kind": "drifting", "robot": robot, "for_s": for_s}
+    drift = {"vx_m_s": speed_m_s * cos(angle_rad), "vy_m_s": speed_m_s * sin(angle_rad)}
+    return [kinds.Drifting.model_validate(fault | drift)]
+
+
+def _deaf_wheels(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.choice((0.1, 1.0, 5.0)), end_at_s - at_s)
+    return [kinds.DeafWheels(at_s=at_s, kind="deaf_wheels", robot=robot, for_s=for_s)]
+
+
+def _slipping(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    slip, robot = rng.choice((0.05, 0.1, 0.3)), rng.randrange(robots)
+    for_s = min(rng.uniform(1.0, 15.0), end_at_s - at_s)
+    return [kinds.Slipping(at_s=at_s, kind="slipping", robot=robot, slip=slip, for_s=for_s)]
+
+
 def _late(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Later than the age limit of a position; smaller delays affect only the accuracy."""
     by_s, for_s = rng.choice((0.15, 0.5, 2.0)), min(rng.uniform(0.5, 8.0), end_at_s - at_s)
@@ -257,6 +276,9 @@ DRAWS: dict[str, Draw] = {
     "blind": _blind,
     "frozen": _frozen,
     "jumped": _jumped,
+    "drifting": _drifting,
+    "deaf_wheels": _deaf_wheels,
+    "slipping": _slipping,
     "late": _late,
     "disk_full": _disk_full,
     "estop": _press,

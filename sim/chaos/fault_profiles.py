@@ -41,7 +41,20 @@ SPANS = {
 
 CLOSE_S = 3.0  # links stay bad for seconds: a fault within this time falls into the trouble
 
-BODIES = ("box", "pushed", "blind", "frozen", "jumped", "late")  # no effect without a world
+# No effect without a world.
+BODIES = (
+    "box",
+    "pushed",
+    "blind",
+    "frozen",
+    "jumped",
+    "drifting",
+    "deaf_wheels",
+    "slipping",
+    "late",
+)
+# Drawn in their own profile only: the seeds of the others stay what they were.
+SENSES = ("jumped", "drifting", "deaf_wheels", "slipping")
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
          kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense)  # fmt: skip
@@ -65,7 +78,7 @@ class Profile(NamedTuple):
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
-EVERYTHING = dict.fromkeys((each for each in DRAWS if each != "jumped"), 1.0) | OFTEN
+EVERYTHING = dict.fromkeys((each for each in DRAWS if each not in SENSES), 1.0) | OFTEN
 PROFILES = {
     "all": Profile((2, 5), (1, 10), EVERYTHING, "every kind of fault"),
     "bus": Profile(
@@ -89,8 +102,9 @@ PROFILES = {
                     "dropped boxes, pushed robots, lost senses, dead robots in the way"),
     # A robot that restarts while its place is wrong cannot know it: no crashes.
     "senses": Profile((2, 4), (2, 8), {"blind": 2.0, "frozen": 2.0, "jumped": 4.0, "late": 2.0,
+                                       "drifting": 2.0, "deaf_wheels": 1.0, "slipping": 2.0,
                                        "estop": 0.5, "loss": 0.5, "freeze": 0.5},
-                      "receivers that fall silent, hang, jump and are late"),
+                      "receivers that fall silent, hang, jump, drift and are late; wheels that slip"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
@@ -176,13 +190,15 @@ VOUCHED_S = 3.0  # after the fleet's start
 
 
 def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
-    """A person looks at each robot whose place has jumped, and starts it.
+    """A person looks at each robot whose place has jumped or whose wheels did not answer, and starts
+    it.
 
     A jump while a robot senses nothing, along its way, cannot be told from its braking; then the
     return to the true place is the jump that it notices. So is a push while it senses nothing.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     robots = {each.robot for each in drawn if isinstance(each, kinds.Jumped)}
+    robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
     at_s = span.start_at_s + VOUCHED_S
     return [

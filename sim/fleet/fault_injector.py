@@ -41,6 +41,7 @@ class FaultPlan:
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
         self.done: list[tuple[float, str]] = []
+        self._slips: dict[int, int] = {}  # how many faults of slip a robot has had
         self._rng = Random(f"{cluster.scenario.run.seed}/faults")
 
     async def run(self) -> None:
@@ -139,6 +140,13 @@ class FaultPlan:
             case kinds.Jumped(robot=robot, dx_m=dx_m, dy_m=dy_m, turn_rad=turn_rad, for_s=for_s):
                 end_at_us = now_us + round(for_s * S)
                 cluster.receivers[robot].jumped(end_at_us, (dx_m, dy_m, turn_rad))
+            case kinds.Drifting(robot=robot, vx_m_s=vx_m_s, vy_m_s=vy_m_s, for_s=for_s):
+                end_at_us = now_us + round(for_s * S)
+                cluster.receivers[robot].drifting(now_us, end_at_us, (vx_m_s, vy_m_s))
+            case kinds.DeafWheels(robot=robot, for_s=for_s):
+                cluster.receivers[robot].deaf_wheels(now_us + round(for_s * S))
+            case kinds.Slipping(robot=robot, slip=slip, for_s=for_s):
+                return self._slip(robot, slip, for_s)
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s):
                 cluster.receivers[robot].late(now_us + round(for_s * S), round(by_s * S))
             case kinds.DiskFull(robot=robot, for_s=for_s):
@@ -152,6 +160,17 @@ class FaultPlan:
                 if isinstance(shell, SimulatedRunner):
                     shell.jump(by_s)
         return None
+
+    def _slip(self, robot: int, slip: float, for_s: float) -> Script[None]:
+        """The wheels slip for a while. Of two such faults the later one holds, and ends with it."""
+        body = self.cluster.world.robots[robot]
+        body.slip(slip)
+        self._slips[robot] = self._slips.get(robot, 0) + 1
+        turn = self._slips[robot]
+        yield self.cluster.host.now_us() + round(for_s * S)
+        if self._slips[robot] == turn:
+            self._now_us()
+            body.slip(None)
 
     def _absent(self, fault: kinds.Fault) -> bool:
         """Whether the fault names a robot that has not been switched on yet."""

@@ -5,7 +5,9 @@ is over, even if the robot's process restarts meanwhile, because it is a fault o
 """
 
 from collections import deque
+from math import hypot
 
+from agent.interface.config import S
 from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.ports import Body
@@ -23,7 +25,9 @@ class Receiver:
     def __init__(self) -> None:
         # End of each fault.
         self._blind_ends_at_us = self._frozen_ends_at_us = self._late_ends_at_us = -1
-        self._jump_ends_at_us = -1
+        self._jump_ends_at_us = self._deaf_ends_at_us = -1
+        self._drift_begins_at_us = self._drift_ends_at_us = -1
+        self._drift_m_s = (0.0, 0.0)
         self._late_for_us = 0  # delay
         self._jump = (0.0, 0.0, 0.0)  # metres east and north, radians
         self._place: Observation | None = None  # what the filter repeats when it hangs
@@ -45,6 +49,19 @@ class Receiver:
         """
         self._jump_ends_at_us, self._jump = max(self._jump_ends_at_us, end_at_us), by
 
+    def drifting(self, now_us: int, end_at_us: int, velocity_m_s: tuple[float, float]) -> None:
+        """A place that is wrong by more and more, and says so: corrections that have ended."""
+        self._drift_begins_at_us, self._drift_ends_at_us = now_us, end_at_us
+        self._drift_m_s = velocity_m_s
+
+    def deaf_wheels(self, end_at_us: int) -> None:
+        """No command arrives at the wheels: a cable, a drive that is switched off."""
+        self._deaf_ends_at_us = max(self._deaf_ends_at_us, end_at_us)
+
+    def drives(self, world_now_us: int) -> bool:
+        """Whether commands arrive at the wheels."""
+        return world_now_us >= self._deaf_ends_at_us
+
     def late(self, end_at_us: int, late_for_us: int) -> None:
         """The true position, delayed: a buffer that fills."""
         if self._late_ends_at_us < 0:
@@ -65,6 +82,13 @@ class Receiver:
             x_m, y_m, turn_rad = self._jump
             seen = seen._replace(
                 x_m=seen.x_m + x_m, y_m=seen.y_m + y_m, heading_rad=seen.heading_rad + turn_rad
+            )
+        if world_now_us < self._drift_ends_at_us:
+            passed_for_s = (world_now_us - self._drift_begins_at_us) / S
+            dx_m, dy_m = (passed_for_s * each for each in self._drift_m_s)
+            accuracy_m = max(hypot(dx_m, dy_m), seen.position_accuracy_m)
+            seen = seen._replace(
+                x_m=seen.x_m + dx_m, y_m=seen.y_m + dy_m, position_accuracy_m=accuracy_m
             )
         self._place = seen
         last, self._last = self._last, seen
@@ -101,4 +125,6 @@ class ReceivedBody:
 
     def drive(self, command: GatedDrive, now_us: int) -> None:
         """Pass the command on at the world's time."""
-        self._drive(command, self._now_us())
+        world_now_us = self._now_us()
+        if self.receiver.drives(world_now_us):
+            self._drive(command, world_now_us)

@@ -301,6 +301,33 @@ class Jumped(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class Drifting(_Fault):
+    """The place of a robot drifts away, and its receiver says how far it may be wrong."""
+
+    kind: Literal["drifting"]
+    robot: Slot
+    vx_m_s: float = Field(ge=-10.0, le=10.0)
+    vy_m_s: float = Field(ge=-10.0, le=10.0)
+    for_s: float = Field(gt=0.0)
+
+
+class DeafWheels(_Fault):
+    """No command reaches the wheels of a robot, so that they stand."""
+
+    kind: Literal["deaf_wheels"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class Slipping(_Fault):
+    """The wheels of a robot slip: mud, ice, wet grass."""
+
+    kind: Literal["slipping"]
+    robot: Slot
+    slip: float = Field(gt=0.0, le=0.5)  # standard deviation of the grip of each wheel
+    for_s: float = Field(gt=0.0)
+
+
 class Late(_Fault):
     """The observations of a robot arrive this much later."""
 
@@ -347,7 +374,8 @@ class CrashWorking(_Fault):
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
     | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
-    | ClockJump | CrashWorking | Blind | Frozen | Jumped | Late | DiskFull
+    | ClockJump | CrashWorking | Blind | Frozen | Jumped | Drifting | DeafWheels | Slipping | Late
+    | DiskFull
     | Buttons | UsedStop | Foreign | Twin | Nonsense,
     Field(discriminator="kind"),
 ]  # fmt: skip

@@ -120,6 +120,9 @@ class StationaryBody(SimulatedBody):
         """Metres east and north of the place that it circles."""
         return self.x_m, self.y_m
 
+    def slip(self, slip: float | None) -> None:
+        """It has no wheels."""
+
     def push(self, dx_m: float, dy_m: float) -> None:
         """Fault: a person moves the robot."""
         self.x_m, self.y_m = self.x_m + dx_m, self.y_m + dy_m

@@ -15,6 +15,7 @@ from sim.world.drive_trains import (
     EXPIRES_US,
     HEADING,
     MOTION,
+    SLIP,
     TOOL,
     VX,
     VY,
@@ -124,6 +125,10 @@ class SimulatedBody:
             return HALT
         vx_m_s, vy_m_s, turn_rad_s = row[[WANT_X, WANT_Y, WANT_TURN]].tolist()
         return Drive(vx_m_s, vy_m_s, turn_rad_s, bool(row[WANT_TOOL]))
+
+    def slip(self, slip: float | None) -> None:
+        """Fault: the grip of each wheel has this standard deviation; None: that of the chassis."""
+        self.world.rows[self.index, SLIP] = self.chassis.slip if slip is None else slip
 
     def push(self, dx_m: float, dy_m: float) -> None:
         """Fault: a person moves the robot."""

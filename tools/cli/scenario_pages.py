@@ -112,6 +112,8 @@ MEANING = {
     "x_m": "metres east",
     "y_m": "metres north",
     "dx_m": "metres to the east",
+    "vx_m_s": "metres a second to the east",
+    "vy_m_s": "metres a second to the north",
     "turn_rad": "radians counter-clockwise",
     "dy_m": "metres to the north",
     "priority": "of a group that no robot knows; 0 wins",

@@ -14,7 +14,7 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
-from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US
+from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US, Senses
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
@@ -284,3 +284,15 @@ def test_noise_within_the_accuracy_is_no_jump(wave_m: float) -> None:
     for _ in range(400):
         robot.period()
         assert not robot.held
+
+
+@pytest.mark.parametrize(("accuracy_m", "held"), [(0.05, False), (0.08, True), (nan, True)])
+def test_a_mission_may_need_a_better_place_than_the_clearances_do(
+    accuracy_m: float, held: bool
+) -> None:
+    safety = peer_in(State.WORKING, None).safety
+    senses = Senses(safety, None, drives=True, accuracy_max_m=0.075)
+    seen = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=S, position_accuracy_m=accuracy_m)
+    senses.listens_direct[Sensed](Sensed(seen), S)
+    senses.look(S)
+    assert safety.holds(StopCause.PLACE_LOST) == held

@@ -1,7 +1,12 @@
 """Faults of a position receiver, alone and together."""
 
+import pytest
+
+from agent.interface.effects import Drive
 from agent.interface.observation import Observation
 from sim.fleet.sensor_faults import Receiver
+from sim.world.drive_trains import STEP_US, Chassis
+from sim.world.world import World
 
 PERIOD_US = 50_000
 
@@ -49,3 +54,34 @@ def test_a_place_that_jumped_is_wrong_by_as_much_and_then_right_again() -> None:
     arrived = receiver.tells(seen(500_000), 500_000)
     assert arrived is not None and arrived[:3] == (3.5, -4.0, 0.5)
     assert arrivals(receiver, 1_000_000, 1_050_000) == [(1.0, 0)]
+
+
+def test_a_place_that_drifts_says_how_far_it_is_wrong() -> None:
+    receiver = Receiver()
+    receiver.drifting(0, 2_000_000, (0.3, -0.4))
+    arrived = receiver.tells(seen(1_000_000), 1_000_000)
+    assert arrived is not None and arrived[:2] == pytest.approx((1.3, -0.4))
+    assert arrived.position_accuracy_m == pytest.approx(0.5)
+    assert arrivals(receiver, 2_000_000, 2_050_000) == [(2.0, 0)]
+
+
+def test_wheels_that_are_deaf_get_no_command() -> None:
+    receiver = Receiver()
+    receiver.deaf_wheels(1_000_000)
+    assert [receiver.drives(now_us) for now_us in (0, 999_999, 1_000_000)] == [False, False, True]
+
+
+def test_wheels_slip_as_much_as_a_fault_says_and_then_as_before() -> None:
+    def speeds(slip: float | None) -> set[float]:
+        world = World([], 1)
+        body = world.add_robot(0, (0.0, 0.0), 0.5, Chassis(slip=0.0))
+        body.slip(slip)
+        found = set()
+        for t_us in range(0, 3_000_000, STEP_US):
+            body.drive(Drive(1.0, 0.0), t_us)
+            world.advance(t_us + STEP_US)
+            if t_us > 2_000_000:
+                found.add(round(body.speed_m_s, 6))
+        return found
+
+    assert speeds(None) == {1.0} and len(speeds(0.3)) > 10

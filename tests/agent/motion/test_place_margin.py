@@ -1,0 +1,40 @@
+"""The distance to others grows with the accuracy of our own place."""
+
+from math import dist
+
+import numpy as np
+import pytest
+
+from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.lifecycle import State
+from agent.interface.mission import MotionRequest
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.observation import Neighbour, Observation
+from agent.motion.holonomic_motion import ACCURACIES, HolonomicMotion
+from protocol.frames.fleet_frames import Pose
+
+LIMITS = BodyLimits(0.8, 2.5, 1.5)
+STANDS = Pose(10.0, 0.05, 0.0, 0.0, State.IDLE, False, True, False)
+
+
+def nearest_m(accuracy_m: float) -> float:
+    """How near the middle of a robot comes to one that stands in its way."""
+    motion = HolonomicMotion(0, LIMITS, np.empty((0, 4)))
+    x_m = y_m = vx_m_s = vy_m_s = 0.0
+    nearest, step_s = 99.0, CONTROL_PERIOD_US / S
+    for period in range(400):
+        now_us = period * CONTROL_PERIOD_US
+        here = Observation(
+            x_m, y_m, 0.0, vx_m_s, vy_m_s, sensed_at_us=now_us, position_accuracy_m=accuracy_m
+        )
+        told = motion.drive(here, MotionRequest(1.5, 0.0), {1: Neighbour(STANDS, now_us)}, now_us)
+        vx_m_s, vy_m_s = told.vx_m_s, told.vy_m_s
+        x_m, y_m = x_m + vx_m_s * step_s, y_m + vy_m_s * step_s
+        nearest = min(nearest, dist((x_m, y_m), (STANDS.x_m, STANDS.y_m)))
+    return nearest
+
+
+@pytest.mark.parametrize("accuracy_m", [0.05, 0.15])
+def test_a_robot_with_an_inaccurate_place_keeps_further_away(accuracy_m: float) -> None:
+    more_m = nearest_m(accuracy_m) - nearest_m(0.0)
+    assert more_m == pytest.approx(ACCURACIES * accuracy_m, abs=0.03)
