@@ -13,7 +13,8 @@ from agent.interface.config import S
 pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
 
 from agent.runtime.bodies.nmea_body import in_field
-from agent.runtime.bodies.nmea_fixes import DAY_US, NmeaFixes, ReceiverClock
+from agent.runtime.bodies.nmea_fixes import NmeaFixes
+from agent.runtime.bodies.position_fixes import DAY_US, ReceiverClock
 
 ORIGIN = (52.0, 5.0)
 LATENCY_US = 20_000

@@ -1,0 +1,196 @@
+"""Observations from the messages of a receiver on a CAN bus: NMEA 2000, and those of J1939.
+
+| PGN | gives |
+|---|---|
+| 129025 | place |
+| 129026 | velocity |
+| 129029 | kind of fix, time, and the place where no other message has it |
+| 127250 | heading |
+| 65267 | place |
+| 65256 | heading and speed |
+
+Only the first sender of places is believed, and the first of 127250: two receivers are metres apart.
+129025 and 65267 have no time. Their age is that of their arrival, and what is late does not show.
+"""
+
+from collections import Counter
+from collections.abc import Callable
+from math import cos, degrees, inf, sin
+from struct import unpack_from
+from typing import Final
+
+from agent.interface.config import S
+from agent.interface.observation import Observation
+from agent.runtime.bodies.position_fixes import ACCURACY_M, PositionFixes, course_rad
+from protocol.frames.identifier import Identifier
+
+POSITION, COURSE_SPEED, GNSS, HEADING = 129025, 129026, 129029, 127250  # NMEA 2000
+VEHICLE_POSITION, DIRECTION_SPEED = 65267, 65256  # J1939-71
+FAST_MAX: Final = 223  # bytes of a fast packet: 6 and 31 times 7
+RAPID_FOR_US: Final = S  # 129029 is no place while others came within this time
+TRUE_NORTH: Final = 0
+KMH_M_S: Final = 1 / 3.6
+
+
+class FastPackets:
+    """Puts together the fast packets of NMEA 2000 from one sender, one PGN at a time."""
+
+    def __init__(self) -> None:
+        self._parts: dict[
+            int, tuple[int, int, bytearray]
+        ] = {}  # PGN: counter, length, bytes so far
+        self._next: dict[int, int] = {}  # PGN: number of the next frame
+
+    def take(self, pgn: int, data: bytes) -> bytes | None:
+        """The whole message that this frame completes; None while one is missing."""
+        if len(data) < 2:
+            return None
+        counter, number = data[0] >> 5, data[0] & 0x1F
+        if number == 0:
+            self._parts[pgn], self._next[pgn] = (counter, data[1], bytearray(data[2:])), 1
+        elif pgn not in self._parts or (counter, number) != (self._parts[pgn][0], self._next[pgn]):
+            self._parts.pop(pgn, None)
+            return None
+        else:
+            self._parts[pgn][2].extend(data[1:])
+            self._next[pgn] = number + 1
+        _, length, so_far = self._parts[pgn]
+        if length > FAST_MAX or len(so_far) < length:
+            return None
+        del self._parts[pgn]
+        return bytes(so_far[:length])
+
+
+class BusFixes:
+    """Takes the frames of one receiver among those of a bus."""
+
+    def __init__(
+        self,
+        to_metres: Callable[[float, float], tuple[float, float]],
+        antenna_m: tuple[float, float],
+        sensed_at_us: Callable[[int, int], int],
+        latency_us: int,
+        accuracy_m: float = inf,
+    ) -> None:
+        """The first three are those of `NmeaFixes`. `latency_us`: of places without a time.
+        `accuracy_m`: of a receiver that does not send 129029; inf: its places are not believed.
+        """
+        self.fixes = PositionFixes(to_metres, antenna_m, accuracy_m)
+        self.sensed_at_us, self.latency_us = sensed_at_us, latency_us
+        self.source: int | None = None  # address of the receiver
+        self.compass: int | None = None  # address of what sends headings by 127250
+        self.counts: Counter[str] = Counter()  # messages by PGN, and "malformed", "another device"
+        self._fast = FastPackets()
+        self._rapid_at_us = -RAPID_FOR_US
+        self._utc_at_us = -1
+
+    def take(self, identifier: int, data: bytes, arrived_at_us: int) -> Observation | None:
+        """The observation that a frame with a 29-bit identifier completes; None if it completes
+        none.
+        """
+        frame = Identifier.unpack(identifier)
+        read = READERS.get(frame.pgn)
+        if read is None:
+            return None
+        if self.source is None and frame.pgn in (POSITION, VEHICLE_POSITION, GNSS):
+            self.source = frame.source
+        if frame.pgn == HEADING and self.compass is None:
+            self.compass = frame.source
+        if frame.source != (self.compass if frame.pgn == HEADING else self.source):
+            self.counts["another device"] += 1
+            return None
+        if frame.pgn == GNSS:
+            whole = self._fast.take(GNSS, data)
+            if whole is None:
+                return None
+            data = whole
+        self.counts[str(frame.pgn)] += 1
+        if not read(self, data, arrived_at_us):
+            self.counts["malformed"] += 1
+            return None
+        return self.fixes.whole(arrived_at_us)
+
+    def _position(self, data: bytes, arrived_at_us: int) -> bool:
+        if len(data) < 8:
+            return False
+        latitude, longitude = (each * 1e-7 for each in unpack_from("<ii", data))
+        return self._rapid(longitude, latitude, arrived_at_us)
+
+    def _vehicle_position(self, data: bytes, arrived_at_us: int) -> bool:
+        if len(data) < 8:
+            return False
+        latitude, longitude = (each * 1e-7 - 210.0 for each in unpack_from("<II", data))
+        return self._rapid(longitude, latitude, arrived_at_us)
+
+    def _rapid(self, longitude: float, latitude: float, arrived_at_us: int) -> bool:
+        if not _is_place(longitude, latitude):
+            return False
+        self._rapid_at_us = arrived_at_us
+        self.fixes.take_place(longitude, latitude, arrived_at_us - self.latency_us)
+        return True
+
+    def _gnss(self, data: bytes, arrived_at_us: int) -> bool:
+        if len(data) < 33:
+            return False
+        ticks, latitude, longitude = unpack_from("<xxxIqq", data)
+        kind = data[31] >> 4
+        self.fixes.take_kind(kind, arrived_at_us)
+        if kind not in ACCURACY_M:
+            return True
+        latitude, longitude = latitude * 1e-16, longitude * 1e-16
+        if ticks >= 86_401 * 10_000 or not _is_place(longitude, latitude):
+            return False
+        utc_at_us = ticks * 100
+        if utc_at_us == self._utc_at_us:
+            return True
+        self._utc_at_us = utc_at_us
+        at_us = self.sensed_at_us(utc_at_us, arrived_at_us)
+        if arrived_at_us - self._rapid_at_us >= RAPID_FOR_US:
+            self.fixes.take_place(longitude, latitude, at_us)
+        return True
+
+    def _course_speed(self, data: bytes, arrived_at_us: int) -> bool:
+        if len(data) < 6:
+            return False
+        reference = data[1] & 0x03
+        course, speed = unpack_from("<HH", data, 2)
+        if reference != TRUE_NORTH or course > 0xFFFC or speed > 0xFFFC:
+            return False
+        return self._velocity(degrees(course * 1e-4), speed * 0.01, arrived_at_us)
+
+    def _heading(self, data: bytes, arrived_at_us: int) -> bool:
+        if len(data) < 8:
+            return False
+        (bearing,) = unpack_from("<H", data, 1)
+        if data[7] & 0x03 != TRUE_NORTH or bearing > 0xFFFC:
+            return False
+        self.fixes.take_heading(course_rad(degrees(bearing * 1e-4)), arrived_at_us)
+        return True
+
+    def _direction_speed(self, data: bytes, arrived_at_us: int) -> bool:
+        if len(data) < 4:
+            return False
+        bearing, speed = unpack_from("<HH", data)
+        if bearing > 0xFAFF:
+            return False
+        self.fixes.take_heading(course_rad(bearing / 128), arrived_at_us)
+        return speed > 0xFAFF or self._velocity(bearing / 128, speed / 256 * KMH_M_S, arrived_at_us)
+
+    def _velocity(self, bearing: float, speed_m_s: float, arrived_at_us: int) -> bool:
+        to_rad = course_rad(bearing)
+        self.fixes.take_velocity(speed_m_s * cos(to_rad), speed_m_s * sin(to_rad), arrived_at_us)
+        return True
+
+
+def _is_place(longitude: float, latitude: float) -> bool:
+    return -180.0 <= longitude <= 180.0 and -90.0 <= latitude <= 90.0
+
+
+READERS: Final[dict[int, Callable[[BusFixes, bytes, int], bool]]] = {
+    POSITION: BusFixes._position,
+    COURSE_SPEED: BusFixes._course_speed,
+    GNSS: BusFixes._gnss,
+    HEADING: BusFixes._heading,
+    VEHICLE_POSITION: BusFixes._vehicle_position,
+    DIRECTION_SPEED: BusFixes._direction_speed,
+}

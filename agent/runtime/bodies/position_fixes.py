@@ -1,0 +1,141 @@
+"""Observations from what a receiver says bit by bit: place, time, accuracy, heading and velocity.
+
+The time of an observation is that of its place. The clock of the receiver differs from ours by a
+constant, which is the shortest difference seen between arrival and time: what arrives later was late.
+"""
+
+from collections.abc import Callable
+from math import cos, inf, radians, remainder, sin
+from typing import Final
+
+from agent.interface.config import S
+from agent.interface.observation import Observation
+
+DAY_US: Final = 86_400 * S
+# Standard deviation of a place without GST, metres, by the kind of fix: 4 is RTK fixed, 5 RTK float.
+ACCURACY_M: Final = {1: 3.0, 2: 1.0, 4: 0.02, 5: 0.4}
+HEADING_ACCURACY_RAD: Final = radians(1.0)  # of two antennas a metre apart
+HEADING_AGE_MAX_US: Final = S // 10  # an older heading is no heading
+VELOCITY_AGE_MAX_US: Final = S // 2
+ACCURACY_AGE_MAX_US: Final = 2 * S  # GST is often sent once a second
+OFFSET_FOR_US: Final = 60 * S  # two clocks of 50 ppm differ by 3 ms more in this time
+
+
+class ReceiverClock:
+    """The time of a receiver on our clock."""
+
+    def __init__(self, latency_us: int) -> None:
+        """`latency_us`: from the time of a place to its arrival, at the shortest."""
+        self.latency_us = latency_us
+        self._least_for_us = self._before_for_us = DAY_US  # of this period, and of the one before
+        self._period_ends_at_us = -DAY_US
+
+    def sensed_at_us(self, utc_at_us: int, arrived_at_us: int) -> int:
+        """The time at which a place was true. `utc_at_us`: since midnight."""
+        differ_for_us = (arrived_at_us - utc_at_us) % DAY_US
+        if arrived_at_us >= self._period_ends_at_us:
+            self._before_for_us, self._least_for_us = self._least_for_us, differ_for_us
+            self._period_ends_at_us = arrived_at_us + OFFSET_FOR_US
+        if _later(self._least_for_us, differ_for_us):
+            self._least_for_us = differ_for_us
+        least_for_us = self._least_for_us
+        if self._before_for_us < DAY_US and _later(least_for_us, self._before_for_us):
+            least_for_us = self._before_for_us
+        late_for_us = (differ_for_us - least_for_us) % DAY_US
+        return arrived_at_us - late_for_us - self.latency_us
+
+
+def _later(one_for_us: int, other_for_us: int) -> bool:
+    """Whether the first of two differences on a circle of a day is the longer one."""
+    return remainder(one_for_us - other_for_us, DAY_US) > 0
+
+
+class PositionFixes:
+    """Puts together observations: each has a place and a heading that came after the one before."""
+
+    def __init__(
+        self,
+        to_metres: Callable[[float, float], tuple[float, float]],
+        antenna_m: tuple[float, float],
+        accuracy_m: float = inf,
+    ) -> None:
+        """`to_metres`: from longitude and latitude to metres east and north in the field.
+        `antenna_m`: where the antenna is, ahead and left of the middle of the body. `accuracy_m`: of
+        places whose receiver says none.
+        """
+        self.to_metres, self.antenna_m, self.accuracy_m = to_metres, antenna_m, accuracy_m
+        self._place: tuple[float, float, int] | None = None  # longitude, latitude, time
+        self._heading: tuple[float, int] | None = None  # radians, arrival
+        self._velocity: tuple[float, float, int] | None = None  # east, north, arrival
+        self._accuracy: tuple[float, int] | None = None  # metres, arrival
+        self._kind: tuple[int, int] | None = None  # of fix, arrival
+        self._last: Observation | None = None
+
+    def take_place(self, longitude: float, latitude: float, at_us: int) -> None:
+        """A place in degrees, and the time at which it was true, microseconds."""
+        self._place = longitude, latitude, at_us
+
+    def take_kind(self, kind: int, arrived_at_us: int) -> None:
+        """The kind of fix, numbered as in GGA; another than those of `ACCURACY_M` is no fix."""
+        self._kind = kind, arrived_at_us
+
+    def take_heading(self, heading_rad: float, arrived_at_us: int) -> None:
+        """Radians, counter-clockwise from east."""
+        self._heading = heading_rad, arrived_at_us
+
+    def take_velocity(self, vx_m_s: float, vy_m_s: float, arrived_at_us: int) -> None:
+        """Metres a second, east and north."""
+        self._velocity = vx_m_s, vy_m_s, arrived_at_us
+
+    def take_accuracy(self, accuracy_m: float, arrived_at_us: int) -> None:
+        """Standard deviation of the place, metres."""
+        self._accuracy = accuracy_m, arrived_at_us
+
+    @property
+    def heading_rad(self) -> float:
+        """The newest heading, radians; 0.0 without one."""
+        return 0.0 if self._heading is None else self._heading[0]
+
+    def whole(self, now_us: int) -> Observation | None:
+        """The observation that is complete now; None if there is none."""
+        place, heading = self._place, self._heading
+        if place is None or heading is None or now_us - heading[1] > HEADING_AGE_MAX_US:
+            return None
+        self._place = self._heading = None
+        longitude, latitude, at_us = place
+        heading_rad = heading[0]
+        ahead_m, left_m = self.antenna_m
+        x_m, y_m = self.to_metres(longitude, latitude)
+        x_m -= cos(heading_rad) * ahead_m - sin(heading_rad) * left_m
+        y_m -= sin(heading_rad) * ahead_m + cos(heading_rad) * left_m
+        accuracy_m = self._accuracy_m(now_us)
+        vx_m_s, vy_m_s = self._velocity_m_s(x_m, y_m, at_us, now_us)
+        self._last = Observation(
+            x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=at_us,
+            position_accuracy_m=accuracy_m, heading_accuracy_rad=HEADING_ACCURACY_RAD,
+        )  # fmt: skip
+        return self._last
+
+    def _accuracy_m(self, now_us: int) -> float:
+        if self._accuracy is not None and now_us - self._accuracy[1] <= ACCURACY_AGE_MAX_US:
+            return self._accuracy[0]
+        if self._kind is not None and now_us - self._kind[1] <= ACCURACY_AGE_MAX_US:
+            return ACCURACY_M.get(self._kind[0], inf)
+        return self.accuracy_m
+
+    def _velocity_m_s(self, x_m: float, y_m: float, at_us: int, now_us: int) -> tuple[float, float]:
+        velocity, last = self._velocity, self._last
+        if velocity is not None and now_us - velocity[2] <= VELOCITY_AGE_MAX_US:
+            return velocity[:2]
+        if last is None or not 0 < at_us - last.sensed_at_us <= VELOCITY_AGE_MAX_US:
+            return 0.0, 0.0
+        passed_for_s = (at_us - last.sensed_at_us) / S
+        return (x_m - last.x_m) / passed_for_s, (y_m - last.y_m) / passed_for_s
+
+
+QUARTER_DEG: Final = 90.0  # from north to east
+
+
+def course_rad(degrees: float) -> float:
+    """From degrees clockwise from north to radians counter-clockwise from east."""
+    return radians(remainder(QUARTER_DEG - degrees, 360.0))
