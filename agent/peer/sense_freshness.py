@@ -33,6 +33,7 @@ AGE_MAX_US: Final = 2 * CONTROL_PERIOD_US
 STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
 STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
 FROZEN_M: Final = 0.1  # expected travel without a change of place, over two periods at least
+FOLLOWS: Final = 0.1  # share of the expected travel; a hung filter may still drift
 TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not frozen with the place
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 ACCELERATION_SHARE: Final = 0.5
@@ -278,7 +279,7 @@ class Senses(Part):
         away_m = 0.0
         if anchor is not None:
             away_m = hypot(here.x_m - anchor.x_m, here.y_m - anchor.y_m)
-        self._changed = away_m > STAYS_M
+        self._changed = away_m > max(STAYS_M, FOLLOWS * self._expected_m)
         if anchor is None or self._changed:
             passed_for_us = sensed_at_us - self._anchor_at_us
             self._expected_m_s = away_m * S / passed_for_us if passed_for_us > 0 else 0.0

@@ -100,9 +100,10 @@ PROFILES = {
                                      "freeze": 1.0, "estop": 1.0, "blind": 1.5, "frozen": 1.5,
                                      "late": 1.0},
                     "dropped boxes, pushed robots, lost senses, dead robots in the way"),
-    # A robot that restarts while its place is wrong cannot know it: no crashes.
+    # A robot that restarts while its place is wrong cannot know it: no crashes. It does not sense its
+    # implement, which rises when no command arrives: no deaf wheels.
     "senses": Profile((2, 4), (2, 8), {"blind": 2.0, "frozen": 2.0, "jumped": 4.0, "late": 2.0,
-                                       "drifting": 2.0, "deaf_wheels": 1.0, "slipping": 2.0,
+                                       "drifting": 2.0, "slipping": 2.0,
                                        "estop": 0.5, "loss": 0.5, "freeze": 0.5},
                       "receivers that fall silent, hang, jump, drift and are late; wheels that slip"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},

@@ -296,3 +296,15 @@ def test_a_mission_may_need_a_better_place_than_the_clearances_do(
     senses.listens_direct[Sensed](Sensed(seen), S)
     senses.look(S)
     assert safety.holds(StopCause.PLACE_LOST) == held
+
+
+@pytest.mark.parametrize("drift_m_s", [0.0, 0.05, -0.1])
+def test_a_frozen_place_that_drifts_slowly_is_frozen(drift_m_s: float) -> None:
+    """Found by the profile senses, seed 20293: a hung filter whose place still crept."""
+    robot = driving()
+    hung_x_m, hung_at_us = robot.x_m, robot.now_us
+    robot.spoilt = lambda o: o._replace(x_m=hung_x_m + drift_m_s * (robot.now_us - hung_at_us) / S)
+    while robot.told != HALT:
+        robot.period()
+    assert robot.held == {StopCause.PLACE_FROZEN}
+    assert robot.x_m - hung_x_m <= SPEED_M_S * 0.2
