@@ -4,7 +4,7 @@ import sys
 import traceback
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import typer
 
@@ -332,14 +332,19 @@ def export(
         Path | None, typer.Option(help="Write ISO 11783-10 task data: a folder, or NAME.zip.")
     ] = None,
     geojson: Annotated[Path | None, typer.Option(help="Write GeoJSON.")] = None,
+    bag: Annotated[
+        Path | None, typer.Option(help="Write a ROS 2 bag with standard messages: a new folder.")
+    ] = None,
+    storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Of the bag.")] = "mcap",
 ) -> None:
-    """Write what a run has worked in formats that farm software reads.
+    """Write what a run has worked in formats that farm software and ROS 2 read.
 
     Example: headland export runs/latest --isoxml TASKDATA
+    Example: headland export runs/latest --bag latest_bag
     """
     from tools.run.export import export as command
 
-    raise SystemExit(command(run, isoxml, geojson))
+    raise SystemExit(command(run, isoxml, geojson, bag, storage))
 
 
 @app.command(rich_help_panel=SET_UP)

@@ -7,6 +7,7 @@ EXTRA_OF = {
     "prometheus_client": "metrics",
     "foxglove": "foxglove",
     "cantools": "formats",
+    "rosbags": "ros",
     "pynmeagps": "nmea", "serial": "nmea",
     "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",
     "atheris": "fuzz",

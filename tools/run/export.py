@@ -5,19 +5,29 @@ from pathlib import Path
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
+from sim.record.mcap_log import McapMissing, read_recording
+from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
 
+MCAP = "run.mcap"
 RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field leaves
 
 
-def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
-    """Write the work of a run as task data, GeoJSON, or both. The exit code is 2 where the folder
-    has none, or nothing can be written; a FieldFileError becomes a line."""
-    if isoxml is None and geojson is None:
-        print("headland: export: name --isoxml or --geojson", file=sys.stderr)
+def export(
+    folder: Path, isoxml: Path | None, geojson: Path | None, bag: Path | None = None,
+    storage: Storage = "mcap",
+) -> int:  # fmt: skip
+    """Write the work of a run as task data, GeoJSON, a ROS 2 bag, or several of them. The exit code
+    is 2 where the folder has none, or nothing can be written; a FieldFileError becomes a line."""
+    if isoxml is None and geojson is None and bag is None:
+        print("headland: export: name --isoxml, --geojson or --bag", file=sys.stderr)
         return 2
+    if bag is not None and _bag(folder, bag, storage):
+        return 2
+    if isoxml is None and geojson is None:
+        return 0
     try:
         if not (folder / RECORD).exists() and (folder / REPORT).exists():
             raise FieldFileError(
@@ -37,6 +47,21 @@ def export(folder: Path, isoxml: Path | None, geojson: Path | None) -> int:
     except OSError as problem:
         print(f"headland: {problem.filename}: {problem.strerror}", file=sys.stderr)
         return 2
+    return 0
+
+
+def _bag(folder: Path, bag: Path, storage: Storage) -> int:
+    """Write a bag; the exit code."""
+    log = folder / MCAP
+    try:
+        check_package()
+        if not log.exists():
+            raise BagError(f"{folder}: no {MCAP}; headland run and headland launch leave one")
+        counts = write_bag(read_recording(log), bag, storage)
+    except (BagError, McapMissing, ValueError, OSError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return 2
+    print(f"{bag}: ROS 2 bag, {counts.total()} messages in {len(counts)} topics")
     return 0
 
 

@@ -49,6 +49,7 @@ def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         ("launch small --foxglove 0", "foxglove"),
         ("inspect run.mcap --plain", "operator"),
         ("run task --robots 2", "isoxml"),
+        ("export run --bag out", "ros"),
         ("chaos --help", ""),
         ("estop", ""),
         ("reset", ""),
