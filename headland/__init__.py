@@ -1,13 +1,52 @@
-"""The one name that an installed Headland takes.
+"""A leaderless robot fleet on a CAN bus: the one name that an installed Headland takes.
 
-`__main__` is the command, `can_interface` what python-can loads for `interface="fieldbus"`.
-In a wheel the layers are packages in here (`headland.agent`); in a checkout `checkout` finds them
-beside this folder, under the same names.
+`import headland as hl` gives play and sweep, which run scenarios in virtual time, and what an
+engineer implements: Body and Mission. They are imported at their first use (docs/use/python.md).
+
+`__main__` is the command, `can_interface` what python-can loads for `interface="fieldbus"`. In a wheel
+the layers are packages in here (`headland.agent`). In a checkout `checkout` finds them beside this one.
 """
 
+from importlib import import_module
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from agent.interface.effects import Drive
+    from agent.interface.mission import Mission
+    from agent.interface.observation import Observation
+    from agent.runtime.robot_body import DeclaredMachine
+    from agent.runtime.robot_body import RobotBody as Body
+    from tools.run.notebook import Run, play
+    from tools.run.parameter_sweep import sweep
 
 if not Path(__file__).with_name("agent").is_dir():
     from headland.checkout import find_layers
 
     find_layers()
+
+__all__ = ["Body", "DeclaredMachine", "Drive", "Mission", "Observation", "Run", "play", "sweep"]
+# Where each name is; a module that nobody asks for is not imported.
+_PLACES = {
+    "Body": ("agent.runtime.robot_body", "RobotBody"),
+    "DeclaredMachine": ("agent.runtime.robot_body", "DeclaredMachine"),
+    "Drive": ("agent.interface.effects", "Drive"),
+    "Mission": ("agent.interface.mission", "Mission"),
+    "Observation": ("agent.interface.observation", "Observation"),
+    "Run": ("tools.run.notebook", "Run"),
+    "play": ("tools.run.notebook", "play"),
+    "sweep": ("tools.run.parameter_sweep", "sweep"),
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _PLACES:
+        raise AttributeError(f"module 'headland' has no attribute {name!r}")
+    module, own = _PLACES[name]
+    value = getattr(import_module(f"{__name__}.{module}"), own)
+    globals()[name] = value
+    return value
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

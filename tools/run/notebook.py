@@ -96,6 +96,32 @@ class Run:
             return []
         return [dict(zip(values[0], row, strict=True)) for row in values[1]]
 
+    def frame(self, chapter: str) -> Any:
+        """All values of a chapter as a pandas DataFrame. Raises ImportError without pandas."""
+        import pandas
+
+        return pandas.DataFrame(self.table(chapter))
+
+    def plot(self, ax: Any = None) -> Any:
+        """Draw the outline and where each robot truly was, metres; returns the axes.
+
+        `ax`: axes of matplotlib; None: new ones.
+        """
+        if ax is None:
+            from matplotlib import pyplot
+
+            ax = pyplot.subplots()[1]
+        for ring in (self.recording.scene or {}).get("rings") or []:
+            closed = [*ring, ring[0]]
+            ax.plot([x for x, _ in closed], [y for _, y in closed], color="black", linewidth=1)
+        for slot, track in sorted(self.tracks.items()):
+            ax.plot(track[:, 1], track[:, 2], linewidth=0.8, label=f"robot {slot}")
+        ax.set_aspect("equal")
+        ax.set_xlabel("m east")
+        ax.set_ylabel("m north")
+        ax.legend(fontsize="small")
+        return ax
+
     def picture(self, chapter: str = "tracks") -> Picture:
         """The picture of a chapter of the report. Raises ValueError if the chapter has none, or is
         not there."""

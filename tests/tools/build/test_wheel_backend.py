@@ -98,7 +98,8 @@ NAMED = {
     "agent.runtime.robot_body:StandingBody", "sim.record.remote_body:WorldBody", "tools.run.robot",
     "tools.cli.headland", "tools.chaos.fuzz_atheris", "agent.runtime.robot_body",
     "tools.common.child_process", "agent.peer.durable_records", "agent.safety.stop_controller",
-    "agent.peer.peer", "agent.peer.membership",
+    "agent.peer.peer", "agent.peer.membership", "agent.runtime.bodies.nmea_body:NmeaBody",
+    "agent.runtime.bodies.replay_body:ReplayBody",
 }  # fmt: skip
 
 

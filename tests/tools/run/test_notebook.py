@@ -3,11 +3,15 @@
 import ast
 import json
 import runpy
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+import headland as hl
 from sim.scenarios.scenario import ScenarioError
+from tests.tools.launching import ROOT
 from tools.run.notebook import Picture, Run, play
 from tools.run.run_field import run as run_command
 
@@ -82,3 +86,36 @@ def test_what_cannot_be_is_one_line(words: dict[str, object], why: str) -> None:
     with pytest.raises(ScenarioError, match=why) as found:
         play(**words)  # type: ignore[arg-type]
     assert "\n" not in str(found.value)
+
+
+def test_the_face_has_what_it_says_and_imports_it_when_asked() -> None:
+    asked = (
+        "import sys, headland as hl; "
+        "early = [m for m in sys.modules if m.split('.')[0] in ('tools', 'sim', 'agent')]; "
+        "assert not early, early; "
+        "assert set(hl.__all__) <= set(dir(hl)); "
+        "assert all(getattr(hl, name).__doc__ for name in hl.__all__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", asked],
+        cwd=ROOT,
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=60,
+    )
+    assert done.returncode == 0, done.stderr
+    with pytest.raises(AttributeError, match="no attribute 'fly'"):
+        getattr(hl, "fly")  # noqa: B009
+
+
+def test_a_sweep_has_a_row_for_each_run() -> None:
+    pytest.importorskip("pandas", reason="the extra frames is not installed")
+    frame = hl.sweep("small", robots=(2, 3), seeds=(1,), progress=False)
+    assert list(frame["robots"]) == [2, 3] and list(frame["seed"]) == [1, 1]
+    alone = hl.play("small", robots=3, seed=1)
+    assert frame["log_hash"][1] == alone.log_hash, "a row is the run of `play`"
+    stops = alone.frame("sections")
+    assert len(stops) == len(alone.table("sections"))
+    axes = alone.plot()
+    assert len(axes.lines) == 2 + 3 and axes.get_xlabel() == "m east"
