@@ -94,7 +94,10 @@ async def _check(declared: RobotFile, as_json: bool) -> int:
     bad = [finding for finding in findings if finding.ok is False]
     if as_json:
         said = {"ready": not bad, "findings": [finding._asdict() for finding in findings]}
-        print(json.dumps(said, allow_nan=False))
+        strict = json.dumps(
+            said, allow_nan=False
+        )  # as `sim.files.strict_json`, which a robot lacks
+        print(strict)
     else:
         console = Console(highlight=False)
         print_findings(console, findings)
