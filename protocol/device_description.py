@@ -23,6 +23,8 @@ OFFSET_Y: Final = 135  # mm
 WORK_STATE: Final = 141  # actual work state: 0 up, 1 down
 SECTION_CONTROL_STATE: Final = 160  # 0 manual, 1 automatic
 CONDENSED_WORK_STATE: Final = 161  # sections 1 to 16, two bits each
+SETPOINT_WORK_STATE: Final = 289  # of the whole implement: 0 off, 1 on
+SETPOINT_CONDENSED: Final = 290  # of sections 1 to 16, two bits each: 0 off, 1 on
 SPEED: Final = 397  # actual, mm/s
 
 DEVICE, FUNCTION, SECTION = 0, 1, 2  # element numbers
@@ -30,7 +32,7 @@ TYPE_DEVICE, TYPE_FUNCTION, TYPE_SECTION = 1, 2, 4
 NONE: Final = 0xFFFF  # an object that is not there
 # Ways by which a value may be asked for: bits of a process data object.
 BY_TIME, BY_DISTANCE, ON_CHANGE, TOTAL = 1, 2, 8, 16
-IN_DEFAULT_SET: Final = 1
+IN_DEFAULT_SET, SETTABLE = 1, 2  # properties of a process data object
 NO_UNITS: Final = bytes((0x65, 0x6E, 0x00, 0x00, 0x00, 0x00, 0xFF))  # localization: "en", metric
 VERSION_4: Final = 4
 
@@ -52,13 +54,18 @@ VALUES: Final = (
     ProcessValue(DEVICE, SPEED, 0, _STATE, "speed"),
     ProcessValue(FUNCTION, WORK_STATE, IN_DEFAULT_SET, _STATE, "work state"),
     ProcessValue(FUNCTION, CONDENSED_WORK_STATE, IN_DEFAULT_SET, _STATE, "sections"),
-    ProcessValue(FUNCTION, SECTION_CONTROL_STATE, 0, BY_TIME | ON_CHANGE, "section control"),
+    ProcessValue(FUNCTION, SECTION_CONTROL_STATE, SETTABLE, BY_TIME | ON_CHANGE, "section control"),
+    ProcessValue(FUNCTION, SETPOINT_WORK_STATE, SETTABLE, ON_CHANGE, "setpoint work state"),
+    ProcessValue(FUNCTION, SETPOINT_CONDENSED, SETTABLE, ON_CHANGE, "setpoint sections"),
     ProcessValue(FUNCTION, TOTAL_AREA, IN_DEFAULT_SET, _TOTAL, "area"),
     ProcessValue(FUNCTION, EFFECTIVE_DISTANCE, 0, _TOTAL, "distance at work"),
     ProcessValue(FUNCTION, EFFECTIVE_TIME, IN_DEFAULT_SET, _TOTAL, "time at work"),
     ProcessValue(FUNCTION, INEFFECTIVE_TIME, 0, _TOTAL, "time not at work"),
 )  # fmt: skip
 TRIGGERS: Final = {(value.element, value.ddi): value.triggers for value in VALUES}
+SET_BY_CONTROLLER: Final = frozenset(
+    (value.element, value.ddi) for value in VALUES if value.properties & SETTABLE
+)
 UNITS: Final = {  # DDI -> factor, decimals, unit for people
     SPEED: (0.0036, 1, "km/h"),
     WIDTH: (0.001, 2, "m"),

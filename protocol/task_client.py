@@ -19,6 +19,10 @@ from protocol.device_description import (
     IN_DEFAULT_SET,
     NO_UNITS,
     ON_CHANGE,
+    SECTION_CONTROL_STATE,
+    SET_BY_CONTROLLER,
+    SETPOINT_CONDENSED,
+    SETPOINT_WORK_STATE,
     TRIGGERS,
     VALUES,
     VERSION_4,
@@ -33,7 +37,9 @@ ANSWER_US: Final = 6 * S  # limit for an answer; then the log-in begins again
 UPLOAD_US: Final = 30 * S  # limit for the answer to a pool
 INTERVAL_MIN_US: Final = 100 * MS  # shortest time between two values of one trigger
 VERSION_3: Final = 3
-DOCUMENTATION: Final = 1  # option: task totals and values, no control by the task controller
+# Options: task totals and values are told, and sections are switched by the task controller.
+DOCUMENTATION, SECTION_CONTROL = 1, 16
+OPTIONS: Final = DOCUMENTATION | SECTION_CONTROL
 BOOMS, SECTIONS, CHANNELS = 1, 1, 1
 
 # Commands: the low half of the first byte. Those about the description have another one above it.
@@ -46,6 +52,8 @@ ASK_UPLOAD, MAY_UPLOAD, POOL, POOL_TAKEN = 0x41, 0x51, 0x61, 0x71
 ACTIVATE, ACTIVATED, DELETE, DELETED = 0x81, 0x91, 0xA1, 0xB1
 # Reasons of a refusal.
 NOT_SUPPORTED, NO_ELEMENT, NO_DDI, NO_TRIGGER, NOT_SETTABLE, BAD_INTERVAL = 1, 2, 4, 8, 16, 32
+OBEYED: Final = 0
+SECTION_OFF, SECTION_UNCHANGED = 0, 3  # two bits of one section in a condensed state
 
 
 class SessionState(Enum):
@@ -136,6 +144,19 @@ class TaskClient:
         self._heard_at_us = self._due_at_us = self._status_at_us = 0
         self._totals = 0  # the task controller counts: a task is active
         self._triggers: dict[Key, _Trigger] = {}
+        self.setpoints: dict[Key, int] = {}  # as the task controller has set them in this session
+
+    @property
+    def work_off(self) -> bool:
+        """Whether the task controller has switched the whole implement off."""
+        return self.setpoints.get((FUNCTION, SETPOINT_WORK_STATE)) == 0
+
+    @property
+    def section_off(self) -> bool:
+        """Whether automatic section control has switched our section off."""
+        automatic = self.setpoints.get((FUNCTION, SECTION_CONTROL_STATE), 0) == 1
+        sections = self.setpoints.get((FUNCTION, SETPOINT_CONDENSED), SECTION_UNCHANGED)
+        return automatic and sections & 3 == SECTION_OFF
 
     @property
     def state(self) -> SessionState:
@@ -228,9 +249,7 @@ class TaskClient:
     def _login(self, data: bytes, now_us: int) -> list[SessionOutput]:
         kind = data[0]
         if kind == ASK_VERSION:
-            options = bytes(
-                (VERSION, self.version, 0xFF, DOCUMENTATION, 0, BOOMS, SECTIONS, CHANNELS)
-            )
+            options = bytes((VERSION, self.version, 0xFF, OPTIONS, 0, BOOMS, SECTIONS, CHANNELS))
             return [SessionMessage(options)]
         expected = {
             V: (VERSION, self._told_version), T: (STRUCTURE, self._told_structure),
@@ -306,6 +325,7 @@ class TaskClient:
         self._machine.fire(SessionEvent.LOST)
         self.server, self._totals = None, 0
         self._triggers.clear()
+        self.setpoints.clear()
 
     # ---------------------------------------------------------------- values
 
@@ -320,16 +340,27 @@ class TaskClient:
                 return self._default_set(values, now_us)
             if key in TRIGGERS:
                 return [_value(key, values.get(key, 0))]
-            return [_refusal(data, self._unknown(element), command)]
-        if command in (VALUE, SET_AND_ACKNOWLEDGE):  # nothing here is set by a task controller
+            return [_acknowledged(data, self._unknown(element), command)]
+        if command in (VALUE, SET_AND_ACKNOWLEDGE):
+            if key in SET_BY_CONTROLLER:
+                self._set(key, number)
+                return (
+                    [_acknowledged(data, OBEYED, command)] if command == SET_AND_ACKNOWLEDGE else []
+                )
             reason = NOT_SETTABLE if key in TRIGGERS else self._unknown(element)
-            return [_refusal(data, reason, command)]
+            return [_acknowledged(data, reason, command)]
         if command in (TIME_INTERVAL, DISTANCE_INTERVAL, CHANGE):
             reason = self._measure(command, key, number, values, now_us)
-            return [_refusal(data, reason, command)] if reason else []
+            return [_acknowledged(data, reason, command)] if reason else []
         if command in (MINIMUM, MAXIMUM):
-            return [_refusal(data, NO_TRIGGER, command)]
+            return [_acknowledged(data, NO_TRIGGER, command)]
         return []
+
+    def _set(self, key: Key, number: int) -> None:
+        """Take a value of the task controller; it holds until the session ends."""
+        if key[1] == SETPOINT_CONDENSED and number & 3 == SECTION_UNCHANGED:
+            return
+        self.setpoints[key] = number
 
     @staticmethod
     def _unknown(element: int) -> int:
@@ -383,6 +414,6 @@ def _value(key: Key, number: int) -> SessionMessage:
     return SessionMessage(pack("<BBHi", VALUE | (element & 0xF) << 4, element >> 4, ddi, bounded))
 
 
-def _refusal(data: bytes, reason: int, command: int) -> SessionMessage:
-    """The answer to a command that is not obeyed."""
+def _acknowledged(data: bytes, reason: int, command: int) -> SessionMessage:
+    """The answer to a command; `reason`: why it is not obeyed, or OBEYED."""
     return _frame(bytes((ACKNOWLEDGE | data[0] & 0xF0, *data[1:4], reason, 0xF0 | command)))

@@ -47,6 +47,9 @@ class ControlCycle(Part):
         self.wish: MotionRequest = STILL  # of the mission, before right of way and the gate
         self.at_work = False  # as others know
         self.stall = Stall()
+        # Whether a task controller wants the implement up; the peer's parts set it.
+        self.implement_off: Callable[[], bool] = lambda: False
+        self._down = False  # what the body was told of the implement in the last control period
         self._drove_at_us = 0  # time of the newest command to the actuator
         self._raised = False  # a command since the last control period raised the implement
 
@@ -82,7 +85,8 @@ class ControlCycle(Part):
             outputs += self.progress.sweep(covered, now_us)
         self.wish, chosen = self._wish(mission, view)
         outputs += chosen
-        at_work = self.safety.may_move and mission.at_work
+        off = self.implement_off()
+        at_work = self.safety.may_move and mission.at_work and not off
         if at_work != self.at_work:
             self.at_work = at_work
             outputs.append(notices.ImplementMoved(at_work))
@@ -90,8 +94,13 @@ class ControlCycle(Part):
         wanted = motion.drive(here, self.wish, view.neighbours, now_us)
         wanted, asked = self.obstacle.watch(wanted, here, view.neighbours, now_us)
         outputs += asked
+        if off and wanted.tool_on:
+            wanted = wanted._replace(tool_on=False)
         drive = self.safety.gate(wanted, now_us)
         self.senses.drove(drive)
+        if drive.tool_on is not self._down:
+            self._down = drive.tool_on
+            outputs.append(notices.ImplementLowered(drive.tool_on))
         return [drive, *outputs, *self._watch(mission, view)]
 
     def commanded(self, drive: Drive) -> None:

@@ -71,6 +71,12 @@ class ControlDue(NamedTuple):
     late_for_us: int
 
 
+class ImplementLowered(NamedTuple):
+    """Our body was told to lower its implement, or to raise it."""
+
+    down: bool
+
+
 class ImplementMoved(NamedTuple):
     """Our implement is down or soon will be, or no longer."""
 

@@ -119,7 +119,7 @@ class PeerParts:
             identity, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining, self.safety
         )
         self.diagnostics = DiagnosticBroadcasts(self.safety, self.letters, identity.diagnostics)
-        self.tasks = TaskReporting(identity, self.letters)
+        self.tasks = TaskReporting(identity, self.letters, self.safety)
         self.letters.answer(
             FLEET_SUMMARY_PGN,
             lambda ctx: write(compose(ctx, self.membership, self.allocation)),
@@ -153,6 +153,7 @@ class PeerParts:
             now_us + first_beat_for_us(identity, beat) % CONTROL_PERIOD_US, mission, motion, self.work,
             self.directive, self.obstacle, self.senses, self.views, self._may_choose,
         )  # fmt: skip
+        self.control.implement_off = self.tasks.raises_implement
         self.voice = Announcements(
             identity, beat, self.safety, self.joining, self.conflicts, self.senses, self.knowledge,
             self.clock, self.sync, now_us,

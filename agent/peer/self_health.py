@@ -98,7 +98,7 @@ NOT_OF_ITSELF: Final = frozenset({
     StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT,
     StopCause.BACKBONE_LOST, StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH,
     StopCause.DUPLICATE_ID, StopCause.UNAUTHENTICATED_STOP, StopCause.SPENT_STOP,
-    StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT,
+    StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT, StopCause.WORK_OFF,
 })  # fmt: skip
 
 

@@ -1,7 +1,7 @@
 """Reports this robot's work to a task controller of another maker that is on the bus (ISO 11783-10).
 
-The session is `protocol/task_client.py`. This part counts what it is asked for, and changes nothing: a
-task controller sets nothing of a robot.
+The session is `protocol/task_client.py`. This part counts what it is asked for. It obeys two settings:
+a robot whose section is off drives on with the implement up, and one whose work is off stands.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,11 +9,13 @@ from math import hypot
 from typing import Any, Final
 
 from agent.interface.config import S
-from agent.interface.effects import Effect, Send
+from agent.interface.effects import Effect, Send, Trace
 from agent.interface.identity import Identity
 from agent.peer import notices
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder
+from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import StopController
 from protocol.device_description import (
     CONDENSED_WORK_STATE,
     DEVICE,
@@ -22,6 +24,8 @@ from protocol.device_description import (
     FUNCTION,
     INEFFECTIVE_TIME,
     SECTION_CONTROL_STATE,
+    SETPOINT_CONDENSED,
+    SETPOINT_WORK_STATE,
     SPEED,
     TOTAL_AREA,
     WORK_STATE,
@@ -36,14 +40,19 @@ from protocol.task_client import (
 )
 
 SECTIONS_ABSENT: Final = 0xFFFF_FFFC  # two bits each: sections 2 to 16 do not exist
+SET_AT_FIRST: Final = {  # before a task controller sets them: manual, and everything is on
+    (FUNCTION, SECTION_CONTROL_STATE): 0,
+    (FUNCTION, SETPOINT_WORK_STATE): 1,
+    (FUNCTION, SETPOINT_CONDENSED): SECTIONS_ABSENT + 1 - (1 << 32),
+}
 STEP_MAX_S: Final = 1.0  # a longer time without a reading is not counted as a way
 
 
 class TaskReporting(Part):
     """The part that logs in at a task controller and tells it values."""
 
-    def __init__(self, identity: Identity, letters: PgnResponder) -> None:
-        self.letters = letters
+    def __init__(self, identity: Identity, letters: PgnResponder, safety: StopController) -> None:
+        self.letters, self.safety = letters, safety
         self.client = TaskClient(
             DeviceDescription(
                 identity.name,
@@ -54,7 +63,8 @@ class TaskReporting(Part):
         )
         self._takes_part = identity.diagnostics
         self._width_mm = identity.implement_width_mm
-        self.at_work = False
+        self.at_work = False  # the implement is down
+        self._raised = False  # as we have said last: our section is off
         self._counted_at_us: int | None = None
         self._work_for_us = self._rest_for_us = 0
         self._distance_mm = 0.0
@@ -65,7 +75,7 @@ class TaskReporting(Part):
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
-        return {notices.ImplementMoved: self._implement, notices.AddressLost: self._away}
+        return {notices.ImplementLowered: self._implement, notices.AddressLost: self._away}
 
     @property
     def due_at_us(self) -> int:
@@ -75,11 +85,12 @@ class TaskReporting(Part):
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.client.state is SessionState.WAITING:
             self._counted_at_us = None
-            return NOTHING
+            return self._obey(ctx.now_us) if self.safety.holds(StopCause.WORK_OFF) else NOTHING
         if ctx.now_us < self.due_at_us and self.client.state is not SessionState.CONNECTED:
             return NOTHING
         self._count(ctx)
-        return self._sends(self.client.on_timer(self.values(ctx), ctx.now_us), ctx.now_us)
+        said = self.client.on_timer(self.values(ctx), ctx.now_us)
+        return [*self._sends(said, ctx.now_us), *self._obey(ctx.now_us)]
 
     def values(self, ctx: StepContext) -> dict[tuple[int, int], int]:
         """What a task controller may ask for, by element and DDI, in the units of ISO 11783-11."""
@@ -90,11 +101,12 @@ class TaskReporting(Part):
             (DEVICE, SPEED): round(1000 * speed_m_s),
             (FUNCTION, WORK_STATE): int(self.at_work),
             (FUNCTION, CONDENSED_WORK_STATE): sections - (1 << 32),  # as a signed number
-            (FUNCTION, SECTION_CONTROL_STATE): 0,
+            **SET_AT_FIRST,
             (FUNCTION, TOTAL_AREA): int(self._distance_mm / 1000 * self._width_mm / 1000),
             (FUNCTION, EFFECTIVE_DISTANCE): int(self._distance_mm),
             (FUNCTION, EFFECTIVE_TIME): self._work_for_us // S,
             (FUNCTION, INEFFECTIVE_TIME): self._rest_for_us // S,
+            **self.client.setpoints,
         }
 
     def _count(self, ctx: StepContext) -> None:
@@ -115,18 +127,39 @@ class TaskReporting(Part):
             return NOTHING
         self._count(ctx)
         said = self.client.on_message(header.source, m.body, self.values(ctx), ctx.now_us)
-        return self._sends(said, ctx.now_us)
+        return [*self._sends(said, ctx.now_us), *self._obey(ctx.now_us)]
 
-    def _implement(self, ctx: StepContext, notice: notices.ImplementMoved) -> Outputs:
+    def raises_implement(self) -> bool:
+        """Whether the implement is to be up, because a task controller has switched our section off."""
+        return self.client.section_off
+
+    def _obey(self, now_us: int) -> list[Effect]:
+        """Stand while the work is off; say what a task controller has switched."""
+        client, outputs = self.client, list[Effect]()
+        if client.work_off is not self.safety.holds(StopCause.WORK_OFF):
+            if client.work_off:
+                where = f"address {client.server}"
+                self.safety.raise_cause(StopCause.WORK_OFF, now_us, where)
+                outputs.append(Trace("task controller", "", "WORK_OFF", "", where))
+            else:
+                self.safety.clear_cause(StopCause.WORK_OFF, now_us)
+                outputs.append(Trace("task controller", "", "WORK_ON", "", ""))
+        if client.section_off is not self._raised:
+            self._raised = client.section_off
+            event = "SECTION_OFF" if self._raised else "SECTION_ON"
+            outputs.append(Trace("task controller", "", event, "", "section 1"))
+        return outputs
+
+    def _implement(self, ctx: StepContext, notice: notices.ImplementLowered) -> Outputs:
         self._count(ctx)
-        self.at_work = notice.at_work
+        self.at_work = notice.down
         if self.client.state is not SessionState.CONNECTED:
             return NOTHING
         return self._sends(self.client.changed(self.values(ctx), ctx.now_us), ctx.now_us)
 
     def _away(self, ctx: StepContext, notice: notices.AddressLost) -> Outputs:
         self.client.reset()
-        return NOTHING
+        return self._obey(ctx.now_us)
 
     def _sends(self, said: Sequence[SessionOutput], now_us: int) -> list[Effect]:
         effects: list[Effect] = []

@@ -63,6 +63,12 @@ class StopCause(Enum):
         "something that is not a robot blocks the way",
         "look at what blocks it; take it away, or answer its question",
     )
+    WORK_OFF = _Rule(
+        Severity.PAUSE,
+        ClearCondition.WHEN_GONE,
+        "a task controller of the bus has switched its work off",
+        "switch its work on at the terminal of that task controller",
+    )
     CREEP = _Rule(
         Severity.SLOW,
         ClearCondition.BY_POLICY,
@@ -219,6 +225,7 @@ _ABOUT = {
     StopCause.DUPLICATE_ID: ("address", re.compile(r"address (\d+)")),
     StopCause.UNAUTHENTICATED_STOP: ("address", re.compile(r"address (\d+)")),
     StopCause.IMPLEMENTS_STOP: ("address", re.compile(r"address (\d+)")),
+    StopCause.WORK_OFF: ("address", re.compile(r"address (\d+)")),
     StopCause.MEMBER_SILENT: ("robot", re.compile(r"(\d+)")),
     StopCause.CREEP: ("robot", re.compile(r"(\d+)")),
 }

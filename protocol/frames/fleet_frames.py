@@ -166,6 +166,7 @@ class StandsBy(IntEnum):
     SENSES_OLD = 20
     PLACE_FROZEN = 21
     PLACE_LOST = 22
+    WORK_OFF = 23
 
 
 class Standstill(NamedTuple):

@@ -157,7 +157,7 @@ def test_it_logs_in_and_uploads(version: int) -> None:
     assert client.version == version
     # It asks us, too.
     (told,) = client.on_message(SERVER, b"\x00" + b"\xff" * 7, VALUES_NOW, 0)
-    assert told == SessionMessage(bytes((0x10, version, 0xFF, 1, 0, 1, 1, 1)))
+    assert told == SessionMessage(bytes((0x10, version, 0xFF, 0x11, 0, 1, 1, 1)))
 
 
 def test_the_first_thing_is_the_working_set() -> None:
@@ -298,3 +298,18 @@ def test_any_bytes_in_any_state_raise_nothing() -> None:
         client.on_message(rng.choice((SERVER, 1)), rng.randbytes(8), VALUES_NOW, step * 10 * MS)
         client.on_timer(VALUES_NOW, step * 10 * MS)
     del server
+
+
+def test_a_task_controller_switches_work_and_sections() -> None:
+    client, _ = connected(4)
+    assert asked(client, "1A 00 21 01 00000000") == [bytes.fromhex("1D 00 21 01 00 FA FFFF")]
+    assert client.work_off and not client.section_off
+    assert asked(client, "13 00 21 01 01000000") == [] and not client.work_off
+    assert asked(client, "13 00 22 01 FCFFFFFF") == []
+    assert not client.section_off, "section control is not automatic yet"
+    assert asked(client, "13 00 A0 00 01000000") == [] and client.section_off
+    assert asked(client, "13 00 22 01 FFFFFFFF") == [] and client.section_off, "no change"
+    assert asked(client, "13 00 22 01 FDFFFFFF") == [] and not client.section_off
+    asked(client, "13 00 21 01 00000000")
+    client.on_timer(VALUES_NOW, 7 * S)
+    assert client.state is SessionState.WAITING and not client.work_off, "it ends with the session"

@@ -140,6 +140,7 @@ ENDED_BY: dict[StopCause, str | None] = {
     StopCause.UNAUTHENTICATED_STOP: "time",
     StopCause.SPENT_STOP: "time",
     StopCause.IMPLEMENTS_STOP: "time",
+    StopCause.WORK_OFF: "time",  # here there is no session with a task controller
     StopCause.DISK_ERROR: None,
     StopCause.STOP_DOT: "manual reset",  # here every dot is cleared
     StopCause.BOOT_UNCONFIRMED: "manual reset",

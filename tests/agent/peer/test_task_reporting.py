@@ -3,18 +3,25 @@
 from collections.abc import Sequence
 from random import Random
 
+import numpy as np
 import pytest
 
 from agent.interface.config import MS, S
-from agent.interface.effects import Effect, Send
+from agent.interface.effects import Drive, Effect, Send
 from agent.interface.identity import Identity
+from agent.interface.lifecycle import State
+from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
-from agent.peer.inputs import Received, Sensed, Timer
-from agent.peer.notices import ImplementMoved
+from agent.motion.holonomic_motion import HolonomicMotion
+from agent.peer.inputs import BusState, Received, Sensed, Timer
+from agent.peer.notices import ImplementLowered
 from agent.peer.peer import Peer
-from agent.runtime.peer_factory import make_peer
+from agent.runtime.peer_factory import MissionParts, make_peer
+from agent.safety.stop_cause import StopCause, sentence
+from protocol.controller_health import Health
 from protocol.device_description import DeviceDescription
 from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Standstill
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import TransportData, TransportManagement
@@ -22,6 +29,7 @@ from protocol.frames.task_frames import ProcessData, WorkingSetMaster
 from protocol.name import fleet_name
 from protocol.task_client import SessionState, TaskClient
 from protocol.transport import Transport
+from tests.agent.lone_peer import Eager
 from tests.protocol.test_task_client import STATUS, Controller, parsed
 
 SERVER = 247
@@ -149,4 +157,75 @@ def test_a_simulated_fleet_does_not_answer_task_controllers() -> None:
 
 def test_the_part_listens_to_the_implement() -> None:
     bus = Bus(4)
-    assert ImplementMoved in bus.peer.named.tasks.listens
+    assert ImplementLowered in bus.peer.named.tasks.listens
+
+
+def set_to(bus: Bus, ddi: int, number: int) -> None:
+    """The task controller sets a value of the implement."""
+    bus.tell(ProcessData(b"\x13\x00" + ddi.to_bytes(2, "little") + number.to_bytes(4, "little")))
+
+
+def test_a_robot_whose_work_is_off_stands_and_says_why() -> None:
+    bus = Bus(4)
+    bus.until(5 * S)
+    safety = bus.peer.safety
+    set_to(bus, 289, 0)
+    assert (StopCause.WORK_OFF, f"address {SERVER}") in safety.causes and not safety.may_move
+    assert "address 247" in sentence(StopCause.WORK_OFF.number, SERVER)
+    bus.heard.clear()
+    bus.until(bus.now_us + 2 * S)
+    told = [m.cause for m in bus.heard if isinstance(m, Standstill)]
+    assert StopCause.WORK_OFF.number in told
+    set_to(bus, 289, 1)
+    assert not safety.holds(StopCause.WORK_OFF)
+    set_to(bus, 289, 0)
+    silent = bus.now_us + 7 * S
+    while bus.now_us < silent:
+        bus.now_us += 10 * MS
+        bus._take(bus.peer.step(Timer(), bus.now_us))
+    assert not safety.holds(StopCause.WORK_OFF), "it ends with the session"
+
+
+def test_a_section_that_is_off_raises_the_implement_and_the_robot_drives_on() -> None:
+    class Watched(Eager):
+        raised = 0
+
+        def on_implement_raised(self) -> None:
+            self.raised += 1
+
+    mission = Watched()
+    bus = Bus(4)
+    motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
+    bus.peer = make_peer(bus.peer.identity, Random(4), 0, {}, MissionParts(mission, motion))
+    x_m = 0.0
+
+    def drives(until_us: int) -> Drive:
+        nonlocal x_m
+        drive = Drive(0.0, 0.0)
+        while bus.now_us < until_us:
+            bus.now_us += 10 * MS
+            x_m += drive.vx_m_s * 0.01
+            here = Observation(x_m, 0.0, 0.0, drive.vx_m_s, 0.0, sensed_at_us=bus.now_us)
+            if bus.peer.wants_observation(bus.now_us):
+                bus._take(bus.peer.step(Sensed(here), bus.now_us))
+            if bus.now_us % (2 * S) == 0:
+                bus.tell(ProcessData(STATUS), GLOBAL_ADDRESS)
+            bus.peer.step(BusState(Health.ACTIVE, True, bus.now_us), bus.now_us)
+            effects = bus.peer.step(Timer(), bus.now_us)
+            drive = next((e for e in effects if isinstance(e, Drive)), drive)
+            bus._take(effects)
+        return drive
+
+    drives(5 * S)
+    bus.peer.claims.current, bus.peer.lifecycle.machine.state = 0, State.WORKING
+    held = bus.peer.safety.causes
+    assert bus.logged_in and drives(bus.now_us + S).tool_on, held
+    assert bus.peer.named.tasks.at_work
+    set_to(bus, 160, 1)
+    set_to(bus, 290, 0xFFFF_FFFC)
+    mission.raised = 0
+    drive = drives(bus.now_us + S)
+    assert not drive.tool_on and drive.vx_m_s > 0.5 and mission.raised
+    assert not bus.peer.named.tasks.at_work
+    set_to(bus, 290, 0xFFFF_FFFD)
+    assert drives(bus.now_us + S).tool_on
