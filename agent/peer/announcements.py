@@ -186,6 +186,7 @@ class Announcements(Part):
             health=share,
             operations=self.clock[self.slot] & 0xFFFF,
             digest=self.sync.outgoing_digest(),
+            keyed=self.safety.keyed,
         )
 
 

@@ -95,6 +95,7 @@ class Heartbeat(NamedTuple):
     health: float  # 0.0 failed to 1.0 healthy
     operations: int
     digest: int
+    keyed: bool = False  # its fleet has keys
 
 
 HEARTBEAT = FrameLayout(
@@ -106,7 +107,7 @@ HEARTBEAT = FrameLayout(
         flag("held", "something other than a latch keeps it from moving"),
         flag("started", "an operator has given the start"),
         flag("leaving", "it leaves the fleet on purpose"),
-        reserved(1),
+        flag("keyed", "its fleet has keys: it obeys nobody without one"),
         share("health", 8, 250, "0: failed, 1: healthy"),
         integer("operations", 16, "own component of the vector clock, modulo 2^16"),
         integer("digest", 24, "of registers and progress"),

@@ -7,6 +7,7 @@ immutable, so sharing gives no peer knowledge that it would not have computed eq
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
+from pathlib import Path
 
 from agent.interface.vehicle import Vehicle
 from agent.runtime.files.key_file import FLEET, KeyFileError, read
@@ -29,6 +30,14 @@ class FleetSetup(ABC):
         self.scenario = scenario
         self.keys = _keys_of(scenario)
         self.silence = scenario.fleet.silence_policy
+
+    def use_keys(self, path: Path) -> None:
+        """Give the fleet keys after its setup was made, and before anything was made of it.
+
+        Raises ScenarioError if the file cannot be used.
+        """
+        self.scenario = self.scenario.changed(keys=path)
+        self.keys = _keys_of(self.scenario)
 
     # ---------------------------------------------------------------- what a mission says
 

@@ -203,6 +203,10 @@ def launch(
     ] = 0,
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     keys: KeyFile = None,
+    no_keys: Annotated[
+        bool,
+        typer.Option("--no-keys", help="No keys: any device on the bus may release this fleet."),
+    ] = False,
     show_map: Map = False,
     page_port: PagePort = 8700,
     operator_key: MapOperatorKey = None,
@@ -219,6 +223,7 @@ def launch(
     """Run every robot as a process of its own, in real time, on a bus others can attach to.
 
     A fleet whose work is not done is continued by the same command, with its stops and its work.
+    It has keys of its own, in its folder. Your tools on its bus take them by themselves.
     Example: headland launch --robots 6, then in another terminal: headland stop
     """
     from tools.run.launch_command import launch as command
@@ -241,6 +246,7 @@ def launch(
             operator_key,
             metrics,
             foxglove,
+            no_keys,
         )
     )
 

@@ -5,7 +5,7 @@ from typing import Protocol
 
 from rich.table import Table
 
-NO_KEYS = "[yellow]NONE: any device on the bus can stop and release this fleet[/yellow]"
+NO_KEYS = "[bold red]NONE: any device on the bus can stop and release this fleet[/bold red]"
 Fact = tuple[str, str]  # name and text; the text may have rich's markup
 
 

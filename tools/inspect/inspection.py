@@ -26,7 +26,7 @@ from sim.files.log_parts import parts_of
 from sim.files.strict_json import dumps
 from sim.record.mcap_log import McapMissing, read_frames
 from tools.common.bus_attach import AttachError, attach
-from tools.inspect.inspector import Inspector
+from tools.inspect.inspector import NO_KEYS, Inspector
 
 WRONG = 2
 UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
@@ -379,6 +379,8 @@ def _show(console: Console, seen: dict[str, Any]) -> None:
             )
     console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")
     console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
+    if seen["keyed"] is False:
+        console.print(f"[bold red]{NO_KEYS}")
     if seen["latched"]:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
     for key, whose in (

@@ -47,6 +47,7 @@ from tools.operate.foreign_groups import group_name
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent this long is forgotten
 TRANSITIONS_MAX = 64  # newest transitions kept of a robot; no person reads a longer list
+NO_KEYS = "NO KEYS: any device on the bus can stop and release this fleet"
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 
 
@@ -76,6 +77,7 @@ class Seen:
     stopped: bool = False
     left: bool = False
     started: bool = True  # until a heartbeat says that it is not
+    keyed: bool | None = None  # whether its fleet has keys, as it says; None: it has not said
     held: bool = False  # something keeps it from moving
     causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
     question: int = 0  # number of what it asks its operators; 0: nothing
@@ -199,6 +201,7 @@ class Inspector:
                 robot.digest, robot.left = message.digest, message.leaving
                 robot.digest_s = t_s
                 robot.started, robot.held = message.started, message.held or message.stopped
+                robot.keyed = message.keyed
                 if not robot.held:
                     robot.causes.moves()
                 robot.clock[robot.slot] = message.operations
@@ -254,6 +257,13 @@ class Inspector:
         return sorted(set(self.stops) - set(self.cleared))
 
     @property
+    def keyed(self) -> bool | None:
+        """Whether this fleet has keys: False if one robot says that it has none, None if nobody says
+        anything."""
+        said = [r.keyed for r in self.robots.values() if r.keyed is not None and not r.left]
+        return all(said) if said else None
+
+    @property
     def leader(self) -> int | None:
         """The robot that answers for the fleet: a majority of those heard now has voted for it."""
         live = {
@@ -296,6 +306,7 @@ class Inspector:
             "beyond_the_field": self.beyond,
             "latched": [".".join(map(str, dot)) for dot in self.latched],
             "leader": self.leader,
+            "keyed": self.keyed,
             "leaders": {
                 f"{election}/{term}": dict(sorted(votes.items()))
                 for (election, term), votes in sorted(self.votes.items())

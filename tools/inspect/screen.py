@@ -17,7 +17,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Footer, Sparkline, Static
 
-from tools.inspect.inspector import Inspector, Seen
+from tools.inspect.inspector import NO_KEYS, Inspector, Seen
 from tools.inspect.lifecycle_picture import LIT, picture
 from tools.inspect.table_widget import Cell, Rows
 
@@ -42,7 +42,7 @@ class InspectScreen(App[None]):
     #machine, #path, #why { border: round $primary; height: auto; padding: 0 1; }
     #path, #why { height: 1fr; overflow-y: auto; }
     #loadbox { width: 2fr; border: round $primary; }
-    #stops { height: auto; background: red; color: white; text-style: bold; display: none; }
+    #stops, #keys { height: auto; background: red; color: white; text-style: bold; display: none; }
     #load { height: 1fr; } #status { height: 1; color: $text-muted; }
     """
     BINDINGS: ClassVar[list[BindingType]] = [
@@ -67,6 +67,7 @@ class InspectScreen(App[None]):
     def compose(self) -> ComposeResult:
         """The parts of the screen (textual calls it)."""
         yield Static(id="stops")
+        yield Static(id="keys")
         with Horizontal(id="top"):
             with Vertical(id="left"):
                 yield Rows(FLEET, id="fleet")
@@ -125,6 +126,8 @@ class InspectScreen(App[None]):
             self._load(seen)
             stops = self.query_one("#stops", Static)
             stops.display = bool(seen["latched"])
+            self.query_one("#keys", Static).display = seen["keyed"] is False
+            self._text("keys", f" {NO_KEYS}")
             self._text("stops", f" EMERGENCY STOP latched: {', '.join(seen['latched'])}")
 
     def _rows(self, name: str, rows: list[tuple[str, ...]]) -> None:

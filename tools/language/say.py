@@ -13,6 +13,7 @@ from protocol.authentication import Keyring
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.launch_keys import own_keys
 from tools.inspect.inspection import SourceError, frames_of
 from tools.inspect.inspector import Inspector
 from tools.language.endpoint import Endpoint, EndpointError
@@ -88,7 +89,9 @@ class _Conversation:
             async for each in phrases:
                 self.tell(await self._without_bus(each, inspector))
             return self.code
-        keyring = operator_keyring(self.options.key, self.options.timeout_s)
+        interface, _, _, host, port = self.options.bus
+        key = self.options.key or own_keys(interface, host, port)
+        keyring = operator_keyring(key, self.options.timeout_s)
         bus = attach(*self.options.bus)
         try:
             await self._on_bus(bus, keyring, phrases, phrase is None)

@@ -30,6 +30,7 @@ from sim.record.recording import Recording
 from sim.record.scene import Scene, in_folder, scene_named
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.launch_keys import KEYS, keys_in
 from tools.common.run_recorder import MCAP
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.inspection import SourceError, frames_of
@@ -228,12 +229,14 @@ def _scene_beside(source: Path) -> Scene | None:
 
 
 def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any] | None:
-    """Where the bus of a running launch is: the one in that folder, or the newest."""
+    """Where the bus of a running launch is: the one in that folder, or the newest. Its keys are in it
+    only if this user may have them."""
     if interface != "socketcand" or port != 0:
         return None
     path = LAUNCH if source is None else source / LAUNCH.name
     try:
         where: dict[str, Any] = dict(read_json(path, SETTINGS_BYTES_MAX))
+        where[KEYS] = keys_in(path, where)
         return where
     except (GivenFileError, TypeError, ValueError):
         return None
@@ -251,6 +254,8 @@ def _live(
     keys: KeyFiles, listener: socket.socket, console: Console, as_json: bool,
     served: MetricsAddress | None, foxglove: int | None,
 ) -> int:  # fmt: skip
+    if launch is not None and keys == KeyFiles(None, None):
+        keys = KeyFiles(launch[KEYS], launch[KEYS])
     keyring = keyring_of(keys.panel)
     check_operator_key(keys.operator)
     interface, channel, bitrate, host, port = where

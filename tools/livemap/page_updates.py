@@ -45,6 +45,7 @@ class PageUpdates:
             "malformed": sum(watcher.malformed.values()),
             "robots": [self._robot(robot, now_s) for _, robot in sorted(watcher.robots.items())],
             "islands": watcher.islands(now_s), "stop": _stop(watcher, now_s),
+            "keyed": watcher.keyed,
         }  # fmt: skip
         self._changes(watcher, told)
         return told

@@ -4,12 +4,13 @@ import asyncio
 import sys
 from pathlib import Path
 
-from agent.runtime.files.key_file import KeyFileError, read
+from agent.runtime.files.key_file import FLEET, KeyFileError, read
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
+from tools.common.launch_keys import own_keys
 from tools.operate.operator_device import KnownRobot, Operator
 
 REPEAT_S = 0.005
@@ -33,6 +34,7 @@ def estop(
         known = ", ".join(Reason.__members__)
         print(f"headland: --reason {reason}: unknown; one of {known}", file=sys.stderr)
         return WRONG
+    keys = keys or own_keys(interface, host, port)
     try:
         return asyncio.run(
             _estop(
@@ -73,7 +75,9 @@ async def _estop(
 def keyring_of(keys: Path | None) -> Keyring | None:
     """Of a stop panel (the fleet's file) or an operator device; raises AttachError."""
     try:
-        return None if keys is None else read(keys).keyring()
+        if keys is None:
+            return None
+        return read(keys, FLEET if keys.is_dir() else None).keyring()
     except KeyFileError as problem:
         raise AttachError(f"--keys {problem}") from None
 

@@ -8,6 +8,7 @@ from protocol.frames.operator_frames import ReportKind, goal_frames
 from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
+from tools.common.launch_keys import own_keys
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.reset import NOT_SIGNED, operator_keyring
@@ -34,6 +35,8 @@ def order(
     """The exit code of `headland order`: 0 if the robot says that it obeys, 1 if it refuses or is
     not heard, 2 for an order that makes no sense or a bus that is not there. A ValueError inside
     becomes a line."""
+    interface, _, _, host, port = bus
+    key = key or own_keys(interface, host, port)
     try:
         if what not in CONFIRMED:
             raise ValueError(f"{what}: unknown; one of {', '.join(CONFIRMED)}")

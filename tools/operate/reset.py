@@ -11,6 +11,7 @@ from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
+from tools.common.launch_keys import own_keys
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 
@@ -32,6 +33,7 @@ def reset(
     """The exit code of `headland release`: 0 if every robot is reset (and started, with `start`)
     within `timeout` seconds, 1 if something holds one still, 2 if there is no bus or the key is
     no operator's."""
+    key = key or own_keys(interface, host, port)
     try:
         return asyncio.run(
             _reset(interface, channel, bitrate, host, port, key, start, timeout, as_json)

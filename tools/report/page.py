@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
+from tools.inspect.inspector import NO_KEYS
 from tools.report.chapter import ROWS_MAX, Chapter, Table
 
 POLICY = (
@@ -63,6 +64,8 @@ def _figures(figures: dict[str, Any]) -> str:
         good = figures["success"]
         told = "without a flaw" if good else f"not without a flaw: {'; '.join(flaws(figures))}"
         verdict = f'<p class="{"good" if good else "bad"}">{escape(told)}</p>\n'
+    if figures.get("authenticated") is False:
+        verdict += f'<p class="bad">{escape(NO_KEYS)}</p>\n'
     rows = [
         (key.replace("_", " "), f"{value:.6g}" if isinstance(value, float) else value)
         for key, value in figures.items()

@@ -32,9 +32,10 @@ from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
 from tools.common.bus_attach import CHANNEL
 from tools.common.child_process import module_command
+from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
 from tools.common.run_recorder import RunRecorder
-from tools.inspect.inspector import SILENT_S, Inspector
+from tools.inspect.inspector import NO_KEYS, SILENT_S, Inspector
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress
 from tools.language.places import Places
@@ -55,7 +56,6 @@ QUIET_LOOKS = 6  # checks in a row at which all is done before the launch ends
 MAP_NICE = 5  # niceness of the map's process; robots go first
 GRACE_S = 3.0  # between asking a robot to leave and killing it
 UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
-NO_KEYS = "[yellow]keys: NONE: any device on the bus can stop and release this fleet[/yellow]"
 
 
 class BusError(Exception):
@@ -83,7 +83,8 @@ class Launch:
         self.feed: FoxgloveFeed | None = None
         self.map: asyncio.subprocess.Process | None = None
         self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
-        self.keys = None if keys is None else str(keys.absolute())
+        self.keys = None if keys is None else str(keys.absolute())  # of its stop panel, the map
+        self.own_keys: str | None = None  # folder of the keys that it made; tools here take them
         self.setting, self.name, self.out, self.console = setting, name, out, console
         self.inspector = Inspector(self._sections())
         self.processes: dict[int, asyncio.subprocess.Process] = {}
@@ -138,7 +139,7 @@ class Launch:
         where = {
             "host": HOST, "port": bus.port, "channel": CHANNEL, **identity(),
             "bodies": str(path), "folder": str(self.out.absolute()),
-            "robots": sorted(self.world.robots),
+            "robots": sorted(self.world.robots), KEYS: self.own_keys,
         }  # fmt: skip
         going_on = self._furnish(bodies, bus)
 
@@ -154,8 +155,7 @@ class Launch:
             f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
             f"({viewer_command(HOST, bus.port)})"
         )
-        if self.setting.keys is None:
-            self.console.print(NO_KEYS)
+        self._tell_keys()
         stepping = asyncio.create_task(bodies.run())
         try:
             if self.page_port is not None:
@@ -186,6 +186,12 @@ class Launch:
         if end.is_set():
             return INTERRUPTED
         return 0 if finished and not self.flawed and not self.difference else UNFINISHED
+
+    def _tell_keys(self) -> None:
+        if self.setting.keys is None:
+            self.console.print(f"[bold red]{NO_KEYS}[/bold red]")
+        elif self.own_keys is not None:
+            self.console.print(f"keys: in {self.own_keys}; your tools on this bus take them")
 
     # ---------------------------------------------------------------- what another mission has otherwise
 
@@ -339,7 +345,8 @@ class Launch:
             for slot, seen in sorted(self.inspector.robots.items())
         )
         done, all_of_it, what = self._progress()
-        self.console.print(f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}")
+        bare = "  [bold red]NO KEYS[/bold red]" if self.setting.keys is None else ""
+        self.console.print(f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}{bare}")
 
     async def _end_all(self) -> None:
         everybody = [*self.processes.values(), *([self.map] if self.map is not None else [])]
@@ -410,5 +417,5 @@ class Launch:
         if self.difference:
             self.console.print(f"[red]{self.difference}[/red]")
         if self.setting.keys is None:
-            self.console.print(NO_KEYS)
+            self._tell_keys()
         self.report = report

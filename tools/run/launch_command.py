@@ -12,6 +12,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError
 from tools.build.warmup import warm
 from tools.common.bus_attach import AttachError
+from tools.common.launch_keys import fleet_keys
 from tools.common.run_folder import FolderError
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.livemap.command import ServerError, check_operator_key, listen
@@ -30,7 +31,7 @@ def launch(
     scenario: str, robots: int | None, seed: int | None, out: Path | None, port: int,
     seconds: float | None, as_json: bool, keys: Path | None = None, page_port: int | None = None,
     segment: int = 0, hub_port: int = 0, fresh: bool = False, operator_key: Path | None = None,
-    metrics: str | None = None, foxglove: int | None = None,
+    metrics: str | None = None, foxglove: int | None = None, no_keys: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland launch`: 0 if all is done in truth, 1 if not, 2 for a wrong
     argument, 130 after Ctrl-C.
@@ -38,11 +39,22 @@ def launch(
     `page_port`: of a map beside it. `hub_port`: of a bus that runs by itself. `out`: none, a folder
     named after the scenario. `fresh`: a new fleet, also where the last one is not done.
     `operator_key`: the map's page may release and start with it. `metrics`: PORT or HOST:PORT of figures
-    for Prometheus. `foxglove`: a port for viewers.
+    for Prometheus. `foxglove`: a port for viewers. `no_keys`: any device may release this
+    fleet; otherwise it has the keys of `keys`, those that its scenario names, or its own.
     """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
+        if no_keys and keys is not None:
+            return _wrong("--no-keys: with --keys it makes no sense; leave one of them out")
         setting = setting_of(scenario, robots, seed, keys)
+        makes_own = setting.keys is None and not no_keys
+        if makes_own and segment:
+            return _wrong(
+                "--segment: all segments have the same keys: make them with 'headland keys new' and name "
+                "them with --keys; or say --no-keys"
+            )
+        if no_keys and setting.keys is not None:
+            return _wrong(f"--no-keys: {scenario} names keys under [fleet]; leave one of them out")
         if segment and not isinstance(setting, FieldSetup):
             return _wrong(
                 f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
@@ -55,10 +67,18 @@ def launch(
         if page_port is not None:
             listen(page_port).close()  # a port that is taken is reported before robots start
             check_operator_key(operator_key)
+        if makes_own and operator_key is not None:
+            return _wrong(
+                "--operator-key: of which fleet? Name the keys of its robots with --keys, too"
+            )
         served = None if metrics is None else metrics_address(metrics)
         if foxglove is not None:
             check_port(foxglove)
         fleet = fleet_folder(out, setting, fresh)
+        own = None
+        if makes_own:
+            own = fleet_keys(fleet.folder.absolute(), fleet.continues)
+            setting.use_keys(own)
     except (
         ScenarioError,
         ServerError,
@@ -75,8 +95,10 @@ def launch(
     # Here once, and not in every robot at the same time.
     warm(isinstance(setting, FieldSetup) and setting.turn_radius_m > 0.0)
     kind = Launch if isinstance(setting, FieldSetup) else HaulLaunch
-    running = kind(setting, scenario, fleet, console, keys, page_port)
+    running = kind(setting, scenario, fleet, console, keys or own, page_port)
+    operator_key = operator_key or own
     running.operator_key = None if operator_key is None else str(operator_key.absolute())
+    running.own_keys = None if own is None else str(own)
     running.segment, running.hub_port = segment, hub_port
     running.metrics_address, running.foxglove_port = served, foxglove
     begun = time.monotonic()

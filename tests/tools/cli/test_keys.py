@@ -88,6 +88,10 @@ def test_wrong_key_files_get_one_line(
     wrong("keys show fleet.json", "chmod 600")
     wrong("keys rotate nowhere", "cannot be read")
     wrong("keys new new --device 3", "--device", "192")
+    fleet.chmod(0o600)
+    wrong("launch small --no-keys --keys fleet.json", "--no-keys")
+    wrong("launch small --segment 1", "--segment", "the same keys")
+    wrong("launch small --map --operator-key operator.json", "--operator-key", "--keys")
 
 
 @pytest.mark.parametrize(
@@ -143,6 +147,33 @@ def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_p
                 )
                 assert code == 0 and json.loads(text)["signed"], text
             assert counter(tmp_path / "operator.json") > 0
+        finally:
+            launch.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
+        report = json.loads((tmp_path / "runs" / "launch" / "report.json").read_text())
+        assert report["authenticated"]
+
+    asyncio.run(story())
+
+
+@pytest.mark.slow
+def test_a_launch_has_keys_of_its_own_and_the_tools_of_its_user_take_them(tmp_path: Path) -> None:
+    call = partial(launching.call, tmp_path)
+
+    async def story() -> None:
+        launch = await launching.start(tmp_path, "launch", "small", "--robots", "2")
+        try:
+            await launching.robots_up(launch, 2)
+            code, text = await call("stop", "--json")
+            assert code == 0 and json.loads(text)["signed"], text
+            code, text = await call("inspect", "--seconds", "1.5", "--json")
+            assert json.loads(text)["keyed"] is True
+            code, text = await call("release", "--start", "--json")
+            assert code == 0 and json.loads(text)["signed"], text
+            (tmp_path / "runs/launch/keys").chmod(0o755)  # no longer private: nobody takes them
+            code, text = await call("release", "--start", "--timeout", "1", "--json")
+            assert not json.loads(text)["signed"], text
         finally:
             launch.terminate()
             async with asyncio.timeout(WAIT_S):

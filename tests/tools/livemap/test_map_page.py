@@ -64,7 +64,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def fleet(folder: Path) -> Iterator[Live]:
-    with launched(folder) as live:
+    with launched(folder, "--no-keys") as live:
         yield live
 
 

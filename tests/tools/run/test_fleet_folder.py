@@ -76,7 +76,7 @@ def test_t3_a_launch_is_judged_by_the_ground_not_by_what_robots_say(tmp_path: Pa
     """DONE of every section, forged in the name of a robot, ends a launch: not with exit 0."""
 
     async def story() -> None:
-        launch = await start(tmp_path, "launch", "small", "--robots", "2")
+        launch = await start(tmp_path, "launch", "small", "--robots", "2", "--no-keys")
         try:
             await robots_up(launch, 2)
             where = json.loads((tmp_path / "runs/launch/bus.json").read_text())

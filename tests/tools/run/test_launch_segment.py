@@ -20,7 +20,9 @@ def test_a_stop_of_another_segment_stops_a_launch(tmp_path: Path) -> None:
     others = BridgedSegments(2)
 
     async def story() -> None:
-        launch = await start(tmp_path, "launch", "small", "--robots", "2", "--segment", "1")
+        launch = await start(
+            tmp_path, "launch", "small", "--robots", "2", "--segment", "1", "--no-keys"
+        )
         try:
             await robots_up(launch, 2)
             bus = json.loads((tmp_path / "runs/launch/bus.json").read_text())

@@ -96,6 +96,7 @@ function picture(now) {
   side.show(told, field);
   side.showStop(told.stop, told.robots);
   side.showSplit(told.islands);
+  $("keyless-fleet").hidden = told.keyed !== false;
   showOrders();
   showTime();
   showScale();

@@ -1,0 +1,57 @@
+"""The keys that a launch makes: private, kept while the fleet goes on, taken only by its user."""
+
+import json
+import os
+from pathlib import Path
+
+import pytest
+
+from agent.runtime.files.key_file import FLEET, OPERATOR, read
+from tools.common.launch_keys import KEYS, fleet_keys, is_private, keys_in, own_keys
+
+
+def test_a_fleet_that_goes_on_keeps_its_keys_and_a_new_one_gets_others(tmp_path: Path) -> None:
+    old = os.umask(0)
+    try:
+        folder = fleet_keys(tmp_path, goes_on=False)
+    finally:
+        os.umask(old)
+    assert is_private(folder) and is_private(folder / "fleet.json")
+    first = read(folder, FLEET)
+    assert read(folder, OPERATOR).keys.operator == first.keys.operator
+    read(folder, OPERATOR).keyring()  # leaves a counter beside the key
+    assert read(fleet_keys(tmp_path, goes_on=True), FLEET) == first
+    other = read(fleet_keys(tmp_path, goes_on=False), FLEET)
+    assert not set(other.ids.values()) & set(first.ids.values())
+    assert sorted(path.name for path in folder.iterdir()) == ["fleet.json", "operator.json"]
+
+
+def test_only_the_user_of_a_launch_takes_its_keys(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    keys = fleet_keys(tmp_path, goes_on=False)
+    launch = tmp_path / "runs/launch/bus.json"
+    launch.parent.mkdir(parents=True)
+    where = {"host": "127.0.0.1", "port": 5, KEYS: str(keys)}
+    launch.write_text(json.dumps(where))
+    launch.chmod(0o644)
+    monkeypatch.chdir(tmp_path)
+    assert own_keys("socketcand", "127.0.0.1", 0) == keys
+    assert own_keys("socketcand", "127.0.0.1", 5) == keys
+    assert own_keys("socketcand", "127.0.0.1", 6) is None, "another bus"
+    assert own_keys("socketcan", "127.0.0.1", 0) is None
+    keys.chmod(0o750)
+    assert keys_in(launch, where) is None, "others can open the folder"
+    keys.chmod(0o700)
+    launch.chmod(0o666)
+    assert keys_in(launch, where) is None, "others could have named the folder"
+    launch.chmod(0o644)
+    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    assert keys_in(launch, where) is None, "another user's launch"
+
+
+@pytest.mark.parametrize("named", [None, 7, "/nowhere"])
+def test_a_launch_without_keys_names_none(named: object, tmp_path: Path) -> None:
+    launch = tmp_path / "bus.json"
+    launch.touch(0o600)
+    assert keys_in(launch, {KEYS: named}) is None

@@ -1,0 +1,71 @@
+"""The keys that a launch makes for its own fleet, and tools that use them without being told.
+
+A launch with neither `--keys` nor `--no-keys` keeps both key files in the folder of its fleet. Tools
+on the bus of that launch take them if the person who calls them owns both the launch and the folder,
+and nobody else can open that folder. All other people hold no key of that fleet.
+"""
+
+import contextlib
+import os
+import stat
+from pathlib import Path
+from typing import Any
+
+from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
+from agent.runtime.files.key_file import DEVICE, FLEET, NAMES, OPERATOR, fresh, write
+from tools.common.bus_attach import LAUNCH
+
+KEYS = "keys"  # the folder in that of a fleet, and its name in bus.json
+
+
+def fleet_keys(folder: Path, goes_on: bool) -> Path:
+    """The folder of a fleet's own key files: those that it had, or new ones.
+
+    `goes_on`: whether the fleet was launched before and keeps what it has. Raises OSError.
+    """
+    keys = folder / KEYS
+    files = [keys / NAMES[kind] for kind in (FLEET, OPERATOR)]
+    keys.mkdir(mode=0o700, exist_ok=True)
+    keys.chmod(0o700)
+    if goes_on and all(file.exists() for file in files):
+        return keys
+    for old in keys.iterdir():  # of a fleet whose work is done
+        old.unlink()
+    write(files[0], files[1], fresh(), DEVICE)
+    return keys
+
+
+def is_private(path: Path, user: int | None = None) -> bool:
+    """Whether a file or folder is this user's, and nobody else may read or write it."""
+    try:
+        found = path.stat()
+    except OSError:
+        return False
+    return found.st_uid == (os.getuid() if user is None else user) and not found.st_mode & 0o077
+
+
+def keys_in(launch: Path, where: dict[str, Any]) -> Path | None:
+    """The folder of keys that a running launch names; None where it has none, or not for this user.
+
+    `launch`: the file in which it says where its bus is. `where`: what is in it.
+    """
+    named = where.get(KEYS)
+    if not isinstance(named, str):
+        return None
+    with contextlib.suppress(OSError):
+        said = launch.stat()
+        ours = said.st_uid == os.getuid() and not said.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        if ours and is_private(Path(named)):
+            return Path(named)
+    return None
+
+
+def own_keys(interface: str, host: str, port: int) -> Path | None:
+    """The keys of the newest launch here, if this is its bus. None: it is another bus, or `keys_in`
+    finds none."""
+    try:
+        where = dict(read_json(LAUNCH, SETTINGS_BYTES_MAX))
+        same = port == 0 or (host == where["host"] and port == where["port"])
+    except (GivenFileError, KeyError, TypeError, ValueError):
+        return None
+    return keys_in(LAUNCH, where) if interface == "socketcand" and same else None
