@@ -22,6 +22,11 @@ from protocol.frames.frame import Frame
 LEASE_MS = 2_000
 RETRY_MS = 500  # between attempts to reach an endpoint
 OPEN_MS = 1_000  # for one attempt
+# A client that has received nothing for this long opens another session. After a link that carried
+# one way, Zenoh's router can refuse the old session for good; it knows a session by its identity.
+SILENCE_S = 5 * LEASE_MS / 1e3
+SILENCE_MAX_S = 60.0  # the time doubles up to this while nobody is there to be heard
+WATCH_S = 0.5  # between looks at the silence
 INBOX_MAX = 4096  # messages on their way to the event loop
 FRAME_BYTES = 4  # of the identifier before the data of a frame
 IDENTIFIER_MAX = 1 << 29
@@ -75,35 +80,66 @@ def _first_line(problem: Exception) -> str:
     return str(problem).splitlines()[0] if str(problem) else type(problem).__name__
 
 
+class _Silence:
+    """How long nothing was received, and how long is too long."""
+
+    def __init__(self, first_s: float, now_s: float) -> None:
+        self._first_s = self._limit_s = first_s
+        self._heard_at_s = now_s
+
+    def end(self, now_s: float) -> None:
+        """A message was received."""
+        self._heard_at_s, self._limit_s = now_s, self._first_s
+
+    def begin(self, now_s: float) -> None:
+        """Another session is open."""
+        self._heard_at_s = now_s
+
+    def too_long(self, now_s: float) -> bool:
+        """Whether the session has to be replaced. If so, the next one gets twice the time."""
+        if now_s - self._heard_at_s < self._limit_s:
+            return False
+        self._limit_s = min(2 * self._limit_s, SILENCE_MAX_S)
+        return True
+
+
 class ZenohLink:
     """A session of one program. Raises LinkError if it cannot listen on an endpoint.
 
     A program that only connects may start before its backbone. So the session is opened in a thread
-    that keeps trying, and nothing is sent until it is open.
+    that keeps trying, and nothing is sent until it is open. A client that receives nothing for
+    `silence_s` seconds opens another session and closes the old one afterwards.
     """
 
-    def __init__(self, config: zenoh.Config, loop: asyncio.AbstractEventLoop) -> None:
-        self._loop = loop
+    def __init__(
+        self, config: zenoh.Config, loop: asyncio.AbstractEventLoop, silence_s: float = SILENCE_S
+    ) -> None:
+        self._loop, self._config = loop, config
         self.dropped = 0  # messages dropped because the inbox was full
+        self.renewed = 0  # sessions that took the place of a silent one
         self.session: zenoh.Session | None = None
         self.refusal = ""  # why it does not open
         self._waiting = 0
         self._open = True
+        self._silence = _Silence(silence_s, loop.time())
         self._patterns: list[tuple[str, Callable[[zenoh.Sample], None]]] = []
         self._subscribers: list[Any] = []
         if config.get_json("mode") == '"client"':
-            threading.Thread(target=self._connect, args=(config,), daemon=True).start()
+            self._start_connecting()
             return
         try:
             self.session = zenoh.open(config)
         except Exception as problem:
             raise LinkError(f"the backbone does not open: {_first_line(problem)}") from None
 
-    def _connect(self, config: zenoh.Config) -> None:
-        """Open the session, in a separate thread because that may take forever."""
+    def _start_connecting(self) -> None:
+        threading.Thread(target=self._connect, daemon=True).start()
+
+    def _connect(self) -> None:
+        """Open a session, in a separate thread because that may take forever."""
         while self._open:
             try:
-                session = zenoh.open(config)
+                session = zenoh.open(self._config)
             except Exception as problem:
                 self.refusal = _first_line(problem)
                 continue
@@ -117,9 +153,24 @@ class ZenohLink:
         if not self._open:
             session.close()
             return
-        self.session = session
+        if self.session is not None:
+            self.renewed += 1
+            # To close a broken session takes seconds. The end of the program waits for it.
+            threading.Thread(target=self.session.close).start()
+        self.session, self._subscribers = session, []
         for pattern, arrived in self._patterns:
             self._declare(pattern, arrived)
+        self._silence.begin(self._loop.time())
+        self._loop.call_later(WATCH_S, self._watch)
+
+    def _watch(self) -> None:
+        """Open another session if this one has been silent for too long."""
+        if not self._open:
+            return
+        if self._patterns and self._silence.too_long(self._loop.time()):
+            self._start_connecting()
+        else:
+            self._loop.call_later(WATCH_S, self._watch)
 
     def put(self, key: str, data: bytes, urgent: bool = False) -> None:
         """Send. Urgent messages overtake all others, are not batched, and are not dropped."""
@@ -152,6 +203,7 @@ class ZenohLink:
 
         def deliver(data: bytes) -> None:
             self._waiting -= 1
+            self._silence.end(self._loop.time())
             if self._open:
                 heard(data)
 

@@ -1,6 +1,7 @@
 """Real Zenoh on loopback: a bus made of it, TLS with a refused client, access control."""
 
 import asyncio
+import contextlib
 import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -100,6 +101,77 @@ def test_what_is_no_frame_is_counted() -> None:
         assert await until(lambda: bus.refused >= 3)
         near.close()
         far.close()
+
+    asyncio.run(run())
+
+
+class RefusingRelay:
+    """Stands between a client and a router, and refuses sessions by their identity from a time on."""
+
+    def __init__(self, port: int) -> None:
+        self.port, self.refused = port, b""
+        self.turned_away = 0
+        self._writers: list[asyncio.StreamWriter] = []
+
+    async def start(self) -> int:
+        """Accept connections; returns the port."""
+        self.server = await asyncio.start_server(self._accept, "127.0.0.1", 0)
+        return int(self.server.sockets[0].getsockname()[1])
+
+    async def _accept(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        first = await reader.read(65536)  # the first message of a session names it
+        if self.refused and self.refused in first:
+            self.turned_away += 1
+            writer.close()
+            return
+        far_reader, far_writer = await asyncio.open_connection("127.0.0.1", self.port)
+        far_writer.write(first)
+        self._writers += [writer, far_writer]
+        await asyncio.gather(self._pump(reader, far_writer), self._pump(far_reader, writer))
+
+    @staticmethod
+    async def _pump(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        with contextlib.suppress(OSError):
+            while data := await reader.read(65536):
+                writer.write(data)
+        writer.close()
+
+    def refuse(self, identity: bytes) -> None:
+        """Cut what is connected and turn this session away from now on."""
+        self.refused = identity
+        for writer in self._writers:
+            writer.close()
+
+
+def test_a_session_that_is_refused_for_good_is_replaced() -> None:
+    """Seen after a link that carried one way: the router knew the old session and took no other."""
+
+    async def run() -> None:
+        loop, port = asyncio.get_running_loop(), free_port()
+        router = ZenohLink(configure([], [f"tcp/127.0.0.1:{port}"]), loop)
+        relay = RefusingRelay(port)
+        at = f"tcp/127.0.0.1:{await relay.start()}"
+        client = ZenohLink(configure([at], []), loop, silence_s=1.0)
+        heard, answered = list[bytes](), list[bytes]()
+        client.subscribe("router", heard.append)
+        router.subscribe("client", answered.append)
+
+        def both_hear() -> bool:
+            router.put("router", b"x")
+            client.put("client", b"x")
+            return bool(heard and answered)
+
+        assert await until(both_hear)
+        assert client.renewed == 0 and client.session is not None
+        relay.refuse(bytes.fromhex(str(client.session.info.zid()))[::-1])
+        assert await until(lambda: relay.turned_away > 1), "Zenoh tries the same session"
+        heard.clear()
+        answered.clear()
+        assert await until(both_hear), f"{client.renewed} times renewed"
+        assert client.renewed >= 1
+        client.close()
+        router.close()
+        relay.server.close()
 
     asyncio.run(run())
 
