@@ -7,7 +7,7 @@ import json
 from collections import Counter
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 HOURS_WANTED, BUGS_WANTED = 20_000, 20  # robot-hours, planted bugs
 RUNS_WANTED = 10_000_000  # of decoders
@@ -32,6 +32,28 @@ def report(folder: Path) -> str:
         *_campaigns(campaigns, kept), *_hunts(hunts), *_fuzzed(fuzzed),
     ]  # fmt: skip
     return "\n\n".join(parts) + "\n"
+
+
+class Survived(NamedTuple):
+    """What the campaigns of a folder were judged by."""
+
+    robot_hours: float
+    runs: int
+    faults: Counter[str]  # injected, by kind
+    broken: int  # rules
+
+
+def survived(folder: Path) -> Survived:
+    """The sum of all campaigns, without false alarms that were judged again. Raises ReportError."""
+    campaigns, kept = _judged(_results(folder))
+    faults: Counter[str] = Counter()
+    for campaign in campaigns:
+        faults.update(campaign["faults"])
+    told = [(c["profile"], b["seed"]) for c in campaigns for b in c["broken"]]
+    return Survived(
+        sum(c["robot_hours"] for c in campaigns), sum(c["runs"] for c in campaigns), faults,
+        sum(run not in kept for run in told),
+    )  # fmt: skip
 
 
 def judged_hours(folder: Path, robots: str) -> tuple[float, int]:

@@ -1,5 +1,5 @@
 """What the documents print from the code: frames with their layouts, states with their edges,
-the keys of scenarios, and the programming interface.
+the keys of scenarios, the programming interface, and the chart of chaos.
 
     python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.*, use/api.md ...
 
@@ -10,6 +10,7 @@ import sys
 from pathlib import Path
 
 from tools.cli.api_page import api
+from tools.cli.chart_pages import chart
 from tools.cli.frame_pages import frames
 from tools.cli.route_pages import routes
 from tools.cli.scenario_pages import scenario_page
@@ -24,6 +25,7 @@ def pages() -> dict[str, str]:
         "how/frames.md": f"{NOTE}\n{frames()}", "how/states.md": f"{NOTE}\n{states()}",
         **{f"how/{machine.picture}": diagram(machine) for machine in MACHINES},
         "how/routes.md": f"{NOTE}\n{routes()}",
+        "measured/chaos.svg": chart(),
         "use/api.md": f"{NOTE}\n{api()}",
         "use/scenario.md": f"{NOTE}\n{scenario_page()}",
     }  # fmt: skip

@@ -342,15 +342,19 @@ def export(
         Path | None, typer.Option(help="Write a ROS 2 bag with standard messages: a new folder.")
     ] = None,
     storage: Annotated[Literal["mcap", "sqlite3"], typer.Option(help="Of the bag.")] = "mcap",
+    film: Annotated[
+        Path | None, typer.Option(help="Write a film of the run, 20 s: a .gif or .webp.")
+    ] = None,
 ) -> None:
-    """Write what a run has worked in formats that farm software and ROS 2 read.
+    """Write what a run has worked in formats that farm software and ROS 2 read, or as a film.
 
     Example: headland export runs/latest --isoxml TASKDATA
     Example: headland export runs/latest --bag latest_bag
+    Example: headland export runs/latest --film latest.gif
     """
     from tools.run.export import export as command
 
-    raise SystemExit(command(run, isoxml, geojson, bag, storage))
+    raise SystemExit(command(run, isoxml, geojson, bag, storage, film))
 
 
 @app.command(rich_help_panel=SET_UP)

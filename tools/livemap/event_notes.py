@@ -31,7 +31,8 @@ class EventNotes:
         self._silent: set[int] = set()
         self._left: set[int] = set()
         self._asking: set[int] = set()
-        self._islands: list[list[int]] = []
+        self._islands: list[list[int]] = []  # at the look before
+        self._split_noted: list[list[int]] = []  # what the list says now
         self._owners: dict[int, int | None] = {}
 
     def look(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
@@ -75,12 +76,17 @@ class EventNotes:
         return found
 
     def _split(self, watcher: Watcher, now_s: float) -> list[NotedEvent]:
+        """A split is noted at the second look that shows it: robots that boot, or one that dies, are
+        heard by some and not by others for less than that."""
         islands = watcher.islands(now_s)
-        before, self._islands = self._islands, islands
-        if len(islands) > 1 and islands != before:
+        lasts = islands == self._islands
+        self._islands = islands
+        if len(islands) > 1 and lasts and islands != self._split_noted:
+            self._split_noted = islands
             parts = " | ".join(" ".join(map(str, island)) for island in islands)
             return [NotedEvent(now_s, "split", f"bus split: {parts}")]
-        if len(before) > 1 and len(islands) == 1:
+        if len(islands) == 1 and self._split_noted:
+            self._split_noted = []
             return [NotedEvent(now_s, "back", "the bus is one again")]
         return []
 

@@ -1,7 +1,10 @@
-"""`headland export`: what a run has worked, for farm software."""
+"""`headland export`: what a run has worked, for farm software, for ROS 2, and as a film."""
 
 import sys
 from pathlib import Path
+
+from rich.console import Console
+from rich.progress import Progress
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
@@ -10,6 +13,9 @@ from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
+from tools.inspect.inspection import SourceError
+from tools.livemap.command import recorded
+from tools.run.film import FILM_S, FilmError, write_film
 
 MCAP = "run.mcap"
 RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field leaves
@@ -17,14 +23,16 @@ RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field
 
 def export(
     folder: Path, isoxml: Path | None, geojson: Path | None, bag: Path | None = None,
-    storage: Storage = "mcap",
+    storage: Storage = "mcap", film: Path | None = None,
 ) -> int:  # fmt: skip
-    """Write the work of a run as task data, GeoJSON, a ROS 2 bag, or several of them. The exit code
-    is 2 where the folder has none, or nothing can be written; a FieldFileError becomes a line."""
-    if isoxml is None and geojson is None and bag is None:
-        print("headland: export: name --isoxml, --geojson or --bag", file=sys.stderr)
+    """Write the work of a run as task data, GeoJSON, a ROS 2 bag, a film, or several of them. The exit
+    code is 2 where the folder has none, or nothing can be written; a FieldFileError becomes a line."""
+    if isoxml is None and geojson is None and bag is None and film is None:
+        print("headland: export: name --isoxml, --geojson, --bag or --film", file=sys.stderr)
         return 2
     if bag is not None and _bag(folder, bag, storage):
+        return 2
+    if film is not None and _film(folder, film):
         return 2
     if isoxml is None and geojson is None:
         return 0
@@ -62,6 +70,28 @@ def _bag(folder: Path, bag: Path, storage: Storage) -> int:
         print(f"headland: {problem}", file=sys.stderr)
         return 2
     print(f"{bag}: ROS 2 bag, {counts.total()} messages in {len(counts)} topics")
+    return 0
+
+
+def _film(folder: Path, film: Path) -> int:
+    """Write a film; the exit code."""
+    try:
+        recording = recorded(folder, None)
+        with Progress(console=Console(stderr=True), transient=True) as progress:
+            drawn = progress.add_task("drawing the film", total=None)
+
+            def on_picture(done: int, count: int) -> None:
+                progress.update(drawn, completed=done, total=count)
+
+            count = write_film(recording, film, on_picture=on_picture)
+    except (FilmError, SourceError, McapMissing) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return 2
+    except OSError as problem:
+        print(f"headland: {film}: {problem.strerror}", file=sys.stderr)
+        return 2
+    size_kb = film.stat().st_size // 1000
+    print(f"{film}: {count} pictures, {FILM_S:.0f} s, {size_kb} kB")
     return 0
 
 

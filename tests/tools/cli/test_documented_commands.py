@@ -52,6 +52,7 @@ PARSED = {
     "headland plan": "a reader's own file; tests/tools/run/test_plan.py",
     "headland hub": "runs until it is ended; tests/tools/cli/test_hub_restart.py",
     "headland bridge": "runs until it is ended; tests/tools/cli/test_bridge.py",
+    "export runs/latest --film": "ten seconds; tests/tools/run/test_film.py",
     "--bag": "needs the extra ros; tests/sim/record/test_ros_bag.py",
     "headland robot": "runs until it is ended; tests/tools/run/test_robot_command.py",
     "headland machine": "runs until it is ended; tests/tools/run/test_body_check.py",
