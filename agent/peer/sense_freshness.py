@@ -50,10 +50,8 @@ JUMP_RAD: Final = 2 * HEADING_ACCURACY_RAD
 # Wheels can do half as much again as the speed limit: a mecanum robot on its diagonal needs 1.41.
 FASTER: Final = 1.5
 STARTS_M_S: Final = 0.3  # below, the direction in which it drives is not known
-ASIDE: Final = (
-    0.25  # share of its way by which a body may leave its course while it brakes; radians
-)
-NO_OFFSET: Final = (0.0, 0.0, 0.0)  # metres east and north, radians
+# Share of its way by which a body may leave its course while it brakes; also radians.
+ASIDE: Final = 0.25
 TURN_RAD_S: Final = 8.0  # no body turns faster: 2.5 m/s with the wheels 0.31 m from its middle
 
 
@@ -62,6 +60,14 @@ class Unseen(NamedTuple):
 
     way_m: float = 0.0
     speed_m_s: float = 0.0
+    turned_rad: float = 0.0
+
+
+class Offset(NamedTuple):
+    """Between the sensed place and the one that wheels can reach."""
+
+    east_m: float = 0.0
+    north_m: float = 0.0
     turned_rad: float = 0.0
 
 
@@ -95,7 +101,7 @@ class Senses(Part):
         self._unseen = Unseen()  # when the place was frozen, until it changes
         self._accurate: Observation | None = None  # the last observation with an accurate place
         self._turn_rad_s = 0.0  # between the last two accurate places
-        self._offset = NO_OFFSET  # between the sensed place and the one that wheels can reach
+        self._offset = Offset()
         self._lost_at_us = 0  # when the place was last wrong
 
     @property
@@ -130,7 +136,7 @@ class Senses(Part):
         """Restart the checks. If the start is for this robot alone, its place is believed."""
         self._anchor = None
         if notice.named:
-            self._accurate, self._offset = None, NO_OFFSET
+            self._accurate, self._offset = None, Offset()
         return NOTHING
 
     def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
@@ -223,19 +229,18 @@ class Senses(Part):
             possible = self._stopped_there(before, unseen, dx_m, dy_m, turned_rad)
         if not possible:
             driven_for_s = passed_for_s if in_time else 0.0
-            x_m, y_m, angle_rad = self._offset
-            self._offset = (
-                x_m + dx_m - before.vx_m_s * driven_for_s,
-                y_m + dy_m - before.vy_m_s * driven_for_s,
-                remainder(angle_rad + turned_rad, 2 * pi),
+            self._offset = Offset(
+                self._offset.east_m + dx_m - before.vx_m_s * driven_for_s,
+                self._offset.north_m + dy_m - before.vy_m_s * driven_for_s,
+                remainder(self._offset.turned_rad + turned_rad, 2 * pi),
             )
         elif in_time and passed_for_us:
             self._turn_rad_s = turned_rad / passed_for_s
-        x_m, y_m, angle_rad = self._offset
-        if hypot(x_m, y_m) > JUMP_M:
-            return f"jumped by {hypot(x_m, y_m):.1f} m"
-        if abs(angle_rad) > JUMP_RAD:
-            return f"heading jumped by {degrees(angle_rad):.0f} degrees"
+        moved_m = hypot(self._offset.east_m, self._offset.north_m)
+        if moved_m > JUMP_M:
+            return f"jumped by {moved_m:.1f} m"
+        if abs(self._offset.turned_rad) > JUMP_RAD:
+            return f"heading jumped by {degrees(self._offset.turned_rad):.0f} degrees"
         return ""
 
     def _stopped_there(
