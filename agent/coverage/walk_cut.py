@@ -15,54 +15,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.team_state import Number
+from agent.mapf.linear_assignment import assigned_rows
 
 Integers = NDArray[np.int32]
 Longs = NDArray[np.int64]
 UNREACHED = 1 << 28  # distance to unreachable cells; sums of it do not overflow
-
-
-@njit(cache=True)
-def assign(cost: Longs) -> Longs:
-    """The column of each row of the square matrix `cost`, (n, n), with the least sum; (n,).
-
-    Hungarian method with potentials (Kuhn 1955, Munkres 1957).
-    """
-    n = cost.shape[0]
-    up, down = np.zeros(n + 1, np.int64), np.zeros(n + 1, np.int64)
-    row_of = np.zeros(n + 1, np.int64)
-    way = np.zeros(n + 1, np.int64)
-    for row in range(1, n + 1):
-        row_of[0] = row
-        column = 0
-        least = np.full(n + 1, np.int64(1) << 60)
-        used = np.zeros(n + 1, np.bool_)
-        while True:
-            used[column] = True
-            i, delta, ahead = row_of[column], np.int64(1) << 60, 0
-            for j in range(1, n + 1):
-                if used[j]:
-                    continue
-                reduced = cost[i - 1, j - 1] - up[i] - down[j]
-                if reduced < least[j]:
-                    least[j], way[j] = reduced, column
-                if least[j] < delta:
-                    delta, ahead = least[j], j
-            for j in range(n + 1):
-                if used[j]:
-                    up[row_of[j]] += delta
-                    down[j] -= delta
-                else:
-                    least[j] -= delta
-            column = ahead
-            if row_of[column] == 0:
-                break
-        while column != 0:
-            row_of[column] = row_of[way[column]]
-            column = way[column]
-    found = np.empty(n, np.int64)
-    for j in range(1, n + 1):
-        found[row_of[j] - 1] = j - 1
-    return found
 
 
 @njit(cache=True)
@@ -120,13 +77,13 @@ def _least_bound(
 def _assigned(order: Integers, ways: Integers, cuts: Longs) -> Longs:
     """Robots for the runs between cuts, with the least way in all to their nearer ends."""
     count = cuts.size - 1
-    cost = np.zeros((count, count), np.int64)
+    cost = np.zeros((count, count))  # sums of these whole numbers are exact
     for i in range(count):
         if cuts[i] < cuts[i + 1]:
             a, b = order[cuts[i]], order[cuts[i + 1] - 1]
             for robot in range(count):
                 cost[i, robot] = min(ways[robot, a], ways[robot, b])
-    return assign(cost)
+    return assigned_rows(cost)
 
 
 @njit(cache=True)

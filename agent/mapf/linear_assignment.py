@@ -24,16 +24,16 @@ def assigned(cost: NDArray[Any]) -> NDArray[np.int64]:
     """
     rows, columns = cost.shape
     if rows <= columns:
-        return _assigned(np.ascontiguousarray(cost, dtype=np.float64))
-    row_of = _assigned(np.ascontiguousarray(cost.T, dtype=np.float64))
+        return assigned_rows(np.ascontiguousarray(cost, dtype=np.float64))
+    row_of = assigned_rows(np.ascontiguousarray(cost.T, dtype=np.float64))
     result = np.full(rows, NOBODY, dtype=np.int64)
     result[row_of] = np.arange(columns)
     return result
 
 
 @njit(cache=True)
-def _assigned(cost: NDArray[np.float64]) -> NDArray[np.int64]:
-    """As `assigned`, for `cost` with at most as many rows as columns."""
+def assigned_rows(cost: NDArray[np.float64]) -> NDArray[np.int64]:
+    """As `assigned`, for `cost` with at most as many rows as columns, and for other kernels."""
     rows, columns = cost.shape
     row_price, column_price = np.zeros(rows), np.zeros(columns)
     column_of, row_of = np.empty(rows, np.int64), np.empty(columns, np.int64)

@@ -9,12 +9,11 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from agent.coverage.approach import lay
 from agent.coverage.team_step import WALL, fill_field, flood
 from agent.coverage.walk import measure, memory, steps_between, walk
-from agent.coverage.walk_cut import assign, cut
+from agent.coverage.walk_cut import cut
 from agent.coverage.walk_shortening import polish
 
 Mask = NDArray[np.uint8]
@@ -95,17 +94,6 @@ def test_turns_are_counted() -> None:
     assert measure(free, width, ring, 4, 2).tolist() == [0, 4, 8, 14, 20]
     back = np.array([width + 1, width + 2, width + 1], np.int32)
     assert measure(free, width, back, 4, 2).tolist() == [0, 4, 12]
-
-
-@settings(deadline=None)
-@given(st.integers(1, 12), st.integers(0, 10**6))
-def test_assignment_is_cheapest(count: int, seed: int) -> None:
-    rng = Random(f"{seed}/cost")
-    cost = np.array([[rng.randrange(50) for _ in range(count)] for _ in range(count)], np.int64)
-    found = assign(cost)
-    assert sorted(found.tolist()) == list(range(count))
-    rows, columns = linear_sum_assignment(cost)
-    assert cost[np.arange(count), found].sum() == cost[rows, columns].sum()
 
 
 @settings(deadline=None)
