@@ -21,7 +21,10 @@ from protocol.frames.frame import Frame
 # A link that is silent this long is closed and opened again; Zenoh's default is 10 s.
 LEASE_MS = 2_000
 RETRY_MS = 500  # between attempts to reach an endpoint
-OPEN_MS = 1_000  # for one attempt
+OPEN_MS = 2_000  # for one attempt: a lost SYN is sent again after one second
+# A link that takes no stop for this long is closed. The sender waits meanwhile, and with it the stops
+# for all other links. Zenoh's default is 5 s.
+BLOCK_MS = 1_000
 # A client that has received nothing for this long opens another session. After a link that carried
 # one way, Zenoh's router can refuse the old session for good; it knows a session by its identity.
 SILENCE_S = 5 * LEASE_MS / 1e3
@@ -30,6 +33,7 @@ WATCH_S = 0.5  # between looks at the silence
 INBOX_MAX = 4096  # messages on their way to the event loop
 FRAME_BYTES = 4  # of the identifier before the data of a frame
 IDENTIFIER_MAX = 1 << 29
+assert BLOCK_MS < LEASE_MS, "a full link is noticed before a silent one"
 
 Heard = Callable[[bytes], None]
 
@@ -57,6 +61,7 @@ def configure(
         "scouting/multicast/enabled": False,
         "scouting/gossip/enabled": False,
         "transport/link/tx/lease": LEASE_MS,
+        "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_MS * 1000,
         "transport/unicast/open_timeout": OPEN_MS,
         "connect/timeout_ms": -1,  # keep trying: a gateway may start before its backbone
         "connect/exit_on_failure": False,
