@@ -96,6 +96,11 @@ class Keyring:
         """The secrets, for other kinds of tags: `protocol/fleet_tags.py`."""
         return self._keys
 
+    @property
+    def lot(self) -> bytes:
+        """A value that no two starts of this sender share."""
+        return self._lot
+
     # ---------------------------------------------------------------- frames
 
     def sign(self, message: Signed) -> Signed:

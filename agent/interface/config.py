@@ -39,15 +39,18 @@ class BeaconTiming(NamedTuple):
     pose_period_us: int  # period of POSE, the beat
     heartbeat_period_us: int
     silence_for_us: int  # a member silent for longer, without leaving, causes a protective stop
+    # In a fleet with keys: a member that proved nothing for longer counts as silent, though beacons
+    # come in its name. A proof goes with each heartbeat.
+    life_for_us: int
 
 
 # Faster beats would not fit the bus. At these periods and worst-case stuffing, 20 peers take 28 %,
 # 30 take 42 %, 50 take 35 % and 108 take 40 %. Claims, progress and identity frames take 1 or 2 %
 # more. With one heartbeat a second, 108 peers would take 43 %.
 BEATS: Final = (
-    BeaconTiming(30, 50 * MS, 500 * MS, 300 * MS),
-    BeaconTiming(50, 100 * MS, 1 * S, 500 * MS),
-    BeaconTiming(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S),
+    BeaconTiming(30, 50 * MS, 500 * MS, 300 * MS, 1_600 * MS),
+    BeaconTiming(50, 100 * MS, 1 * S, 500 * MS, 2_200 * MS),
+    BeaconTiming(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S, 3 * S),
 )
 # A pose is extrapolated until it is this old. By then a robot that fell silent has braked.
 GONE_QUIET_US: Final = 1 * S
@@ -60,6 +63,7 @@ for _beat in BEATS:
         "five or six beats may be lost before a stop"
     )
     assert _beat.heartbeat_period_us % _beat.pose_period_us == 0, "a heartbeat rides on a beat"
+    assert _beat.life_for_us >= 2 * _beat.heartbeat_period_us + 200 * MS, "one proof may be lost"
     _share = _beat.peers_max * FRAME_US * (1 / _beat.pose_period_us + 1 / _beat.heartbeat_period_us)
     assert _share <= 0.45, "the beats of a full fleet leave more than half of the bus for the rest"
     assert _beat.silence_for_us <= GONE_QUIET_US, "a member is silent before its pose is given up"

@@ -93,6 +93,9 @@ class Membership(Part):
         # Live others -> last sign of life, except newer poses.
         self.last_sign_at_us: dict[int, int] = {}
         self.void_farewells = 0  # farewells of members that moved, or that kept sending
+        # In a fleet with keys: frames that are not proven are signs of life for this long after a proof.
+        self.life_for_us: int | None = None
+        self.proven_at_us: dict[int, int] = {}
         self._left_at_us: dict[int, int] = {}
         self._void_at_us: dict[int, int] = {}
         self._oldest_sign_at_us = now_us  # no sign of life in `last_sign_at_us` is older
@@ -132,6 +135,8 @@ class Membership(Part):
         if slot is None:  # a moving stranger does not know the stops that hold us
             told = safety.tell_stops(now_us) if safety.latched and not m.stopped else NOTHING
             return [notices.StrangerHeard(source), *told]
+        if self.life_for_us is not None and not self.vouched(slot, now_us):
+            return NOTHING
         if m.speed_m_s >= PLACE_UNKNOWN_M_S:
             self._unplaced(slot, m, now_us)
         else:
@@ -247,6 +252,8 @@ class Membership(Part):
     def heard(self, slot: int, now_us: int) -> bool:
         """A sign of life. True when this changed the membership."""
         heard = self.last_sign_at_us
+        if self.life_for_us is not None and not self.vouched(slot, now_us):
+            return False
         if slot in heard:
             heard[slot] = now_us
             return False
@@ -260,6 +267,15 @@ class Membership(Part):
         heard[slot] = now_us
         self._stand(slot, MemberStatus.LIVE, now_us)
         return True
+
+    def prove(self, slot: int, now_us: int) -> None:
+        """A proof of this member was verified: what it sends counts as its own for a while."""
+        self.proven_at_us[slot] = now_us
+
+    def vouched(self, slot: int, now_us: int) -> bool:
+        """Whether it was proven lately that this member lives; always so in a fleet without keys."""
+        life_for_us = self.life_for_us
+        return life_for_us is None or now_us - self.proven_at_us.get(slot, NEVER_US) <= life_for_us
 
     def returned(self, slot: int, now_us: int) -> None:
         """A member that had left announces itself again."""
@@ -304,7 +320,7 @@ class Membership(Part):
             seen = neighbours.get(slot)
             if seen is not None and seen.heard_at_us > us:
                 us = seen.heard_at_us
-            if us <= heard_before_at_us:
+            if us <= heard_before_at_us or not self.vouched(slot, now_us):
                 fallen.append((us, slot))
             elif us < oldest_at_us:
                 oldest_at_us = us

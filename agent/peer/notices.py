@@ -128,6 +128,14 @@ class HeardAgain(NamedTuple):
     at_us: int
 
 
+class FleetTimeKnown(NamedTuple):
+    """From now on others can verify our proofs: we have learned the fleet's time, or started it."""
+
+
+class TimeDoubted(NamedTuple):
+    """A member's proof could not be verified; our time may differ from the time of others."""
+
+
 class StrangerHeard(NamedTuple):
     """A frame for members only, from an address that has not announced its slot."""
 

@@ -84,9 +84,10 @@ class Peer:
         self.allocation, self.progress, self.clock = parts.allocation, parts.progress, parts.clock
         self.claims, self.sync, self.records = parts.claims, parts.sync, parts.records
         self.check, self.reports, self.stop_release = parts.check, parts.reports, parts.release
-        self.departure = parts.departure
+        self.departure, self.proven = parts.departure, parts.proven
         self._carried, self._overhears = segments.carried, segments.overhears
         self._slot_of = parts.membership.slot_of
+        self._held = parts.proven.kinds  # messages that must be proven; none without keys
         self._routes = bound(self.parts, {**ROUTES, **segments.routes})
         self._listeners: dict[type[Any], list[Listener]] = {}
         self._direct: dict[type[Any], list[DirectListener]] = {}
@@ -105,6 +106,10 @@ class Peer:
         """Everything that this fact causes, in the order in which it must be performed.
 
         An empty result of a received beacon guarantees that `due_at_us` is not earlier now."""
+        effects = self._step(fact, now_us)
+        return self.proven.cover(effects, now_us) if effects and self._held else effects
+
+    def _step(self, fact: Input, now_us: int) -> Sequence[Effect]:
         kind = type(fact)
         if kind is Received:
             outputs = self._received(fact.frame, now_us)  # type: ignore[union-attr]
@@ -155,7 +160,12 @@ class Peer:
         return self._heard(source, destination, message, now_us)
 
     def _heard(
-        self, source: int, destination: int, message: Message | Malformed, now_us: int
+        self,
+        source: int,
+        destination: int,
+        message: Message | Malformed,
+        now_us: int,
+        proven: bool = False,
     ) -> Outputs:
         kind = type(message)
         route = self._routes.get(kind)
@@ -167,6 +177,10 @@ class Peer:
             number = gateway_slot(source)
             if number is not None:
                 return self._from_gateway(source, number, destination, message, now_us)
+        if kind in self._held and not proven and source != self.joining.address:
+            held = self.proven.hold(source, slot, message, now_us)
+            if held is not None:
+                return held
         returned: Outputs = NOTHING
         membership = self.membership
         # An address claim of a moving member is no sign of life: it has been off the bus.
@@ -265,7 +279,9 @@ class Peer:
                 elif kind is Drive:
                     self.named.control.commanded(output)
             elif kind is notices.HeardAgain:
-                again = self._heard(output.source, GLOBAL_ADDRESS, output.message, output.at_us)
+                again = self._heard(
+                    output.source, GLOBAL_ADDRESS, output.message, output.at_us, True
+                )
                 self._settle(again, effects, output.at_us)
             else:
                 self._deliver(output, effects, now_us)

@@ -20,6 +20,7 @@ from agent.peer.control_cycle import ControlCycle
 from agent.peer.departure import Departure
 from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
 from agent.peer.durable_records import DurableRecords
+from agent.peer.fleet_clock import FleetClock
 from agent.peer.fleet_summary import FLEET_SUMMARY_PGN, compose, write
 from agent.peer.fleet_views import FleetViews
 from agent.peer.frame_origin import Origins
@@ -40,6 +41,7 @@ from agent.peer.part import Part
 from agent.peer.peer_lifecycle import PeerLifecycle
 from agent.peer.pgn_responder import PgnResponder
 from agent.peer.progress_announcements import ProgressAnnouncements
+from agent.peer.proven_frames import ProvenFrames
 from agent.peer.section_claims import SectionClaims
 from agent.peer.section_work import SectionWork
 from agent.peer.self_check import SelfCheck
@@ -56,6 +58,7 @@ from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from crdt import FieldAllocationCRDT, Progress, VectorClock
 from protocol.authentication import Keyring
+from protocol.frame_proofs import START_BITS, FleetTime, ProofKeys
 from protocol.sync.map_sync import MapSync
 from protocol.sync.synchronizer import Synchronizer
 
@@ -101,6 +104,7 @@ class PeerParts:
         self.membership = Membership(
             identity, beat.silence_for_us, self.safety, self.origins, now_us
         )
+        self._make_trust(keyring, now_us)
         self.names = NameDiscovery(slot, self.joining)
         self.slots = SlotDiscovery(slot, self.joining, self.origins)
         self.conflicts = Conflicts(self.safety, self.joining)
@@ -165,12 +169,26 @@ class PeerParts:
     def in_order(self) -> list[Part]:
         """Every part, in the order of timers and notices."""
         return [
-            self.records, self.lifecycle, self.stops, self.senders, self.membership, self.joining,
+            self.records, self.lifecycle, self.stops, self.senders, self.fleet_clock, self.membership,
+            self.joining,
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
             self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
-            self.departure, self.diagnostics, self.tasks,
+            self.departure, self.diagnostics, self.tasks, self.proven,
         ]  # fmt: skip
+
+    def _make_trust(self, keyring: Keyring | None, now_us: int) -> None:
+        """What proves frames in a fleet with keys, and does nothing in one without."""
+        keys = None if keyring is None else ProofKeys(keyring.keys)
+        lot = b"" if keyring is None else keyring.lot + bytes((keyring.sender,))
+        start = 0 if keys is None else keys.number(b"start", lot, START_BITS)
+        time, identity = FleetTime(start, now_us), self.identity
+        self.fleet_clock = FleetClock(identity.slot, keys, time, lot)
+        self.proven = ProvenFrames(
+            identity.slot, keys, time, self.membership, self.joining, self.sync.replica
+        )
+        if keys is not None:
+            self.membership.life_for_us = self.beat.life_for_us
 
     def _may_choose(self, now_us: int) -> bool:
         """No section is chosen before our state is equal and no unknown robot may be at work."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
+from agent.peer.fleet_clock import FleetClock
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.map_exchange import MapExchange
 from agent.peer.member_reports import MemberReports
@@ -16,6 +17,7 @@ from agent.peer.mission_messages import MissionMessages
 from agent.peer.operator_directive import OperatorDirective
 from agent.peer.part import Part, Senders
 from agent.peer.pgn_responder import PgnResponder
+from agent.peer.proven_frames import ProvenFrames
 from agent.peer.sender_origins import SenderOrigins
 from agent.peer.state_sync import StateSync
 from agent.peer.stop_reception import StopReception
@@ -70,6 +72,7 @@ from protocol.frames.safety_frames import (
     StopsHeld,
 )
 from protocol.frames.task_frames import ProcessData, WorkingSetMaster
+from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
 from protocol.frames.work_frames import (
     Digests,
     StateSyncRequest,
@@ -98,6 +101,9 @@ ROUTES: Routes = {
     Challenge: MessageRoute(StopReception, ANYONE),
     Freshness: MessageRoute(StopReception, ANYONE),
     StopsHeld: MessageRoute(StopRelease, MEMBER_ONLY),
+    Proof: MessageRoute(ProvenFrames, ANYONE),
+    TimeQuestion: MessageRoute(FleetClock, ANYONE),
+    FleetTimeTold: MessageRoute(FleetClock, ANYONE),
     OperatorCommand: MessageRoute(OperatorDirective, ANYONE),
     OperatorGoal: MessageRoute(OperatorDirective, ANYONE),
     Pose: MessageRoute(Membership, ANYONE),

@@ -13,6 +13,7 @@ from protocol.frames import (
     safety_frames,
     segment_frames,
     task_frames,
+    trust_frames,
     work_frames,
 )
 from protocol.frames.agreement_frames import AgreementMessage, SilentPosition
@@ -65,6 +66,7 @@ from protocol.frames.safety_frames import (
 )  # fmt: skip
 from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.frames.task_frames import ProcessData, WorkingSetMaster
+from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
 from protocol.frames.work_frames import (
     Digests,
     StateSyncRequest,
@@ -82,6 +84,7 @@ Message = (
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
+    | Proof | TimeQuestion | FleetTimeTold
     | AddressClaimed | Request | Request2 | RepetitionRateRequest | Acknowledgment
     | TransportManagement | TransportData
     | ActiveFaults | PreviousFaults | DiagnosticProtocols | Functionalities
@@ -126,6 +129,9 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     delivery_frames.PLAN_ROW,
     segment_frames.GATEWAY_BEAT,
     segment_frames.SEGMENT_SUMMARY,
+    trust_frames.TIME_QUESTION,
+    trust_frames.FLEET_TIME,
+    trust_frames.PROOF,
     network_frames.ADDRESS_CLAIMED,
     network_frames.REQUEST,
     network_frames.REQUEST2,

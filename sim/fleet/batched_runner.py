@@ -90,7 +90,7 @@ class BatchedRunner(PeerRunner):
         peer, local = self.peer, self._local
         effects: list[Effect] = []
         reports, sync, safety = peer.reports, peer.sync, peer.safety
-        membership, own = peer.membership, peer.slot
+        membership, own, proven = peer.membership, peer.slot, peer.proven.kinds
         slot_of, signs, neighbours = (
             membership.slot_of,
             membership.last_sign_at_us,
@@ -107,7 +107,8 @@ class BatchedRunner(PeerRunner):
                     membership.reflected_at_us = seen.heard_at_us
             else:
                 t_us = bus_at_us if local is None else local(bus_at_us)
-                if slot in signs and type(message) is Heartbeat and not safety.latched:
+                beats = type(message) is Heartbeat and not proven and not safety.latched
+                if slot in signs and type(message) is Heartbeat and beats:
                     signs[slot] = t_us
                     reports.heard(slot, message)
                     sync.heard_digest(slot, message.digest, t_us)

@@ -1,0 +1,147 @@
+"""Learns the fleet's time, which proofs are checked against, and tells it to robots that ask.
+
+A robot asks with a nonce when it has joined. If nobody answers, no robot of the fleet is on the bus,
+and it starts the time itself; lower slots do so earlier, and the others learn it from them. Robots
+whose times differ, after both halves of a cut bus were switched on apart, cannot verify each other:
+they ask, and all take the greater time.
+
+Robots answer one after the other, and those that receive a valid answer keep silent.
+"""
+
+from collections.abc import Mapping
+from typing import Any, Final
+
+from agent.interface.config import MS, PEERS_MAX, S
+from agent.interface.effects import Send
+from agent.peer import notices
+from agent.peer.part import (
+    FOREVER,
+    NOTHING,
+    Handler,
+    Header,
+    Listener,
+    Outputs,
+    Part,
+    StepContext,
+)
+from protocol.frame_proofs import FleetTime, ProofKeys, TimeAnswers
+from protocol.frames.trust_frames import WORD_BITS, FleetTimeTold, TimeQuestion
+
+ASK_AGAIN_US: Final = 150 * MS
+# Nobody answered: ask a last time, then start the time. Between two slots is time for that.
+ALONE_US: Final = 400 * MS
+LAST_WAIT_US: Final = 25 * MS
+ALONE_STEP_US: Final = 40 * MS
+assert ALONE_STEP_US > LAST_WAIT_US
+NONCE_LIFE_US: Final = 1 * S
+DOUBT_US: Final = 500 * MS  # between questions because of a doubt; doubles
+DOUBLINGS_MAX: Final = 5  # up to 16 s, so that forged proofs cost next to nothing
+ANSWER_US, ANSWER_STEP_US = 2 * MS, 3 * MS  # two frames, and one that blocks them
+ANSWER_SPACING_US: Final = 20 * MS  # questions of strangers cost at most 6 % of the bus
+assert ANSWER_US + PEERS_MAX * ANSWER_STEP_US < ALONE_US, "the last slot answers in time"
+QUESTIONS_MAX: Final = 16
+
+
+class FleetClock(Part):
+    """The part that asks for the fleet's time, and answers. Without keys it does nothing."""
+
+    def __init__(self, slot: int, keys: ProofKeys | None, time: FleetTime, lot: bytes) -> None:
+        self.slot, self.keys, self.time, self.lot = slot, keys, time, lot
+        self.answers = None if keys is None else TimeAnswers(keys)
+        self.asks_at_us = self.alone_at_us = FOREVER
+        self._question: TimeQuestion | None = None
+        self._asked = 0
+        self._asked_at_us = self._answered_at_us = -NONCE_LIFE_US
+        self._doubts = 0
+        self._last = False  # our last question before we start the time is asked
+        self._pending: dict[TimeQuestion, int] = {}  # question of another device -> when we answer
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {TimeQuestion: self._hear_question, FleetTimeTold: self._hear_time}
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {notices.AddressGained: self._joined, notices.TimeDoubted: self._doubted}
+
+    @property
+    def due_at_us(self) -> int:
+        due_at_us = min(self.asks_at_us, self.alone_at_us)
+        return min(due_at_us, *self._pending.values()) if self._pending else due_at_us
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        now_us = ctx.now_us
+        if self.keys is None or now_us < self.due_at_us:
+            return NOTHING
+        outputs: list[Any] = []
+        if now_us >= self.alone_at_us:
+            if self._last:
+                self.asks_at_us = self.alone_at_us = FOREVER
+                self.time.known = True
+                outputs.append(notices.FleetTimeKnown())
+            else:
+                self._last, self.asks_at_us = True, now_us
+                self.alone_at_us = now_us + LAST_WAIT_US
+        if now_us >= self.asks_at_us:
+            self.asks_at_us = FOREVER if self.time.known else now_us + ASK_AGAIN_US
+            if ctx.joined:
+                outputs.append(Send(self._ask(now_us)))
+        for question in [q for q, at_us in self._pending.items() if now_us >= at_us]:
+            del self._pending[question]
+            assert self.answers is not None
+            if ctx.joined and now_us - self._answered_at_us >= ANSWER_SPACING_US:
+                self._answered_at_us = now_us
+                halves = self.answers.halves(question, self.time.at(now_us))
+                outputs += [Send(half) for half in halves]
+        return outputs
+
+    def _ask(self, now_us: int) -> TimeQuestion:
+        assert self.keys is not None
+        self._asked, self._asked_at_us = self._asked + 1, now_us
+        nonce = self.keys.number(b"nonce" + self._asked.to_bytes(8, "little"), self.lot, WORD_BITS)
+        self._question = TimeQuestion(self.slot, nonce)
+        return self._question
+
+    def _joined(self, ctx: StepContext, notice: notices.AddressGained) -> Outputs:
+        if self.keys is not None and not self.time.known:
+            self.asks_at_us = ctx.now_us
+            self._last = False
+            self.alone_at_us = ctx.now_us + ALONE_US + self.slot * ALONE_STEP_US
+        return NOTHING
+
+    def _doubted(self, ctx: StepContext, notice: notices.TimeDoubted) -> Outputs:
+        """A proof could not be verified: its sender may know a later time than we do."""
+        if not self.time.known or self.asks_at_us != FOREVER:
+            return NOTHING
+        pause_for_us = DOUBT_US << min(self._doubts, DOUBLINGS_MAX)
+        if ctx.now_us - self._asked_at_us >= pause_for_us:
+            self._doubts += 1
+            self.asks_at_us = ctx.now_us
+        return NOTHING
+
+    def _hear_question(self, ctx: StepContext, header: Header, m: TimeQuestion) -> Outputs:
+        keys = self.keys
+        if keys is None or not self.time.known or keys.of_time(m.asker) is None:
+            return NOTHING
+        self._pending[m] = ctx.now_us + ANSWER_US + self.slot * ANSWER_STEP_US
+        if len(self._pending) > QUESTIONS_MAX:
+            del self._pending[next(iter(self._pending))]
+        return NOTHING
+
+    def _hear_time(self, ctx: StepContext, header: Header, m: FleetTimeTold) -> Outputs:
+        if self.answers is None:
+            return NOTHING
+        now_us = ctx.now_us
+        for question in list(self._pending):  # another robot has answered as we would
+            ticks = self.answers.hear(header.source, m, question)
+            if ticks is not None and ticks >= self.time.at(now_us) - 1:
+                del self._pending[question]
+        mine = self._question if now_us - self._asked_at_us <= NONCE_LIFE_US else None
+        ticks = self.answers.hear(header.source, m, mine)
+        if ticks is None:
+            return NOTHING
+        self._question, self.asks_at_us, self.alone_at_us = None, FOREVER, FOREVER
+        if not self.time.learn(ticks, now_us):
+            return NOTHING
+        self._doubts = 0
+        return [notices.FleetTimeKnown()]
