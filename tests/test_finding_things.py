@@ -38,6 +38,7 @@ QUESTIONS = {
     "Where are frontiers of an unknown building found?": "agent/exploration/frontier.py",
     "Where is a robot's durable memory written?": "agent/runtime/sqlite_journal.py",
     "Where is a peer made?": "agent/runtime/peer_factory.py",
+    "What work can a robot file declare?": "agent/runtime/robot_work.py",
     "How does a robot run as a process?": "agent/runtime/robot_process.py",
     "What must the body of my vehicle implement?": "agent/runtime/robot_body.py",
     "Where are key files read?": "agent/runtime/files/key_file.py",

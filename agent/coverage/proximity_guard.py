@@ -22,9 +22,14 @@ class GridGuard(MotionController):
     keep to it."""
 
     def __init__(self, cell_m: float, radius_m: float, speed_m_s: float) -> None:
+        assert self.fits(cell_m, radius_m, speed_m_s), "bodies are too large for their cells"
         self.guard_m, self.speed_m_s = GUARD * cell_m, speed_m_s
+
+    @staticmethod
+    def fits(cell_m: float, radius_m: float, speed_m_s: float) -> bool:
+        """Whether bodies of this size can keep apart by the guard on cells of this size."""
         closing_m = 2 * speed_m_s * PERIOD_S  # two that have not yet seen each other move
-        assert self.guard_m - closing_m >= 2 * radius_m, "bodies are too large for their cells"
+        return GUARD * cell_m - closing_m >= 2 * radius_m
 
     def drive(
         self,

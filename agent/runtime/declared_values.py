@@ -12,9 +12,12 @@ from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder, TaskKind
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
 from agent.interface.identity import SilencePolicy
 from agent.interface.vehicle import DriveTrain, Vehicle
+from crdt.occupancy import Geometry
+from crdt.sighting import MergeOrder
 
 XY = tuple[float, float]  # metres east and north
 SAID_MAX = 60  # characters of a wrong value quoted in a message
@@ -89,6 +92,61 @@ class WarehouseTable(Table):
     bays: list[XY] = Field(default=[])
     handle_s: float = Field(default=2.0, ge=0.1, le=600.0)
     t_max: int = Field(default=4, ge=1, le=100)
+
+
+class FloorTable(Table):
+    """The map of a building in which robots drive to goals."""
+
+    map: str  # a file in Moving AI format, or the drawing itself
+    cell_m: float = Field(default=1.0, gt=0.05, le=10.0)
+    # Distance from walls, in addition to the radius.
+    margin_m: float = Field(default=0.1, ge=0.02, le=1.0)
+
+
+class UnknownPlaceTable(Table):
+    """A rectangle round the origin that a fleet explores, and the range sensors of its robots."""
+
+    width_m: float = Field(ge=1.0, le=96.0)
+    height_m: float = Field(ge=1.0, le=96.0)
+    cell_m: float = Field(default=0.1, ge=0.05, le=1.0)
+    range_m: float = Field(default=1.5, gt=0.3, le=30.0)
+    merge_strategy: Literal["max_confidence", "latest_update", "decayed"] = "max_confidence"
+    robots_max: int = Field(default=ROBOTS_MAX, ge=1, le=32)
+
+    @property
+    def merge_order(self) -> MergeOrder:
+        """How two readings of a cell are merged."""
+        return MergeOrder(self.merge_strategy)
+
+    @property
+    def geometry(self) -> Geometry:
+        """The cells of the map, with the origin of the place in its middle."""
+        rows, columns = (round(m / self.cell_m) for m in (self.height_m, self.width_m))
+        return Geometry(rows, columns, (-self.width_m / 2, -self.height_m / 2), self.cell_m)
+
+    def holds(self, x_m: float, y_m: float) -> bool:
+        """Whether a point is within the rectangle."""
+        return abs(x_m) < self.width_m / 2 and abs(y_m) < self.height_m / 2
+
+
+class OrderTable(Table):
+    """A task for the fleet besides exploration; the nearest free robot does it."""
+
+    kind: Literal["navigate_to", "patrol"]
+    points: list[XY] = Field(min_length=1, max_length=64)  # metres east and north of the middle
+
+    @property
+    def order(self) -> ExplorationOrder:
+        """As the mission takes it."""
+        return ExplorationOrder(TaskKind(self.kind), tuple(self.points))
+
+
+class GridTable(Table):
+    """A map whose free cells a fleet covers, one cell after the other."""
+
+    map: str  # a file in Moving AI format, or the drawing itself
+    cell_m: float = Field(default=4.0, gt=0.1, le=60.0)  # the working width
+    turn_cost: float = Field(default=0.0, ge=0.0, le=10.0)  # in steps from a cell to the next
 
 
 # What a wrong value is not, in words for people, by pydantic's name of the error.

@@ -22,8 +22,9 @@ and a table of each machine has what differs:
     slot = 2
     body_options = { wheels = "serial:/dev/ttyUSB1" }
 
-File names are relative to the folder of the robot file. Its work is a `[field]`, a `[warehouse]`, or a
-`[mission]` of your own; without one, the robot is a member that does no work.
+File names are relative to the folder of the robot file. Its work is one of `[field]`, `[warehouse]`,
+`[navigation]`, `[exploration]`, `[coverage]`, or a `[mission]` of your own; without one, the robot is a
+member that does no work.
 """
 
 from pathlib import Path
@@ -31,19 +32,25 @@ from typing import Any, NamedTuple, Self
 
 from pydantic import Field, ValidationError, model_validator
 
+from agent.exploration.exploration_task import ORDERS_MAX
 from agent.interface.config import PEERS_MAX
 from agent.runtime.declared_values import (
     XY,
     BatteryTable,
     FieldTable,
     FleetTable,
+    FloorTable,
+    GridTable,
+    OrderTable,
     Table,
+    UnknownPlaceTable,
     WarehouseTable,
     first_error,
 )
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
 
 LINE_MAX = 1000  # characters of a message
+WORKS = ("field", "warehouse", "navigation", "exploration", "coverage", "mission")
 
 
 class RobotError(Exception):
@@ -130,6 +137,18 @@ class CarrierTable(WarehouseTable):
     task: list[TaskTable] = Field(default=[])
 
 
+class NavigationTable(FloorTable):
+    """A building, and the goals of each robot of the fleet in their order."""
+
+    goals: list[list[XY]]
+
+
+class ExplorationTable(UnknownPlaceTable):
+    """A place to explore, and what the fleet has to do there besides."""
+
+    order: list[OrderTable] = Field(default=[], max_length=ORDERS_MAX)
+
+
 class RobotFile(Table):
     """All declared values of one robot."""
 
@@ -138,6 +157,9 @@ class RobotFile(Table):
     fleet: FleetTable = FleetTable()
     field: FieldTable | None = None
     warehouse: CarrierTable | None = None
+    navigation: NavigationTable | None = None
+    exploration: ExplorationTable | None = None
+    coverage: GridTable | None = None
     mission: FactoryTable | None = None
     bus: RobotBusTable = RobotBusTable()
     body: BodyTable = BodyTable(plugin="standing")
@@ -158,8 +180,8 @@ class RobotFile(Table):
                 f"{name}: robot.slot: {found.robot.slot} is not one of {found.fleet.robots} robots "
                 f"(0 to {found.fleet.robots - 1})"
             )
-        if sum(work is not None for work in (found.field, found.warehouse, found.mission)) > 1:
-            raise RobotError(f"{name}: field, warehouse, mission: a robot has one work")
+        if sum(getattr(found, work) is not None for work in WORKS) > 1:
+            raise RobotError(f"{name}: {', '.join(WORKS)}: a robot has one work")
         slots = [machine.slot for machine in found.machine]
         if len(set(slots)) < len(slots):
             raise RobotError(f"{name}: machine: two have one slot")

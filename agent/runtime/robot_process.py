@@ -14,106 +14,27 @@ import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
-from typing import NamedTuple
 
-from agent.delivery.task_registry import TransportTask
-from agent.delivery.warehouse import Warehouse
-from agent.field.field_plan import FieldError, FieldPlan, divided
 from agent.interface.ports import Bus
-from agent.mapping.building import Floor, FloorError
 from agent.runtime.body_plugins import made
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
-from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from agent.runtime.files.key_file import FLEET, KeyFileError
 from agent.runtime.files.key_file import read as read_keys
 from agent.runtime.gc_tuning import freeze_gc
-from agent.runtime.mission_parts import carrier_of, delivery_parts, field_parts, values_of
-from agent.runtime.peer_factory import (
-    NO_MISSION,
-    MissionParts,
-    identity_of,
-    keyring_of,
-    make_peer,
-)
+from agent.runtime.peer_factory import identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
-from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody, called
-from agent.runtime.robot_file import CarrierTable, RobotBusTable, RobotError, RobotFile
+from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody
+from agent.runtime.robot_file import RobotBusTable, RobotError, RobotFile
+from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
-from crdt import FieldAllocationCRDT
 from protocol.authentication import Keys
 from protocol.links.bus import open_bus
 from protocol.links.socketcand_link import SocketcandLink
 
 GOODBYE_S = 0.2  # for the farewell frame to leave
 WRONG = 2  # exit code of an error that a person has to mend; one line says what it is
-
-
-class Work(NamedTuple):
-    """What a robot works on."""
-
-    field_hash: int  # u24; equal for all robots of a fleet, and of no other work
-    sections: int  # in all; 0: not known before
-    parts: MissionParts
-
-
-def work_of(robot: RobotFile, now_us: int, recalled: Mapping[str, bytes]) -> Work:
-    """The work that a robot file declares. Raises RobotError.
-
-    `now_us`: the time of the boot. `recalled`: the contents of the robot's durable memory.
-    """
-    slot, fleet = robot.robot.slot, robot.fleet
-    try:
-        if robot.field is not None:
-            boundary = read_boundary(robot.folder / robot.field.file, robot.field.feature)
-            field = divided(*boundary, values_of(robot.field), fleet.vehicle)
-            parts = field_parts(slot, FieldPlan(field, fleet.vehicle))
-            return Work(field.config_hash, len(field.sections), parts)
-        if robot.warehouse is not None:
-            table, house = robot.warehouse, _house(robot, robot.warehouse)
-            parts = delivery_parts(
-                slot, fleet.robots, house, table.home, fleet.vehicle, table.seed, now_us,
-                recalled, asks=fleet.asks,
-            )  # fmt: skip
-            return Work(house.check, 0, parts)
-        if robot.mission is not None:
-            made = called(
-                robot.mission.factory, slot, fleet.robots, now_us, **robot.mission.options
-            )
-            if not isinstance(made, MissionParts):
-                raise FactoryError(f"{robot.mission.factory!r} makes no MissionParts")
-            text = f"{robot.name} {robot.mission.model_dump_json()}"
-            return Work(FieldAllocationCRDT.hash_of(text), 0, made)
-    except FieldFileError as problem:
-        raise RobotError(f"robot {slot}: field.file: {problem}") from None
-    except (FieldError, FloorError) as problem:
-        raise RobotError(f"robot {slot}: {problem}") from None
-    except FactoryError as problem:
-        raise RobotError(f"robot {slot}: mission.factory: {problem}") from None
-    return Work(FieldAllocationCRDT.hash_of(robot.name), 0, NO_MISSION)
-
-
-def _house(robot: RobotFile, table: CarrierTable) -> Warehouse:
-    """The warehouse with the tasks that are known before the start. Raises RobotError, FloorError."""
-    slot = robot.robot.slot
-    try:
-        drawn = "\n" in table.map  # the map itself
-        text = table.map if drawn else read_text(robot.folder / table.map, DRAWING_BYTES_MAX)
-    except GivenFileError as problem:
-        raise RobotError(f"robot {slot}: warehouse.map: {problem}") from None
-    floor = Floor.drawn(text, table.cell_m, robot.fleet.radius_m)
-    carrier = carrier_of(table, robot.fleet, table.battery)
-    plain, known = Warehouse(floor, carrier), dict[int, TransportTask]()
-    for bay in table.bays:
-        if plain.cell(bay) is None:
-            raise RobotError(f"robot {slot}: warehouse.bays: {bay} is not on free floor")
-    for task in table.task:
-        pickup, dropoff = plain.cell(task.pickup), plain.cell(task.dropoff)
-        if pickup is None or dropoff is None:
-            raise RobotError(f"robot {slot}: warehouse.task {task.number}: not on free floor")
-        known[task.number] = TransportTask(pickup, dropoff)
-    return Warehouse(floor, carrier, table.bays, known, table.t_max)
 
 
 def keys_of(robot: RobotFile) -> Keys | None:

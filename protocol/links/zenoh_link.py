@@ -88,13 +88,13 @@ def _first_line(problem: Exception) -> str:
 class _Silence:
     """How long nothing was received, and how long is too long."""
 
-    def __init__(self, first_s: float, now_s: float) -> None:
-        self._first_s = self._limit_s = first_s
+    def __init__(self, first_for_s: float, now_s: float) -> None:
+        self._first_for_s = self._limit_for_s = first_for_s
         self._heard_at_s = now_s
 
     def end(self, now_s: float) -> None:
         """A message was received."""
-        self._heard_at_s, self._limit_s = now_s, self._first_s
+        self._heard_at_s, self._limit_for_s = now_s, self._first_for_s
 
     def begin(self, now_s: float) -> None:
         """Another session is open."""
@@ -102,9 +102,9 @@ class _Silence:
 
     def too_long(self, now_s: float) -> bool:
         """Whether the session has to be replaced. If so, the next one gets twice the time."""
-        if now_s - self._heard_at_s < self._limit_s:
+        if now_s - self._heard_at_s < self._limit_for_s:
             return False
-        self._limit_s = min(2 * self._limit_s, SILENCE_MAX_S)
+        self._limit_for_s = min(2 * self._limit_for_s, SILENCE_MAX_S)
         return True
 
 
@@ -113,11 +113,14 @@ class ZenohLink:
 
     A program that only connects may start before its backbone. So the session is opened in a thread
     that keeps trying, and nothing is sent until it is open. A client that receives nothing for
-    `silence_s` seconds opens another session and closes the old one afterwards.
+    `silence_for_s` seconds opens another session and closes the old one afterwards.
     """
 
     def __init__(
-        self, config: zenoh.Config, loop: asyncio.AbstractEventLoop, silence_s: float = SILENCE_S
+        self,
+        config: zenoh.Config,
+        loop: asyncio.AbstractEventLoop,
+        silence_for_s: float = SILENCE_S,
     ) -> None:
         self._loop, self._config = loop, config
         self.dropped = 0  # messages dropped because the inbox was full
@@ -126,7 +129,7 @@ class ZenohLink:
         self.refusal = ""  # why it does not open
         self._waiting = 0
         self._open = True
-        self._silence = _Silence(silence_s, loop.time())
+        self._silence = _Silence(silence_for_s, loop.time())
         self._patterns: list[tuple[str, Callable[[zenoh.Sample], None]]] = []
         self._subscribers: list[Any] = []
         if config.get_json("mode") == '"client"':

@@ -10,13 +10,10 @@ import scipy
 from numpy.typing import NDArray
 from pydantic import Field
 
-from agent.exploration.exploration_task import ORDERS_MAX, ROBOTS_MAX, TaskKind
-from agent.exploration.exploration_task import ExplorationOrder as Task
-from agent.runtime.declared_values import FieldTable, Table
+from agent.exploration.exploration_task import ORDERS_MAX
+from agent.runtime.declared_values import XY, FieldTable, OrderTable, UnknownPlaceTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
-from crdt.occupancy import Geometry
-from crdt.sighting import MergeOrder
 from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import Scenario, ScenarioError, load_kind
 from sim.world.drive_trains import Chassis
@@ -24,34 +21,15 @@ from sim.world.lidar import Lidar
 from sim.world.world import World
 
 ARENAS = Path(__file__).parents[1] / "arenas"
-XY = tuple[float, float]
 Box = tuple[float, float, float, float]
 
 
-class ArenaTable(Table):
+class ArenaTable(UnknownPlaceTable):
     """A walled rectangle round the origin, and solid rectangles in it: west, south, east, north."""
 
-    width_m: float = Field(ge=1.0, le=96.0)
-    height_m: float = Field(ge=1.0, le=96.0)
-    cell_m: float = Field(default=0.1, ge=0.05, le=1.0)
     solid: list[Box] = Field(default=[])
     starts: list[XY]
     rays: int = Field(default=36, ge=4, le=720)
-    range_m: float = Field(default=1.5, gt=0.3, le=30.0)
-    merge_strategy: Literal["max_confidence", "latest_update", "decayed"] = "max_confidence"
-    robots_max: int = Field(default=ROBOTS_MAX, ge=1, le=32)
-
-
-class OrderTable(Table):
-    """A task for the fleet besides exploration; the nearest free robot does it."""
-
-    kind: Literal["navigate_to", "patrol"]
-    points: list[XY] = Field(min_length=1, max_length=64)  # metres east and north of the middle
-
-    @property
-    def order(self) -> Task:
-        """As the mission takes it."""
-        return Task(TaskKind(self.kind), tuple(self.points))
 
 
 class ExplorationScenario(Scenario):
@@ -81,18 +59,14 @@ class ExplorationSetup(FleetSetup):
                 f"{scenario.name}: arena.starts: {len(table.starts)} places for "
                 f"{scenario.fleet.robots} robots"
             )
-        half_m = (table.width_m / 2, table.height_m / 2)
         for number, order in enumerate(scenario.order):
-            if any(abs(x) >= half_m[0] or abs(y) >= half_m[1] for x, y in order.points):
+            if not all(table.holds(*point) for point in order.points):
                 raise ScenarioError(
                     f"{scenario.name}: order.{number}.points: outside of the arena, which reaches "
-                    f"{half_m[0]:g} m east and west, {half_m[1]:g} m north and south"
+                    f"{table.width_m / 2:g} m east and west, {table.height_m / 2:g} m north and south"
                 )
         self.starts = list(table.starts)
-        self.order = MergeOrder(table.merge_strategy)
-        rows, columns = (round(m / table.cell_m) for m in (table.height_m, table.width_m))
-        origin = (-table.width_m / 2, -table.height_m / 2)
-        self.geometry = Geometry(rows, columns, origin, table.cell_m)
+        self.order, self.geometry = table.merge_order, table.geometry
 
     @property
     def config_hash(self) -> int:

@@ -18,7 +18,7 @@ from shapely.geometry import box
 from shapely.ops import unary_union
 
 from agent.mapping.building import Floor, FloorError
-from agent.runtime.declared_values import FieldTable, Table
+from agent.runtime.declared_values import XY, FieldTable, FloorTable, Table
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from sim.scenarios.scenario import (
@@ -32,18 +32,8 @@ from sim.scenarios.scenario import (
 )  # fmt: skip
 from sim.world.temporary_obstacles import TemporaryObstacle, random_temporary_obstacle_generator
 
-XY = tuple[float, float]
 CELLS_MAX = 1 << 20  # of a map at its finest; with more cells, paths take too long to prepare
 APART_RADII = 2.5  # minimum distance of drawn starts
-
-
-class FloorTable(Table):
-    """The map of the building."""
-
-    map: str
-    cell_m: float = Field(default=1.0, gt=0.05, le=10.0)
-    # Distance from walls, in addition to the radius.
-    margin_m: float = Field(default=0.1, ge=0.02, le=1.0)
 
 
 class ErrandTable(Table):

@@ -13,15 +13,15 @@ from agent.runtime.body_plugins import plugins
 from agent.runtime.declared_values import FleetTable
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import FactoryError, RobotBody, named
-from agent.runtime.robot_file import Changes, RobotError, RobotFile
+from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import (
     WRONG,
     keys_of,
     opened_body,
     opened_bus,
     until_told,
-    work_of,
 )
+from agent.runtime.robot_work import work_of
 from tools.common.findings import Finding, print_findings
 
 BLIND = (
@@ -128,10 +128,11 @@ def _work(declared: RobotFile) -> Finding:
         return Finding("work", False, str(problem))
     if declared.field is not None:
         return Finding("work", True, f"{declared.field.file}: {work.sections} sections")
-    if declared.warehouse is not None:
-        return Finding("work", True, "a warehouse")
     if declared.mission is not None:
         return Finding("work", True, declared.mission.factory)
+    kind = next((name for name in WORKS if getattr(declared, name) is not None), None)
+    if kind is not None:
+        return Finding("work", True, kind)
     return Finding("work", None, "none: a member that is stopped like the others")
 
 

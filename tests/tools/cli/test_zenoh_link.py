@@ -151,7 +151,7 @@ def test_a_session_that_is_refused_for_good_is_replaced() -> None:
         router = ZenohLink(configure([], [f"tcp/127.0.0.1:{port}"]), loop)
         relay = RefusingRelay(port)
         at = f"tcp/127.0.0.1:{await relay.start()}"
-        client = ZenohLink(configure([at], []), loop, silence_s=1.0)
+        client = ZenohLink(configure([at], []), loop, silence_for_s=1.0)
         heard, answered = list[bytes](), list[bytes]()
         client.subscribe("router", heard.append)
         router.subscribe("client", answered.append)
