@@ -43,9 +43,10 @@ ALLOWED: dict[str, str] = {
     "agent.coverage": "interface mapf",
     "agent.segments": "interface safety peer",
     "agent.runtime.files": "interface",
+    "agent.runtime.vda5050": "",
     "agent.runtime": "interface safety peer segments runtime.files paths mapf motion mapping field "
     "navigation exploration delivery coverage",
-    "agent.runtime.bodies": "interface motion runtime runtime.files",
+    "agent.runtime.bodies": "interface motion runtime runtime.files runtime.vda5050",
     "sim.files": "",
     "sim.machines": "",
     "sim.can": "files",
@@ -64,10 +65,11 @@ ALLOWED: dict[str, str] = {
     "tools.livemap": "common operate inspect",
     "tools.report": "common inspect livemap",
     "tools.run": "common operate inspect language build livemap report",
+    "tools.vda5050": "common operate inspect",
     "tools.chaos": "common",
     "tools.bench.kernels": "",
     "tools.bench": "bench.kernels common operate inspect language build livemap report run chaos",
-    "tools.cli": "common operate inspect language build livemap report run chaos bench",
+    "tools.cli": "common operate inspect language build livemap report run vda5050 chaos bench",
 }  # fmt: skip
 # The only modules of the core that may use clocks, sockets, threads and files.
 EDGES = ("agent/runtime/", "protocol/links/")

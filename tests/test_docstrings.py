@@ -52,6 +52,7 @@ FLOORS = {
     "tools/operate": 95,
     "tools/report": 95,
     "tools/run": 94,
+    "tools/vda5050": 95,
 }
 
 

@@ -247,7 +247,14 @@ class DeliveryMission(NavigationMission):
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self._handling_at_us = section, None
 
+    def _taken_back(self, section: int) -> bool:
+        """Whether its order was taken back before we have picked the parcel up."""
+        order = self.dispatch.book.tasks.get(section)
+        return order is not None and order.withdrawn and self._load != section
+
     def approach(self, section: int, view: FleetView) -> MotionRequest:
+        if self._taken_back(section):
+            return MotionRequest(0.0, 0.0)
         self._go(self._goal(section, view))
         return self._drive(view)[0]
 
@@ -272,7 +279,7 @@ class DeliveryMission(NavigationMission):
         if section < TASKS_MAX and self._delivered(section, view):
             self._through()
             return MotionRequest(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
-        if self._hopeless(section):
+        if self._hopeless(section) or self._taken_back(section):
             return self._given_up(section, view)
         if UNDER_WAY in self.cut_off.sections and self._load != section < TASKS_MAX:
             return self._missing(section, view)

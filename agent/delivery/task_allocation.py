@@ -209,7 +209,7 @@ class TaskAllocation:
             if self._awarded.get(task, 0) > now_us:
                 continue
             phase = allocation.phase_of(task)
-            if phase is Phase.DONE:
+            if phase is Phase.DONE or self.book.tasks[task].withdrawn:
                 self._done.add(task)
                 continue
             owner = self._holder(task, phase, holder, view)
@@ -257,7 +257,7 @@ class TaskAllocation:
             owner = view.allocation.owner_of(task)
             held = owner in view.live and not self.absence.leaves(owner, task, view)
             gone = owner is not None and (owner == self.slot or held)
-            done = view.allocation.phase_of(task) is Phase.DONE
+            done = view.allocation.phase_of(task) is Phase.DONE or self.book.tasks[task].withdrawn
             if done or gone or task in lower or task in self.cut:
                 continue
             kept.append(task)

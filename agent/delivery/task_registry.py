@@ -16,6 +16,8 @@ TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
 DIGEST_US = 1 * S  # between two digests of one peer, each of one bucket of tasks
 AGAIN_US = 400 * MS  # an order received within this time is not repeated
 KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record: pickup, dropoff
+# The pickup of an order that was taken back. No floor has this cell, and the greatest wins the join.
+WITHDRAWN = 0xFFFF
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
 
@@ -24,6 +26,16 @@ class TransportTask(NamedTuple):
 
     pickup: int
     dropoff: int
+
+    @property
+    def withdrawn(self) -> bool:
+        """Whether the order was taken back. A parcel that is aboard by then is delivered anyway."""
+        return self.pickup == WITHDRAWN
+
+    @property
+    def taken_back(self) -> "TransportTask":
+        """What an operator sends to take it back."""
+        return self._replace(pickup=WITHDRAWN)
 
 
 def recalled_orders(recalled: Mapping[str, bytes]) -> dict[int, TransportTask]:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, spare_energy, workload
 from agent.delivery.routing_problem import Whole, Workload
-from agent.delivery.task_registry import TASKS_MAX, TransportTask
+from agent.delivery.task_registry import TASKS_MAX, WITHDRAWN, TransportTask
 from agent.mapping.building import Floor
 from agent.paths.nav_mesh import Mesh, Point
 from crdt import FieldAllocationCRDT, Phase
@@ -19,7 +19,6 @@ from crdt import FieldAllocationCRDT, Phase
 SECTIONS_END = 0x8000  # sections are below; names begin there
 assert SECTIONS_END > TASKS_MAX
 T_MAX = 4  # up to this many new tasks are inserted; more are replanned
-ORDER_MAX = 0xFFFF
 
 
 class CarrierState(NamedTuple):
@@ -90,7 +89,7 @@ class Warehouse:
         if not (0 <= row < rows and 0 <= column < columns):
             return None
         cell = row * columns + column
-        return cell if cell <= ORDER_MAX and not floor.walls[row + 1, column + 1] else None
+        return cell if cell < WITHDRAWN and not floor.walls[row + 1, column + 1] else None
 
     def known(self, order: TransportTask) -> bool:
         """Whether both cells of an order are places of this building."""

@@ -122,7 +122,7 @@ ROUTES: Routes = {
     AgreementMessage: MessageRoute(MissionMessages, MEMBER),
     SilentPosition: MessageRoute(MissionMessages, MEMBER),
     TaskOrder: MessageRoute(MissionMessages, ANYONE),
-    TaskBookDigest: MessageRoute(MissionMessages, MEMBER),
+    TaskBookDigest: MessageRoute(MissionMessages, ANYONE),
     TaskBid: MessageRoute(MissionMessages, MEMBER),
     Itinerary: MessageRoute(MissionMessages, MEMBER),
     PlanOffer: MessageRoute(MissionMessages, MEMBER),

@@ -22,6 +22,7 @@ from typing import Any, NamedTuple
 
 from can import BusABC
 
+from agent.delivery.task_outcome import TaskOutcome, outcome_of
 from agent.interface.config import CONTENTION_US, S
 from agent.interface.effects import Effect, Trace
 from agent.interface.identity import SilencePolicy
@@ -406,6 +407,10 @@ class FleetCoordinationEngine:
     def get_field_allocation_state(self) -> FieldAllocationCRDT:
         """The current, merged view of the field allocation."""
         return self._peer.allocation
+
+    def get_task_outcome(self, task: int) -> TaskOutcome:
+        """What has become of a transport, by its number: how far it is, and which slot holds it."""
+        return outcome_of(task, None, self._peer.allocation, self._peer.progress)
 
     def get_current_state(self) -> str:
         """The name of this machine's state, as in `State`; DISCONNECTED before the start."""

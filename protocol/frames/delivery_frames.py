@@ -37,7 +37,7 @@ class TaskBookDigest(NamedTuple):
     """Which of 48 tasks the sender knows.
 
     Every robot of a delivery fleet sends one bucket a second. A receiver that knows a task more
-    repeats its order.
+    repeats its order. A tool that lists tasks sends it to be told their orders.
     """
 
     bucket: int

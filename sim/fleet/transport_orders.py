@@ -11,6 +11,8 @@ from collections.abc import Sequence
 from agent.delivery.task_registry import TransportTask
 from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 from protocol.frames.messages import Message
+from protocol.frames.network_frames import AddressClaimed
+from protocol.name import TOOL_FUNCTION, Name
 
 ENOUGH = 2
 
@@ -25,19 +27,40 @@ class TransportClient:
         self.wanted: dict[int, tuple[int, TransportTask]] = {}
         self.robots: set[int] = set()  # source addresses that have reported what they know
         self._first_free = known
+        self._tools: set[int] = set()  # source addresses of tools, which confirm nothing
         self._sure: dict[int, set[int]] = {}  # task -> robots that know it
         self._count = 0
 
-    def order(self, orders: Sequence[TransportTask]) -> None:
-        """Order transports, each under the next number that is free."""
-        for order in orders:
-            self.wanted[self._free()] = (self._count, order)
-            self._count += 1
+    def order(self, orders: Sequence[TransportTask]) -> list[int]:
+        """Order transports, each under the next number that is free. The results are their indexes,
+        by which `number_of` names them also after a conflict."""
+        return [self.recall(self._free(), order) for order in orders]
+
+    def recall(self, number: int, order: TransportTask) -> int:
+        """Order a transport under the number that it had before a restart. The result is its index."""
+        self.wanted[number] = (self._count, order)
+        self._count += 1
+        return self._count - 1
+
+    def number_of(self, index: int) -> int:
+        """The task number of one of our orders."""
+        return next(number for number, (mine, _) in self.wanted.items() if mine == index)
+
+    def withdraw(self, number: int) -> None:
+        """Take one of our orders back; it is said until a robot repeats that."""
+        index, order = self.wanted[number]
+        self.wanted[number] = (index, order.taken_back)
+        self._sure.pop(number, None)
 
     def hear(self, source: int, message: Message) -> None:
         """Learn from the bus which robots know which tasks, and which numbers other devices have
         used."""
-        if isinstance(message, TaskBookDigest):
+        if isinstance(message, AddressClaimed):
+            if Name.unpack(message.name).function == TOOL_FUNCTION:
+                self._tools.add(source)
+            else:
+                self._tools.discard(source)
+        elif isinstance(message, TaskBookDigest) and source not in self._tools:
             self.robots.add(source)
             for k in range(BUCKET_TASKS):
                 if message.bits >> k & 1:
@@ -46,11 +69,22 @@ class TransportClient:
             self._first_free = max(self._first_free, message.task + 1)
             mine = self.wanted.get(message.task)
             other = TransportTask(message.pickup, message.dropoff)
+            if mine is not None and other == mine[1] and other.withdrawn and source in self.robots:
+                self._sure.setdefault(message.task, set()).add(source)
+            if mine is not None and mine[1].taken_back == other:
+                self.wanted[message.task] = (
+                    mine[0],
+                    other,
+                )  # another device took it back, or we did
+                return
             if mine is not None and other > mine[1]:  # the number belongs to another device's order
                 del self.wanted[message.task]
                 self.wanted[self._free()] = mine
 
     def _know(self, task: int, source: int) -> None:
+        mine = self.wanted.get(task)
+        if mine is not None and mine[1].withdrawn:
+            return  # that a robot knows the task does not say that it knows this
         self._sure.setdefault(task, set()).add(source)
         if task not in self.wanted:
             self._first_free = max(self._first_free, task + 1)
@@ -60,7 +94,9 @@ class TransportClient:
 
     def confirmed(self, number: int) -> bool:
         """Whether two robots, or all there are, know the task with this number."""
-        enough = min(ENOUGH, len(self.robots))
+        mine = self.wanted.get(number)
+        # Of robots that hear of a withdrawal one repeats it, and the others have heard that.
+        enough = 1 if mine is not None and mine[1].withdrawn else min(ENOUGH, len(self.robots))
         return bool(enough) and len(self._sure.get(number, ())) >= enough
 
     def due(self) -> list[TaskOrder]:

@@ -1,7 +1,7 @@
 """Commands that attach to a bus with robots on it, as devices that are none."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
@@ -263,3 +263,31 @@ def bridge(
         command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
                 mode, config, area, seconds, json, arena, metrics)
     )  # fmt: skip
+
+
+@app.command(rich_help_panel=SET_UP)
+def vda5050(
+    broker: Annotated[str, typer.Option(help="mqtt://[user:password@]host[:port], or mqtts.")],
+    scenario: Annotated[str, typer.Option(help="Whose map says what is floor.")] = "warehouse",
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, keys: OperatorKey = None,
+    book: Annotated[
+        Path, typer.Option(help="Where it keeps which order became which task.")
+    ] = Path("runs/launch/vda5050.jsonl"),
+    topics: Annotated[str, typer.Option(help="First level of all topics.")] = "uagv",
+    manufacturer: Annotated[str, typer.Option(help="Of the vehicles, in all topics.")] = "Headland",
+    standard: Annotated[
+        Literal["2.0.0", "2.1.0"], typer.Option(help="Version that messages say; they are the same.")
+    ] = "2.0.0",
+    seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
+) -> None:  # fmt: skip
+    """Show a delivering fleet to a VDA 5050 master control as its vehicles, and take its orders.
+
+    Example: headland vda5050 --broker mqtt://127.0.0.1
+    """
+    from tools.vda5050.command import serve
+
+    where = (interface, channel, bitrate, host, port)
+    raise SystemExit(
+        serve(broker, scenario, book, where, keys, topics, manufacturer, standard, seconds)
+    )

@@ -1,11 +1,15 @@
-"""`headland task add`: one more parcel for a fleet that is at work, or a file of them."""
+"""`headland task`: more parcels for a fleet that is at work, and what has become of them."""
 
+import sys
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.common.options import PORT_MAX, Bitrate, Channel, Host, Interface, Json
+from tools.common.options import PORT_MAX, Bitrate, Channel, Host, Interface, Json, Port
+
+if TYPE_CHECKING:
+    from agent.delivery.warehouse import Warehouse
 
 app = typer.Typer(help="Tasks of a delivering fleet.", no_args_is_help=True)
 
@@ -31,3 +35,52 @@ def add(
 
     where = (interface, channel, bitrate, host, port)
     raise SystemExit(order(pickup, dropoff, file, scenario, where, json))
+
+
+Scenario = Annotated[str | None, typer.Option(help="Whose map says where its cells are.")]
+
+
+def _house(scenario: str | None) -> "Warehouse | None":
+    from sim.scenarios.scenario import ScenarioError
+    from tools.operate.transport_order import house_of
+
+    if scenario is None:
+        return None
+    try:
+        return house_of(scenario)
+    except ScenarioError as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        raise SystemExit(2) from None
+
+
+@app.command("list")
+def list_tasks(
+    scenario: Scenario = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, json: Json = False,
+) -> None:  # fmt: skip
+    """Say what has become of every transport: open, fetching, aboard, delivered or withdrawn.
+
+    Example: headland task list --json
+    """
+    from tools.inspect.task_outcomes import list_tasks as command
+
+    raise SystemExit(command(_house(scenario), (interface, channel, bitrate, host, port), json))
+
+
+@app.command()
+def status(
+    number: Annotated[int, typer.Argument(help="Of the task.")],
+    wait: Annotated[float, typer.Option(help="Seconds to wait until it is delivered.")] = 0.0,
+    scenario: Scenario = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, json: Json = False,
+) -> None:  # fmt: skip
+    """Say what has become of one transport. Exit 0 only if it is delivered.
+
+    Example: headland task status 5 --wait 60
+    """
+    from tools.inspect.task_outcomes import status as command
+
+    where = (interface, channel, bitrate, host, port)
+    raise SystemExit(command(number, wait, _house(scenario), where, json))

@@ -8,6 +8,7 @@ EXTRA_OF = {
     "foxglove": "foxglove",
     "cantools": "formats",
     "rosbags": "ros",
+    "aiomqtt": "vda5050",
     "pynmeagps": "nmea", "serial": "nmea",
     "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",
     "atheris": "fuzz",

@@ -29,7 +29,7 @@ def order(
     """Exit code 0 only where robots say that they know of all."""
     try:
         rows = _rows(pickup, dropoff, file)
-        house = _house(scenario)
+        house = house_of(scenario)
         orders = [
             TransportTask(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows
         ]
@@ -62,7 +62,8 @@ def _point(text: str) -> tuple[float, float]:
     return x_m, y_m
 
 
-def _house(name: str) -> Warehouse:
+def house_of(name: str) -> Warehouse:
+    """The floor of a scenario, on which places are cells. Raises ScenarioError."""
     return Warehouse(floor_of(load_warehouse(name)), Carrier(1.0, 0.0))
 
 

@@ -1,7 +1,9 @@
 """Orders are said until two robots know them, or all there are; a number is one task's."""
 
-from agent.delivery.task_registry import TaskRegistry, TransportTask
+from agent.delivery.task_registry import WITHDRAWN, TaskRegistry, TransportTask
 from protocol.frames.delivery_frames import TaskBookDigest, TaskOrder
+from protocol.frames.network_frames import AddressClaimed
+from protocol.name import tool_name
 from sim.fleet.transport_orders import TransportClient
 
 
@@ -38,3 +40,38 @@ def test_the_book_is_as_the_desk_believes() -> None:
     assert book.on_message(TaskOrder(3, 5, 6), 0)
     assert not book.on_message(TaskOrder(3, 1, 2), 0)
     assert book.tasks[3] == TransportTask(5, 6)
+
+
+def test_a_tool_that_asks_for_orders_confirms_none() -> None:
+    desk = TransportClient()
+    desk.order([TransportTask(1, 2)])
+    desk.hear(249, AddressClaimed(tool_name(5).pack()))
+    desk.hear(249, digest({0}))
+    assert not desk.robots and not desk.confirmed(0)
+    desk.hear(7, digest({0}))
+    assert desk.confirmed(0)
+
+
+def test_an_order_is_taken_back_until_a_robot_repeats_that() -> None:
+    desk = TransportClient()
+    (index,) = desk.order([TransportTask(1, 2)])
+    for source in (7, 8):
+        desk.hear(source, digest({0}))
+    assert desk.confirmed(0)
+    desk.withdraw(0)
+    desk.hear(7, digest({0}))  # that it knows the task says nothing of the withdrawal
+    assert desk.due() == [TaskOrder(0, WITHDRAWN, 2)]
+    desk.hear(7, TaskOrder(0, WITHDRAWN, 2))
+    assert not desk.due() and desk.number_of(index) == 0
+
+
+def test_a_withdrawal_wins_in_every_order_of_arrival() -> None:
+    said = [TaskOrder(3, 1, 2), TaskOrder(3, WITHDRAWN, 2)]
+    books = []
+    for frames in (said, said[::-1]):
+        book = TaskRegistry(0, {}, 0)
+        for frame in frames:
+            book.on_message(frame, 0)
+        books.append(book.tasks)
+    assert books[0] == books[1] == {3: TransportTask(1, 2).taken_back}
+    assert books[0][3].withdrawn

@@ -7,10 +7,12 @@ import pytest
 
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_allocation import round_tasks_max
+from agent.delivery.task_outcome import TaskPhase, outcome_of
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
+from crdt import Phase
 from protocol.frames.codec import decode_once
-from protocol.frames.delivery_frames import PlanRow
+from protocol.frames.delivery_frames import PlanRow, TaskOrder
 from sim.fleet.simulated_disk import MemoryJournal
 from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import DeliveryScenario, Outage, TaskRow
@@ -388,3 +390,49 @@ def test_t13_a_burst_of_orders_makes_no_round_larger_than_a_control_period_allow
     outcome, _ = play(given, watch)
     assert sizes and all(tasks <= round_tasks_max(robots) for tasks, robots in sizes), sizes
     assert outcome.delivered >= 6 * 3, "they work while orders wait"
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_transport_that_was_taken_back_is_not_fetched_and_the_others_are_delivered(
+    seed: int,
+) -> None:
+    taken: list[int] = []
+
+    def watch(cluster: DeliveryFleet) -> None:
+        allocation = cluster.running[0].peer.allocation
+        for task in sorted(cluster.truth.lies.keys() - cluster.truth.delivered_at_us.keys()):
+            if not taken and allocation.phase_of(task) is Phase.STARTED:
+                order = cluster.missions[0].dispatch.book.tasks[task]
+                cluster.inject(TaskOrder(task, *order.taken_back))  # a robot is on its way
+                taken.append(task)
+
+    given = scenario(seed=seed, random_tasks=6)
+    given = given.model_copy(update={"run": given.run.model_copy(update={"time_limit_s": 150.0})})
+    fleets: list[DeliveryFleet] = []
+    run = DeliveryRun(DeliverySetup(given))
+    run.watch, run.attach = watch, fleets.append
+    outcome = run.run()
+    print(outcome)
+    (task,), (fleet,) = taken, fleets
+    assert outcome.flaws == NOTHING and outcome.contacts == 0
+    assert fleet.truth.delivered_at_us.keys() == fleet.truth.dropoff.keys() - {task}
+    assert not [event for event in fleet.truth.events if event.task == task]
+    for robot in fleet.running:
+        peer = robot.peer
+        order = fleet.missions[robot.slot].dispatch.book.tasks[task]
+        assert outcome_of(task, order, peer.allocation, peer.progress).phase is TaskPhase.WITHDRAWN
+        assert task not in fleet.missions[robot.slot].dispatch.itinerary
+
+
+def test_a_transport_that_is_taken_back_too_late_is_delivered() -> None:
+    taken: list[int] = []
+
+    def watch(cluster: DeliveryFleet) -> None:
+        for slot, task in cluster.truth.aboard.items():
+            if not taken:
+                order = cluster.missions[slot].dispatch.book.tasks[task]
+                cluster.inject(TaskOrder(task, *order.taken_back))
+                taken.append(task)
+
+    outcome, _ = play(scenario(), watch)
+    assert taken and outcome.finished and outcome.replicas_equal

@@ -1,0 +1,223 @@
+"""A connection of one VDA 5050 client to an MQTT broker, with a last will, that comes back by itself.
+
+    link = BrokerLink(Broker.read("mqtt://10.0.0.7"), VehicleAddress("uagv", "ACME", "7"), heard, up)
+    running = asyncio.create_task(link.run([Topic.ORDER, Topic.INSTANT_ACTIONS]))
+    link.publish(state)
+
+What is published while the broker is away is dropped: the next state says what is true then.
+"""
+
+import asyncio
+import contextlib
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Sequence
+from typing import Final, NamedTuple
+from urllib.parse import unquote, urlsplit
+
+import aiomqtt
+
+from agent.runtime.vda5050.messages import (
+    MAJOR,
+    MESSAGE_BYTES_MAX,
+    MODELS,
+    VERSION,
+    Connection,
+    ConnectionState,
+    MessageHeader,
+    Sent,
+    Topic,
+    timestamp,
+)
+
+KEEP_ALIVE_S: Final = 5  # a broker publishes the last will 1.5 times this after the last word
+AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)  # pauses between attempts; the last one is repeated
+# States that wait for a slow broker. More are older than the newest by seconds, and of no use.
+WAITING_MAX: Final = 64
+TOPIC_OF: Final = {kind: topic for topic, kind in MODELS.items()}
+
+
+class BrokerError(ValueError):
+    """One line: why an address of a broker cannot be used."""
+
+
+class Broker(NamedTuple):
+    """Address of an MQTT broker, and who we are there."""
+
+    host: str
+    port: int
+    user: str | None = None
+    password: str | None = None
+    encrypted: bool = False
+
+    @classmethod
+    def read(cls, url: str) -> "Broker":
+        """The broker of "mqtt://[user:password@]host[:port]", or mqtts. Raises BrokerError."""
+        try:
+            parts = urlsplit(url if "://" in url else f"mqtt://{url}")
+            port = parts.port
+        except ValueError as problem:
+            raise BrokerError(f"{url}: {problem}") from None
+        if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
+            raise BrokerError(f"{url}: not mqtt://HOST:PORT or mqtts://HOST:PORT")
+        encrypted = parts.scheme == "mqtts"
+        user = None if parts.username is None else unquote(parts.username)
+        password = None if parts.password is None else unquote(parts.password)
+        return cls(parts.hostname, port or (8883 if encrypted else 1883), user, password, encrypted)
+
+    def __str__(self) -> str:
+        """Without user and password."""
+        return f"{'mqtts' if self.encrypted else 'mqtt'}://{self.host}:{self.port}"
+
+
+class VehicleAddress(NamedTuple):
+    """Which vehicle a client speaks for, or to."""
+
+    interface: str
+    manufacturer: str
+    serial: str
+    version: str = VERSION  # of the standard, as each header says
+
+    def topic(self, topic: Topic) -> str:
+        """The whole topic.
+
+        >>> VehicleAddress("uagv", "ACME", "7").topic(Topic.STATE)
+        'uagv/v2/ACME/7/state'
+        """
+        return f"{self.interface}/{MAJOR}/{self.manufacturer}/{self.serial}/{topic}"
+
+
+class BrokerLink:
+    """One client: publishes messages with their header, and passes on what it receives."""
+
+    def __init__(
+        self,
+        broker: Broker,
+        identity: VehicleAddress,
+        heard: Callable[[MessageHeader], None],
+        up: Callable[[], None],
+        *,
+        is_vehicle: bool = True,
+    ) -> None:
+        """`heard`: takes each valid message, in the thread of the loop. `up`: called each time the
+        broker has been reached. `is_vehicle`: it has a last will and says that it is online; else it
+        is the vehicle's master control."""
+        self.broker, self.identity, self.heard, self.up = broker, identity, heard, up
+        self.is_vehicle, self.connected = is_vehicle, False
+        self.refused: Counter[str] = Counter()  # received and not valid, by what is wrong
+        # Told of a message that is not valid: its topic, and why.
+        self.invalid: Callable[[str, ValueError], None] = lambda topic, why: None
+        self.problem = ""  # why the broker was not reached the last time
+        self._numbers: Counter[Topic] = Counter()
+        self._waiting: deque[Sent] = deque(maxlen=WAITING_MAX)
+        self._wake = asyncio.Event()
+
+    def publish(self, message: Sent) -> bool:
+        """Send a message with the next header of its topic; False without a broker."""
+        if not self.connected:
+            return False
+        self._waiting.append(message)
+        self._wake.set()
+        return True
+
+    def say(self, state: ConnectionState) -> bool:
+        """Say whether the vehicle itself is there; False without a broker."""
+        return self.publish(self._state(state))
+
+    async def run(self, topics: Sequence[Topic]) -> None:
+        """Stay connected, subscribed to these topics, until it is cancelled; then say OFFLINE."""
+        attempts = 0
+        while True:
+            try:
+                async with self._client() as client:
+                    attempts = 0
+                    await self._stay(client, topics)
+            except aiomqtt.MqttError as problem:
+                self.problem = str(problem)
+            finally:
+                self.connected = False
+            await asyncio.sleep(AGAIN_S[min(attempts, len(AGAIN_S) - 1)])
+            attempts += 1
+
+    def _client(self) -> aiomqtt.Client:
+        broker = self.broker
+        will = None
+        if self.is_vehicle:
+            broken = self._with_header(self._state(ConnectionState.CONNECTIONBROKEN))
+            will = aiomqtt.Will(
+                self.identity.topic(Topic.CONNECTION), broken.to_json(), qos=1, retain=True
+            )
+        return aiomqtt.Client(
+            broker.host, broker.port, username=broker.user, password=broker.password,
+            will=will, keepalive=KEEP_ALIVE_S, timeout=KEEP_ALIVE_S,
+            tls_params=aiomqtt.TLSParameters() if broker.encrypted else None,
+        )  # fmt: skip
+
+    async def _stay(self, client: aiomqtt.Client, topics: Sequence[Topic]) -> None:
+        for topic in topics:
+            # A connection message counts, as the standard says: once at least.
+            await client.subscribe(self.identity.topic(topic), qos=int(topic is Topic.CONNECTION))
+        if self.is_vehicle:
+            await self._send(client, self._state(ConnectionState.ONLINE))
+        self._waiting.clear()
+        self.connected = True
+        self.up()
+        sending = asyncio.create_task(self._sending(client))
+        try:
+            async for message in client.messages:
+                self._take(message)
+                if sending.done():
+                    sending.result()
+        except asyncio.CancelledError:
+            if self.is_vehicle:
+                with contextlib.suppress(aiomqtt.MqttError):
+                    await self._send(client, self._state(ConnectionState.OFFLINE))
+            raise
+        finally:
+            sending.cancel()
+            with contextlib.suppress(asyncio.CancelledError, aiomqtt.MqttError):
+                await sending
+
+    async def _sending(self, client: aiomqtt.Client) -> None:
+        while True:
+            await self._wake.wait()
+            self._wake.clear()
+            while self._waiting:
+                await self._send(client, self._waiting.popleft())
+
+    async def _send(self, client: aiomqtt.Client, message: Sent) -> None:
+        topic = TOPIC_OF[type(message)]
+        connection = topic is Topic.CONNECTION
+        payload = self._with_header(message).to_json()
+        await client.publish(
+            self.identity.topic(topic), payload, qos=int(connection), retain=connection
+        )
+
+    def _with_header(self, message: Sent) -> MessageHeader:
+        topic = TOPIC_OF[type(message)]
+        number = self._numbers[topic]
+        self._numbers[topic] += 1
+        header = {
+            "header_id": number, "timestamp": timestamp(time.time()), "version": self.identity.version,
+            "manufacturer": self.identity.manufacturer, "serial_number": self.identity.serial,
+        }  # fmt: skip
+        return message.model_copy(update=header)
+
+    @staticmethod
+    def _state(state: ConnectionState) -> Connection:
+        return Connection(connection_state=state)
+
+    def _take(self, message: aiomqtt.Message) -> None:
+        """A message that is not valid is counted, and told to `invalid`."""
+        topic = str(message.topic).rpartition("/")[2]
+        payload = message.payload
+        if not isinstance(payload, bytes | bytearray) or len(payload) > MESSAGE_BYTES_MAX:
+            self.refused["size"] += 1
+            return
+        try:
+            found = MODELS[Topic(topic)].model_validate_json(payload)
+        except ValueError as problem:
+            self.refused[topic] += 1
+            self.invalid(topic, problem)
+            return
+        self.heard(found)

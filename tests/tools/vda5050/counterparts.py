@@ -1,0 +1,176 @@
+"""What the tests of VDA 5050 speak to: mosquitto on loopback, and vda-5050-lib in node."""
+
+import asyncio
+import json
+import shutil
+import socket
+import subprocess
+from asyncio.subprocess import DEVNULL, PIPE, Process
+from collections import Counter
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import aiomqtt
+import pytest
+
+from agent.runtime.vda5050.messages import Topic
+from tests.tools.launching import WAIT_S
+from tests.tools.vda5050.official_schemas import flaws
+
+PACKAGE = "vda-5050-lib@1.4.0"  # MIT, Siemens
+HERE = Path(__file__).parent
+TRY_S = 2.0
+
+
+def free_port() -> int:
+    with socket.socket() as listener:
+        listener.bind(("127.0.0.1", 0))
+        port: int = listener.getsockname()[1]
+    return port
+
+
+class Mosquitto:
+    """A broker that a test can kill and start again on its port."""
+
+    def __init__(self, folder: Path) -> None:
+        program = shutil.which(
+            "mosquitto", path="/usr/sbin:/usr/local/sbin:/usr/bin:/usr/local/bin"
+        )
+        if program is None:
+            pytest.skip("mosquitto is not installed")
+        self.program, self.port, self.conf = program, free_port(), folder / "mosquitto.conf"
+        self.conf.write_text(f"listener {self.port} 127.0.0.1\nallow_anonymous true\n")
+        self.process: Process | None = None
+        self.up = asyncio.Event()
+
+    @property
+    def url(self) -> str:
+        return f"mqtt://127.0.0.1:{self.port}"
+
+    async def start(self) -> None:
+        self.process = await asyncio.create_subprocess_exec(
+            self.program, "-c", str(self.conf), stdout=DEVNULL, stderr=DEVNULL
+        )
+        async with asyncio.timeout(WAIT_S):
+            while True:
+                try:
+                    async with aiomqtt.Client("127.0.0.1", self.port, timeout=TRY_S):
+                        self.up.set()
+                        return
+                except aiomqtt.MqttError:
+                    assert self.process.returncode is None, "mosquitto does not start"
+
+    async def kill(self) -> None:
+        """Without a word, as a machine loses its power."""
+        assert self.process is not None
+        self.up.clear()
+        if self.process.returncode is None:
+            self.process.kill()
+        await self.process.wait()
+
+
+def node_folder(tmp: Path) -> Path:
+    """A folder in which node finds vda-5050-lib; skips if that cannot be had."""
+    if shutil.which("npm") is None or shutil.which("node") is None:
+        pytest.skip("node and npm are not installed")
+    done = subprocess.run(
+        ["npm", "install", "--no-audit", "--no-fund", "--prefix", str(tmp), PACKAGE],
+        capture_output=True, text=True, check=False, timeout=WAIT_S,
+    )  # fmt: skip
+    if done.returncode:
+        pytest.skip(f"npm cannot install {PACKAGE}: {done.stderr.strip().splitlines()[-1:]}")
+    for script in HERE.glob("*.js"):
+        shutil.copy(script, tmp)
+    return tmp
+
+
+class NodeProgram:
+    """A script in node that prints one JSON line an event."""
+
+    def __init__(self) -> None:
+        self.events: list[dict[str, Any]] = []
+        self.noise: list[str] = []  # what vda-5050-lib says besides, as of messages that it drops
+        self.process: Process | None = None
+        self._reading: asyncio.Task[None] | None = None
+        self._changed = asyncio.Event()
+
+    async def start(self, folder: Path, script: str, *words: str) -> None:
+        self.process = await asyncio.create_subprocess_exec(
+            "node", script, *words, cwd=folder, stdout=PIPE, stderr=asyncio.subprocess.STDOUT
+        )
+        self._reading = asyncio.create_task(self._read())
+
+    async def _read(self) -> None:
+        assert self.process is not None and self.process.stdout is not None
+        async for raw in self.process.stdout:
+            line = raw.decode().strip()
+            try:
+                self.events.append(json.loads(line))
+            except ValueError:
+                self.noise.append(line)
+            self._changed.set()
+
+    async def until(self, what: Callable[[list[dict[str, Any]]], bool], seconds: float) -> None:
+        """Wait until the events are so."""
+        async with asyncio.timeout(seconds):
+            while not what(self.events):
+                self._changed.clear()
+                await self._changed.wait()
+
+    async def kill(self) -> None:
+        if self.process is not None and self.process.returncode is None:
+            self.process.kill()
+            await self.process.wait()
+        if self._reading is not None:
+            await self._reading
+
+
+class Witness:
+    """Listens to all topics, over restarts of the broker, and judges each message by its schema."""
+
+    def __init__(self, broker: Mosquitto, sender: str | None = None) -> None:
+        """`sender`: only topics of this manufacturer."""
+        self.broker, self.sender = broker, sender
+        self.counts: Counter[str] = Counter()  # messages by topic
+        self.flaws: Counter[str] = Counter()
+        self.newest: dict[tuple[str, str], dict[str, Any]] = {}  # by serial number and topic
+        self.delivered: Counter[str] = Counter()  # orders that became FINISHED in all actions
+        self._running = asyncio.create_task(self._run())
+
+    async def _run(self) -> None:
+        while True:
+            try:
+                async with aiomqtt.Client("127.0.0.1", self.broker.port) as client:
+                    await client.subscribe("#", qos=0)
+                    async for message in client.messages:
+                        self._hear(str(message.topic), message.payload)
+            except aiomqtt.MqttError:
+                await self.broker.up.wait()
+
+    def _hear(self, topic: str, payload: Any) -> None:
+        _, _, manufacturer, serial, kind = topic.split("/")
+        if self.sender not in (None, manufacturer):
+            return
+        message = json.loads(payload)
+        own = kind not in (Topic.ORDER, Topic.INSTANT_ACTIONS)
+        self.counts[kind] += 1
+        if own or self.sender is None:
+            for flaw in flaws(Topic(kind), message):
+                self.flaws[f"{kind}: {flaw}"] += 1
+        before = self.newest.get((serial, kind), {})
+        self.newest[serial, kind] = message
+        if kind == Topic.STATE and _done(message) and not (
+            before.get("orderId") == message["orderId"] and _done(before)
+        ):  # fmt: skip
+            self.delivered[message["orderId"]] += 1
+
+    async def close(self) -> None:
+        self._running.cancel()
+        await asyncio.gather(self._running, return_exceptions=True)
+
+
+def _done(state: dict[str, Any]) -> bool:
+    acts = state.get("actionStates", [])
+    mine = [act for act in acts if act.get("actionType") in ("pick", "drop")]
+    return len(mine) == 2 and all(act["actionStatus"] == "FINISHED" for act in mine)

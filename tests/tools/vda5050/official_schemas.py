@@ -1,0 +1,35 @@
+"""The official JSON schemas of VDA 5050 2.1, as the package vda5050-sdk (MIT) ships them.
+
+Their source is https://github.com/VDA5050/VDA5050, folder json_schemas. They are not ours and no copy is
+kept here.
+"""
+
+import json
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import jsonschema
+import pytest
+
+from agent.runtime.vda5050.messages import Topic
+
+sdk = pytest.importorskip(
+    "vda5050.validation", reason="pip install vda5050-sdk: it has the schemas"
+)
+
+
+@cache
+def schema_of(topic: Topic) -> jsonschema.Draft202012Validator:
+    text = files("vda5050.validation").joinpath("schemas", f"{topic}.json").read_text()
+    return jsonschema.Draft202012Validator(
+        json.loads(text), format_checker=jsonschema.FormatChecker()
+    )
+
+
+def flaws(topic: Topic, message: Any) -> list[str]:
+    """Where a message differs from the official schema; empty: it is valid."""
+    return [
+        f"{'/'.join(map(str, problem.absolute_path))}: {problem.message}"
+        for problem in schema_of(topic).iter_errors(message)
+    ]

@@ -1,0 +1,158 @@
+"""`headland task list`, `status` and `withdraw`: what has become of the transports of a fleet."""
+
+import asyncio
+import sys
+from typing import Any, NamedTuple
+
+from agent.delivery.task_outcome import TaskOutcome, TaskPhase, outcome_of
+from agent.delivery.task_registry import TransportTask
+from agent.delivery.warehouse import Warehouse
+from protocol.frames.codec import Malformed, decode
+from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus
+from sim.files.strict_json import dumps
+from tools.common.bus_attach import AttachError, attach
+from tools.inspect.inspector import Inspector
+from tools.operate.operator_device import Operator
+
+LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
+ASK_S = 0.5  # between questions for orders; robots answer two a beat
+LEARN_S = 20.0  # for all orders: 500 of them take 13 s
+LOOK_S = 0.2
+AGAIN_S = 2.0  # between questions for registers while waiting
+NOT_DELIVERED, WRONG = 1, 2
+Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
+
+
+class ListedTask(NamedTuple):
+    """One task, as the fleet tells it."""
+
+    number: int
+    order: TransportTask | None  # None: no robot has said it
+    outcome: TaskOutcome
+
+    def to_dict(self, house: Warehouse | None) -> dict[str, Any]:
+        """Plain values; places are in metres where the floor is known."""
+        found: dict[str, Any] = {
+            "task": self.number, "outcome": str(self.outcome.phase), "final": self.outcome.final,
+            "carrier": self.outcome.carrier,
+        }  # fmt: skip
+        if house is not None and self.order is not None:
+            pickup = None if self.order.withdrawn else house.place(self.order.pickup)
+            found |= {"pickup": pickup, "dropoff": house.place(self.order.dropoff)}
+        return found
+
+
+class TaskListener:
+    """Everything that a bus says about tasks, and questions to the fleet about the rest."""
+
+    def __init__(self, bus: CanBus) -> None:
+        """It begins to listen, on the running loop."""
+        self.operator, self.inspector = Operator(bus, None), Inspector()
+        self.known: set[int] = set()  # numbers that robots have told
+        self.orders: dict[int, TransportTask] = {}
+        self._loop = asyncio.get_running_loop()
+        bus.subscribe(self.hear)
+
+    def hear(self, frame: Frame) -> None:
+        """Take one frame."""
+        now_s = self._loop.time()
+        self.operator.hear(now_s, frame)
+        self.inspector.hear(now_s, frame)
+        _, message = decode(frame)
+        if isinstance(message, Malformed):
+            return
+        if isinstance(message, TaskBookDigest):
+            bits = (k for k in range(BUCKET_TASKS) if message.bits >> k & 1)
+            self.known.update(message.bucket * BUCKET_TASKS + k for k in bits)
+        elif isinstance(message, TaskOrder):
+            order = TransportTask(message.pickup, message.dropoff)
+            self.orders[message.task] = max(order, self.orders.get(message.task, order))
+            self.known.add(message.task)
+
+    async def learn(self) -> None:
+        """Ask until every task is known, with its order. Raises AttachError without a fleet."""
+        await self.operator.listen(LISTEN_S)
+        if not self.known and not self.inspector.robots:
+            raise AttachError("no delivering fleet is heard on this bus: headland launch warehouse")
+        self.operator.ask_work()
+        end_s = self._loop.time() + LEARN_S
+        while self.known - self.orders.keys() and self._loop.time() < end_s:
+            for bucket in {task // BUCKET_TASKS for task in self.known - self.orders.keys()}:
+                mine = {t % BUCKET_TASKS for t in self.orders if t // BUCKET_TASKS == bucket}
+                self.operator.send(TaskBookDigest(bucket, 0, sum(1 << k for k in mine)))
+            await asyncio.sleep(ASK_S)
+        await asyncio.sleep(ASK_S)  # the answers about registers may be under way
+
+    def task(self, number: int) -> ListedTask:
+        """One task by what is known now."""
+        order, inspector = self.orders.get(number), self.inspector
+        outcome = outcome_of(number, order, inspector.allocation, inspector.progress)
+        return ListedTask(number, order, outcome)
+
+
+def list_tasks(house: Warehouse | None, where: Where, as_json: bool) -> int:
+    """The exit code of `headland task list`: 0, or 2 without a fleet."""
+
+    async def story() -> list[ListedTask]:
+        bus = attach(*where)
+        try:
+            listener = TaskListener(bus)
+            await listener.learn()
+            return [listener.task(number) for number in sorted(listener.known)]
+        finally:
+            bus.close()
+
+    try:
+        found = asyncio.run(story())
+    except AttachError as problem:
+        return _wrong(problem)
+    for each in found:
+        print(dumps(each.to_dict(house)) if as_json else _line(each))
+    return 0
+
+
+def status(number: int, wait_s: float, house: Warehouse | None, where: Where, as_json: bool) -> int:
+    """The exit code of `headland task status`: 0 if it is delivered, 1 if not, 2 if nobody knows it.
+
+    `wait_s`: how long to wait for a final outcome."""
+
+    async def story() -> ListedTask | None:
+        bus = attach(*where)
+        try:
+            listener = TaskListener(bus)
+            await listener.learn()
+            if number not in listener.known:
+                return None
+            loop = asyncio.get_running_loop()
+            end_s, asked_s = loop.time() + wait_s, loop.time()
+            while not listener.task(number).outcome.final and loop.time() < end_s:
+                if loop.time() - asked_s > AGAIN_S:
+                    listener.operator.ask_work()
+                    asked_s = loop.time()
+                await asyncio.sleep(LOOK_S)
+            return listener.task(number)
+        finally:
+            bus.close()
+
+    try:
+        found = asyncio.run(story())
+    except AttachError as problem:
+        return _wrong(problem)
+    if found is None:
+        print(f"headland: no robot knows task {number}: headland task list", file=sys.stderr)
+        return WRONG
+    print(dumps(found.to_dict(house)) if as_json else _line(found))
+    return 0 if found.outcome.phase is TaskPhase.DELIVERED else NOT_DELIVERED
+
+
+def _line(task: ListedTask) -> str:
+    carrier = task.outcome.carrier
+    by = "" if carrier is None else f" by robot {carrier}"
+    return f"task {task.number}: {task.outcome.phase}{by}"
+
+
+def _wrong(problem: Exception) -> int:
+    print(f"headland: {problem}", file=sys.stderr)
+    return WRONG

@@ -1,0 +1,85 @@
+"""`headland vda5050`: what the command line says, and the end of it."""
+
+import asyncio
+import signal
+import sys
+from pathlib import Path
+
+from agent.delivery.cost_matrix import Carrier
+from agent.delivery.warehouse import Warehouse
+from agent.runtime.vda5050.broker_link import Broker, BrokerError
+from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
+from sim.scenarios.delivery_scenario import load_warehouse
+from sim.scenarios.delivery_setup import floor_of
+from sim.scenarios.scenario import ScenarioError
+from tools.common.bus_attach import AttachError, attach, keep_attached
+from tools.vda5050.master_gateway import FleetNames, MasterGateway
+from tools.vda5050.order_book import BookError, OrderBook
+
+WRONG = 2
+LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
+Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
+
+
+def serve(
+    broker: str, scenario: str, book: Path, where: Where, keys: Path | None, interface: str,
+    manufacturer: str, version: str, seconds: float | None,
+) -> int:  # fmt: skip
+    """The exit code of `headland vda5050`: 0 when it was ended, 2 for a wrong argument."""
+    try:
+        asyncio.run(
+            _serve(
+                Broker.read(broker),
+                scenario,
+                book,
+                where,
+                keys,
+                interface,
+                manufacturer,
+                version,
+                seconds,
+            )
+        )
+    except (BrokerError, ScenarioError, AttachError, BookError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: --book {book}: {problem.strerror or problem}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+async def _serve(
+    broker: Broker, scenario: str, path: Path, where: Where, keys: Path | None, interface: str,
+    manufacturer: str, version: str, seconds: float | None,
+) -> None:  # fmt: skip
+    warehouse = load_warehouse(scenario)
+    house = Warehouse(floor_of(warehouse), Carrier(1.0, 0.0))
+    book = OrderBook(path)
+    end, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if seconds is not None:
+        loop.call_later(seconds, end.set)
+    bus = await _attached(where)
+    try:
+        named = FleetNames(
+            interface, manufacturer, warehouse.name, warehouse.fleet.vehicle, version
+        )
+        gateway = MasterGateway(
+            bus, house, book, broker, named, keys, told=lambda line: print(line, flush=True)
+        )
+        bus.subscribe(gateway.hear)
+        await gateway.operator.listen(LISTEN_S)
+        await gateway.run(end)
+    finally:
+        bus.close()
+        book.close()
+
+
+async def _attached(where: Where) -> CanBus | SocketcandLink:
+    interface, channel, bitrate, host, port = where
+    if interface == "socketcand":
+        return await keep_attached(channel, host, port, "vda5050")
+    return attach(interface, channel, bitrate, host, port)

@@ -1,0 +1,332 @@
+"""A fleet on a bus, and its robots as vehicles at a broker.
+
+It takes part in nothing: it orders transports as `headland task add` does, listens to what the robots
+say, and tells the master. The fleet carries on without it, without the broker and without the master.
+"""
+
+import asyncio
+from collections.abc import Awaitable, Callable
+from functools import partial
+from pathlib import Path
+from typing import Final, NamedTuple
+
+from agent.delivery.task_outcome import TaskPhase, outcome_of
+from agent.delivery.task_registry import TASKS_MAX
+from agent.delivery.warehouse import Warehouse
+from agent.interface.ports import Bus
+from agent.interface.vehicle import Vehicle
+from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
+from agent.runtime.vda5050.messages import (
+    Action,
+    ActionStatus,
+    ConnectionState,
+    InstantActions,
+    MasterOrder,
+    MessageHeader,
+    Topic,
+    VehicleState,
+)
+from crdt import Phase
+from protocol.frames.codec import Malformed, decode
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import Command, Reason
+from sim.fleet.transport_orders import TransportClient
+from tools.inspect.inspector import SILENT_S, Inspector, Seen
+from tools.operate.estop import press
+from tools.operate.operator_device import Operator
+from tools.operate.reset import operator_keyring
+from tools.vda5050.factsheet import factsheet_of
+from tools.vda5050.fleet_vehicle import FleetVehicle, HeardRobot
+from tools.vda5050.order_book import BookedOrder, OrderBook
+from tools.vda5050.transport_rules import OrderRefused, transport_of
+
+TICK_S: Final = 0.05
+STATE_S: Final = 1.0  # between states in which nothing has changed; the standard demands 30 s
+VISUALIZATION_S: Final = 0.5
+SAY_S: Final = 0.5  # between repetitions of an order that is not confirmed
+ASK_S: Final = 5.0  # between questions to the fleet for its registers, while orders are open
+OBEY_S: Final = 5.0  # for a robot to obey
+CHANGES: Final = {"agv_position", "velocity", "battery_state", "driving"}  # no reason for a state
+
+
+class FleetNames(NamedTuple):
+    """What a master knows these vehicles by."""
+
+    interface: str  # the first level of all topics
+    manufacturer: str
+    map_id: str
+    vehicle: Vehicle
+    version: str  # of the standard, as each header says
+
+
+class MasterGateway:
+    """All vehicles of one fleet, its bus, and the book of orders."""
+
+    def __init__(
+        self, bus: Bus, house: Warehouse, book: OrderBook, broker: Broker, named: FleetNames,
+        keys: Path | None, told: Callable[[str], None],
+    ) -> None:  # fmt: skip
+        """`keys`: the operator's key file, in a fleet with keys. `told`: takes lines for people."""
+        self.house, self.book, self.broker, self.told = house, book, broker, told
+        self.named, self.keys = named, keys
+        self.operator = Operator(bus, None)
+        self.inspector, self.desk = Inspector(), TransportClient(max(book.tasks, default=-1) + 1)
+        self.courses: dict[int, float] = {}  # of each robot, radians
+        self.ports: dict[int, _Port] = {}
+        self.working: set[asyncio.Task[None]] = set()
+
+    def hear(self, frame: Frame) -> None:
+        """Take one frame of the bus."""
+        now_s = asyncio.get_running_loop().time()
+        self.operator.hear(now_s, frame)
+        self.inspector.hear(now_s, frame)
+        source, message = decode(frame)
+        if isinstance(message, Malformed):
+            return
+        self.desk.hear(source, message)
+        slot = self.inspector.slot_of.get(source)
+        if isinstance(message, Pose) and slot is not None:
+            self.courses[slot] = message.course_rad
+
+    def serial(self, slot: int) -> str:
+        """The serial number of a robot."""
+        return f"robot{slot}"
+
+    async def run(self, end: asyncio.Event) -> None:
+        """Serve until `end` is set."""
+        loop = asyncio.get_running_loop()
+        for number, task in self.book.tasks.items():
+            self.desk.recall(number, task)
+        said_s = asked_s = 0.0
+        try:
+            while not end.is_set():
+                now_s = loop.time()
+                self.operator.now_s = self.inspector.now_s = now_s
+                for slot in self.inspector.robots.keys() - self.ports.keys():
+                    self._add(slot)
+                if now_s - said_s >= SAY_S:
+                    said_s = now_s
+                    for order in self.desk.due():
+                        self.operator.send(order)
+                if now_s - asked_s >= ASK_S:
+                    asked_s = now_s
+                    if not self.inspector.robots or any(
+                        p.vehicle.busy for p in self.ports.values()
+                    ):
+                        self.operator.ask_who()
+                        self.operator.ask_work()
+                for port in self.ports.values():
+                    self._observe(port)
+                    port.tell(now_s, self)
+                await asyncio.sleep(TICK_S)
+        finally:
+            for port in self.ports.values():
+                port.running.cancel()
+            for task_ in self.working:
+                task_.cancel()
+            running = [port.running for port in self.ports.values()]
+            await asyncio.gather(*running, *self.working, return_exceptions=True)
+
+    def _add(self, slot: int) -> None:
+        booked = self.book.orders.get(slot)
+        transport = None
+        if booked is not None and not (booked.cancelled and booked.number is None):
+            transport = transport_of(booked.order, self.house, self.named.map_id)
+        self.ports[slot] = _Port(self, FleetVehicle(slot, booked, transport))
+        self.told(f"{self.serial(slot)}: a vehicle at {self.broker}")
+
+    # ---------------------------------------------------------------- what the bus says
+
+    def _observe(self, port: "_Port") -> None:
+        vehicle = port.vehicle
+        seen = self.inspector.robots[vehicle.slot]
+        vehicle.robot = self._heard(seen)
+        booked = vehicle.booked
+        if booked is None or booked.number is None:
+            return
+        if port.index is not None:
+            number = self.desk.number_of(port.index)
+            if number != booked.number:  # another device has used it as well
+                booked = booked._replace(number=number)
+                self.book.write(booked)
+                vehicle.booked = booked
+        assert booked.number is not None
+        order = self.desk.wanted.get(booked.number)
+        task = booked.task if order is None else order[1]
+        outcome = outcome_of(
+            booked.number, task, self.inspector.allocation, self.inspector.progress
+        )
+        if outcome.phase is TaskPhase.WITHDRAWN and not self.desk.confirmed(booked.number):
+            outcome = outcome._replace(phase=TaskPhase.OPEN)  # no robot has said that it knows
+        vehicle.outcome = outcome
+
+    def _heard(self, seen: Seen) -> HeardRobot:
+        inspector, now_s = self.inspector, self.inspector.now_s
+        loads = [
+            task for task in inspector.allocation.assigned_sections(seen.slot)
+            if task < TASKS_MAX and inspector.progress.bits(task, 0) & 1
+            and inspector.allocation.phase_of(task) is not Phase.DONE
+        ]  # fmt: skip
+        return HeardRobot(
+            not seen.left and now_s - seen.last_s <= SILENT_S, seen.placed, seen.x_m, seen.y_m,
+            self.courses.get(seen.slot, 0.0), seen.speed_m_s, seen.battery, seen.stopped,
+            seen.started, seen.causes.sentences(round(now_s * 1e6)), loads,
+        )  # fmt: skip
+
+    # ---------------------------------------------------------------- what the master says
+
+    def order(self, port: "_Port", order: MasterOrder) -> None:
+        """Take an order, or report why not."""
+        vehicle = port.vehicle
+        try:
+            whole = vehicle.takes(order)
+            if whole is None:
+                return
+            transport = transport_of(whole, self.house, self.named.map_id)
+        except OrderRefused as refused:
+            vehicle.refuse(refused.error(order))
+            self.told(f"{self.serial(vehicle.slot)}: order {order.order_id} refused: {refused}")
+            return
+        number, index = None, None
+        if transport is not None:
+            index = self.desk.order([transport.task])[0]
+            number = self.desk.number_of(index)
+        task = None if transport is None else transport.task
+        booked = BookedOrder(vehicle.slot, whole, number, task)
+        self.book.write(booked)  # before the first frame
+        vehicle.accept(booked, transport)
+        port.index = index
+        if number is not None:
+            self.told(f"{self.serial(vehicle.slot)}: order {order.order_id} is task {number}")
+
+    def act(self, port: "_Port", actions: InstantActions) -> None:
+        """Begin the instant actions that are new."""
+        for action in actions.actions:
+            if port.vehicle.begin(action):
+                task = asyncio.create_task(self._act(port, action))
+                self.working.add(task)
+                task.add_done_callback(self.working.discard)
+
+    async def _act(self, port: "_Port", action: Action) -> None:
+        vehicle = port.vehicle
+        acts: dict[str, Callable[[], Awaitable[str | None]]] = {
+            "startPause": partial(self._pause, vehicle, True),
+            "stopPause": partial(self._pause, vehicle, False),
+            "stop": self._stop,
+            "cancelOrder": partial(self._cancel, port),
+            "stateRequest": self._nothing,
+            "factsheetRequest": partial(self._factsheet, port),
+        }
+        act = acts.get(action.action_type)
+        if act is None:
+            vehicle.report(action, ActionStatus.FAILED, f"{action.action_type} is not supported")
+            return
+        vehicle.report(action, ActionStatus.RUNNING)
+        why = await act()
+        status = ActionStatus.FINISHED if why is None else ActionStatus.FAILED
+        vehicle.report(action, status, why)
+        port.told_s = 0.0
+
+    async def _nothing(self) -> str | None:
+        return None
+
+    async def _factsheet(self, port: "_Port") -> str | None:
+        port.link.publish(factsheet_of(self.named.vehicle))
+        return None
+
+    async def _pause(self, vehicle: FleetVehicle, paused: bool) -> str | None:
+        command = Command.HOLD if paused else Command.START
+        self._take_key()
+        end_s = asyncio.get_running_loop().time() + OBEY_S
+        while asyncio.get_running_loop().time() < end_s:
+            if vehicle.robot.started is not paused:
+                return None
+            self.operator.command(command, vehicle.slot)
+            await asyncio.sleep(SAY_S / 2)
+        return "the robot has not confirmed it; a fleet with keys needs --keys"
+
+    async def _stop(self) -> str | None:
+        self._take_key()
+        late = await press(self.operator, Reason.OPERATOR_INTERVENTION, OBEY_S)
+        if not late:
+            return None
+        return f"not confirmed by {', '.join(self.serial(robot.slot) for robot in late)}"
+
+    async def _cancel(self, port: "_Port") -> str | None:
+        vehicle, booked = port.vehicle, port.vehicle.booked
+        if booked is None or not vehicle.busy:
+            return "noOrderToCancel: there is no order"
+        if booked.number is None or booked.task is None:
+            self._book(vehicle, booked._replace(cancelled=True))
+            return None
+        if vehicle.outcome is not None and vehicle.outcome.phase is TaskPhase.ABOARD:
+            return "the parcel is aboard, and will be delivered"
+        self.desk.withdraw(booked.number)
+        self._book(vehicle, booked._replace(cancelled=True, task=booked.task.taken_back))
+        while not (vehicle.outcome is not None and vehicle.outcome.final):
+            await asyncio.sleep(TICK_S)
+        if vehicle.outcome.phase is TaskPhase.WITHDRAWN:
+            return None
+        return "the parcel was aboard, and is delivered"
+
+    def _book(self, vehicle: FleetVehicle, booked: BookedOrder) -> None:
+        self.book.write(booked)
+        vehicle.booked = booked
+
+    def _take_key(self) -> None:
+        if self.keys is not None:
+            self.operator.keyring = operator_keyring(self.keys, OBEY_S)
+            assert self.operator.keyring is not None
+            self.operator.slot = self.operator.keyring.sender
+
+
+class _Port:
+    """One vehicle at the broker, and what it has told last."""
+
+    def __init__(self, gateway: MasterGateway, vehicle: FleetVehicle) -> None:
+        self.vehicle, self.gateway = vehicle, gateway
+        self.index: int | None = None  # of its order at the desk
+        booked = vehicle.booked
+        if booked is not None and booked.number is not None:
+            self.index = gateway.desk.wanted[booked.number][0]
+        self.told: VehicleState | None = None
+        self.told_s = self.shown_s = 0.0
+        self.present = True  # as its connection topic says
+        named = gateway.named
+        identity = VehicleAddress(
+            named.interface, named.manufacturer, gateway.serial(vehicle.slot), named.version
+        )
+        self.link = BrokerLink(gateway.broker, identity, self._heard, self._up)
+        self.link.invalid = self._invalid
+        self.running = asyncio.create_task(self.link.run([Topic.ORDER, Topic.INSTANT_ACTIONS]))
+
+    def _up(self) -> None:
+        self.told_s, self.present = 0.0, True
+
+    def _invalid(self, topic: str, why: ValueError) -> None:
+        self.vehicle.invalid(topic, str(why).splitlines()[0])
+
+    def _heard(self, message: MessageHeader) -> None:
+        if isinstance(message, MasterOrder):
+            self.gateway.order(self, message)
+        elif isinstance(message, InstantActions):
+            self.gateway.act(self, message)
+
+    def tell(self, now_s: float, gateway: MasterGateway) -> None:
+        """Publish what is due."""
+        vehicle = self.vehicle
+        if vehicle.robot.heard is not self.present and self.link.connected:
+            self.present = vehicle.robot.heard
+            self.link.say(
+                ConnectionState.ONLINE if self.present else ConnectionState.CONNECTIONBROKEN
+            )
+        state = vehicle.state(gateway.named.map_id, gateway.serial)
+        changed = self.told is None or state.model_dump(exclude=CHANGES) != self.told.model_dump(
+            exclude=CHANGES
+        )
+        if (changed or now_s - self.told_s >= STATE_S) and self.link.publish(state):
+            self.told, self.told_s = state, now_s
+        if now_s - self.shown_s >= VISUALIZATION_S:
+            self.shown_s = now_s
+            self.link.publish(vehicle.visualization(gateway.named.map_id))

@@ -1,0 +1,78 @@
+"""Which order became which task of the fleet, on the disk before the fleet hears of it.
+
+The fleet keeps its tasks whatever happens to this program. The book is what makes an order one task also
+over a restart: a record is written before the first frame, and a recalled order is said again under its
+own number, which robots that know it take for the same.
+"""
+
+import json
+import os
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from agent.delivery.task_registry import TransportTask
+from agent.runtime.vda5050.messages import MasterOrder
+
+RECORD_BYTES_MAX = 1 << 20  # of one line; an order has at most 256 kB
+
+
+class BookError(ValueError):
+    """One line: why a book cannot be used."""
+
+
+class BookedOrder(NamedTuple):
+    """The newest order of one vehicle."""
+
+    slot: int
+    order: MasterOrder
+    number: int | None  # of its task; None: a part of it is hidden, or it was cancelled before
+    task: TransportTask | None
+    cancelled: bool = False
+
+
+class OrderBook:
+    """The newest order of each vehicle, and every task number that an order ever had."""
+
+    def __init__(self, path: Path) -> None:
+        """Read what is there. Raises BookError, OSError."""
+        self.path = path
+        self.orders: dict[int, BookedOrder] = {}
+        self.tasks: dict[int, TransportTask] = {}
+        path.parent.mkdir(parents=True, exist_ok=True)
+        whole = 0
+        if path.exists():
+            for line in path.read_bytes().splitlines(keepends=True):
+                if not line.endswith(b"\n"):
+                    break  # the last write was cut off by a crash; nothing followed from it
+                self._read(line)
+                whole += len(line)
+        self._file = path.open("ab")
+        self._file.truncate(whole)
+
+    def _read(self, line: bytes) -> None:
+        try:
+            said = json.loads(line)
+            order = MasterOrder.model_validate(said["order"])
+            task = None if said["task"] is None else TransportTask(*map(int, said["task"]))
+            number = None if said["number"] is None else int(said["number"])
+            self._take(BookedOrder(int(said["slot"]), order, number, task, bool(said["cancelled"])))
+        except (ValueError, TypeError, KeyError) as problem:
+            raise BookError(f"{self.path}: a line is no record of an order: {problem}") from None
+
+    def _take(self, booked: BookedOrder) -> None:
+        self.orders[booked.slot] = booked
+        if booked.number is not None and booked.task is not None:
+            self.tasks[booked.number] = booked.task
+
+    def write(self, booked: BookedOrder) -> None:
+        """Make a record durable. Raises OSError."""
+        plain = booked.order.model_dump(mode="json", by_alias=True, exclude_none=True)
+        said: dict[str, Any] = {**booked._asdict(), "order": plain}
+        self._file.write(json.dumps(said).encode() + b"\n")
+        self._file.flush()
+        os.fsync(self._file.fileno())
+        self._take(booked)
+
+    def close(self) -> None:
+        """Close the file; every record is on the disk already."""
+        self._file.close()
