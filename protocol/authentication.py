@@ -65,10 +65,16 @@ _SIGNED: dict[type, FrameLayout[Any]] = {
 
 
 class Keys(NamedTuple):
-    """The secrets of a fleet, 16 bytes each. A device holds only those that it needs."""
+    """The secrets of a fleet, 16 bytes each. A device holds only those that it needs.
+
+    `own`: the key of one robot, 32 bytes, which no other robot holds. `generation`: the number of the
+    first two, which are replaced while the fleet works (`protocol/rekeying.py`).
+    """
 
     master: bytes | None
     operator: bytes | None
+    own: bytes | None = None
+    generation: int = 0
 
 
 class Keyring:
@@ -100,6 +106,15 @@ class Keyring:
     def lot(self) -> bytes:
         """A value that no two starts of this sender share."""
         return self._lot
+
+    def rekey(self, keys: Keys) -> None:
+        """Use other secrets from now on. Counters of robots go on."""
+        self._keys = keys
+        self._macs.clear()
+        self._bad_at_us.clear()
+        for operator in [sender for sender in self.heard if sender >= OPERATOR_FIRST]:
+            del self.heard[operator]  # a new key counts from 0
+            self._proven_at_us.pop(operator, None)
 
     # ---------------------------------------------------------------- frames
 

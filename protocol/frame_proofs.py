@@ -88,6 +88,10 @@ class ProofKeys:
     def __init__(self, keys: Keys) -> None:
         self.keys = keys
 
+    def rekey(self, keys: Keys) -> None:
+        """Other secrets from now on."""
+        self.keys = keys
+
     def of(self, sender: int) -> bytes | None:
         """The key of a sender for proofs; None if its secret is not held here."""
         secret = self.keys.operator if sender >= OPERATOR_FIRST else self.keys.master

@@ -19,6 +19,7 @@ from agent.peer.durable_records import (
     U64,
     VOTE,
 )
+from agent.peer.key_renewal import FLEET_KEYS, RECORD
 from agent.safety.stop_controller import (
     COUNTER_KEY,
     FAR_KEY,
@@ -61,6 +62,7 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     STOPS_KEY: _parses(StopSet.deserialize),
     FAR_KEY: _parses(RemoteStopSet.deserialize),
     COUNTER_KEY: _size(*COUNTER_BYTES),
+    FLEET_KEYS: _size(RECORD.size),
     HOLD_KEY: lambda raw: raw in (FREE, HELD, LATCHED),
 }
 _FAMILIES: Mapping[str, tuple[tuple[int, ...], int]] = {  # greatest numbers in the key; bytes

@@ -118,6 +118,7 @@ class Membership(Part):
             notices.StrangerHeard: self._stranger,
             notices.WaiveOrdered: self._waive,
             notices.Left: self._left,
+            notices.KeysChanged: self._keys_changed,
         }
 
     def changed(self) -> Outputs:
@@ -212,7 +213,23 @@ class Membership(Part):
         self.forget_all(ctx.now_us)
         return NOTHING
 
+    def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
+        return self.changed() if self.revoke(notice.revoked, ctx.now_us) else NOTHING
+
     # ---------------------------------------------------------------- members
+
+    def revoke(self, slot: int, now_us: int) -> bool:
+        """A member is none any more, for good. False: it was none."""
+        if slot not in self.standing:
+            return False
+        for address in [a for a, s in self.slot_of.items() if s == slot]:
+            del self.slot_of[address]
+        self.last_sign_at_us.pop(slot, None)
+        self.neighbours.pop(slot, None)
+        self.incarnation.pop(slot, None)
+        self._stand(slot, MemberStatus.LEFT, now_us)
+        del self.standing[slot]
+        return True
 
     def bind(self, source: int, slot: int, incarnation: int, now_us: int) -> bool:
         """A MEMBER frame: this address now belongs to that slot. False: not of this fleet."""
@@ -252,6 +269,8 @@ class Membership(Part):
     def heard(self, slot: int, now_us: int) -> bool:
         """A sign of life. True when this changed the membership."""
         heard = self.last_sign_at_us
+        if slot not in self.standing:
+            return False  # revoked, or a slot that the fleet does not have
         if self.life_for_us is not None and not self.vouched(slot, now_us):
             return False
         if slot in heard:

@@ -5,6 +5,7 @@ A notice says what happened. Its sender does not know which parts listen to it.
 
 from typing import NamedTuple
 
+from protocol.authentication import Keys
 from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.messages import Message
 
@@ -189,6 +190,14 @@ class HeartbeatHeard(NamedTuple):
 
     slot: int
     heartbeat: Heartbeat
+
+
+class KeysChanged(NamedTuple):
+    """The fleet has other keys. What the revoked member said after `since_us` is void."""
+
+    keys: Keys
+    revoked: int  # slot; `protocol.rekeying.NOBODY`: the keys were only rotated
+    since_us: int | None  # None: from the beginning
 
 
 class MemberAnnounced(NamedTuple):

@@ -25,6 +25,7 @@ from agent.peer.fleet_summary import FLEET_SUMMARY_PGN, compose, write
 from agent.peer.fleet_views import FleetViews
 from agent.peer.frame_origin import Origins
 from agent.peer.journal_recovery import LOST, sensible
+from agent.peer.key_renewal import KeptKeys, KeyRenewal
 from agent.peer.leader_election import OPERATOR_GATEWAY, Election
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.map_exchange import MapExchange
@@ -97,6 +98,9 @@ class PeerParts:
 
         # Stops, and the members on the bus.
         incarnation = self.records.incarnation
+        kept = KeptKeys(recalled)
+        if keyring is not None:
+            keyring.rekey(kept.newest(keyring.keys))
         self.safety = StopController(slot, incarnation, identity.silence, keyring, recalled, now_us)
         self.lifecycle = PeerLifecycle(self.safety)
         self.joining = NetworkJoin(identity, incarnation, rng, now_us)
@@ -105,6 +109,9 @@ class PeerParts:
             identity, beat.silence_for_us, self.safety, self.origins, now_us
         )
         self._make_trust(keyring, now_us)
+        for revoked in sorted(kept.revoked):
+            self.membership.revoke(revoked, now_us)
+        self.keys = KeyRenewal(slot, self.safety.authority, kept)
         self.names = NameDiscovery(slot, self.joining)
         self.slots = SlotDiscovery(slot, self.joining, self.origins)
         self.conflicts = Conflicts(self.safety, self.joining)
@@ -169,8 +176,8 @@ class PeerParts:
     def in_order(self) -> list[Part]:
         """Every part, in the order of timers and notices."""
         return [
-            self.records, self.lifecycle, self.stops, self.senders, self.fleet_clock, self.membership,
-            self.joining,
+            self.records, self.lifecycle, self.stops, self.senders, self.keys, self.fleet_clock,
+            self.membership, self.joining,
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
             self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,

@@ -155,6 +155,7 @@ class ProvenFrames(Part):
             notices.FleetTimeKnown: self._introduce,
             notices.AddressTaken: self._taken,
             notices.AddressLost: self._lost,
+            notices.KeysChanged: self._keys_changed,
         }
 
     def hold(self, source: int, slot: int | None, message: Any, now_us: int) -> Outputs | None:
@@ -217,6 +218,12 @@ class ProvenFrames(Part):
     def _taken(self, ctx: StepContext, notice: notices.AddressTaken) -> Outputs:
         if self.checker is not None:
             self.checker.forget(notice.address)
+        return NOTHING
+
+    def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
+        """What waits for a proof was sent before, and the senders' next proofs have the new keys."""
+        if self.checker is not None:
+            self.checker.keys.rekey(notice.keys)
         return NOTHING
 
     def _lost(self, ctx: StepContext, notice: notices.AddressLost) -> Outputs:

@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 
 from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
 from agent.peer.fleet_clock import FleetClock
+from agent.peer.key_renewal import KeyRenewal
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.map_exchange import MapExchange
 from agent.peer.member_reports import MemberReports
@@ -50,6 +51,7 @@ from protocol.frames.fleet_frames import (
     Standstill,
     VectorSlice,
 )
+from protocol.frames.key_frames import KeyPart, KeysHeld, KeySwitch
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.network_frames import (
     Acknowledgment,
@@ -100,6 +102,9 @@ ROUTES: Routes = {
     AllImplementsStop: MessageRoute(StopReception, ANYONE),
     Challenge: MessageRoute(StopReception, ANYONE),
     Freshness: MessageRoute(StopReception, ANYONE),
+    KeyPart: MessageRoute(KeyRenewal, ANYONE),
+    KeySwitch: MessageRoute(KeyRenewal, ANYONE),
+    KeysHeld: MessageRoute(KeyRenewal, ANYONE),
     StopsHeld: MessageRoute(StopRelease, MEMBER_ONLY),
     Proof: MessageRoute(ProvenFrames, ANYONE),
     TimeQuestion: MessageRoute(FleetClock, ANYONE),

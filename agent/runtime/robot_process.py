@@ -19,8 +19,7 @@ from agent.interface.ports import Bus
 from agent.runtime.body_plugins import made
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
-from agent.runtime.files.key_file import FLEET, KeyFileError
-from agent.runtime.files.key_file import read as read_keys
+from agent.runtime.files.key_file import KeyFileError, read_robot
 from agent.runtime.gc_tuning import freeze_gc
 from agent.runtime.peer_factory import identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
@@ -42,7 +41,7 @@ def keys_of(robot: RobotFile) -> Keys | None:
     if robot.fleet.keys is None:
         return None
     try:
-        return read_keys(robot.folder / robot.fleet.keys, FLEET).keys
+        return read_robot(robot.folder / robot.fleet.keys, robot.robot.slot).keys
     except KeyFileError as problem:
         raise RobotError(f"robot {robot.robot.slot}: fleet.keys: {problem}") from None
 

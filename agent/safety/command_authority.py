@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 from agent.interface.config import S
 from agent.interface.effects import Effect, Send
-from protocol.authentication import OPERATOR_FIRST, AnySigned, Keyring, Signed
+from protocol.authentication import OPERATOR_FIRST, AnySigned, Keyring, Keys, Signed
 from protocol.fleet_tags import HeldTags
 from protocol.frames.operator_frames import OperatorGoal
 from protocol.frames.safety_frames import (
@@ -42,6 +42,13 @@ class CommandAuthority:
         secret = None if keyring is None else keyring.keys.operator
         self._held = HeldTags(keyring.keys) if keyring is not None and secret else None
         self._orders: dict[tuple[object, ...], int] = {}  # order received once -> its time
+
+    def rekey(self, keys: Keys) -> None:
+        """The fleet has other keys from now on."""
+        assert self.keyring is not None, "a fleet without keys is not given any while it works"
+        self.keyring.rekey(keys)
+        self._held = HeldTags(keys) if keys.operator else None
+        self._orders.clear()
 
     def sign(self, message: Signed) -> Signed:
         """The message with our freshness counter and tag, or unchanged in a fleet without keys."""

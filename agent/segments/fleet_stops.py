@@ -75,7 +75,16 @@ class FleetStops(Part):
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
-        return {notices.StopsChanged: self._changed, notices.StopsAsked: self._asked}
+        return {
+            notices.StopsChanged: self._changed,
+            notices.StopsAsked: self._asked,
+            notices.KeysChanged: self._keys_changed,
+        }
+
+    def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
+        """Segments switch one after the other; until then their stops are not believed and brake."""
+        self.tags = FleetTags(notice.keys)
+        return NOTHING
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.is_behind:

@@ -7,6 +7,7 @@ from protocol.frames import (
     delivery_frames,
     diagnostic_frames,
     fleet_frames,
+    key_frames,
     map_frames,
     network_frames,
     operator_frames,
@@ -42,6 +43,7 @@ from protocol.frames.fleet_frames import (
     Standstill,
     VectorSlice,
 )
+from protocol.frames.key_frames import KeyPart, KeysHeld, KeySwitch
 from protocol.frames.layout import FrameLayout
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.network_frames import (
@@ -85,6 +87,7 @@ Message = (
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
     | Proof | TimeQuestion | FleetTimeTold
+    | KeyPart | KeySwitch | KeysHeld
     | AddressClaimed | Request | Request2 | RepetitionRateRequest | Acknowledgment
     | TransportManagement | TransportData
     | ActiveFaults | PreviousFaults | DiagnosticProtocols | Functionalities
@@ -103,6 +106,7 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     safety_frames.OPERATOR_COMMAND,
     safety_frames.CHALLENGE,
     safety_frames.FRESHNESS,
+    key_frames.KEY_SWITCH,
     safety_frames.ALL_IMPLEMENTS_STOP,
     fleet_frames.LEADER_ELECTION_VOTE,
     operator_frames.OPERATOR_REPORT,
@@ -111,6 +115,8 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     fleet_frames.POSE,
     fleet_frames.HEARTBEAT,
     fleet_frames.MEMBER,
+    key_frames.KEY_PART,
+    key_frames.KEYS_HELD,
     fleet_frames.STANDSTILL,
     work_frames.STATE_SYNC_REQUEST,
     work_frames.WORK_PROGRESS,

@@ -9,10 +9,12 @@ from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
 
+from agent.interface.config import PEERS_MAX
 from agent.interface.vehicle import Vehicle
-from agent.runtime.files.key_file import FLEET, KeyFileError, read
+from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, KeyFileError, read
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
 from protocol.authentication import Keyring, Keys
+from protocol.rekeying import own_key
 from sim.scenarios.scenario import Scenario, ScenarioError
 from sim.world.drive_trains import Chassis
 from sim.world.world import World
@@ -29,6 +31,7 @@ class FleetSetup(ABC):
         """Raises ScenarioError if the key file of the fleet cannot be used."""
         self.scenario = scenario
         self.keys = _keys_of(scenario)
+        self.root = _root_of(scenario)  # of the robots' own keys, where the owner's file is there
         self.silence = scenario.fleet.silence_policy
 
     def use_keys(self, path: Path) -> None:
@@ -37,7 +40,7 @@ class FleetSetup(ABC):
         Raises ScenarioError if the file cannot be used.
         """
         self.scenario = self.scenario.changed(keys=path)
-        self.keys = _keys_of(self.scenario)
+        self.keys, self.root = _keys_of(self.scenario), _root_of(self.scenario)
 
     # ---------------------------------------------------------------- what a mission says
 
@@ -91,7 +94,10 @@ class FleetSetup(ABC):
 
     def keyring(self, sender: int, lot: str = "") -> Keyring | None:
         """`lot`: any value that no two starts of this sender share."""
-        return keyring_of(self.keys, sender, lot.encode())
+        keys = self.keys
+        if keys is not None and self.root is not None and sender < PEERS_MAX:
+            keys = keys._replace(own=own_key(self.root, sender))
+        return keyring_of(keys, sender, lot.encode())
 
     def populated(self, world: World) -> World:
         """The world, with every robot put at its start."""
@@ -99,6 +105,19 @@ class FleetSetup(ABC):
         for slot, at in zip(range(fleet.robots), self.starts, strict=False):
             world.add_robot(slot, at, fleet.radius_m, self.chassis)
         return world
+
+
+def _root_of(scenario: Scenario) -> bytes | None:
+    """Robots in virtual time are in one process, so their own keys are made from the owner's file."""
+    name = scenario.fleet.keys
+    if name is None:
+        return None
+    path = scenario.folder / name
+    try:
+        owner = read((path if path.is_dir() else path.parent) / NAMES[OPERATOR], OPERATOR)
+    except KeyFileError:
+        return None
+    return owner.root
 
 
 def _keys_of(scenario: Scenario) -> Keys | None:

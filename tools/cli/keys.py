@@ -6,10 +6,13 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port
+
+Wait = Annotated[float, typer.Option("--timeout", help="Seconds to wait for the robots.")]
 FLEET_FILE, OPERATOR_FILE = "fleet.json", "operator.json"
 WRONG = 2
 app = typer.Typer(
-    help="Make, rotate and show the key files of a fleet.", no_args_is_help=True,
+    help="Make, rotate, revoke and show the keys of a fleet.", no_args_is_help=True,
     pretty_exceptions_enable=False, rich_markup_mode=None,
 )  # fmt: skip
 Folder = Annotated[Path, typer.Argument(help="Folder of the two key files.")]
@@ -19,12 +22,13 @@ Folder = Annotated[Path, typer.Argument(help="Folder of the two key files.")]
 def new(
     folder: Folder = Path("keys"),
     device: Annotated[int, typer.Option(help="Number of the operator's device, 192 to 254.")] = 249,
+    robots: Annotated[int, typer.Option(min=0, max=108, help="Robots that get a file each.")] = 0,
 ) -> None:
-    """Make the keys of a fleet: fleet.json for its robots and stop panels, operator.json to release.
+    """Make the keys of a fleet: a file for each robot, fleet.json for panels, operator.json to release.
 
-    Example: headland keys new keys, then: headland launch --keys keys/fleet.json
+    Example: headland keys new keys --robots 6, then: headland launch --robots 6 --keys keys
     """
-    from agent.runtime.files.key_file import DEVICE_MAX, fresh, write
+    from agent.runtime.files.key_file import DEVICE_MAX, fresh, robot_path, write
     from protocol.authentication import OPERATOR_FIRST
 
     fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
@@ -35,37 +39,57 @@ def new(
             _wrong(f"{path} is there already: 'headland keys rotate {folder}' replaces it")
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        write(fleet, operator, fresh(), device)
+        write(fleet, operator, fresh(), device, range(robots))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
-    _tell(fleet)
-    _tell(operator)
+    for path in (fleet, operator, *(robot_path(folder, slot) for slot in range(robots))):
+        _tell(path)
 
 
 @app.command()
-def rotate(folder: Folder = Path("keys")) -> None:
-    """Replace both keys. The old files are kept beside the new ones; robots take the new at a restart.
+def rotate(
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder of the files (none: the launch's own, or keys).")
+    ] = None,
+    running: Annotated[
+        bool, typer.Option("--running", help="Give the new keys to the robots on a bus, now.")
+    ] = False,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, timeout: Wait = 5.0, json: Json = False,
+) -> None:  # fmt: skip
+    """Replace all keys: for a fleet that is switched off, or with --running for one at work.
 
+    Without --running the old files are kept beside the new ones; robots take the new at a restart.
     Example: headland keys rotate keys
     """
     from agent.runtime.files.key_file import (
         FLEET,
-        OPERATOR,
         KeyFileError,
         counter_path,
         fresh,
         read,
+        robot_path,
         write,
     )
+    from agent.runtime.files.key_folder import owned
+    from protocol.rekeying import ALWAYS_S, NOBODY
 
+    if running:
+        from tools.operate.rekey import rekey
+
+        bus = (interface, channel, bitrate, host, port)
+        raise SystemExit(rekey(NOBODY, ALWAYS_S, folder, bus, timeout, json))
+    folder = folder or Path("keys")
     fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
     try:
-        old, device = read(fleet, FLEET), read(operator, OPERATOR).device
-        assert device is not None
-        for path in (fleet, operator, counter_path(operator)):
+        old, owner = read(fleet, FLEET), owned(folder)
+        slots = sorted(owner.slots)
+        files = [fleet, operator, counter_path(operator), *(robot_path(folder, s) for s in slots)]
+        for path in files:
             if path.exists():
                 path.rename(path.with_name(f"{path.name}.{old.ids['fleet']}"))
-        write(fleet, operator, fresh(), device)
+        keys = fresh()._replace(generation=owner.generation + 1)  # above what robots remember
+        write(fleet, operator, keys, owner.device, slots, owner.root)
     except KeyFileError as problem:
         _wrong(str(problem))
     except OSError as problem:
@@ -73,6 +97,34 @@ def rotate(folder: Folder = Path("keys")) -> None:
     print(f"the keys {old.ids['fleet']} are no longer used; restart the robots with the new file")
     _tell(fleet)
     _tell(operator)
+
+
+@app.command()
+def revoke(
+    robot: Annotated[int, typer.Argument(min=0, max=107, help="Number of the robot.")],
+    folder: Annotated[
+        Path | None, typer.Argument(help="Folder of the files (none: the launch's own, or keys).")
+    ] = None,
+    since: Annotated[
+        float | None, typer.Option(help="What it said in the last so many seconds is void (all).")
+    ] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, timeout: Wait = 5.0, json: Json = False,
+) -> None:  # fmt: skip
+    """Take a robot out of its fleet for good: all others get new keys, and what only it said is void.
+
+    A robot that is away stands when it comes back; the same command again gives it the new keys.
+    Example: headland keys revoke 3
+    """
+    from protocol.rekeying import ALWAYS_S
+    from tools.operate.rekey import rekey
+
+    if since is not None and not 0.0 <= since < ALWAYS_S:
+        _wrong(f"--since {since:g}: use 0 to {ALWAYS_S - 1}")
+    since_s = ALWAYS_S if since is None else round(since)
+    raise SystemExit(
+        rekey(robot, since_s, folder, (interface, channel, bitrate, host, port), timeout, json)
+    )
 
 
 @app.command()

@@ -18,8 +18,8 @@ from tools.common.bus_attach import LAUNCH
 KEYS = "keys"  # the folder in that of a fleet, and its name in bus.json
 
 
-def fleet_keys(folder: Path, goes_on: bool) -> Path:
-    """The folder of a fleet's own key files: those that it had, or new ones.
+def fleet_keys(folder: Path, goes_on: bool, robots: int = 0) -> Path:
+    """The folder of a fleet's own key files: those that it had, or new ones, one for each robot.
 
     `goes_on`: whether the fleet was launched before and keeps what it has. Raises OSError.
     """
@@ -31,7 +31,7 @@ def fleet_keys(folder: Path, goes_on: bool) -> Path:
         return keys
     for old in keys.iterdir():  # of a fleet whose work is done
         old.unlink()
-    write(files[0], files[1], fresh(), DEVICE)
+    write(files[0], files[1], fresh(), DEVICE, range(robots))
     return keys
 
 

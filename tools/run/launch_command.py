@@ -77,7 +77,9 @@ def launch(
         fleet = fleet_folder(out, setting, fresh)
         own = None
         if makes_own:
-            own = fleet_keys(fleet.folder.absolute(), fleet.continues)
+            own = fleet_keys(
+                fleet.folder.absolute(), fleet.continues, setting.scenario.fleet.robots
+            )
             setting.use_keys(own)
     except (
         ScenarioError,

@@ -1,6 +1,7 @@
-"""Key files: one for the robots and stop panels of a fleet, one for an operator with the right to
-release it.
+"""Key files: one for each robot, one for stop panels of the fleet, one for the operator who owns it.
 
+A robot's file has the fleet's secrets and a key of its own, by which only the owner can give it new ones
+(`protocol/rekeying.py`). The owner's file has the secret that all robots' own keys are made of.
 They are JSON that only the owner can read. An operator's counter must never go back, so it is
 stored beside its key file and reserved in blocks: one durable write covers many frames.
 """
@@ -8,6 +9,7 @@ stored beside its key file and reserved in blocks: one durable write covers many
 import fcntl
 import json
 import os
+from collections.abc import Iterable
 from hashlib import sha256
 from pathlib import Path
 from secrets import token_bytes
@@ -15,8 +17,9 @@ from typing import Any, NamedTuple
 
 from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
+from protocol.rekeying import GENERATION_MAX, OWN_SIZE, own_key
 
-FLEET, OPERATOR = "headland fleet keys", "headland operator key"
+FLEET, OPERATOR, ROBOT = "headland fleet keys", "headland operator key", "headland robot keys"
 PANEL = 140  # sender of a stop panel that holds the fleet's keys
 DEVICE = 249  # the operator device if the file names no other
 DEVICE_MAX = 254
@@ -35,6 +38,8 @@ class KeyFile(NamedTuple):
     kind: str  # FLEET or OPERATOR
     keys: Keys
     device: int | None = None  # for an operator's file
+    slot: int | None = None  # for a robot's file
+    root: bytes | None = None  # of the robots' own keys; the owner has it
 
     @property
     def ids(self) -> dict[str, str]:
@@ -50,7 +55,7 @@ class KeyFile(NamedTuple):
         Raises KeyFileError if an operator's counter cannot be reserved.
         """
         lot = token_bytes(KEY_SIZE)
-        if self.kind == FLEET:
+        if self.kind != OPERATOR:
             return Keyring(self.keys, PANEL, lot)
         assert self.device is not None
         return Keyring(self.keys, self.device, lot, reserve(self, frames))
@@ -66,19 +71,51 @@ def fresh() -> Keys:
     return Keys(token_bytes(KEY_SIZE), token_bytes(KEY_SIZE))
 
 
-def write(fleet: Path, operator: Path, keys: Keys, device: int) -> None:
-    """Write both files of a fleet. `device`: the operator device's sender, 192 to 254.
+def write(
+    fleet: Path, operator: Path, keys: Keys, device: int, slots: Iterable[int] = (),
+    root: bytes | None = None,
+) -> None:  # fmt: skip
+    """Write the files of a fleet: both that are named, and beside the first one for each robot of
+    `slots`. `device`: the operator device's sender, 192 to 254. `root`: None, a new one.
 
     Raises FileExistsError if one of them exists already, and OSError if one cannot be written.
     """
+    root = token_bytes(KEY_SIZE) if root is None else root
+    for path, text in texts(fleet, operator, keys, device, slots, root).items():
+        create(path, text)
+
+
+def texts(
+    fleet: Path, operator: Path, keys: Keys, device: int, slots: Iterable[int], root: bytes
+) -> dict[Path, str]:
+    """The contents of all files of a fleet."""
     assert keys.master is not None and keys.operator is not None
-    own = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
-    master = {"id": key_id(keys.master), "key": keys.master.hex()}
-    _create(fleet, json.dumps({"kind": FLEET, **master, **own}, indent=1))
-    _create(operator, json.dumps({"kind": OPERATOR, "device": device, **own}, indent=1))
+    operators = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
+    secrets = {"id": key_id(keys.master), "key": keys.master.hex(), **operators}
+    number = {"generation": keys.generation}
+    made: dict[Path, dict[str, Any]] = {
+        fleet: {"kind": FLEET, **number, **secrets},
+        operator: {
+            "kind": OPERATOR, "device": device, **number, **operators,
+            "root_id": key_id(root), "root_key": root.hex(),
+        },
+    }  # fmt: skip
+    for slot in slots:
+        own = own_key(root, slot)
+        made[robot_path(fleet.parent, slot)] = {
+            "kind": ROBOT, "slot": slot, **number, **secrets,
+            "own_id": key_id(own), "own_key": own.hex(),
+        }  # fmt: skip
+    return {path: json.dumps(document, indent=1) for path, document in made.items()}
 
 
-def _create(path: Path, text: str) -> None:
+def robot_path(folder: Path, slot: int) -> Path:
+    """The file of one robot in the folder of a fleet's keys."""
+    return folder / f"robot{slot}.json"
+
+
+def create(path: Path, text: str) -> None:
+    """A new file that only its owner can read, durable. Raises OSError, also where there is one."""
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
     with os.fdopen(handle, "w") as file:
         file.write(text + "\n")
@@ -103,25 +140,50 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
     if mode & 0o077:
         raise KeyFileError(f"{path}: others may read it: chmod 600 {path}, and consider new keys")
     found = document.get("kind") if isinstance(document, dict) else None
-    if found not in (FLEET, OPERATOR):
+    if found not in (FLEET, OPERATOR, ROBOT):
         raise KeyFileError(f"{path}: not a key file; make one with 'headland keys new'")
     if kind not in (None, found):
         raise KeyFileError(f"{path}: {found!r} where {kind!r} is needed")
     operator = _key(path, document, "operator_id", "operator_key")
+    number = document.get("generation", 0)
+    if not isinstance(number, int) or not 0 <= number <= GENERATION_MAX:
+        raise KeyFileError(f"{path}: generation: {number!r} is not 0 to {GENERATION_MAX}")
     if found == FLEET:
-        return KeyFile(path, found, Keys(_key(path, document, "id", "key"), operator))
+        keys = Keys(_key(path, document, "id", "key"), operator, generation=number)
+        return KeyFile(path, found, keys)
+    if found == ROBOT:
+        slot, own = document.get("slot"), _key(path, document, "own_id", "own_key", OWN_SIZE)
+        keys = Keys(_key(path, document, "id", "key"), operator, own, number)
+        return KeyFile(path, found, keys, slot=slot)
     device = document.get("device")
     if not isinstance(device, int) or not OPERATOR_FIRST <= device <= DEVICE_MAX:
         raise KeyFileError(f"{path}: device: {device!r} is not {OPERATOR_FIRST} to {DEVICE_MAX}")
-    return KeyFile(path, found, Keys(None, operator), device)
+    root = _key(path, document, "root_id", "root_key") if "root_key" in document else None
+    return KeyFile(path, found, Keys(None, operator, generation=number), device, root=root)
 
 
-def _key(path: Path, document: dict[str, Any], name: str, field: str) -> bytes:
+def read_robot(path: Path, slot: int) -> KeyFile:
+    """The keys of one robot: its own file, or that of the fleet. A folder stands for the file of this
+    robot in it. Raises KeyFileError."""
+    if path.is_dir():
+        own = robot_path(path, slot)
+        path = own if own.exists() else path / NAMES[FLEET]
+    found = read(path)
+    if found.kind == OPERATOR:
+        raise KeyFileError(f"{path}: {found.kind!r} where {ROBOT!r} is needed")
+    if found.slot not in (None, slot):
+        raise KeyFileError(f"{path}: of robot {found.slot}, and this is robot {slot}")
+    return found
+
+
+def _key(
+    path: Path, document: dict[str, Any], name: str, field: str, size: int = KEY_SIZE
+) -> bytes:
     try:
         key = bytes.fromhex(document[field])
     except (KeyError, TypeError, ValueError):
         raise KeyFileError(f"{path}: {field}: is missing or not hexadecimal") from None
-    if len(key) != KEY_SIZE or document.get(name) != key_id(key):
+    if len(key) != size or document.get(name) != key_id(key):
         raise KeyFileError(f"{path}: {field}: does not fit its {name}: damaged, or edited by hand")
     return key
 
@@ -157,7 +219,7 @@ def reserve(file: KeyFile, frames: int) -> int:
             if count + frames > COUNTER_MAX:
                 raise KeyFileError(f"{file.path}: this key has signed enough: rotate the keys")
             new.unlink(missing_ok=True)
-            _create(new, str(count + frames))
+            create(new, str(count + frames))
             new.replace(beside)
     except OSError as problem:
         raise KeyFileError(f"{beside}: cannot be written: {problem.strerror}") from None

@@ -47,6 +47,8 @@ PARSED = {
     "coverage drive": "a minute; tests/tools/run/test_coverage.py",
     "coverage solve MAP": "a reader's own map",
     "headland run": "a minute each; run by tests of its mission",
+    "keys rotate keys --running": "needs a launch; tests/tools/cli/test_keys.py",
+    "keys revoke": "needs a launch; tests/tools/cli/test_keys.py",
     "headland launch": "runs in real time; the tutorial's is run here",
     "headland fields": "a reader's own file; tests/tools/cli/test_given_files.py",
     "headland plan": "a reader's own file; tests/tools/run/test_plan.py",
@@ -81,6 +83,8 @@ def is_run(command: Shown) -> bool:
     exact = [
         word for word in RUN if "--" in word or " " in word or word in ("dbc", "list", "doctor")
     ]
+    if "--running" in words:
+        return False
     return any(words == word or words.startswith(f"{word} ") for word in exact)
 
 

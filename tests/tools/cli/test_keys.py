@@ -158,6 +158,33 @@ def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_p
 
 
 @pytest.mark.slow
+def test_a_member_of_a_launch_is_revoked_and_the_others_go_on(tmp_path: Path) -> None:
+    call = partial(launching.call, tmp_path)
+
+    async def story() -> None:
+        launch = await launching.start(tmp_path, "launch", "small")
+        try:
+            await launching.robots_up(launch, 3)
+            code, text = await call("keys", "rotate", "--running", "--timeout", "15", "--json")
+            assert code == 0 and json.loads(text)["switched"] == [0, 1, 2], text
+            code, text = await call("keys", "revoke", "2", "--timeout", "15", "--json")
+            told = json.loads(text)
+            assert code == 0 and told["switched"] == [0, 1] and told["generation"] == 2, text
+            assert not (tmp_path / "runs/launch/keys/robot2.json").exists()
+            code, text = await call("stop", "--timeout", "10", "--json")
+            assert set(json.loads(text)["stopped"]) >= {0, 1}, text
+            code, text = await call("release", "--start", "--timeout", "10", "--json")
+            assert not json.loads(text)["not_released"], "with the operator's new key: " + text
+            assert {s: v for s, v in (await launching.states(tmp_path)).items() if s < 2}
+        finally:
+            launch.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
+
+    asyncio.run(story())
+
+
+@pytest.mark.slow
 def test_a_launch_has_keys_of_its_own_and_the_tools_of_its_user_take_them(tmp_path: Path) -> None:
     call = partial(launching.call, tmp_path)
 

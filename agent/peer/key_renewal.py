@@ -1,0 +1,117 @@
+"""New keys while the fleet works: takes the sealed secret for this robot, and switches when it is told.
+
+The owner's tool gives every robot but a revoked one the new secret, and then tells all to switch in one
+frame that all hear. From then on nothing that is signed with the old keys is believed. What is durable
+comes first: a robot that restarts has the newest keys that it had.
+"""
+
+from collections.abc import Mapping
+from struct import Struct
+from typing import Any, Final
+
+from agent.interface.config import S
+from agent.interface.effects import Persist, Send, Trace
+from agent.peer import notices
+from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.safety.command_authority import CommandAuthority
+from protocol.authentication import KEY_SIZE, Keys
+from protocol.frames.key_frames import KeyPart, KeysHeld, KeySwitch
+from protocol.rekeying import ALWAYS_S, NOBODY, PartsOf, Rekeying
+
+FLEET_KEYS = "keys"  # the record in durable memory
+RECORD = Struct(f"<H{KEY_SIZE}s16s")  # generation, secret, one bit for each revoked slot
+ANSWER_SPACING_US: Final = S // 5
+
+
+class KeptKeys:
+    """What durable memory holds of keys that were given to the fleet after its key files were made."""
+
+    def __init__(self, recalled: Mapping[str, bytes]) -> None:
+        raw = recalled.get(FLEET_KEYS, b"")
+        generation, secret, bits = RECORD.unpack(raw) if len(raw) == RECORD.size else (0, b"", b"")
+        self.rekeying = Rekeying(generation, secret) if generation else None
+        number = int.from_bytes(bits, "little")
+        self.revoked = frozenset(slot for slot in range(128) if number >> slot & 1)
+
+    def newest(self, given: Keys) -> Keys:
+        """The keys of a key file, or those that the fleet was given later."""
+        kept = self.rekeying
+        if kept is None or kept.generation <= given.generation:
+            return given
+        return kept.keys._replace(own=given.own)
+
+
+def record(rekeying: Rekeying, revoked: frozenset[int]) -> Persist:
+    """What makes the keys of a fleet durable."""
+    bits = sum(1 << slot for slot in revoked)
+    value = RECORD.pack(rekeying.generation, rekeying.secret, bits.to_bytes(16, "little"))
+    return Persist(FLEET_KEYS, value)
+
+
+class KeyRenewal(Part):
+    """The part that takes new keys. Without keys of its own a robot takes none."""
+
+    def __init__(self, slot: int, authority: CommandAuthority, kept: KeptKeys) -> None:
+        """`kept`: what durable memory holds."""
+        self.slot, self.authority = slot, authority
+        self.revoked = kept.revoked
+        ring = authority.keyring
+        own = None if ring is None else ring.keys.own
+        self._parts = None if own is None else PartsOf(slot, own)
+        self._next: Rekeying | None = None  # held, not used yet
+        self._now: Rekeying | None = kept.rekeying  # used
+        self._answered_at_us = -ANSWER_SPACING_US
+
+    @property
+    def generation(self) -> int:
+        """The number of the keys that are in use; 0: those of the key files, or none."""
+        ring = self.authority.keyring
+        return 0 if ring is None else ring.keys.generation
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {
+            KeyPart: self._hear_part,
+            KeySwitch: self._hear_switch,
+            KeysHeld: lambda ctx, header, m: NOTHING,  # the owner's tool reads it
+        }
+
+    def _hear_part(self, ctx: StepContext, header: Header, m: KeyPart) -> Outputs:
+        found = None if self._parts is None else self._parts.hear(header.source, m)
+        if found is None:
+            return NOTHING
+        if found.generation > self.generation:
+            self._next = found
+        held = next((r for r in (self._now, self._next) if r == found), None)
+        return NOTHING if held is None else self._confirm(held, ctx.now_us)
+
+    def _hear_switch(self, ctx: StepContext, header: Header, m: KeySwitch) -> Outputs:
+        new, now = self._next, self._now
+        if now is not None and m == now.switch():
+            return self._confirm(now, ctx.now_us)
+        if new is None or m != new.switch():
+            return NOTHING
+        return self._switch(new, ctx.now_us)
+
+    def _switch(self, new: Rekeying, now_us: int) -> Outputs:
+        ring = self.authority.keyring
+        assert ring is not None, "only a robot with its own key opens a secret"
+        keys = new.keys._replace(own=ring.keys.own)
+        self.authority.rekey(keys)
+        self._now, self._next = new, None
+        outputs: list[Any] = []
+        since_us = None if new.since_s == ALWAYS_S else now_us - new.since_s * S
+        if new.revoked != NOBODY:
+            self.revoked |= {new.revoked}
+        outputs.append(record(new, self.revoked))
+        outputs.append(notices.KeysChanged(keys, new.revoked, since_us))
+        said = f"revoked robot {new.revoked}" if new.revoked != NOBODY else "rotated"
+        outputs.append(Trace("keys", "", "SWITCHED", str(new.generation), said))
+        self._answered_at_us = -ANSWER_SPACING_US
+        return [*outputs, *self._confirm(new, now_us)]
+
+    def _confirm(self, held: Rekeying, now_us: int) -> Outputs:
+        if now_us - self._answered_at_us < ANSWER_SPACING_US:
+            return NOTHING
+        self._answered_at_us = now_us
+        return [Send(held.held(self.slot, held is self._now))]

@@ -1,0 +1,103 @@
+"""The folder of a fleet's key files, as its owner changes them while the fleet works.
+
+A change is written down before any robot hears of it (`next.json`), and the key files are replaced when
+the robots have switched. So a tool that dies in between is simply called again: it goes on with the same
+secret.
+"""
+
+import json
+import re
+from pathlib import Path
+from secrets import token_bytes
+from typing import NamedTuple
+
+from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json
+from agent.runtime.files.key_file import (
+    FLEET,
+    NAMES,
+    OPERATOR,
+    KeyFileError,
+    counter_path,
+    create,
+    read,
+    robot_path,
+    texts,
+)
+from protocol.authentication import KEY_SIZE
+from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY, Rekeying
+
+NEXT = "next.json"
+OF_ROBOT = re.compile(r"robot(\d{1,3})\.json")
+
+
+class KeyFolder(NamedTuple):
+    """The owner's files of one fleet."""
+
+    folder: Path
+    root: bytes
+    device: int
+    generation: int
+    slots: frozenset[int]  # robots that have a file here
+
+    @property
+    def begun(self) -> Rekeying | None:
+        """A change that was begun and not finished. Raises KeyFileError."""
+        path = self.folder / NEXT
+        if not path.exists():
+            return None
+        try:
+            said = read_json(path, KEY_BYTES_MAX)
+            return Rekeying(
+                int(said["generation"]), bytes.fromhex(said["secret"]), int(said["revoked"]),
+                int(said["since_s"]),
+            )  # fmt: skip
+        except (GivenFileError, OSError, KeyError, TypeError, ValueError):
+            raise KeyFileError(f"{path}: damaged: delete it and begin again") from None
+
+    def begin(self, revoked: int = NOBODY, since_s: int = ALWAYS_S) -> Rekeying:
+        """The change to make: the one that was begun, if it is the same, or a new one.
+
+        Raises KeyFileError, also if another one was begun, and OSError."""
+        begun = self.begun
+        if begun is not None:
+            if begun.revoked != revoked:
+                whom = "rotate" if begun.revoked == NOBODY else f"revoke {begun.revoked}"
+                raise KeyFileError(
+                    f"{self.folder}: 'headland keys {whom}' was begun: finish it first"
+                )
+            return begun
+        if self.generation >= GENERATION_MAX:
+            raise KeyFileError(f"{self.folder}: too many generations: make new keys")
+        made = Rekeying(self.generation + 1, token_bytes(KEY_SIZE), revoked, since_s)
+        plain = {**made._asdict(), "secret": made.secret.hex()}
+        create(self.folder / NEXT, json.dumps(plain))
+        return made
+
+    def finish(self, done: Rekeying) -> None:
+        """The robots have switched: the files are those of the new keys. Raises OSError."""
+        slots = self.slots - {done.revoked}
+        fleet, operator = (self.folder / NAMES[kind] for kind in (FLEET, OPERATOR))
+        made = texts(fleet, operator, done.keys, self.device, sorted(slots), self.root)
+        for path, text in made.items():
+            new = path.with_name(path.name + ".new")
+            new.unlink(missing_ok=True)
+            create(new, text)
+            new.replace(path)
+        counter_path(operator).unlink(missing_ok=True)
+        if done.revoked != NOBODY:
+            robot_path(self.folder, done.revoked).unlink(missing_ok=True)
+        (self.folder / NEXT).unlink(missing_ok=True)
+
+
+def owned(folder: Path) -> KeyFolder:
+    """The folder of the owner of a fleet. Raises KeyFileError."""
+    operator, fleet = read(folder, OPERATOR), read(folder, FLEET)
+    if operator.root is None:
+        raise KeyFileError(
+            f"{operator.path}: made by an older version, without a key for each robot: "
+            "make new keys with 'headland keys new'"
+        )
+    assert operator.device is not None
+    found = [OF_ROBOT.fullmatch(path.name) for path in folder.iterdir()]
+    slots = frozenset(int(match[1]) for match in found if match)
+    return KeyFolder(folder, operator.root, operator.device, fleet.keys.generation, slots)

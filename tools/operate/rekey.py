@@ -1,0 +1,139 @@
+"""`headland keys revoke` and `rotate --running`: new keys for the robots on a bus, while they work."""
+
+import asyncio
+import sys
+from pathlib import Path
+from typing import Any
+
+from agent.runtime.files.key_file import KeyFileError
+from agent.runtime.files.key_folder import KeyFolder, owned
+from protocol.frames.codec import decode
+from protocol.frames.frame import Frame
+from protocol.frames.key_frames import KeysHeld
+from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
+from sim.files.strict_json import dumps
+from tools.common.bus_attach import AttachError, attach
+from tools.common.launch_keys import own_keys
+from tools.operate.estop import NOT_ALL, WRONG, listen_to
+from tools.operate.operator_device import Operator
+from tools.operate.order import Attached
+
+LISTEN_S = 0.7  # every robot has beaten by then
+PART_S = 0.004  # between two frames: seven for each of 108 robots take 3 s, an eighth of the bus
+ROUND_S = 0.4  # robots confirm at most five times a second
+SWITCHES = 5  # repeats in a row: one frame that all hear makes all switch at the same time
+SWITCH_S = 0.01
+DEFAULT = Path("keys")
+
+
+class Rekeyer:
+    """Gives the new secret to the robots on a bus, and makes them switch."""
+
+    def __init__(self, operator: Operator, keys: KeyFolder, rekeying: Rekeying) -> None:
+        self.operator, self.keys, self.rekeying = operator, keys, rekeying
+        self.heard: dict[tuple[int, bool], KeysHeld] = {}  # the newest of each robot
+
+    def hear(self, frame: Frame) -> None:
+        """A frame of the bus."""
+        _, message = decode(frame)
+        if isinstance(message, KeysHeld):
+            self.heard[message.slot, message.switched] = message
+
+    @property
+    def wanted(self) -> set[int]:
+        """Robots that are heard, without the revoked one."""
+        return {robot.slot for robot in self.operator.live} - {self.rekeying.revoked}
+
+    def done(self, switched: bool) -> set[int]:
+        """Robots that have confirmed that they hold the secret, or use it."""
+        return confirmed(self.rekeying, list(self.heard.values()), switched)
+
+    async def give(self, timeout_s: float) -> None:
+        """Until all that are heard hold the secret, or the time is over."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while loop.time() < end_s:
+            missing = (self.wanted | self.keys.slots) - self.done(False) - {self.rekeying.revoked}
+            for slot in sorted(missing):
+                for part in seal(self.rekeying, own_key(self.keys.root, slot), slot):
+                    self.operator.send(part)
+                    await asyncio.sleep(PART_S)
+            await asyncio.sleep(ROUND_S)
+            self.operator.now_s = loop.time()
+            if self.wanted and self.wanted <= self.done(False):
+                return
+
+    async def switch(self, timeout_s: float) -> None:
+        """Until all that hold the secret use it, or the time is over."""
+        loop = asyncio.get_running_loop()
+        end_s = loop.time() + timeout_s
+        while True:
+            for _ in range(SWITCHES):
+                self.operator.send(self.rekeying.switch())
+                await asyncio.sleep(SWITCH_S)
+            await asyncio.sleep(ROUND_S)
+            self.operator.now_s = loop.time()
+            if self.done(False) <= self.done(True) or loop.time() >= end_s:
+                return
+
+
+def rekey(
+    revoked: int, since_s: int, folder: Path | None, bus: Attached, timeout_s: float, as_json: bool
+) -> int:
+    """The exit code: 0 if every robot that is heard uses the new keys, 1 if one does not, 2 if there is
+    no bus or the folder is not the owner's.
+
+    `revoked`: slot, or `NOBODY`. `since_s`: what it said up to this long ago is void."""
+    interface, _, _, host, port = bus
+    place = folder or own_keys(interface, host, port) or DEFAULT
+    try:
+        keys = owned(place)
+        rekeying = keys.begin(revoked, since_s)
+        return asyncio.run(_rekey(keys, rekeying, bus, timeout_s, as_json))
+    except (KeyFileError, AttachError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    except OSError as problem:
+        print(f"headland: {place}: {problem.strerror}", file=sys.stderr)
+        return WRONG
+
+
+async def _rekey(
+    keys: KeyFolder, rekeying: Rekeying, bus: Attached, timeout_s: float, as_json: bool
+) -> int:
+    can_bus = attach(*bus)
+    try:
+        operator = Operator(can_bus, None)
+        rekeyer = Rekeyer(operator, keys, rekeying)
+        can_bus.subscribe(rekeyer.hear)
+        listen_to(can_bus, operator)
+        operator.ask_who()
+        await operator.listen(LISTEN_S)
+        if not rekeyer.wanted:
+            print("headland: no robot is heard on this bus; nothing is changed", file=sys.stderr)
+            return NOT_ALL
+        await rekeyer.give(timeout_s)
+        await rekeyer.switch(timeout_s)
+        use, heard = rekeyer.done(True), rekeyer.wanted
+        if use:
+            keys.finish(rekeying)
+        return _tell(rekeying, use, heard - use, as_json)
+    finally:
+        can_bus.close()
+
+
+def _tell(rekeying: Rekeying, use: set[int], missing: set[int], as_json: bool) -> int:
+    told: dict[str, Any] = {
+        "generation": rekeying.generation, "switched": sorted(use), "not_switched": sorted(missing),
+        "revoked": None if rekeying.revoked == NOBODY else rekeying.revoked,
+    }  # fmt: skip
+    if as_json:
+        print(dumps(told))
+    else:
+        names = " ".join(map(str, sorted(use))) or "none"
+        print(f"keys {rekeying.generation}: used by robots {names}")
+        if rekeying.revoked != NOBODY:
+            print(f"robot {rekeying.revoked} is revoked: its key signs nothing that is believed")
+        for slot in sorted(missing):
+            print(f"robot {slot}: HAS NOT SWITCHED: it stands; give it its new file and restart it")
+    return 0 if use and not missing else NOT_ALL
