@@ -63,6 +63,9 @@ class Unseen(NamedTuple):
     turned_rad: float = 0.0
 
 
+NOTHING_UNSEEN: Final = Unseen()
+
+
 class Offset(NamedTuple):
     """Between the sensed place and the one that wheels can reach."""
 
@@ -98,7 +101,7 @@ class Senses(Part):
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
         self._told_rad = 0.0  # sum of the turns commanded since the anchor
-        self._unseen = Unseen()  # when the place was frozen, until it changes
+        self._unseen = NOTHING_UNSEEN  # when the place was frozen, until it changes
         self._accurate: Observation | None = None  # the last observation with an accurate place
         self._turn_rad_s = 0.0  # between the last two accurate places
         self._offset = Offset()
@@ -213,14 +216,14 @@ class Senses(Part):
         when the place jumps back.
         """
         before, self._accurate = self._accurate, here
-        unseen, self._unseen = self._unseen, Unseen()
+        unseen, self._unseen = self._unseen, NOTHING_UNSEEN
         if before is None:
             return ""
         passed_for_us = max(here.sensed_at_us - before.sensed_at_us, 0)
         passed_for_s = passed_for_us / S
         dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
         turned_rad = remainder(here.heading_rad - before.heading_rad, 2 * pi)
-        in_time = passed_for_us <= AGE_MAX_US and unseen == Unseen()
+        in_time = passed_for_us <= AGE_MAX_US and unseen is NOTHING_UNSEEN
         if in_time:
             way_m, turn_rad_s = FASTER * self.limits.speed_m_s * passed_for_s, TURN_RAD_S
             possible = hypot(dx_m, dy_m) <= JUMP_M + way_m

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 SETTLED_S = 8.0  # by then the fleet has joined and works; booting is not measured
 WORKS_S = 120.0  # no robot is without work until then: 8 sections of 20 units, a second each
-SLICE_US = 200_000  # simulated time between two looks at the clock
+SLICE_US = 1_000_000  # simulated time between two looks at the clock, which cost something too
 
 
 class Speed(NamedTuple):
