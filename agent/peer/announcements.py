@@ -95,9 +95,10 @@ class Announcements(Part):
         self.conflicts.say(pose)
         outputs: list[Any] = [Send(pose)]
         self.beats += 1
-        if self.beats % self.beats_a_heartbeat == 0:
+        beats_heart = self.beats % self.beats_a_heartbeat == 0
+        if beats_heart:
             outputs += self.heartbeat(ctx)
-        outputs.append(notices.BeatDue())
+        outputs.append(notices.BeatDue(beats_heart))
         return outputs
 
     def _farewell(self, ctx: StepContext, notice: notices.Leaving) -> Outputs:

@@ -65,6 +65,8 @@ class Left(NamedTuple):
 class BeatDue(NamedTuple):
     """Our beacon is sent in this step: what is sent with beacons goes after it."""
 
+    heartbeat: bool = False  # our heartbeat, too
+
 
 class ControlDue(NamedTuple):
     """A control period begins, this long after its due time."""

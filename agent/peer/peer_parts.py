@@ -155,6 +155,7 @@ class PeerParts:
         self.directive = OperatorDirective(slot, self.safety, mission, self.obstacle)
         self.mission_messages = MissionMessages(mission)
         self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
+        self.progress_told.with_heartbeats = bool(self.proven.kinds)
         self.claims = SectionClaims(slot, self.allocation)
         self.work = SectionWork(
             self.claims, self.clock, self.sync, self.progress_told, self.lifecycle, self.safety,
@@ -191,9 +192,7 @@ class PeerParts:
         start = 0 if keys is None else keys.number(b"start", lot, START_BITS)
         time, identity = FleetTime(start, now_us), self.identity
         self.fleet_clock = FleetClock(identity.slot, keys, time, lot)
-        self.proven = ProvenFrames(
-            identity.slot, keys, time, self.membership, self.joining, self.sync.replica
-        )
+        self.proven = ProvenFrames(identity.slot, keys, time, self.membership, self.joining)
         if keys is not None:
             self.membership.life_for_us = self.beat.life_for_us
 

@@ -31,6 +31,8 @@ class ProgressAnnouncements(Part):
         # A large fleet announces progress less often, because all robots share the bus.
         self.period_us = PROGRESS_PERIOD_US * beat.pose_period_us // BEATS[0].pose_period_us
         self.next_at_us = now_us + self.period_us
+        # In a fleet with keys: announce only with heartbeats, so that one proof covers both.
+        self.with_heartbeats = False
         self.pending: dict[tuple[int, int], int] = {}  # (section, block) -> bits to announce
         self.redone = 0  # units that another robot had announced before us
 
@@ -40,6 +42,8 @@ class ProgressAnnouncements(Part):
 
     def _beat(self, ctx: StepContext, notice: notices.BeatDue) -> Outputs:
         if not self.pending or ctx.now_us < self.next_at_us:
+            return NOTHING
+        if self.with_heartbeats and not notice.heartbeat:
             return NOTHING
         return self.flush(ctx.now_us)
 
@@ -51,7 +55,8 @@ class ProgressAnnouncements(Part):
         for unit in units:
             block, bit = divmod(unit, BLOCK_UNITS)
             self.pending[section, block] = self.pending.get((section, block), 0) | 1 << bit
-        return self.flush(now_us) if now_us >= self.next_at_us else []
+        due = now_us >= self.next_at_us and not self.with_heartbeats
+        return self.flush(now_us) if due else []
 
     def sweep(self, swept: CoveredUnits, now_us: int) -> list[Effect]:
         """Units of any section were covered."""

@@ -6,8 +6,9 @@ processed when the PROOF of their sender covers them, and dropped and counted if
 (POSE) are not held either, because robots avoid each other by them: they keep a member alive only
 for `life_for_us` after its last proof (`agent/peer/membership.py`).
 
-Our own frames get a proof: with each heartbeat, else within `SOON_US`. Progress that we announce
-waits for the next heartbeat. In a fleet without keys nothing is held and nothing is proven.
+Our own frames get a proof: with each heartbeat, else within `SOON_US`. Progress is announced with
+heartbeats, so that it needs no proof of its own. In a fleet without keys nothing is held and nothing
+is proven.
 """
 
 from collections.abc import Mapping, Sequence
@@ -28,8 +29,6 @@ from agent.peer.part import (
     Part,
     StepContext,
 )
-from crdt.progress import KIND as BLOCK
-from crdt.progress import name_of
 from protocol.authentication import OPERATOR_FIRST
 from protocol.frame_proofs import FleetTime, ProofBatch, ProofChecker, ProofKeys, Proven
 from protocol.frames.agreement_frames import AgreementMessage, SilentPosition
@@ -58,7 +57,6 @@ from protocol.frames.work_frames import (
     TaskClaim,
     WorkProgress,
 )
-from protocol.sync.replica import Replica, entry_of
 
 # Every frame of a robot that changes what others know or do, except beacons and frames with tags.
 PROVEN_KINDS: Final[frozenset[type[Any]]] = frozenset({
@@ -69,7 +67,6 @@ PROVEN_KINDS: Final[frozenset[type[Any]]] = frozenset({
 })  # fmt: skip
 NOTHING_HELD: Final[frozenset[type[Any]]] = frozenset()
 SOON_US: Final = 20 * MS  # less than the pause after which another robot continues a sync
-LAZY_US: Final = 1_400 * MS  # announced progress goes with the next heartbeat; this is the slowest
 UNSURE_US: Final = (
     1 * S
 )  # an unverified proof of a member that proved nothing for so long is a doubt
@@ -85,10 +82,9 @@ class ProvenFrames(Part):
         time: FleetTime,
         membership: Membership,
         joining: NetworkJoin,
-        replica: Replica,
     ) -> None:
         """`keys`: None in a fleet without keys."""
-        self.slot, self.membership, self.joining, self.replica = slot, membership, joining, replica
+        self.slot, self.membership, self.joining = slot, membership, joining
         self.kinds = NOTHING_HELD if keys is None else PROVEN_KINDS
         self.checker = None if keys is None else ProofChecker(keys, time)
         self._batch = None if keys is None else ProofBatch(slot, keys, time)
@@ -115,16 +111,11 @@ class ProvenFrames(Part):
             return [*effects, *self._proof(now_us)]
         return effects
 
-    def _wait_for_us(self, message: Any) -> int:
+    @staticmethod
+    def _wait_for_us(message: Any) -> int:
         if type(message) is Heartbeat or type(message) is Member:
             return 0
-        if type(message) is WorkProgress and self._is_ours(message):
-            return LAZY_US
         return SOON_US
-
-    def _is_ours(self, m: WorkProgress) -> bool:
-        """Whether this is an announcement of our own work, not an answer to a question."""
-        return self.replica.owner_of(entry_of(BLOCK, name_of(m.section, m.block))) == self.slot
 
     def _proof(self, now_us: int) -> list[Effect]:
         assert self._batch is not None
