@@ -14,8 +14,6 @@ from collections.abc import Iterator, Mapping
 from struct import Struct
 from zlib import crc32
 
-import numpy as np
-
 from crdt.claim_register import (
     DONE_BIT,
     EPOCH_MAX,
@@ -27,7 +25,6 @@ from crdt.claim_register import (
     lamport_of,
     owner_of,
     pack,
-    pack_all,
     phase_of,
 )
 from crdt.digest import Sums, short
@@ -36,10 +33,7 @@ KIND = 1  # of an allocation entry in digests
 SECTION_MAX = 0xFFFF
 ENTRY = Struct("<HBBHBB")  # 8 bytes, as TASK_CLAIM
 HEADER = Struct("<I")
-ROWS = np.dtype([("section", "<u2"), ("epoch", "u1"), ("mixed", "u1"), ("low", "<u2"), ("high", "u1"),
-                 ("owner", "u1")])  # fmt: skip
-assert ROWS.itemsize == ENTRY.size == 8
-PHASES = np.isin(np.arange(8), [int(phase) for phase in Phase])  # the valid values of a phase
+assert ENTRY.size == 8
 HELD = (Phase.CLAIMED, Phase.STARTED)
 BY_NUMBER = {int(phase): phase for phase in Phase}  # calling an Enum is slow; missions ask often
 
@@ -256,19 +250,11 @@ class FieldAllocationCRDT:
         if (len(data) - HEADER.size) % ENTRY.size or len(data) < HEADER.size:
             raise ValueError(f"an allocation does not have {len(data)} bytes")
         replica = cls(HEADER.unpack_from(data)[0])
-        rows = np.frombuffer(data, ROWS, offset=HEADER.size)
-        phase, bid = rows["mixed"] & 7, rows["mixed"] >> 3
-        if not PHASES[phase].all():
-            raise ValueError("an allocation has no such phase")
-        lamport = rows["low"] | rows["high"].astype(np.uint32) << 16
-        keys = pack_all(rows["epoch"], phase, bid, lamport, rows["owner"])
-        sections = rows["section"]
-        if (sections[1:] <= sections[:-1]).any():  # our own output is strictly sorted
-            # If a section was written twice, the greater key is kept.
-            order = np.argsort(keys, kind="stable")
-            sections, keys = sections[order], keys[order]
-        replica._keys.update(zip(sections.tolist(), keys.tolist(), strict=True))
+        # A tool that only listens reads no disk, and has no numpy.
+        from crdt.allocation_rows import read_rows
+
+        keys, replica.lamport = read_rows(data, HEADER.size)
+        replica._keys.update(keys)
         replica._sums.changing_all(dict.fromkeys(replica._keys))
         replica._done = sum(key >= DONE_BIT for key in replica._keys.values())
-        replica.lamport = int(lamport.max(initial=0))
         return replica

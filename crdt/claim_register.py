@@ -14,19 +14,13 @@ write is greater than what its writer had seen, so it extends causality. No wall
 """
 
 from enum import IntEnum
-from typing import Any, NamedTuple
-
-import numpy as np
-from numpy.typing import NDArray
+from typing import NamedTuple
 
 EPOCH_MAX = 0xFF
 BID_MAX = 31
 LAMPORT_MAX = 0xFFFFFF  # at ten operations a second of the whole fleet: 19 days on one field
 OWNER_MAX = 0xFF
 DONE_BIT = 1 << 48
-
-
-Column = NDArray[Any]  # (n,): one field of n registers
 
 
 class Phase(IntEnum):
@@ -66,19 +60,6 @@ def pack(epoch: int, phase: int, bid: int, lamport: int, owner: int) -> int:
         (phase == Phase.DONE) << 48 | epoch << 40 | phase << 37 | (BID_MAX - bid) << 32
         | (LAMPORT_MAX - lamport) << 8 | (OWNER_MAX - owner)
     )  # fmt: skip
-
-
-def pack_all(
-    epoch: Column, phase: Column, bid: Column, lamport: Column, owner: Column
-) -> NDArray[np.int64]:
-    """`pack` of n registers: five columns of integers, each (n,), give the keys, (n,)."""
-    phase = phase.astype(np.int64)
-    keys: NDArray[np.int64] = (
-        (phase == Phase.DONE).astype(np.int64) << 48 | epoch.astype(np.int64) << 40 | phase << 37
-        | (BID_MAX - bid.astype(np.int64)) << 32 | (LAMPORT_MAX - lamport.astype(np.int64)) << 8
-        | (OWNER_MAX - owner.astype(np.int64))
-    )  # fmt: skip
-    return keys
 
 
 def epoch_of(key: int) -> int:

@@ -9,7 +9,6 @@ It ends on SIGTERM or Ctrl-C, with a farewell on the bus. `docs/use/robot.md` sa
 import argparse
 import asyncio
 import secrets
-import signal
 import sys
 from collections.abc import Callable, Mapping
 from pathlib import Path
@@ -17,6 +16,7 @@ from random import Random
 
 from agent.interface.ports import Bus
 from agent.runtime.body_plugins import made
+from agent.runtime.end_signals import on_end
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
@@ -172,8 +172,7 @@ async def _take_part(
 async def until_told(robot: RobotFile, *, first_boot: bool = False, dry: bool = False) -> None:
     """Run until SIGTERM or SIGINT. Raises RobotError."""
     end, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
 
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)

@@ -54,7 +54,7 @@ from sim.files.coverage_plan_file import Plan, read_plan, write_plan
 from sim.files.grid_map import GridFileError, read_instance, read_map
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.record.mcap_log import McapLog, read_recording
-from sim.record.scene import scene_of
+from sim.record.scene_builder import scene_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError, load
 

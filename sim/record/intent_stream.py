@@ -7,13 +7,15 @@ four bytes of `MAGIC_INTENT` and a MessagePack array of the values of `Intent.to
 
 import asyncio
 from collections.abc import Callable
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from agent.interface.config import NEIGHBOURS_MAX, PEERS_MAX
-from agent.peer.peer import Peer
 from protocol.strict_msgpack import U8, StrictReader, finite, packed, unsigned
 from sim.record.local_link import Link
 from sim.record.robot_intent import POINTS_MAX, STRANGE_MAX, Intent, intent_of
+
+if TYPE_CHECKING:
+    from agent.peer.peer import Peer
 
 TELL_S = 0.2
 HELLO_S = 1.0
@@ -76,7 +78,7 @@ class IntentListener(Link):
             await asyncio.sleep(HELLO_S)
 
 
-async def tell(peer: Peer, send: Callable[[bytes], None]) -> None:
+async def tell(peer: "Peer", send: Callable[[bytes], None]) -> None:
     """Send intents from a robot's process while it runs."""
     while True:
         await asyncio.sleep(TELL_S)

@@ -40,6 +40,7 @@ SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
 MAGIC = b"\x89MCAP0\r\n"  # a file begins with it; a file that was closed also ends with it
 SAID_MAX = 120  # characters quoted from a reader's message on a damaged file
 CAN_TOPIC = "/can"
+MCAP = "run.mcap"  # in the folder of a run
 CAN_FRAME = """std_msgs/Header header
 uint32 id
 bool is_rtr

@@ -7,15 +7,13 @@ foxglove schemas are those that Foxglove has published.
 
 from typing import Any
 
-from agent.field.field_map import XY
 from sim.record.foxglove import LOG, SCENE_UPDATE
-from sim.world.walls import OBSTACLE_COLUMNS
+from sim.record.robot_intent import XY
 
 INTENT, THINGS = "headland.Intent", "headland.Things"
 Schema = dict[str, Any]
 # The columns of a row of `sim.world.walls`, with names for readers.
 THING = ("shape", "x", "y", "half_x", "half_y", "cos", "sin")
-assert len(THING) == OBSTACLE_COLUMNS
 POINTS = ("path", "strange")  # of an intent: lists of points
 WANTED = "wanted"  # of an intent: a velocity
 

@@ -5,11 +5,12 @@ to drive, which robots they avoid and which they receive. Reading this changes n
 observed run has the same trace hash as an unobserved one.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from agent.interface.config import NEIGHBOURS_MAX
-from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.peer import Peer
+
+if TYPE_CHECKING:
+    from agent.peer.peer import Peer
 
 XY = tuple[float, float]
 POINTS_MAX = 48  # of a path: enough for a person, and it fits a datagram
@@ -46,8 +47,10 @@ class Intent(NamedTuple):
         }  # fmt: skip
 
 
-def intent_of(peer: Peer) -> Intent | None:
+def intent_of(peer: "Peer") -> Intent | None:
     """None before the first observation of its sensors."""
+    from agent.motion.holonomic_motion import HolonomicMotion  # a tool that listens has no numpy
+
     here = peer.here
     # No robot is avoided on a grid.
     motion = peer.motion if isinstance(peer.motion, HolonomicMotion) else None

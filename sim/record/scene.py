@@ -1,103 +1,15 @@
-"""The static objects as plain values: a map draws them first, and recordings store them."""
+"""The static objects of a run as plain values: a map draws them first, and recordings store them.
 
-from base64 import b64encode
-from collections.abc import Iterable, Mapping, Sequence
+`sim.record.scene_builder` makes one of a scenario. A tool that only shows a scene needs no simulator.
+"""
+
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-from numpy.typing import NDArray
-
-from agent.mapping.building import Floor
-from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
-from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import ScenarioError, load
-
 Scene = dict[str, Any]
 FILE = "scene.json"  # in the folder of a run
-POINT_DIGITS = 2  # centimetres
-
-
-def scene_of(setting: FleetSetup) -> Scene:
-    """Field, arena or floor; metres in the field frame, x east, y north."""
-    fleet = setting.scenario.fleet
-    scene: Scene = {
-        "name": setting.scenario.name, "kind": "field", "robots": fleet.robots,
-        "radius_m": fleet.radius_m, "bitrate": setting.scenario.bus.bitrate,
-        "rings": [], "sections": [], "width_m": 0.0, "gate": None, "grid": None, "cells": None,
-        "goals": [], "front": getattr(fleet, "drive", "mecanum") != "mecanum",
-    }  # fmt: skip
-    floor: Floor | None = getattr(setting, "floor", None)  # for any mission in a building
-    if floor is not None:
-        scene["grid"] = _grid(floor.walls, floor.origin, floor.cell_m)
-        goals: Mapping[int, Sequence[Sequence[float]]] = getattr(setting, "goals", {})
-        scene["goals"] = [[slot, *_point(at)] for slot, own in goals.items() for at in own]
-        scene["kind"] = "floor"
-    elif isinstance(setting, ExplorationSetup):
-        geometry = setting.geometry
-        west, south = geometry.origin_m
-        scene["rings"] = [
-            _box(west, south, -west, -south),
-            *map(_box_of, setting.scenario.arena.solid),
-        ]
-        scene["cells"] = {
-            "origin": [west, south], "cell_m": geometry.cell_m, "rows": geometry.rows,
-            "columns": geometry.columns, "order": setting.order.value,
-        }  # fmt: skip
-        scene["kind"] = "arena"
-    elif isinstance(setting, FieldSetup):
-        field = setting.field
-        scene["name"] = field.name
-        scene["rings"] = [_line(ring) for ring in (field.exterior, *field.holes)]
-        scene["gate"], scene["width_m"] = _point(field.gate), field.implement_width_m
-        scene["earth"] = list(field.origin)  # latitude and longitude of (0, 0), degrees
-        scene["sections"] = [
-            {"id": s.id, "swaths": [_line(swath) for swath in s.swaths], "units": list(s.units_of)}
-            for s in field.sections
-        ]
-    return scene
-
-
-def scene_named(name: str, robots: int | None = None) -> Scene:
-    """The scene of a scenario or an arena, by file or by name. Raises ScenarioError."""
-    try:
-        return scene_of(FieldSetup(_with(load(name), robots)))
-    except ScenarioError as problem:
-        try:
-            return scene_of(ExplorationSetup(_with(load_arena(name), robots)))
-        except ScenarioError:
-            raise problem from None
-
-
-def _with(scenario: Any, robots: int | None) -> Any:
-    return scenario if robots is None else scenario.changed(robots)
 
 
 def in_folder(source: Path) -> Path:
     """The path of a run's scene: in its folder, or beside its log."""
     return (source if source.is_dir() else source.parent) / FILE
-
-
-def _point(at: Sequence[float]) -> list[float]:
-    return [round(float(v), POINT_DIGITS) for v in at]
-
-
-def _line(points: Iterable[Sequence[float]]) -> list[list[float]]:
-    return [_point(at) for at in points]
-
-
-def _box(west: float, south: float, east: float, north: float) -> list[list[float]]:
-    return _line(((west, south), (east, south), (east, north), (west, north)))
-
-
-def _box_of(box: tuple[float, float, float, float]) -> list[list[float]]:
-    return _box(*box)
-
-
-def _grid(walls: NDArray[np.bool_], origin: Sequence[float], cell_m: float) -> dict[str, Any]:
-    """`walls`: bits by row from the south, most significant first, base64."""
-    return {
-        "origin": _point(origin), "cell_m": cell_m, "rows": walls.shape[0],
-        "columns": walls.shape[1], "walls": b64encode(np.packbits(walls).tobytes()).decode(),
-    }  # fmt: skip

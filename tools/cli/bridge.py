@@ -6,13 +6,13 @@ gateway on a socketcand bus is back by itself when the server of that bus is.
 
 import asyncio
 import secrets
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from agent.interface.ports import Bus
+from agent.runtime.end_signals import on_end
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
 from agent.runtime.gateway_runner import GatewayRunner
 from agent.runtime.gc_tuning import freeze_gc
@@ -124,8 +124,7 @@ async def carry(
     """Until a signal, or for the given time."""
     loop = asyncio.get_running_loop()
     end = asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
 

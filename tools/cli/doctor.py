@@ -65,6 +65,8 @@ def _loopback() -> Finding:
 
 
 def _kernels() -> Finding:
+    if importlib.util.find_spec("numba") is None:
+        return Finding("kernels", None, "none: only the tools of the bus are installed")
     import numba
 
     folder = Path(numba.config.CACHE_DIR or "agent")

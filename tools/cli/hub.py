@@ -6,12 +6,12 @@ stand while it is gone, and reconnect by themselves.
 
 import asyncio
 import os
-import signal
 import sys
 from ipaddress import ip_address
 
 from rich.console import Console
 
+from agent.runtime.end_signals import on_end
 from agent.runtime.gc_tuning import freeze_gc
 from sim.can.simulated_bus import segment
 from sim.can.socketcand_beacon import announce
@@ -36,8 +36,7 @@ async def _serve(
     errors: bool = False,
 ) -> None:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
     served = Hub(segment(f"hub {os.getpid()}", bitrate, seed), CHANNEL, errors)
     await served.start(host, port)
     where = {"host": host, "port": served.port, "channel": CHANNEL, "pid": os.getpid()}

@@ -1,8 +1,9 @@
 """Packages that a base install leaves out, and the extra that installs each."""
 
 EXTRA_OF = {
-    "textual": "operator", "starlette": "operator", "uvicorn": "operator", "websockets": "operator",
-    "lark": "operator", "mcap": "operator", "httpx": "operator",
+    "numpy": "sim", "scipy": "sim", "numba": "sim", "shapely": "sim", "pyproj": "sim",
+    "pymunk": "sim", "matplotlib": "sim", "PIL": "sim", "pandas": "frames",
+    "textual": "operator", "mcap": "operator", "httpx": "operator",
     "isoxml": "isoxml",
     "prometheus_client": "metrics",
     "foxglove": "foxglove",

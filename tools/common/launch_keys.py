@@ -16,6 +16,8 @@ from agent.runtime.files.key_file import DEVICE, FLEET, NAMES, OPERATOR, fresh, 
 from tools.common.bus_attach import LAUNCH
 
 KEYS = "keys"  # the folder in that of a fleet, and its name in bus.json
+# Windows has no numbers of users, and modes there say nothing: no file is then private.
+USER = os.getuid() if hasattr(os, "getuid") else -1
 
 
 def fleet_keys(folder: Path, goes_on: bool, robots: int = 0) -> Path:
@@ -41,7 +43,7 @@ def is_private(path: Path, user: int | None = None) -> bool:
         found = path.stat()
     except OSError:
         return False
-    return found.st_uid == (os.getuid() if user is None else user) and not found.st_mode & 0o077
+    return found.st_uid == (USER if user is None else user) and not found.st_mode & 0o077
 
 
 def keys_in(launch: Path, where: dict[str, Any]) -> Path | None:
@@ -54,7 +56,7 @@ def keys_in(launch: Path, where: dict[str, Any]) -> Path | None:
         return None
     with contextlib.suppress(OSError):
         said = launch.stat()
-        ours = said.st_uid == os.getuid() and not said.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        ours = said.st_uid == USER and not said.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
         if ours and is_private(Path(named)):
             return Path(named)
     return None

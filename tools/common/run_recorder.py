@@ -10,13 +10,12 @@ from sim.files.log_parts import Limit, PartedLog
 from sim.files.recording_end import Ending, say
 from sim.files.strict_json import dumps
 from sim.fleet.simulated_fleet import Cluster
-from sim.record.mcap_log import McapLog, McapMissing
+from sim.record.mcap_log import MCAP, McapLog, McapMissing
 from sim.record.recorder_script import RecordingSink, watch
 from sim.record.recording import FramesDigest, Recording
-from sim.record.scene import FILE, scene_of
+from sim.record.scene import FILE
+from sim.record.scene_builder import scene_of
 from sim.scenarios.fleet_setup import FleetSetup
-
-MCAP = "run.mcap"
 
 
 class RunRecorder:

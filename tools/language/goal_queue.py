@@ -6,7 +6,6 @@ the write leaves the goal with the robot's number. Then the same robot is sent t
 and no second robot is sent.
 """
 
-import fcntl
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,6 +13,7 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
+from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_bytes
 from tools.language.intent import Metres, Slot
 
@@ -112,12 +112,7 @@ class GoalQueue:
         except OSError as problem:
             raise QueueError(f"{self.path}: cannot be written: {problem.strerror}") from None
         with lock:
-            held = True
-            try:
-                fcntl.flock(lock, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
-            except BlockingIOError:
-                held = False
-            yield held
+            yield take_lock(lock, wait)
 
     def _write(self, goals: list[Queued]) -> None:
         """Whole or not at all."""

@@ -25,13 +25,11 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from sim.record.intent_stream import IntentListener
 from sim.record.live_recording import LiveRecording
-from sim.record.mcap_log import McapMissing, add_notes, read_recording
+from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
-from sim.record.scene import Scene, in_folder, scene_named
-from sim.scenarios.scenario import ScenarioError
+from sim.record.scene import Scene, in_folder
 from tools.common.bus_attach import LAUNCH, AttachError, attach
 from tools.common.launch_keys import KEYS, keys_in
-from tools.common.run_recorder import MCAP
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.inspection import SourceError, frames_of
 from tools.inspect.measured_inspector import MeasuredInspector
@@ -67,7 +65,7 @@ def show_map(
     """
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
-        scene = None if scenario is None else scene_named(scenario)
+        scene = None if scenario is None else _scene_of(scenario)
         launch = _launch_of(source, interface, port)
         with contextlib.closing(listen(page_port)) as listener:
             if source is None or launch is not None:
@@ -89,7 +87,7 @@ def show_map(
             _announce(console, as_json, url_of(listener, server))
             asyncio.run(serve(server, listener))
     except (
-        AttachError, SourceError, ScenarioError, McapMissing, ServerError, MetricsError,
+        AttachError, SourceError, McapMissing, ServerError, MetricsError,
         PortTaken,
     ) as problem:  # fmt: skip
         print(f"headland: {problem}", file=sys.stderr)
@@ -215,6 +213,17 @@ def recorded(source: Path, scene: Scene | None) -> Recording:
     recording.scene = scene or recording.scene
     recording.close()
     return recording
+
+
+def _scene_of(scenario: str) -> Scene:
+    """Raises SourceError. Only here the map needs the simulator's packages."""
+    from sim.record.scene_builder import scene_named
+    from sim.scenarios.scenario import ScenarioError
+
+    try:
+        return scene_named(scenario)
+    except ScenarioError as problem:
+        raise SourceError(str(problem)) from None
 
 
 def _scene_beside(source: Path) -> Scene | None:

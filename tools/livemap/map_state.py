@@ -6,11 +6,9 @@ All of it comes from the bus, or from what robots report about themselves beside
 
 from collections import Counter, deque
 from collections.abc import Iterable
-from typing import Any
+from importlib.util import find_spec
+from typing import TYPE_CHECKING, Any
 
-import numpy as np
-
-from crdt.occupancy import Geometry, OccupancyMap, corner_of
 from crdt.sighting import VALUE, MergeOrder
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
@@ -20,10 +18,12 @@ from protocol.frames.messages import GROUPS
 from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
-from protocol.sync.map_sync import decode_cells
 from sim.can.frame_timing import worst_bits
 from sim.record.scene import Scene
 from tools.inspect.inspector import Inspector, Seen
+
+if TYPE_CHECKING:
+    from crdt.occupancy import OccupancyMap
 
 LOAD_S = 1.0  # the load of the bus is averaged over this time
 NAMES = {group.pgn: group.name for group in GROUPS}
@@ -131,16 +131,20 @@ class Watcher(Inspector):
         super()._robot(t_s, robot, kind, message)
 
     def _patch(self, m: MapPatch) -> None:
-        values = decode_cells(m.cells).astype(np.int64)
-        if self.chart is not None and self.chart.apply(
-            m.patch, values, m.level, m.time, m.observer
-        ):
+        if self.chart is None:
+            return
+        from protocol.sync.map_sync import decode_cells  # needs numpy, as the shared map does
+
+        values = decode_cells(m.cells).astype("int64")
+        if self.chart.apply(m.patch, values, m.level, m.time, m.observer):
             self.changed_patches.add(m.patch)
 
     def cells(self, patches: Iterable[int]) -> list[list[int]]:
         """Row and column of a patch, then the values of its 16 cells, row by row."""
         if self.chart is None:
             return []
+        from crdt.occupancy import corner_of
+
         return [
             [*corner_of(patch), *(self.chart.patch(patch) & VALUE).tolist()] for patch in patches
         ]
@@ -153,10 +157,13 @@ class Watcher(Inspector):
             self.changed_patches = set(self.chart.known_patches())
 
 
-def _chart(scene: Scene | None) -> OccupancyMap | None:
+def _chart(scene: Scene | None) -> "OccupancyMap | None":
+    """None where nothing is explored, or numpy is not installed: then the rest is shown."""
     cells = (scene or {}).get("cells")
-    if not cells:
+    if not cells or find_spec("numpy") is None:
         return None
+    from crdt.occupancy import Geometry, OccupancyMap
+
     west, south = cells["origin"]
     geometry = Geometry(int(cells["rows"]), int(cells["columns"]), (west, south), cells["cell_m"])
     return OccupancyMap(geometry, MergeOrder(cells["order"]))

@@ -8,7 +8,7 @@ from rich.progress import Progress
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
-from sim.record.mcap_log import McapMissing, read_recording
+from sim.record.mcap_log import MCAP, McapMissing, read_recording
 from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
@@ -17,7 +17,6 @@ from tools.inspect.inspection import SourceError
 from tools.livemap.command import recorded
 from tools.run.film import FILM_S, FilmError, write_film
 
-MCAP = "run.mcap"
 RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field leaves
 
 

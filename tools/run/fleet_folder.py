@@ -6,12 +6,12 @@ earlier launch move into `launch-N`.
 """
 
 import contextlib
-import fcntl
 import json
 from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from agent.runtime.files.file_lock import lock as take_lock
 from sim.scenarios.field_setup import FieldSetup
 from tools.common.run_folder import (
     LATEST,
@@ -112,13 +112,11 @@ def _of_name(name: str, identity: str, fresh: bool) -> tuple[Path, str]:
 
 def _locked(path: Path, folder: Path) -> IO[str]:
     lock = path.open("w")
-    try:
-        fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except BlockingIOError:
+    if not take_lock(lock, wait=False):
         lock.close()
         raise FolderError(
             f"another launch is running in {folder}: end it, or choose another folder with --out"
-        ) from None
+        )
     return lock
 
 

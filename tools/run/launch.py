@@ -24,7 +24,7 @@ from sim.files.recording_end import Ending
 from sim.files.strict_json import dumps
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.remote_body import BodyServer
-from sim.record.scene import scene_of
+from sim.record.scene_builder import scene_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import implement_contacts

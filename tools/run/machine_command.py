@@ -1,9 +1,9 @@
 """`headland machine`: a simulated machine, to which drivers connect."""
 
 import asyncio
-import signal
 import sys
 
+from agent.runtime.end_signals import on_end
 from sim.files.strict_json import dumps
 from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
 
@@ -35,8 +35,7 @@ async def _serve(
     made = NmeaMachine(body, origin, seed)
     gnss, wheels, orders = await made.start(host, *ports)
     end, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGTERM, signal.SIGINT):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
     if as_json:
         print(dumps({"gnss": gnss, "wheels": wheels, "orders": orders}), flush=True)
     else:

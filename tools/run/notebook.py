@@ -19,7 +19,7 @@ from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_fleet import Cluster
 from sim.record.recorder_script import watch
 from sim.record.recording import Recording
-from sim.record.scene import scene_of
+from sim.record.scene_builder import scene_of
 from sim.runs.field_run import FieldRun
 from sim.runs.navigation_run import NavigationOutcome, NavigationRun
 from sim.scenarios.delivery_scenario import is_warehouse

@@ -1,11 +1,11 @@
 """`headland run` of a warehouse: to the last parcel in virtual time, or live for tasks to be added."""
 
 import asyncio
-import signal
 from pathlib import Path
 
 from rich.console import Console
 
+from agent.runtime.end_signals import on_end
 from sim.can.socketcand_server import Hub
 from sim.files.palette import colour_of
 from sim.files.strict_json import dumps
@@ -114,8 +114,7 @@ class LiveDeliveryCommand(DeliveryCommand):
         loop = asyncio.get_running_loop()
         hubs: list[Hub] = []
         opening: list[asyncio.Task[None]] = []
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, self._end)
+        on_end(loop, self._end)
         if self.seconds is not None:
             loop.call_later(self.seconds, self._end, False)
 

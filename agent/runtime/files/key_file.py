@@ -6,7 +6,6 @@ They are JSON that only the owner can read. An operator's counter must never go 
 stored beside its key file and reserved in blocks: one durable write covers many frames.
 """
 
-import fcntl
 import json
 import os
 from collections.abc import Iterable
@@ -15,6 +14,7 @@ from pathlib import Path
 from secrets import token_bytes
 from typing import Any, NamedTuple
 
+from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.rekeying import GENERATION_MAX, OWN_SIZE, own_key
@@ -214,7 +214,7 @@ def reserve(file: KeyFile, frames: int) -> int:
     new = beside.with_name(beside.name + ".new")
     try:
         with file.path.open() as lock:  # two devices with one file do not share counters
-            fcntl.flock(lock, fcntl.LOCK_EX)
+            take_lock(lock)
             count = counter(file.path)
             if count + frames > COUNTER_MAX:
                 raise KeyFileError(f"{file.path}: this key has signed enough: rotate the keys")

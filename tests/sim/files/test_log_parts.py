@@ -9,7 +9,7 @@ from sim.files.candump import CandumpWriter, read_candump
 from sim.files.log_parts import Limit, PartedLog, parts_of
 from sim.record.mcap_log import McapLog, read_frames, read_recording
 from sim.record.robot_intent import Intent
-from sim.record.scene import scene_of
+from sim.record.scene_builder import scene_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspection import frames_of

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from agent.mapping.building import Floor
-from sim.record.scene import scene_named, scene_of
+from sim.record.scene_builder import scene_named, scene_of
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.navigation_setup import NavigationSetup

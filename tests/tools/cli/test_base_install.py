@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from collections.abc import Set as AbstractSet
 from pathlib import Path
 
 import pytest
@@ -24,12 +25,22 @@ class Absent:
             raise ModuleNotFoundError(f"No module named {{name!r}}", name=name)
 
 sys.meta_path.insert(0, Absent())
+import importlib.util
+found = importlib.util.find_spec
+importlib.util.find_spec = lambda name, package=None: (
+    None if name.split(".")[0] in {names} else found(name, package))
 """
 
 
-def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
-    """In a process in which no package of an extra can be imported."""
-    (folder / "sitecustomize.py").write_text(BLOCK.format(names=set(EXTRA_OF)))
+BUS_ONLY = set(EXTRA_OF)
+WITH_SIM = {package for package, extra in EXTRA_OF.items() if extra not in ("sim", "frames")}
+
+
+def headland(
+    folder: Path, *words: str, absent: AbstractSet[str] = BUS_ONLY
+) -> subprocess.CompletedProcess[str]:
+    """In a process in which these packages cannot be imported; without a word: all of extras."""
+    (folder / "sitecustomize.py").write_text(BLOCK.format(names=set(absent)))
     path = f"{folder}{os.pathsep}{ROOT}"
     return subprocess.run(
         [sys.executable, "-m", "tools.cli.headland", *words], cwd=folder, capture_output=True, text=True,
@@ -40,10 +51,36 @@ def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
 @pytest.mark.parametrize(
     ("words", "extra"),
     [
-        ("say stop", "operator"),
-        ("say", "operator"),
+        ("inspect can.log --why S1", ""),
+        ("dbc", ""),
+        ("keys new", ""),
+        ("doctor", ""),
+        ("list", "sim"),
+        ("run small", "sim"),
+        ("launch small --robots 2", "sim"),
+        ("plan small", "sim"),
+        ("report can.log", "sim"),
+        ("task add 1,1 2,2", "sim"),
+        ("inspect run.mcap --plain", "operator"),
+        ("inspect can.log --picture out.svg", "operator"),
+        ("map run.mcap --page-port 0", "operator"),
+        ("estop", ""),
+        ("reset", ""),
+        ("order 1 wait", ""),
+        ("say stop", ""),
+        ("map", ""),
+        ("inspect can.log", ""),
+    ],
+)
+def test_the_tools_of_the_bus_need_no_simulator(words: str, extra: str, tmp_path: Path) -> None:
+    files(tmp_path)
+    told(headland(tmp_path, *words.split()), extra)
+
+
+@pytest.mark.parametrize(
+    ("words", "extra"),
+    [
         ("bridge --segment 1 --listen tcp/127.0.0.1:0", "backbone"),
-        ("map can.log --page-port 0", "operator"),
         ("inspect can.log --picture out.svg", "operator"),
         ("launch small --metrics 0", "metrics"),
         ("launch small --foxglove 0", "foxglove"),
@@ -51,23 +88,28 @@ def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
         ("run task --robots 2", "isoxml"),
         ("export run --bag out", "ros"),
         ("chaos --help", ""),
-        ("estop", ""),
-        ("reset", ""),
-        ("order 1 wait", ""),
-        ("inspect can.log", ""),
         ("task add 1,1 2,2", ""),
     ],
 )
 def test_base_install_names_the_extra_in_one_line(words: str, extra: str, tmp_path: Path) -> None:
-    (tmp_path / "can.log").write_text("(0.000000) can0 18EAFFFE#00EE00\n")
-    (tmp_path / "run.mcap").write_bytes(b"\x89MCAP0\r\n")
-    (tmp_path / "task").mkdir()
-    (tmp_path / "task" / "TASKDATA.XML").write_text("<ISO11783_TaskData/>")
-    done = headland(tmp_path, *words.split())
+    files(tmp_path)
+    told(headland(tmp_path, *words.split(), absent=WITH_SIM), extra)
+
+
+def files(folder: Path) -> None:
+    (folder / "can.log").write_text("(0.000000) can0 18EAFFFE#00EE00\n")
+    (folder / "run.mcap").write_bytes(b"\x89MCAP0\r\n")
+    (folder / "task").mkdir()
+    (folder / "task" / "TASKDATA.XML").write_text("<ISO11783_TaskData/>")
+
+
+def told(done: subprocess.CompletedProcess[str], extra: str) -> None:
     assert "Traceback" not in done.stderr, done.stderr
     if extra:
         assert done.returncode == 2 and f"headland[{extra}]" in done.stderr, done.stderr
         assert done.stderr.count("\n") == 1, done.stderr
+    else:
+        assert "pip install" not in done.stderr, done.stderr
 
 
 def test_g_a_launch_that_was_killed_is_noticed(

@@ -203,7 +203,7 @@ def test_f4_a_damaged_mcap_is_no_traceback(
 ) -> None:
     pytest.importorskip("mcap", reason="the extra `operator` is not installed")
     from sim.record.mcap_log import McapLog, read_recording
-    from sim.record.scene import scene_of
+    from sim.record.scene_builder import scene_of
 
     path = tmp_path / "run.mcap"
     log = McapLog(path, scene_of(FieldSetup(load("small"))))

@@ -1,0 +1,100 @@
+"""Bus tools and runs on systems without POSIX: what Linux alone has is hidden, and they work.
+
+Hidden are `fcntl`, `resource`, `pwd` and `termios`, the numbers of users, `fork`, `eventfd`, the signals
+that Windows lacks, and the signal handlers of the event loop.
+"""
+
+import json
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from tests.tools.launching import ENVIRONMENT, ROOT
+
+HIDE = """
+import asyncio, os, signal, socket, sys
+
+class Absent:
+    def find_spec(self, name, path=None, target=None):
+        if name in ("fcntl", "resource", "pwd", "grp", "termios", "tty", "pty", "_posixsubprocess"):
+            raise ModuleNotFoundError(f"No module named {name!r}", name=name)
+
+for name in ("fcntl", "resource", "pwd", "grp", "termios"):
+    sys.modules.pop(name, None)
+sys.meta_path.insert(0, Absent())
+for name in ("getuid", "geteuid", "fork", "eventfd", "getpgid", "killpg", "sched_getaffinity",
+             "sysconf", "getloadavg"):
+    if hasattr(os, name):
+        delattr(os, name)
+for name in ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGWINCH", "SIGPIPE"):
+    if hasattr(signal, name):
+        delattr(signal, name)
+for name in ("SO_PEERCRED", "SO_REUSEPORT"):
+    if hasattr(socket, name):
+        delattr(socket, name)
+
+def none(*_):
+    raise NotImplementedError
+
+import asyncio.unix_events
+asyncio.unix_events._UnixSelectorEventLoop.add_signal_handler = none
+"""
+
+
+def environment(folder: Path) -> dict[str, str]:
+    (folder / "sitecustomize.py").write_text(HIDE)
+    return {**ENVIRONMENT, "PYTHONPATH": f"{folder}{os.pathsep}{ROOT}"}
+
+
+def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
+    return subprocess.run(
+        [sys.executable, "-m", "headland", *words], cwd=folder, capture_output=True, text=True,
+        env=environment(folder), stdin=subprocess.DEVNULL, check=False, timeout=240,
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ("list", 0), ("check small", 0), ("dbc out.dbc", 0), ("keys new keys", 0), ("new mine.toml", 0),
+        ("inspect can.log", 0), ("stop", 2), ("release", 2), ("say stop", 2), ("map", 2),
+    ],
+)  # fmt: skip
+def test_a_command_does_not_need_posix(words: str, code: int, tmp_path: Path) -> None:
+    (tmp_path / "can.log").write_text("(0.000000) can0 18EAFFFE#00EE00\n")
+    done = headland(tmp_path, *words.split())
+    assert "Traceback" not in done.stderr and done.returncode == code, done.stderr
+
+
+def test_a_bus_is_served_heard_and_ended_without_posix(tmp_path: Path) -> None:
+    hub = subprocess.Popen(
+        [sys.executable, "-m", "headland", "hub", "--json", "--port", "0"], cwd=tmp_path,
+        stdout=subprocess.PIPE, text=True, env=environment(tmp_path),
+    )  # fmt: skip
+    try:
+        assert hub.stdout is not None
+        port = json.loads(hub.stdout.readline())["port"]
+        heard = headland(tmp_path, "inspect", "--port", str(port), "--seconds", "0.5", "--json")
+        assert heard.returncode == 0, heard.stderr
+        assert json.loads(heard.stdout)["robots"] == []
+        said = headland(tmp_path, "stop", "--port", str(port), "--keys", str(keys(tmp_path)))
+        assert "Traceback" not in said.stderr, said.stderr
+    finally:
+        hub.send_signal(signal.SIGINT)
+        assert hub.wait(timeout=30) == 130, "as a shell says of Ctrl-C"
+
+
+def keys(folder: Path) -> Path:
+    assert headland(folder, "keys", "new", "fleet").returncode == 0
+    return folder / "fleet"
+
+
+@pytest.mark.slow
+def test_a_run_does_not_need_posix(tmp_path: Path) -> None:
+    done = headland(tmp_path, "run", "yard", "--robots", "2", "--json")
+    assert "Traceback" not in done.stderr and done.returncode in (0, 1), done.stderr
+    assert json.loads(done.stdout)["coverage"] > 0.9
