@@ -35,7 +35,7 @@ GROUP = {
     "field.section_partition field.travel_times field.work_leg interface.effects motion.deadlock_yield "
     "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
     "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
-    "peer.control_cycle peer.departure peer.diagnostic_broadcasts peer.diagnostics "
+    "peer.control_cycle peer.departure peer.fleet_clock peer.diagnostic_broadcasts peer.diagnostics "
     "peer.durable_records peer.fleet_summary peer.fleet_views peer.leader_election "
     "peer.leader_votes peer.map_exchange peer.member_conflicts peer.member_discovery "
     "peer.member_reports peer.membership peer.mission_messages peer.name_discovery "
