@@ -31,8 +31,13 @@ ASK_AGAIN_US: Final = 150 * MS
 # Nobody answered: ask a last time, then start the time. Between two slots is time for that.
 ALONE_US: Final = 400 * MS
 LAST_WAIT_US: Final = 25 * MS
-ALONE_STEP_US: Final = 40 * MS
-assert ALONE_STEP_US > LAST_WAIT_US
+# Robots that are switched on together join within 153 ms of each other (ISO 11783-5) and ask again
+# after 150 ms. So the first slot starts the time, and all others learn it. The last of a large fleet
+# wait not much longer than the twelfth.
+ALONE_STEP_US: Final = 200 * MS
+ALONE_STEPS: Final = 12
+LATE_STEP_US: Final = 30 * MS
+assert ALONE_STEP_US > LATE_STEP_US > LAST_WAIT_US
 NONCE_LIFE_US: Final = 1 * S
 DOUBT_US: Final = 500 * MS  # between questions because of a doubt; doubles
 DOUBLINGS_MAX: Final = 5  # up to 16 s, so that forged proofs cost next to nothing
@@ -106,7 +111,7 @@ class FleetClock(Part):
         if self.keys is not None and not self.time.known:
             self.asks_at_us = ctx.now_us
             self._last = False
-            self.alone_at_us = ctx.now_us + ALONE_US + self.slot * ALONE_STEP_US
+            self.alone_at_us = ctx.now_us + alone_for_us(self.slot)
         return NOTHING
 
     def _doubted(self, ctx: StepContext, notice: notices.TimeDoubted) -> Outputs:
@@ -140,8 +145,14 @@ class FleetClock(Part):
         ticks = self.answers.hear(header.source, m, mine)
         if ticks is None:
             return NOTHING
-        self._question, self.asks_at_us, self.alone_at_us = None, FOREVER, FOREVER
+        self.asks_at_us = self.alone_at_us = FOREVER  # the question stays: a later time may follow
         if not self.time.learn(ticks, now_us):
             return NOTHING
         self._doubts = 0
         return [notices.FleetTimeKnown()]
+
+
+def alone_for_us(slot: int) -> int:
+    """How long a robot that has joined waits for the fleet's time before it starts it."""
+    steps = min(slot, ALONE_STEPS)
+    return ALONE_US + steps * ALONE_STEP_US + (slot - steps) * LATE_STEP_US

@@ -160,7 +160,7 @@ class ProvenFrames(Part):
         if slot is None and type(message) is not Member and type(message) is not TaskOrder:
             outputs.append(notices.StrangerHeard(source))
         for proven in self.checker.hold(source, message, now_us):
-            outputs += self._believe(source, proven, now_us)
+            outputs += self._believe(source, slot, proven, now_us)
         return outputs
 
     def _verify(self, ctx: StepContext, header: Header, m: Proof) -> Outputs:
@@ -172,7 +172,7 @@ class ProvenFrames(Part):
             return [] if header.slot is not None else [notices.StrangerHeard(source)]
         proven = checker.verify(source, m, now_us)
         if proven is not None:
-            return self._believe(source, proven, now_us)
+            return self._believe(source, header.slot, proven, now_us)
         last_at_us = self.membership.proven_at_us.get(m.sender, now_us - UNSURE_US)
         return [notices.TimeDoubted()] if now_us - last_at_us >= UNSURE_US else NOTHING
 
@@ -186,12 +186,14 @@ class ProvenFrames(Part):
             for message in self.checker.held(source)
         )
 
-    def _believe(self, source: int, proven: Proven, now_us: int) -> list[Any]:
+    def _believe(self, source: int, slot: int | None, proven: Proven, now_us: int) -> list[Any]:
         sender, messages = proven
         if sender >= OPERATOR_FIRST:
             return [notices.HeardAgain(source, m, now_us) for m in messages if type(m) is TaskOrder]
-        if sender == self.slot:
-            return []
+        if sender == self.slot:  # another machine has our identity and our key
+            return [notices.HeardAgain(source, m, now_us) for m in messages if type(m) is Member]
+        if sender != slot and not any(type(m) is Member and m.slot == sender for m in messages):
+            return [notices.StrangerHeard(source)]  # its address is not bound to its slot yet
         self.membership.prove(sender, now_us)
         first = [m for m in messages if type(m) is Member]  # it binds the address for the others
         rest = [m for m in messages if type(m) is not Member]
