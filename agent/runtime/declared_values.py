@@ -57,7 +57,7 @@ class FleetTable(Table):
     # In a building: stop before an unannounced obstacle and ask; else drive round it. In a field
     # robots always ask.
     asks: bool = False
-    keys: str | None = None  # key file, made by `headland keys new`
+    keys: str | None = None  # key file or its folder, of `headland keys new`; "drawn": of the seed
 
     @property
     def vehicle(self) -> Vehicle:

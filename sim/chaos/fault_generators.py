@@ -207,6 +207,14 @@ def _nonsense(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fa
     return [kinds.Nonsense.model_validate(table | {"for_s": rng.uniform(0.2, NONSENSE_S)})]
 
 
+def _forger(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    """Without a key."""
+    position = rng.choice(("outside", "replaying"))
+    for_s, robot = min(rng.uniform(1.0, 20.0), end_at_s - at_s), rng.randrange(robots)
+    table = {"at_s": at_s, "kind": "forger", "robot": robot, "for_s": for_s, "position": position}
+    return [kinds.Forger.model_validate(table)]
+
+
 def _release(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     return [kinds.Reset(at_s=at_s, kind="reset")]
 
@@ -289,5 +297,6 @@ DRAWS: dict[str, Draw] = {
     "foreign": _foreign,
     "twin": _twin,
     "nonsense": _nonsense,
+    "forger": _forger,
 }
 CLUSTERS: dict[str, Draw] = {"blackout": _blackout, "burst": _burst, "split": _split}

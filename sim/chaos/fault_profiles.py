@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 from sim.chaos.fault_generators import CLUSTERS, DRAWS
 from sim.scenarios import scenario as kinds
+from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import drill
 from sim.scenarios.scenario import Fault, Scenario, load
 
@@ -55,9 +56,10 @@ BODIES = (
 )
 # Drawn in their own profile only: the seeds of the others stay what they were.
 SENSES = ("jumped", "drifting", "deaf_wheels", "slipping")
+ATTACKS = ("forger", "thief")
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
-         kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense)  # fmt: skip
+         kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense, kinds.Forger)  # fmt: skip
 
 
 def is_link_trouble(fault: Fault) -> bool:
@@ -75,10 +77,11 @@ class Profile(NamedTuple):
     mission: str = "field"
     together: float = 0.0  # chance that a fault comes within `CLOSE_S` of an earlier drawn one
     silence: str = "stop"  # the silence policy
+    keyed: bool = False  # the fleet has keys
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
-EVERYTHING = dict.fromkeys((each for each in DRAWS if each not in SENSES), 1.0) | OFTEN
+EVERYTHING = dict.fromkeys((each for each in DRAWS if each not in (*SENSES, *ATTACKS)), 1.0) | OFTEN
 PROFILES = {
     "all": Profile((2, 5), (1, 10), EVERYTHING, "every kind of fault"),
     "bus": Profile(
@@ -137,6 +140,14 @@ PROFILES = {
                                       "join": 0.5, "freeze": 0.5, "bus_off": 0.5},
                      "short drills under the policy continue: presses, and devices that outrank them",
                      "sprint", together=0.5, silence="continue"),
+    "forged": Profile((2, 5), (2, 8), {"forger": 5.0, "estop": 2.0, "reset": 2.0, "crash": 1.0,
+                                       "join": 0.5, "freeze": 0.5, "partition": 0.5, "loss": 0.5},
+                      "drills of fleets with keys: attackers without a key, presses, resets, crashes",
+                      "drill", keyed=True),
+    "forged_field": Profile((2, 4), (2, 6), {"forger": 5.0, "estop": 2.0, "reset": 1.0, "crash": 1.0,
+                                             "crash_working": 0.5, "box": 0.5},
+                            "fields of fleets with keys: attackers without a key, presses, crashes",
+                            keyed=True),
 }  # fmt: skip
 
 
@@ -152,9 +163,12 @@ def draw(seed: int, profile: str = "all") -> Scenario:
             at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_at_s - 0.5)
         at_s = round(at_s, 3)
         faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_at_s)
+    keys = DRAWN if kind.keyed else None
     if kind.mission == "field":
-        return with_faults(load("yard").changed(robots, seed), faults)
-    return with_faults(drill(robots, seed, kind.mission, kind.silence), faults)
+        yard = load("yard").changed(robots, seed)
+        fleet = yard.fleet.model_copy(update={"keys": keys})
+        return with_faults(yard.model_copy(update={"fleet": fleet}), faults)
+    return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
 
 
 def span_of(scenario: Scenario) -> Span:

@@ -12,6 +12,7 @@ from protocol.frames.safety_frames import Command, EmergencyReset, OperatorComma
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.event_loop import SimulatedRunner
 from sim.fleet.foreign_devices import buttons, used_stop
+from sim.fleet.forgers import forger
 from sim.fleet.scheduler import Script, follow
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
@@ -131,6 +132,8 @@ class FaultPlan:
                 return twin(cluster, fault, self._rng)
             case kinds.Nonsense():
                 return nonsense(cluster, fault, self._rng)
+            case kinds.Forger():
+                return forger(cluster, fault, self._rng)
             case kinds.Clone(robot=robot, wins=wins):
                 self._clone(robot, wins)
             case kinds.Blind(robot=robot, for_s=for_s):

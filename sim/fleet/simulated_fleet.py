@@ -20,7 +20,7 @@ from agent.peer.peer import Peer
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
-from protocol.authentication import Signed
+from protocol.authentication import Keys, Signed
 from protocol.frames.codec import decode_once, destination_of, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
@@ -302,6 +302,11 @@ class Cluster:
             return
         for _ in range(2):
             self.inject(self._keyring.sign(message))
+
+    def rekeyed(self, keys: Keys) -> None:
+        """The owner has given the fleet other keys: the operator's device has them, too."""
+        if self._keyring is not None:
+            self._keyring.rekey(keys)
 
     def _said(self, t_us: int, frame: Frame) -> None:
         """An order that had to wait for a full bus counts from the time it left."""

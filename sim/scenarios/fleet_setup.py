@@ -8,18 +8,20 @@ from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property
 from pathlib import Path
+from random import Random
 
 from agent.interface.config import PEERS_MAX
 from agent.interface.vehicle import Vehicle
 from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, KeyFileError, read
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
-from protocol.authentication import Keyring, Keys
+from protocol.authentication import KEY_SIZE, Keyring, Keys
 from protocol.rekeying import own_key
 from sim.scenarios.scenario import Scenario, ScenarioError
 from sim.world.drive_trains import Chassis
 from sim.world.world import World
 
 Point = tuple[float, float]
+DRAWN = "drawn"  # instead of a key file: keys from the seed, which are secret in virtual time only
 
 
 class FleetSetup(ABC):
@@ -112,6 +114,8 @@ def _root_of(scenario: Scenario) -> bytes | None:
     name = scenario.fleet.keys
     if name is None:
         return None
+    if name == DRAWN:
+        return Random(f"{scenario.run.seed}/root").randbytes(KEY_SIZE)
     path = scenario.folder / name
     try:
         owner = read((path if path.is_dir() else path.parent) / NAMES[OPERATOR], OPERATOR)
@@ -124,6 +128,9 @@ def _keys_of(scenario: Scenario) -> Keys | None:
     name = scenario.fleet.keys
     if name is None:
         return None
+    if name == DRAWN:
+        lot = Random(f"{scenario.run.seed}/keys")
+        return Keys(lot.randbytes(KEY_SIZE), lot.randbytes(KEY_SIZE))
     try:
         return read(scenario.folder / name, FLEET).keys
     except KeyFileError as problem:

@@ -53,9 +53,11 @@ class ProtocolSetup(FleetSetup):
         return MissionParts(TimedMission(self.parade, slot, self._crowded), PassThroughMotion())
 
 
-def drill(robots: int, seed: int, mission: str = "drill", silence: str = "stop") -> Scenario:
-    """A protocol scenario with this many robots, without faults."""
-    fleet = FleetTable.model_validate({"robots": robots, "silence": silence})
+def drill(
+    robots: int, seed: int, mission: str = "drill", silence: str = "stop", keys: str | None = None
+) -> Scenario:
+    """A protocol scenario with this many robots, without faults. `keys`: a file, or `DRAWN`."""
+    fleet = FleetTable.model_validate({"robots": robots, "silence": silence, "keys": keys})
     parts = {"mission": mission, "field": FieldTable(file="none"), "fleet": fleet,
              "run": RunTable(seed=seed)}  # fmt: skip
     return Scenario.model_validate({"name": mission, "folder": Path(), **parts})

@@ -266,6 +266,15 @@ class Nonsense(_Fault):
     for_s: float = Field(default=1.0, gt=0.0)
 
 
+class Forger(_Fault):
+    """An attacker on the bus of a fleet with keys: without a key, replaying, or with a stolen one."""
+
+    kind: Literal["forger"]
+    position: Literal["outside", "replaying", "inside"]
+    robot: Slot  # in whose name it speaks; from inside: whose keys it has
+    for_s: float = Field(gt=0.0)
+
+
 class Clone(_Fault):
     """A device claims the address of a robot, with the better NAME or the worse."""
 
@@ -376,7 +385,7 @@ Fault = Annotated[
     | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
     | ClockJump | CrashWorking | Blind | Frozen | Jumped | Drifting | DeafWheels | Slipping | Late
     | DiskFull
-    | Buttons | UsedStop | Foreign | Twin | Nonsense,
+    | Buttons | UsedStop | Foreign | Twin | Nonsense | Forger,
     Field(discriminator="kind"),
 ]  # fmt: skip
 

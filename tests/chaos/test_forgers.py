@@ -1,0 +1,25 @@
+"""Attackers on the bus of a fleet with keys: without one they change nothing, whatever they say."""
+
+import pytest
+
+from sim.chaos.fault_profiles import PROFILES, draw, with_faults
+from sim.chaos.verdict import judge
+from sim.scenarios.fleet_setup import DRAWN
+from sim.scenarios.protocol_setup import drill
+from sim.scenarios.scenario import Forger
+
+
+@pytest.mark.parametrize("position", ["outside", "replaying"])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_an_attacker_without_a_key_breaks_no_rule(position: str, seed: int) -> None:
+    fault = {"at_s": 6.0, "kind": "forger", "position": position, "robot": 1, "for_s": 20.0}
+    fleet = drill(3, seed, "sprint", keys=DRAWN)
+    verdict = judge(with_faults(fleet, [Forger.model_validate(fault)]))
+    assert verdict.ok and verdict.faults["forger"] == 1, f"seed {seed}: {verdict.broken}"
+
+
+def test_profiles_with_attackers_have_keys() -> None:
+    attacked = {name for name, profile in PROFILES.items() if "forger" in profile.weights}
+    assert attacked and all(PROFILES[name].keyed for name in attacked)
+    assert draw(1, "forged").fleet.keys == DRAWN
+    assert draw(1, "protocol").fleet.keys is None
