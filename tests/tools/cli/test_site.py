@@ -17,6 +17,8 @@ from protocol.frames.messages import GROUPS
 from sim.fleet.scheduler import Script
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.navigation_scenario import load_mission
+from tests.tools.livemap.test_map import needs_browser
+from tools.bench.browser import browser, until
 from tools.cli import doc_pages as handbook
 from tools.cli.frame_pages import frames
 
@@ -68,6 +70,37 @@ def test_it_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
             r'[^>]*href="(?:https?:)?//[^"]*"', path.read_text(),
         )  # fmt: skip
         assert not loaded, f"{path.name}: {loaded}"
+    front = (tmp_path / "index.html").read_text()
+    version = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["version"]
+    assert f"Headland {version}" in front and front.count("prefers-color-scheme") >= 3
+    # The search of a page from a disk needs its index as a script: nothing can be fetched there.
+    assert (tmp_path / "search" / "search_index.js").is_file()
+
+
+@pytest.mark.slow
+@needs_browser
+@pytest.mark.skipif(find_spec("material") is None, reason="mkdocs-material is not installed")
+def test_it_is_searched_from_a_disk_and_no_code_scrolls(tmp_path: Path) -> None:
+    subprocess.run(
+        [sys.executable, "-m", "mkdocs", "build", "--quiet", "--site-dir", str(tmp_path)],
+        cwd=ROOT, check=True, timeout=180,
+    )  # fmt: skip
+    with browser() as page:
+        page.set_window_size(800, 900)
+        page.get((tmp_path / "use" / "bus.html").as_uri())
+        until(page, SCROLLING + " === 0")
+        page.execute_script("document.querySelector('[for=__search]').click()")
+        page.execute_script(TYPE)
+        until(page, "document.querySelectorAll('.md-search-result__link').length > 0")
+
+
+# Boxes of code that are wider than they show.
+SCROLLING = """[...document.querySelectorAll('pre > code')]
+  .filter(e => e.scrollWidth > e.clientWidth + 1).length"""
+TYPE = """const field = document.querySelector('.md-search__input');
+field.focus(); field.value = 'silence';
+for (const kind of ['focus', 'keyup', 'input', 'keydown'])
+  field.dispatchEvent(new Event(kind, {bubbles: true}));"""
 
 
 def test_the_tutorial_s_trouble_is_a_scenario(tmp_path: Path) -> None:
