@@ -82,12 +82,14 @@ class AddressClaim:
     """
 
     def __init__(
-        self, name: Name, preferred: int, rng: Random, now_us: int, modest_for_us: int | None = None
-    ) -> None:
-        """`modest_for_us`: for a guest. It listens this long before it claims, leaves every address
+        self, name: Name, preferred: int, rng: Random, now_us: int,
+        modest_for_us: int | None = None, *, assigned: bool = False,
+    ) -> None:  # fmt: skip
+        """`assigned`: the standard gives the preferred address to this kind of device.
+        `modest_for_us`: for a guest. It listens this long before it claims, leaves every address
         to its holder, whatever that NAME is, and searches for a free one from the top."""
         at_once = modest_for_us is not None and AT_ONCE_FIRST <= preferred <= AT_ONCE_LAST
-        assert FIRST <= preferred <= LAST or at_once
+        assert FIRST <= preferred <= LAST or at_once or assigned
         self._modest_for_us = modest_for_us
         self.name, self.number, self._rng = name, name.pack(), rng
         self.preferred = self.candidate = preferred
@@ -244,7 +246,7 @@ class AddressClaim:
         holder = self.names.get(self.candidate, self.number)
         if holder < self.number or (self._modest_for_us is not None and holder != self.number):
             return self._move(now_us)
-        at_once = self.candidate > LAST
+        at_once = AT_ONCE_FIRST <= self.candidate <= AT_ONCE_LAST
         wait_for_us = SAID_US if at_once else CONTENTION_US
         return self._contend(wait_for_us, now_us)
 

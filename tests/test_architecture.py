@@ -34,6 +34,7 @@ ALLOWED: dict[str, str] = {
     "agent.avoidance": "interface",
     "agent.mapf": "interface",
     "agent.motion": "interface avoidance paths",
+    "agent.implements": "interface",
     "agent.mapping": "interface paths mapf motion",
     "agent.peer": "interface safety",
     "agent.field": "interface paths mapf motion",

@@ -56,6 +56,8 @@ from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.network_frames import (
     Acknowledgment,
     AddressClaimed,
+    ExtendedTransportData,
+    ExtendedTransportManagement,
     RepetitionRateRequest,
     Request,
     Request2,
@@ -74,6 +76,7 @@ from protocol.frames.safety_frames import (
     StopsHeld,
 )
 from protocol.frames.task_frames import ProcessData, WorkingSetMaster
+from protocol.frames.terminal_frames import TerminalMessage, TerminalRequest
 from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
 from protocol.frames.work_frames import (
     Digests,
@@ -152,5 +155,9 @@ NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
     DiagnosticProtocols: "diagnostic tools",
     Functionalities: "diagnostic tools",
     StandardHeartbeat: "the device that asked for it",
-    WorkingSetMaster: "task controllers",
+    WorkingSetMaster: "task controllers and virtual terminals",
+    ExtendedTransportManagement: "virtual terminals and task controllers",
+    ExtendedTransportData: "virtual terminals and task controllers",
+    TerminalMessage: "the device whose screen is shown",
+    TerminalRequest: "virtual terminals",
 }

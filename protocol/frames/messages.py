@@ -14,6 +14,7 @@ from protocol.frames import (
     safety_frames,
     segment_frames,
     task_frames,
+    terminal_frames,
     trust_frames,
     work_frames,
 )
@@ -49,6 +50,8 @@ from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.network_frames import (
     Acknowledgment,
     AddressClaimed,
+    ExtendedTransportData,
+    ExtendedTransportManagement,
     RepetitionRateRequest,
     Request,
     Request2,
@@ -68,6 +71,7 @@ from protocol.frames.safety_frames import (
 )  # fmt: skip
 from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.frames.task_frames import ProcessData, WorkingSetMaster
+from protocol.frames.terminal_frames import TerminalMessage, TerminalRequest
 from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
 from protocol.frames.work_frames import (
     Digests,
@@ -93,6 +97,7 @@ Message = (
     | ActiveFaults | PreviousFaults | DiagnosticProtocols | Functionalities
     | BroadcastControl | ClearFault | StandardHeartbeat
     | ProcessData | WorkingSetMaster
+    | ExtendedTransportManagement | ExtendedTransportData | TerminalMessage | TerminalRequest
 )  # fmt: skip
 
 # By PGN family and priority; `docs/how/frames.md` is in this order.
@@ -145,6 +150,8 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     network_frames.ACKNOWLEDGMENT,
     network_frames.TP_CM,
     network_frames.TP_DT,
+    network_frames.ETP_CM,
+    network_frames.ETP_DT,
     diagnostic_frames.DM1,
     diagnostic_frames.DM2,
     diagnostic_frames.DIAGNOSTIC_PROTOCOLS,
@@ -154,6 +161,8 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     diagnostic_frames.STANDARD_HEARTBEAT,
     task_frames.PROCESS_DATA,
     task_frames.WORKING_SET_MASTER,
+    terminal_frames.VT_TO_ECU,
+    terminal_frames.ECU_TO_VT,
 )
 GROUP_OF: dict[type, FrameLayout[Any]] = {layout.kind: layout for layout in GROUPS}
 assert len({layout.pgn for layout in GROUPS}) == len(GROUPS)

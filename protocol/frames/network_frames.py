@@ -158,3 +158,46 @@ TP_DT = FrameLayout(
         octets("body", 7, "the last packet is filled up with 0xFF"),
     ),
 )  # fmt: skip
+
+
+class ExtendedTransportManagement(NamedTuple):
+    """Opens, controls and closes the transfer of a message above 1,785 bytes (ISO 11783-3, PGN 51200).
+
+    A sender announces it (RTS) to one device, which grants packets (CTS). Before each grant is sent, the
+    sender says where it begins (DPO). `protocol/extended_transport.py` has the sequences.
+    """
+
+    control: int
+    body: bytes
+    pgn: int
+
+
+ETP_CM = FrameLayout(
+    ExtendedTransportManagement, "ETP_CM", pgn=0xC800, priority=7, sender=ANY_DEVICE,
+    fields=(
+        integer("control", 8, "20 RTS, 21 CTS, 22 DPO, 23 end of message, 255 abort", special=(
+            (20, "RTS"), (21, "CTS"), (22, "DPO"), (23, "END"), (255, "ABORT")
+        )),
+        octets("body", 4, "by control"),
+        integer("pgn", 24, "group of the message that is transferred"),
+    ),
+)  # fmt: skip
+
+
+class ExtendedTransportData(NamedTuple):
+    """Seven bytes of a message above 1,785 bytes (ISO 11783-3, PGN 50944).
+
+    The sender of such a message sends them in order, at most 255 after each DPO.
+    """
+
+    sequence: int
+    body: bytes
+
+
+ETP_DT = FrameLayout(
+    ExtendedTransportData, "ETP_DT", pgn=0xC700, priority=7, sender=ANY_DEVICE,
+    fields=(
+        integer("sequence", 8, "counted from 1 after each DPO"),
+        octets("body", 7, "the last packet is filled up with 0xFF"),
+    ),
+)  # fmt: skip

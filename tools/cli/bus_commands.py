@@ -68,6 +68,47 @@ def release(
     raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout, json))
 
 
+@app.command("tc", rich_help_panel=OPERATE)
+def task_controller(
+    field: Annotated[Path, typer.Argument(help="The field: GeoJSON or ISO 11783-10 task data.")],
+    feature: Annotated[str | None, typer.Option(help="Which field of the file.")] = None,
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0,
+    slot: Annotated[int, typer.Option(help="Number of this machine, from 0.")] = 0,
+    machines: Annotated[
+        int, typer.Option(min=1, max=32, help="Task controllers that share the map.")
+    ] = 1,
+    share_host: Annotated[
+        str, typer.Option(help="Host of a socketcand bus on which the map is shared.")
+    ] = "127.0.0.1",
+    share_port: Annotated[
+        int, typer.Option(min=0, max=PORT_MAX, help="Its port; 0: the map is shared on this bus.")
+    ] = 0,
+    hitch: Annotated[
+        float, typer.Option(help="Metres from the receiver forward to the hitch; negative: behind.")
+    ] = 0.0,
+    accuracy: Annotated[
+        float, typer.Option(help="Metres, of places whose receiver does not say it.")
+    ] = 0.05,
+    keys: KeyFile = None,
+    memory: Annotated[Path, typer.Option(help="Where the map is kept.")] = Path("runs/tc.sqlite"),
+    json: Json = False,
+) -> None:  # fmt: skip
+    """Serve implements of any maker: their worked ground is shared, and sections over it go off.
+
+    Example: headland tc field.geojson -i socketcan -c can0 --hitch -2.1
+    """
+    from tools.run.task_controller import task_controller as command
+
+    bus = (interface, channel, bitrate, host, port)
+    raise SystemExit(
+        command(
+            field, feature, bus, (share_host, share_port), (slot, machines), hitch, accuracy, keys,
+            memory, json,
+        )
+    )  # fmt: skip
+
+
 @app.command(rich_help_panel=OPERATE)
 def order(
     robot: Annotated[int, typer.Argument(help="The robot's number.")],

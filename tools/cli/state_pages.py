@@ -13,7 +13,7 @@ from agent.interface import lifecycle
 from agent.mapf import joint_plan_agreement
 from agent.motion import obstacle_stop
 from agent.segments import gateway_election
-from protocol import address, task_client, transport
+from protocol import address, extended_transport, task_client, task_server, transport
 from protocol.state_machine import edges
 
 WIDTH, HEIGHT = 860, 620
@@ -53,6 +53,17 @@ MACHINES = (
         "states_task_client.svg", "Session with a task controller",
         "How a robot logs in at a task controller of another maker.",
         "protocol/task_client.py", task_client.SESSION_TABLE, task_client.SessionState.WAITING,
+    ),
+    Machine(
+        "states_long_transport.svg", "Long transport session",
+        "A message above 1,785 bytes that a device sends to another one.",
+        "protocol/extended_transport.py", extended_transport.LONG_SENDING_TABLE,
+        extended_transport.AWAITING,
+    ),
+    Machine(
+        "states_task_server.svg", "An implement at our task controller",
+        "How an implement of any maker logs in at `headland tc`.",
+        "protocol/task_server.py", task_server.CLIENT_TABLE, task_server.GREETED,
     ),
     Machine(
         "states_obstacle.svg", "Question about an obstacle",

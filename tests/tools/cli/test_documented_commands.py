@@ -52,6 +52,7 @@ PARSED = {
     "headland launch": "runs in real time; the tutorial's is run here",
     "headland fields": "a reader's own file; tests/tools/cli/test_given_files.py",
     "headland plan": "a reader's own file; tests/tools/run/test_plan.py",
+    "headland tc": "runs until it is ended; tests/tools/run/test_task_controller.py",
     "headland hub": "runs until it is ended; tests/tools/cli/test_hub_restart.py",
     "headland bridge": "runs until it is ended; tests/tools/cli/test_bridge.py",
     "export runs/latest --film": "ten seconds; tests/tools/run/test_film.py",

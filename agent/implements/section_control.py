@@ -1,0 +1,186 @@
+"""Which sections of an implement are on: those that will be over ground that nobody has worked.
+
+A section is switched early by the time that it needs. It is switched on if any ground of its next
+control period is free, and off when none is: rather an overlap than a gap.
+"""
+
+from collections.abc import Mapping, Sequence
+from math import ceil, cos, sin
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.implements.as_applied_map import AsAppliedMap, Points
+from agent.interface.config import MS, S
+from agent.interface.observation import Observation
+from protocol.device_description import (
+    CONDENSED_WORK_STATE,
+    SECTION_CONTROL_STATE,
+    SETPOINT_CONDENSED,
+    SETPOINT_WORK_STATE,
+    WORK_STATE,
+)
+from protocol.device_pool import DevicePool
+from protocol.task_client import Key
+
+LATENCY: Final = 142  # DDI: from a setpoint to its effect, ms
+TURN_ON_TIME, TURN_OFF_TIME = 205, 206  # DDI, of a section, ms
+CONTROL_PERIOD_US: Final = 50 * MS
+ACROSS_M: Final = 0.1  # between two places of a section that are looked at
+ALONG_M: Final = 0.05
+TOUCH_M: Final = 0.002  # places are told in millimetres
+STEP_MAX_M: Final = 2.0  # a longer way between two fixes is not painted: the place has jumped
+SPEED_MIN_M_S: Final = 0.1  # slower, no section is switched
+PER_WORD: Final = 16  # sections in one condensed state
+OFF, ON, ABSENT = 0, 1, 3  # two bits of one section
+
+
+class Implement:
+    """One implement: where its sections are, what they do and what they are told."""
+
+    def __init__(self, pool: DevicePool, told: Mapping[Key, int]) -> None:
+        """`told`: values that it has told of its places and widths. It may have no sections."""
+        self.pool, self.sections = pool, pool.sections(told)
+        known = {**pool.fixed, **told}
+        latency_ms = _any(known, LATENCY)
+        self.on_for_us = (_any(known, TURN_ON_TIME) or latency_ms) * MS
+        self.off_for_us = (_any(known, TURN_OFF_TIME) or latency_ms) * MS
+        self.actual = np.zeros(len(self.sections), np.bool_)
+        self.wanted = np.zeros(len(self.sections), np.bool_)
+        self._before: tuple[Points, Points] | None = None  # left and right ends at the last fix
+        self._ahead_m = np.array([s.ahead_mm / 1000 for s in self.sections])
+        self._right_m = np.array([s.right_mm / 1000 for s in self.sections])
+        self._half_m = np.array([s.width_mm / 2000 for s in self.sections])
+        left, right = self._right_m - self._half_m, self._right_m + self._half_m
+        self._touches = np.abs(left - np.roll(right, 1)) < TOUCH_M
+        self._touches &= self._ahead_m == np.roll(self._ahead_m, 1)
+        # Places under each section that are looked at, and whose they are.
+        counts = [max(2, round(2 * half_m / ACROSS_M)) for half_m in self._half_m.tolist()]
+        self._owner = np.repeat(np.arange(len(counts)), counts)
+        shares = [np.arange(n) / n + 0.5 / n for n in counts]
+        share = np.concatenate(shares) if shares else np.empty(0)
+        at = self._owner
+        self._spots_m = self._ahead_m[at], left[at] + share * 2 * self._half_m[at]
+
+    def heard(self, key: Key, number: int) -> None:
+        """It has told a value: the states of its sections are among them."""
+        element, ddi = key
+        word = ddi - CONDENSED_WORK_STATE
+        if 0 <= word < PER_WORD:
+            for k in range(word * PER_WORD, min(len(self.actual), (word + 1) * PER_WORD)):
+                self.actual[k] = number >> 2 * (k - word * PER_WORD) & 3 == ON
+        elif ddi == WORK_STATE:
+            for k, section in enumerate(self.sections):
+                if section.element == element:
+                    self.actual[k] = number == 1
+
+    # ---------------------------------------------------------------- ground
+
+    def worked(
+        self, here: Observation, ahead_m: float, ground: AsAppliedMap
+    ) -> list[tuple[int, int]]:
+        """Paint the ground between the last fix and this one under sections that are on.
+
+        `ahead_m`: of the hitch, from the place. Returns the cells that are whole now."""
+        left = _placed(here, ahead_m + self._ahead_m, self._right_m - self._half_m)
+        right = _placed(here, ahead_m + self._ahead_m, self._right_m + self._half_m)
+        before, self._before = self._before, (left, right)
+        cells: list[tuple[int, int]] = []
+        if before is None or not self.sections:
+            return cells
+        for first, last in self._runs():
+            steps_m = np.hypot(*(left[[first, last]] - before[0][[first, last]]).T)
+            if steps_m.max() <= STEP_MAX_M:
+                corners = np.array((before[0][first], before[1][last], right[last], left[first]))
+                cells += ground.paint(corners)
+        return cells
+
+    def _runs(self) -> list[tuple[int, int]]:
+        """First and last of sections that are on side by side, without a gap between them."""
+        runs: list[tuple[int, int]] = []
+        for k in np.flatnonzero(self.actual).tolist():
+            if runs and runs[-1][1] == k - 1 and self._touches[k]:
+                runs[-1] = runs[-1][0], k
+            else:
+                runs.append((k, k))
+        return runs
+
+    def decide(
+        self, here: Observation, ahead_m: float, ground: AsAppliedMap, now_us: int
+    ) -> NDArray[np.bool_]:
+        """Which sections are to be on; as before while the implement stands."""
+        speed_m_s = float(np.hypot(here.vx_m_s, here.vy_m_s))
+        if not self.sections or speed_m_s < SPEED_MIN_M_S:
+            return self.wanted
+        age_us = now_us - here.sensed_at_us
+        spots = _placed(here, ahead_m + self._spots_m[0], self._spots_m[1])
+        step_m = speed_m_s * CONTROL_PERIOD_US / S
+        towards = np.array((here.vx_m_s, here.vy_m_s)) / speed_m_s
+        opened_m = speed_m_s * (age_us + self.on_for_us) / S
+        closed_m = speed_m_s * (age_us + self.off_for_us) / S
+        free_on = self._free(spots, towards, opened_m, opened_m + step_m, ground)
+        free_off = self._free(spots, towards, closed_m - step_m, closed_m + step_m, ground)
+        return np.where(self.wanted, free_off, free_on)
+
+    def _free(
+        self, spots: Points, towards: NDArray[np.float64], from_m: float, to_m: float,
+        ground: AsAppliedMap,
+    ) -> NDArray[np.bool_]:  # fmt: skip
+        """Whether any ground is free under each section on this way ahead."""
+        along = np.linspace(from_m, to_m, max(2, ceil((to_m - from_m) / ALONG_M) + 1))
+        points = (spots[:, None, :] + along[None, :, None] * towards).reshape(-1, 2)
+        free = ground.needs(points).reshape(len(spots), -1).any(axis=1)
+        return np.bincount(self._owner[free], minlength=len(self.sections)) > 0
+
+    # ---------------------------------------------------------------- setpoints
+
+    def automatic(self) -> list[tuple[Key, int]]:
+        """What switches its section control to automatic."""
+        return [
+            ((element, SECTION_CONTROL_STATE), 1)
+            for element in self.pool.found(SECTION_CONTROL_STATE)
+        ]
+
+    def setpoints(self, of: NDArray[np.bool_]) -> list[tuple[Key, int]]:
+        """What tells it the wanted states: condensed where it has them, else of these sections."""
+        words = -(-len(self.sections) // PER_WORD)
+        said: list[tuple[Key, int]] = []
+        for word in range(words):
+            elements = self.pool.found(SETPOINT_CONDENSED + word)
+            if elements:
+                said.append(((elements[0], SETPOINT_CONDENSED + word), self._condensed(word)))
+        if said:
+            return said
+        return [
+            ((self.sections[k].element, SETPOINT_WORK_STATE), int(self.wanted[k]))
+            for k in np.flatnonzero(of).tolist()
+        ]
+
+    def measured(self) -> Sequence[Key]:
+        """The values that say what its sections do."""
+        words = -(-len(self.sections) // PER_WORD)
+        found = [
+            (element, CONDENSED_WORK_STATE + word)
+            for word in range(words)
+            for element in self.pool.found(CONDENSED_WORK_STATE + word)[:1]
+        ]
+        return found or [(section.element, WORK_STATE) for section in self.sections]
+
+    def _condensed(self, word: int) -> int:
+        number = 0
+        for k in range(PER_WORD):
+            at = word * PER_WORD + k
+            state = ABSENT if at >= len(self.wanted) else ON if self.wanted[at] else OFF
+            number |= state << 2 * k
+        return number - (1 << 32) if number >= 1 << 31 else number
+
+
+def _any(known: Mapping[Key, int], ddi: int) -> int:
+    return next((number for (_, each), number in known.items() if each == ddi), 0)
+
+
+def _placed(here: Observation, along: NDArray[np.float64], right: NDArray[np.float64]) -> Points:
+    """Places ahead and to the right of an observation, in the field frame."""
+    c, s = cos(here.heading_rad), sin(here.heading_rad)
+    return np.column_stack((here.x_m + c * along + s * right, here.y_m + s * along - c * right))

@@ -1,0 +1,151 @@
+"""The device description of another maker's implement, as it uploads it (ISO 11783-10, annex A).
+
+Nothing in it is trusted: a pool that cannot be read is None, and its maker gets an error code.
+"""
+
+from collections.abc import Mapping, Sequence
+from struct import calcsize, unpack_from
+from typing import Any, Final, NamedTuple
+
+from protocol.device_description import OFFSET_X, OFFSET_Y, TYPE_SECTION, VERSION_4, WIDTH
+
+CONNECTOR: Final = 6  # type of a device element
+OBJECTS_MAX: Final = 4096  # in one pool; large sprayers have about 500
+LABEL_BYTES: Final = 7
+
+
+class Element(NamedTuple):
+    """A device element: a part of an implement with a number of its own."""
+
+    number: int
+    kind: int
+    designator: str
+    parent: int  # object number
+    children: tuple[int, ...]  # object numbers
+
+
+class Section(NamedTuple):
+    """Where a section of a boom is, from the reference point of its device, millimetres."""
+
+    element: int
+    ahead_mm: int
+    right_mm: int
+    width_mm: int
+
+
+class DevicePool(NamedTuple):
+    """What an implement says of itself. Keys are (element, DDI)."""
+
+    designator: str
+    name: int
+    label: bytes
+    localization: bytes
+    elements: Mapping[int, Element]
+    properties: Mapping[tuple[int, int], int]  # of values that can be asked for or set
+    triggers: Mapping[tuple[int, int], int]
+    fixed: Mapping[tuple[int, int], int]
+
+    def found(self, ddi: int) -> Sequence[int]:
+        """The elements with a value of this DDI that can be asked for or set."""
+        return sorted(element for element, each in self.properties if each == ddi)
+
+    def sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[Section]:
+        """Its sections from left to right, where their places and widths are known.
+
+        `told`: values that the implement has told since; they come before the fixed ones.
+        """
+        known = {**self.fixed, **told}
+        connectors = [e.number for e in self.elements.values() if e.kind == CONNECTOR]
+        hitch_mm = known.get((connectors[0], OFFSET_X), 0) if connectors else 0
+        found = []
+        for element in self.elements.values():
+            width_mm = known.get((element.number, WIDTH), 0)
+            if element.kind != TYPE_SECTION or width_mm <= 0:
+                continue
+            ahead_mm = known.get((element.number, OFFSET_X), 0) - hitch_mm
+            right_mm = known.get((element.number, OFFSET_Y), 0)
+            found.append(Section(element.number, ahead_mm, right_mm, width_mm))
+        return sorted(found)
+
+
+class _Reader:
+    """Reads fields one after the other. Raises ValueError at the end of the bytes."""
+
+    def __init__(self, data: bytes) -> None:
+        self.data, self.at = data, 0
+
+    def take(self, form: str) -> Any:
+        """One little-endian number, as `struct` names it."""
+        size = calcsize("<" + form)
+        if self.at + size > len(self.data):
+            raise ValueError("the pool ends within an object")
+        (value,) = unpack_from("<" + form, self.data, self.at)
+        self.at += size
+        return value
+
+    def octets(self, size: int) -> bytes:
+        """So many bytes."""
+        if self.at + size > len(self.data):
+            raise ValueError("the pool ends within an object")
+        self.at += size
+        return self.data[self.at - size : self.at]
+
+    def text(self) -> str:
+        """A length and a text in UTF-8."""
+        return self.octets(self.take("B")).decode("utf-8", "replace")
+
+
+def read_pool(data: bytes, version: int) -> DevicePool | None:
+    """The description in these bytes, of a client that speaks this version; None if it is none."""
+    try:
+        return _read(data, version)
+    except ValueError:
+        return None
+
+
+def _read(data: bytes, version: int) -> DevicePool:
+    reader, count = _Reader(data), 0
+    device: tuple[str, int, bytes, bytes] | None = None
+    elements: dict[int, Element] = {}
+    values: dict[int, tuple[int, int, int]] = {}  # object -> DDI, properties, triggers
+    fixed: dict[int, tuple[int, int]] = {}  # object -> DDI, value
+    while reader.at < len(data):
+        count += 1
+        kind, number = reader.octets(3), reader.take("H")
+        if count > OBJECTS_MAX:
+            raise ValueError("too many objects")
+        match kind:
+            case b"DVC":
+                designator, _, name = reader.text(), reader.text(), reader.take("Q")
+                reader.text()  # serial number
+                label, language = reader.octets(LABEL_BYTES), reader.octets(LABEL_BYTES)
+                device = designator, name, label, language
+                if version >= VERSION_4:
+                    reader.octets(reader.take("B"))  # extended structure label
+            case b"DET":
+                element_kind, title = reader.take("B"), reader.text()
+                element, parent = reader.take("H"), reader.take("H")
+                children = tuple(reader.take("H") for _ in range(reader.take("H")))
+                elements[element] = Element(element, element_kind, title, parent, children)
+            case b"DPD":
+                values[number] = reader.take("H"), reader.take("B"), reader.take("B")
+                reader.text()
+                reader.take("H")
+            case b"DPT":
+                fixed[number] = reader.take("H"), reader.take("i")
+                reader.text()
+                reader.take("H")
+            case b"DVP":
+                reader.octets(9)  # offset, scale and decimals
+                reader.text()
+            case _:
+                raise ValueError(f"no object {kind!r}")
+    if device is None:
+        raise ValueError("no device")
+    owned = [(e.number, child) for e in elements.values() for child in e.children]
+    return DevicePool(
+        *device, elements,
+        {(e, values[child][0]): values[child][1] for e, child in owned if child in values},
+        {(e, values[child][0]): values[child][2] for e, child in owned if child in values},
+        {(e, fixed[child][0]): fixed[child][1] for e, child in owned if child in fixed},
+    )  # fmt: skip

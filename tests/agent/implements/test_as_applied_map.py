@@ -1,0 +1,59 @@
+"""What a map of worked ground says, held against exact polygons."""
+
+from random import Random
+
+import numpy as np
+import shapely
+from shapely.geometry import Polygon, box
+
+from agent.implements.as_applied_map import AsAppliedMap
+from crdt import Progress
+
+FIELD = box(0.0, 0.0, 60.0, 40.0)
+
+
+def test_a_cell_is_whole_only_when_all_of_it_was_worked() -> None:
+    for seed in range(4):
+        rng, ground = Random(seed), AsAppliedMap(FIELD, Progress())
+        worked, cells = [], set[tuple[int, int]]()
+        x, y, heading = rng.uniform(15, 45), rng.uniform(10, 30), rng.uniform(0, 6.28)
+        before: np.ndarray | None = None
+        for _ in range(60):
+            x, y = x + 0.15 * np.cos(heading), y + 0.15 * np.sin(heading)
+            heading += rng.uniform(-0.02, 0.02)
+            left = np.array((x - 3 * np.sin(heading), y + 3 * np.cos(heading)))
+            right = np.array((x + 3 * np.sin(heading), y - 3 * np.cos(heading)))
+            if before is not None:
+                corners = np.array((before[0], before[1], right, left))
+                cells |= set(ground.paint(corners))
+                worked.append(Polygon(corners).buffer(0.001))
+            before = np.array((left, right))
+        union, edge_m = shapely.union_all(worked), ground.cell_m
+        inside = 0
+        for row, column in cells:
+            low = ground.origin + np.array((column, row)) * edge_m
+            cell = box(*low, *(low + edge_m))
+            # The middle of each part was worked; a part has 5 cm, so at most half of that is missing.
+            assert union.buffer(0.5 * ground.part_m * 2**0.5).contains(cell), seed
+            inside += 1
+        whole = union.buffer(-edge_m * 2**0.5).area / edge_m**2
+        assert inside >= whole * 0.99, "no whole cell is forgotten"
+
+
+def test_what_another_machine_has_worked_needs_no_work() -> None:
+    progress = Progress()
+    ground = AsAppliedMap(FIELD, progress)
+    place = np.array([[10.1, 10.1], [-0.5, 10.0], [61.0, 10.0], [-5.0, -5.0], [1e6, 1e6]])
+    assert ground.needs(place).tolist() == [True, False, False, False, False]
+    column, row = np.floor((place[0] - ground.origin) / ground.cell_m).astype(int).tolist()
+    progress.cover(row, column)
+    assert not ground.needs(place)[0]
+    assert ground.area_m2() == ground.cell_m**2
+
+
+def test_a_large_field_has_larger_cells() -> None:
+    large = AsAppliedMap(box(0.0, 0.0, 5000.0, 900.0), Progress())
+    assert (
+        large.cell_m == 0.5
+        and large.paint(np.array([[1e5, 0], [1e5, 1], [1e5 + 1, 1], [1e5 + 1, 0.0]])) == []
+    )

@@ -1,0 +1,123 @@
+"""Sessions of implements with our task controller, byte by byte as ISO 11783-10 has them."""
+
+from random import Random
+
+import pytest
+
+from protocol.device_pool import read_pool
+from protocol.task_server import (
+    CLIENTS_MAX,
+    ClientActivated,
+    ClientLost,
+    ServerMessage,
+    ServerOutput,
+    TaskServer,
+    ValueTold,
+)
+from protocol.units import S
+from sim.rigs.implements_rig import CONDENSED_MAKER, PLAIN_MAKER, Maker, Sprayer
+
+SOURCE, NAME = 160, 4711
+TASK = bytes.fromhex("FFFFFFFF01000000")
+
+
+def said(outputs: list[ServerOutput]) -> list[bytes]:
+    return [each.data for each in outputs if isinstance(each, ServerMessage)]
+
+
+def tell(server: TaskServer, data: bytes, now_us: int = 0) -> list[ServerOutput]:
+    return server.on_message(SOURCE, NAME, data.ljust(8, b"\xff"), now_us)
+
+
+def logged_in(maker: Maker, server: TaskServer | None = None) -> tuple[TaskServer, bytes]:
+    server, pool = server or TaskServer(0), Sprayer(maker, 1).pool()
+    assert said(tell(server, TASK)) == []
+    assert [data[0] for data in said(tell(server, b"\x00"))] == [0x10, 0x00]
+    tell(server, bytes((0x10, maker.version, 0xFF, 0x11, 0, 1, maker.sections, 1)))
+    assert said(tell(server, b"\x01")) == [b"\x11" + b"\xff" * 7]
+    assert said(tell(server, b"\x21")) == [b"\x31" + b"\xff" * 7]
+    assert said(tell(server, b"\x41" + len(pool).to_bytes(4, "little")))[0][:2] == b"\x51\x00"
+    assert said(tell(server, b"\x61" + pool))[0][:2] == b"\x71\x00"
+    outputs = tell(server, b"\x81\xff")
+    assert said(outputs)[0][:2] == b"\x91\x00" and ClientActivated(SOURCE) in outputs
+    return server, pool
+
+
+@pytest.mark.parametrize("maker", [CONDENSED_MAKER, PLAIN_MAKER])
+def test_an_implement_logs_in_and_its_description_is_known_again(maker: Maker) -> None:
+    server, pool = logged_in(maker)
+    found = read_pool(pool, maker.version)
+    assert found is not None and found.designator == "SPR"
+    assert server.clients[SOURCE].version == maker.version
+    assert tell(server, b"\x81\x00")[-1] == ClientLost(SOURCE), "it may deactivate it"
+    assert server.forget(SOURCE) == [ClientLost(SOURCE)]
+    tell(server, TASK)
+    assert said(tell(server, b"\x01"))[0][1:] == found.label, "the description is kept"
+    assert ClientActivated(SOURCE) in tell(server, b"\x81\xff")
+    assert said(tell(server, b"\xa1"))[0][:2] == b"\xb1\x00"
+    assert said(tell(server, b"\x01")) == [b"\x11" + b"\xff" * 7]
+
+
+def test_places_of_sections_come_from_the_description_or_from_values() -> None:
+    fixed = read_pool(Sprayer(CONDENSED_MAKER, 1).pool(), 4)
+    assert fixed is not None
+    sections = fixed.sections({})
+    assert len(sections) == 24 and sections[0][1:] == (-4000, -5750, 500)
+    told = read_pool(Sprayer(PLAIN_MAKER, 1).pool(), 3)
+    assert told is not None and told.sections({}) == []
+    values = {(10, 134): -2500, (10, 135): -5625, (10, 67): 750}
+    assert told.sections(values)[0][1:] == (-4000, -5625, 750)
+
+
+def test_values_are_set_only_where_the_description_allows_it() -> None:
+    server, _ = logged_in(CONDENSED_MAKER)
+    client = server.clients[SOURCE]
+    assert said(server.set_value(client, (2, 290), -3)) == [bytes.fromhex("2A002201FDFFFFFF")]
+    assert server.set_value(client, (2, 161), 1) == []
+    plain, _ = logged_in(PLAIN_MAKER)
+    client = plain.clients[SOURCE]
+    assert said(plain.set_value(client, (12, 289), 1)) == [bytes.fromhex("C300210101000000")]
+    assert said(plain.measure(client, (12, 141), 1000)) == [
+        bytes.fromhex("C4008D00E8030000"), bytes.fromhex("C8008D0001000000"),
+    ]  # fmt: skip
+    told = plain.on_message(SOURCE, NAME, bytes.fromhex("C3008D0001000000"), 0)
+    assert told == [ValueTold(SOURCE, (12, 141), 1)]
+
+
+def test_its_status_each_two_seconds_and_a_silent_client_is_forgotten() -> None:
+    server, _ = logged_in(CONDENSED_MAKER)
+    statuses = 0
+    for second in range(6):
+        assert SOURCE in server.clients
+        statuses += sum(data[0] == 0xFE for data in said(server.on_timer(second * S)))
+    assert statuses == 3
+    assert ClientLost(SOURCE) in server.on_timer(6 * S) and not server.clients
+
+
+@pytest.mark.parametrize("maker", [CONDENSED_MAKER, PLAIN_MAKER])
+def test_no_part_of_a_description_is_believed(maker: Maker) -> None:
+    pool, rng = Sprayer(maker, 1).pool(), Random(3)
+    for length in range(0, len(pool), 7):
+        read_pool(pool[:length], maker.version)
+    for _ in range(2000):
+        changed = bytearray(pool)
+        for _ in range(3):
+            changed[rng.randrange(len(pool))] = rng.randrange(256)
+        found = read_pool(bytes(changed), maker.version)
+        if found is not None:
+            found.sections({})
+    server = TaskServer(0)
+    tell(server, TASK)
+    assert said(tell(server, b"\x61" + pool[:100]))[0][:2] == b"\x71\x01"
+    assert said(tell(server, b"\x81\xff"))[0][1] == 1, "nothing can be activated"
+
+
+def test_any_bytes_raise_nothing() -> None:
+    server, _ = logged_in(CONDENSED_MAKER)
+    rng = Random(4)
+    for step in range(20_000):
+        source = rng.choice((SOURCE, rng.randrange(254)))
+        server.on_message(source, rng.choice((NAME, None, source)), rng.randbytes(8), step * 1000)
+        if step % 100 == 0:
+            server.on_timer(step * 1000)
+    assert len(server.clients) <= CLIENTS_MAX
