@@ -24,7 +24,7 @@ class Element(NamedTuple):
     children: tuple[int, ...]  # object numbers
 
 
-class Section(NamedTuple):
+class BoomSection(NamedTuple):
     """Where a section of a boom is, from the reference point of its device, millimetres."""
 
     element: int
@@ -46,10 +46,10 @@ class DevicePool(NamedTuple):
     fixed: Mapping[tuple[int, int], int]
 
     def found(self, ddi: int) -> Sequence[int]:
-        """The elements with a value of this DDI that can be asked for or set."""
+        """The elements with a value that can be asked for or set. `ddi`: number of ISO 11783-11."""
         return sorted(element for element, each in self.properties if each == ddi)
 
-    def sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[Section]:
+    def sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[BoomSection]:
         """Its sections from left to right, where their places and widths are known.
 
         `told`: values that the implement has told since; they come before the fixed ones.
@@ -64,7 +64,7 @@ class DevicePool(NamedTuple):
                 continue
             ahead_mm = known.get((element.number, OFFSET_X), 0) - hitch_mm
             right_mm = known.get((element.number, OFFSET_Y), 0)
-            found.append(Section(element.number, ahead_mm, right_mm, width_mm))
+            found.append(BoomSection(element.number, ahead_mm, right_mm, width_mm))
         return sorted(found)
 
 

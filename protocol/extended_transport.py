@@ -84,7 +84,7 @@ class LongOutgoing(NamedTuple):
     destination: int
 
 
-class _Receiving:
+class _LongReceiving:
     """A long message that is being received."""
 
     def __init__(self, pgn: int, size: int) -> None:
@@ -102,7 +102,7 @@ class _Receiving:
         return len(self.data) // PACKET + 1
 
 
-class _Sending:
+class _LongSending:
     """A long message that is being sent by us."""
 
     def __init__(self, pgn: int, data: bytes, destination: int) -> None:
@@ -120,8 +120,8 @@ class ExtendedTransport:
 
     def __init__(self) -> None:
         self.counts: Counter[str] = Counter()  # errors and successes, by kind
-        self._receiving: dict[int, _Receiving] = {}  # by source
-        self._sending: dict[int, _Sending] = {}  # by destination
+        self._receiving: dict[int, _LongReceiving] = {}  # by source
+        self._sending: dict[int, _LongSending] = {}  # by destination
 
     @property
     def due_at_us(self) -> int | None:
@@ -138,7 +138,7 @@ class ExtendedTransport:
         if destination in self._sending or len(self._sending) >= SENDING_MAX:
             self.counts["refused"] += 1
             return None
-        session = self._sending[destination] = _Sending(pgn, data, destination)
+        session = self._sending[destination] = _LongSending(pgn, data, destination)
         session.due_at_us = now_us + T3_US
         size = len(data).to_bytes(4, "little")
         return [_manage(ExtendedControl.RTS, size, pgn, destination)]
@@ -184,7 +184,7 @@ class ExtendedTransport:
 
     # ---------------------------------------------------------------- sending
 
-    def _send_on(self, session: _Sending, now_us: int) -> list[LongOutgoing]:
+    def _send_on(self, session: _LongSending, now_us: int) -> list[LongOutgoing]:
         if session.machine.state is AWAITING:
             self._fire(session, LongSendingEvent.TIMED_OUT)
             return [_abort(Abort.TIMEOUT, session.pgn, session.destination)]
@@ -233,7 +233,7 @@ class ExtendedTransport:
         if session is not None and session.pgn == m.pgn:
             self._fire(session, event)
 
-    def _fire(self, session: _Sending, event: LongSendingEvent) -> None:
+    def _fire(self, session: _LongSending, event: LongSendingEvent) -> None:
         before, after = session.machine.fire(event)
         if after is CLOSED and before is not CLOSED:
             del self._sending[session.destination]
@@ -251,10 +251,10 @@ class ExtendedTransport:
         if source not in self._receiving and len(self._receiving) >= RECEIVING_MAX:
             self.counts["refused"] += 1
             return [_abort(Abort.RESOURCES, m.pgn, source)]
-        session = self._receiving[source] = _Receiving(m.pgn, size)
+        session = self._receiving[source] = _LongReceiving(m.pgn, size)
         return [self._grant(source, session, now_us)]
 
-    def _grant(self, source: int, session: _Receiving, now_us: int) -> LongOutgoing:
+    def _grant(self, source: int, session: _LongReceiving, now_us: int) -> LongOutgoing:
         count = min(session.packets - session.expected + 1, GRANT_PACKETS)
         session.granted_to, session.offset = session.expected + count - 1, -1
         session.due_at_us = now_us + (T1_US if session.retries < RETRIES_MAX else T2_US)
@@ -296,7 +296,7 @@ class ExtendedTransport:
         return [], None
 
     def _again(
-        self, source: int, session: _Receiving, number: int, now_us: int
+        self, source: int, session: _LongReceiving, number: int, now_us: int
     ) -> list[LongOutgoing]:
         """A grant has passed: ask for the next one, or again from the first packet that was lost."""
         if session.expected <= number:
@@ -308,7 +308,7 @@ class ExtendedTransport:
                 return [_abort(Abort.RETRIES, session.pgn, source)]
         return [self._grant(source, session, now_us)]
 
-    def _overdue(self, source: int, session: _Receiving, now_us: int) -> list[LongOutgoing]:
+    def _overdue(self, source: int, session: _LongReceiving, now_us: int) -> list[LongOutgoing]:
         if session.retries < RETRIES_MAX:
             session.retries += 1
             self.counts["asked again"] += 1

@@ -119,8 +119,8 @@ class ValueTold(NamedTuple):
 ServerOutput = ServerMessage | ClientActivated | ClientLost | ValueTold
 
 
-class Client:
-    """The session of one implement."""
+class ImplementSession:
+    """What is known of one device that has spoken to the task controller: its description, its values."""
 
     def __init__(self, source: int, name: int, now_us: int) -> None:
         self.source, self.name = source, name
@@ -141,7 +141,7 @@ class TaskServer:
 
     def __init__(self, now_us: int, version: int = VERSION_4) -> None:
         self.version = version
-        self.clients: dict[int, Client] = {}  # by source address
+        self.clients: dict[int, ImplementSession] = {}  # by source address
         self.stored: dict[int, DevicePool] = {}  # by NAME; kept when a client goes
         self.counts: Counter[str] = Counter()  # sessions, and what was refused, by kind
         self._status_at_us = now_us
@@ -179,7 +179,8 @@ class TaskServer:
     ) -> list[ServerOutput]:
         """Handle process data of the device with this address and NAME.
 
-        `data`: eight bytes, or more for a description. A device whose NAME is not known is not served.
+        `name`: its 64-bit number; without one it is not served. `data`: eight bytes, or more for a
+        description.
         """
         command = data[0] & 0xF
         if name is None or command == STATUS:  # the status of another task controller
@@ -189,7 +190,7 @@ class TaskServer:
             if client is None and len(self.clients) >= CLIENTS_MAX:
                 self.counts["too many clients"] += 1
                 return []
-            self.clients[source] = client = Client(source, name, now_us)
+            self.clients[source] = client = ImplementSession(source, name, now_us)
             client.pool = self.stored.get(name)
             if client.pool is not None:
                 client.machine.fire(ClientEvent.TAKEN)
@@ -206,7 +207,7 @@ class TaskServer:
 
     # ---------------------------------------------------------------- what it sets and asks
 
-    def set_value(self, client: Client, key: Key, number: int) -> list[ServerOutput]:
+    def set_value(self, client: ImplementSession, key: Key, number: int) -> list[ServerOutput]:
         """Set a value; a client of version 4 is to acknowledge it."""
         if (
             not client.active
@@ -217,11 +218,11 @@ class TaskServer:
         command = SET_AND_ACKNOWLEDGE if client.version >= VERSION_4 else VALUE
         return [_said(client.source, _command(command, key, number))]
 
-    def ask(self, client: Client, key: Key) -> list[ServerOutput]:
+    def ask(self, client: ImplementSession, key: Key) -> list[ServerOutput]:
         """Ask for a value once."""
         return [_said(client.source, _command(REQUEST_VALUE, key, 0))]
 
-    def measure(self, client: Client, key: Key, period_ms: int) -> list[ServerOutput]:
+    def measure(self, client: ImplementSession, key: Key, period_ms: int) -> list[ServerOutput]:
         """Ask for a value on change, and by time, as far as the client offers it."""
         offered = 0 if client.pool is None else client.pool.triggers.get(key, 0)
         wanted = ((TIME_INTERVAL, BY_TIME, period_ms), (CHANGE, ON_CHANGE, 1))
@@ -233,7 +234,7 @@ class TaskServer:
 
     # ---------------------------------------------------------------- descriptions
 
-    def _describe(self, client: Client, data: bytes) -> list[ServerOutput]:
+    def _describe(self, client: ImplementSession, data: bytes) -> list[ServerOutput]:
         source, kind = client.source, data[0]
         if kind == VERSION:
             client.version = min(max(data[1], VERSION_3), self.version)
@@ -264,7 +265,7 @@ class TaskServer:
         self.counts["no command of a client"] += 1
         return []
 
-    def _take(self, client: Client, data: bytes) -> bytes:
+    def _take(self, client: ImplementSession, data: bytes) -> bytes:
         """Store a description; returns the answer."""
         other = VERSION_3 if client.version >= VERSION_4 else VERSION_4
         pool = read_pool(data, client.version) or read_pool(data, other)
@@ -275,7 +276,7 @@ class TaskServer:
         client.machine.fire(ClientEvent.TAKEN)
         return bytes((POOL_TAKEN, 0)) + len(data).to_bytes(4, "little")
 
-    def _activate(self, client: Client, wanted: bool) -> list[ServerOutput]:
+    def _activate(self, client: ImplementSession, wanted: bool) -> list[ServerOutput]:
         event = ClientEvent.ACTIVATED if wanted else ClientEvent.DEACTIVATED
         before, after = client.machine.fire(event)
         right = (after is ACTIVE) is wanted
@@ -289,7 +290,7 @@ class TaskServer:
             outputs.append(ClientLost(client.source))
         return outputs
 
-    def _delete(self, client: Client) -> list[ServerOutput]:
+    def _delete(self, client: ImplementSession) -> list[ServerOutput]:
         self.stored.pop(client.name, None)
         client.pool = None
         before, _ = client.machine.fire(ClientEvent.DELETED)

@@ -21,6 +21,7 @@ FLOORS = {
     "agent/delivery": 100,
     "agent/exploration": 100,
     "agent/field": 100,
+    "agent/implements": 85,
     "agent/interface": 100,
     "agent/mapf": 100,
     "agent/mapping": 100,

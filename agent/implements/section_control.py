@@ -36,7 +36,7 @@ PER_WORD: Final = 16  # sections in one condensed state
 OFF, ON, ABSENT = 0, 1, 3  # two bits of one section
 
 
-class Implement:
+class SectionedImplement:
     """One implement: where its sections are, what they do and what they are told."""
 
     def __init__(self, pool: DevicePool, told: Mapping[Key, int]) -> None:
@@ -109,7 +109,7 @@ class Implement:
     def decide(
         self, here: Observation, ahead_m: float, ground: AsAppliedMap, now_us: int
     ) -> NDArray[np.bool_]:
-        """Which sections are to be on; as before while the implement stands."""
+        """Which sections are to be on, n truths; as before while the implement stands."""
         speed_m_s = float(np.hypot(here.vx_m_s, here.vy_m_s))
         if not self.sections or speed_m_s < SPEED_MIN_M_S:
             return self.wanted
@@ -143,7 +143,9 @@ class Implement:
         ]
 
     def setpoints(self, of: NDArray[np.bool_]) -> list[tuple[Key, int]]:
-        """What tells it the wanted states: condensed where it has them, else of these sections."""
+        """What tells it the wanted states: condensed where it has them.
+
+        `of`: n truths, the sections that are said again where each has a state of its own."""
         words = -(-len(self.sections) // PER_WORD)
         said: list[tuple[Key, int]] = []
         for word in range(words):

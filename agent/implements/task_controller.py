@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.implements.as_applied_map import AsAppliedMap
-from agent.implements.section_control import CONTROL_PERIOD_US, Implement
+from agent.implements.section_control import CONTROL_PERIOD_US, SectionedImplement
 from agent.interface.config import MS, S
 from agent.interface.observation import Observation
 from protocol.address import AddressClaim, AddressMessage
@@ -77,7 +77,7 @@ class TaskController:
         self.claim = AddressClaim(name, ADDRESS, rng, now_us, assigned=True)
         self.ground, self.fixes, self.hitch_ahead_m = ground, fixes, hitch_ahead_m
         self.server = TaskServer(now_us)
-        self.implements: dict[int, Implement] = {}  # by address
+        self.implements: dict[int, SectionedImplement] = {}  # by address
         self.here: Observation | None = None
         self._transport, self._long = Transport(), ExtendedTransport()
         self._settles_at_us: dict[int, int] = {}  # address -> when its places are known
@@ -198,7 +198,7 @@ class TaskController:
         """Its places are known: switch its section control to automatic, and follow its states."""
         client = self.server.clients[source]
         assert client.pool is not None
-        implement = self.implements[source] = Implement(client.pool, client.values)
+        implement = self.implements[source] = SectionedImplement(client.pool, client.values)
         outputs: list[ServerOutput] = []
         for key in implement.measured():
             self._asks += self.server.measure(client, key, TOLD_EACH_MS)

@@ -40,8 +40,8 @@ CONNECTOR_MM, BOOM_MM = 1500, -2500  # ahead of the reference point of a sprayer
 BOOM_AHEAD_M: Final = HITCH_AHEAD_M + (BOOM_MM - CONNECTOR_MM) / 1000
 
 
-class Node(Protocol):
-    """A device of the rig."""
+class RigDevice(Protocol):
+    """What the bus of a rig calls: it takes frames, and has a turn from time to time."""
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
         """Take a frame; returns what it sends."""
@@ -56,18 +56,18 @@ class RigBus:
     """One CAN bus with its devices."""
 
     def __init__(self, seed: int) -> None:
-        self.wire, self.nodes = Wire(seed), dict[int, Node]()
+        self.wire, self.nodes = Wire(seed), dict[int, RigDevice]()
         self.carried: list[Frame] = []  # all frames, in order
 
-    def attach(self, node: Node) -> None:
+    def attach(self, node: RigDevice) -> None:
         """Put a device on the bus."""
         self.nodes[self.wire.attach()] = node
 
-    def run(self, from_us: int, to_us: int) -> None:
+    def run(self, begin_at_us: int, end_at_us: int) -> None:
         """Everything that happens on the bus in this time."""
-        now_us = from_us
-        while now_us < to_us:
-            now_us = min(now_us + 10 * MS, to_us)
+        now_us = begin_at_us
+        while now_us < end_at_us:
+            now_us = min(now_us + 10 * MS, end_at_us)
             while (next_at_us := self.wire.next_at_us) is not None and next_at_us <= now_us:
                 for at_us, frame, _, receivers in self.wire.advance(next_at_us):
                     self.carried.append(frame)
@@ -183,6 +183,7 @@ class Sprayer:
     # ------------------------------------------------------------ its session
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
+        """Take a frame, as its firmware does."""
         group, data = frame.identifier >> 8 & 0x3FF00, frame.data
         source, destination = frame.identifier & 0xFF, frame.identifier >> 8 & 0xFF
         if destination not in (GLOBAL, SPRAYER):
@@ -487,9 +488,11 @@ class ControllerNode:
         self.controller, self.share = controller, share
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
+        """Take a frame; returns the answers."""
         return self._told(self.controller.on_frame(frame, now_us))
 
     def turns(self, now_us: int) -> list[Frame]:
+        """Send what is due."""
         if now_us < self.controller.due_at_us:
             return self._told([])
         return self._told(self.controller.on_timer(now_us))
@@ -512,9 +515,11 @@ class PeerNode:
         self._covered.append(Cover(row, columns))
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
+        """Take a frame; returns the answers."""
         return self._frames(self.peer.step(Received(frame), now_us))
 
     def turns(self, now_us: int) -> list[Frame]:
+        """Send what is due."""
         frames: list[Frame] = []
         covered, self._covered = self._covered, []
         for call in covered:
@@ -543,9 +548,11 @@ class ReceiverNode:
         self.frames: list[Frame] = []
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
+        """Take a frame; returns the answers."""
         return []
 
     def turns(self, now_us: int) -> list[Frame]:
+        """Send what is due."""
         frames, self.frames = self.frames, []
         return frames
 
@@ -556,7 +563,7 @@ class SharedField(NamedTuple):
     twice: float  # of the overlapping part, worked by both or twice by one
     left_out: float  # of the field
     overlap: float  # part of the field that both drive over
-    log_in_s: float  # from the first status to the last log-in
+    log_in_for_s: float  # from the first status to the last log-in
     map_load: float  # of the bus on which the map is shared
     tractor_load: float  # of the busier tractor bus, places of the receiver not counted
     error: float  # of the shared map's area
@@ -650,7 +657,7 @@ def two_sprayers(
     tractor_load = max(
         sum(frame_bits(*f) for f in bus.carried if f.identifier & 0xFF != RECEIVER) for bus in buses
     ) / seconds / 250_000  # fmt: skip
-    log_in_s = max(tractor.sprayer.at_us.get("in", now_us) for tractor in tractors) / S
+    log_in_for_s = max(tractor.sprayer.at_us.get("in", now_us) for tractor in tractors) / S
     ground = AsAppliedMap(field, peers[0].peer.progress)
     error = abs(ground.area_m2() - union.area) / union.area
     left = field.difference(union).area / field.area
@@ -658,7 +665,7 @@ def two_sprayers(
         twice / both.area,
         left,
         both.area / field.area,
-        log_in_s,
+        log_in_for_s,
         load,
         tractor_load,
         error,

@@ -138,14 +138,14 @@ def _two_sprayers(seed: int, quick: bool) -> Iterator[Figure]:
     against = "two implements written from ISO 11783-10, versions 3 and 4; exact polygons"
     scope = (
         f"{found.overlap:.0%} of the field is sent to both; booms of 12 m, 3 m/s, valves of 150 to "
-        f"300 ms, exact guidance; {found.map_load:.1%} of the bus for the shared map and its fleet's beats"
+        f"300 ms, exact guidance; map and beats of its fleet: {found.map_load:.1%} of a bus"
     )
     yield Figure("overlap worked twice with section control", found.twice, "share", "<= 0.01",
                  found.twice <= 0.01, against, scope)  # fmt: skip
     yield Figure("ground left out with section control", found.left_out, "share", "0",
                  found.left_out < NOTHING, against, scope)  # fmt: skip
-    yield Figure("log-in of an implement at our task controller", found.log_in_s, "s", "<= 3",
-                 found.log_in_s <= 3, against, "from power-up of all, the slower of both")  # fmt: skip
+    yield Figure("log-in of an implement at our task controller", found.log_in_for_s, "s", "<= 3",
+                 found.log_in_for_s <= 3, against, "from power-up of all, the slower one")  # fmt: skip
 
 
 def _read_by_cantools(kind: str, folder: Path) -> Figure:

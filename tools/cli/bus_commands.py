@@ -96,6 +96,8 @@ def task_controller(
 ) -> None:  # fmt: skip
     """Serve implements of any maker: their worked ground is shared, and sections over it go off.
 
+    `--hitch` and `--accuracy` are in metres.
+
     Example: headland tc field.geojson -i socketcan -c can0 --hitch -2.1
     """
     from tools.run.task_controller import task_controller as command
