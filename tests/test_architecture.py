@@ -44,10 +44,10 @@ ALLOWED: dict[str, str] = {
     "agent.coverage": "interface mapf",
     "agent.segments": "interface safety peer",
     "agent.runtime.files": "interface",
-    "agent.runtime.vda5050": "",
+    "agent.runtime.vda5050": "interface",
     "agent.runtime": "interface safety peer segments runtime.files paths mapf motion mapping field "
     "navigation exploration delivery coverage",
-    "agent.runtime.bodies": "interface motion runtime runtime.files runtime.vda5050",
+    "agent.runtime.bodies": "interface motion delivery peer runtime runtime.files runtime.vda5050",
     "sim.files": "",
     "sim.machines": "",
     "sim.can": "files",

@@ -7,6 +7,7 @@ A message that cannot be read raises pydantic's ValidationError, which is a Valu
 Source: VDA 5050 2.1.0, chapter 6, and https://github.com/VDA5050/VDA5050 (json_schemas).
 """
 
+import json
 from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Annotated, Any, Final, Literal
@@ -150,6 +151,11 @@ class InstantActions(MessageHeader):
             serialization_alias="actions",
         ),
     ]
+
+    def to_json(self) -> str:
+        """The message as it is sent, with the list under both of its names."""
+        plain = self.model_dump(mode="json", by_alias=True, exclude_none=True)
+        return json.dumps({**plain, "instantActions": plain["actions"]})
 
 
 # ---------------------------------------------------------------- state

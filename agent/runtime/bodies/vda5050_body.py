@@ -1,0 +1,194 @@
+"""A VDA 5050 vehicle as the body of a robot: the robot is its master control.
+
+    [body]
+    plugin = "vda5050"
+    options = { broker = "mqtt://10.0.0.9", manufacturer = "ACME", serial = "7", map = "hall" }
+
+The vehicle has to say where it is ten times a second, in its state or its visualization. Between two
+messages the body adds the way that the vehicle has driven since. Without any for `stale_for_ms` it has no
+place, and the robot stands. The vehicle's map is the robot's: metres, x east.
+
+A vehicle does not see parcels. What lies within reach is what the fleet's registers say, and what this
+vehicle has put down itself.
+
+A place that jumps stops a robot. Vehicles that turn on the spot between two messages would look like
+that, so the heading that the robot gets follows the vehicle's at `TURN_RAD_S`.
+"""
+
+import asyncio
+import time
+from math import hypot, pi, remainder
+from secrets import token_hex
+from typing import Any, Final
+
+from agent.delivery.delivery_mission import REACH_M, DeliveryMission
+from agent.interface.config import MS
+from agent.interface.effects import HALT, GatedDrive
+from agent.interface.observation import Observation, VisibleParcel
+from agent.peer.peer import Peer
+from agent.runtime.robot_body import RobotBody
+from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
+from agent.runtime.vda5050.messages import (
+    VERSION,
+    AgvPosition,
+    ErrorLevel,
+    EStop,
+    MessageHeader,
+    Topic,
+    VehicleState,
+    Visualization,
+)
+from agent.runtime.vda5050.vehicle_orders import VehicleOrders
+from crdt import Phase
+
+FIRST_S: Final = 10.0  # for the broker and the first place of the vehicle
+LOOK_S: Final = 0.02
+WATCH_S: Final = 0.1  # between two looks at the registers
+BETWEEN_US: Final = 300 * MS  # two places further apart say nothing of the velocity between them
+# Standard deviation of a place that is added up from two: at 1 m/s and 100 ms, with 20 % of slip.
+ACCURACY_M: Final = 0.02
+TURN_RAD_S: Final = 2.0
+
+
+class Vda5050Body(RobotBody):
+    """Sensors and actuators of one robot, by a broker."""
+
+    def __init__(
+        self,
+        slot: int,
+        broker: str,
+        manufacturer: str,
+        serial: str,
+        map: str,
+        interface: str = "uagv",
+        version: str = VERSION,
+        stale_for_ms: float = 300.0,
+        parameters: dict[str, Any] | None = None,
+    ) -> None:
+        """`map`: its mapId. `interface`: the first level of its topics. `parameters`: that it wants
+        with pick and drop. Raises ValueError for a wrong address of the broker."""
+        address = VehicleAddress(interface, manufacturer, str(serial), version)
+        self.slot, self.stale_for_us = slot, round(stale_for_ms * MS)
+        self.orders = VehicleOrders(token_hex(3), map, parameters or {})
+        self.link = BrokerLink(
+            Broker.read(broker), address, self._heard, lambda: None, is_vehicle=False
+        )
+        self.state: VehicleState | None = None
+        self.lying: dict[int, tuple[float, float]] = {}  # parcels, as the registers say
+        self._place: tuple[AgvPosition, int] | None = None  # and when it arrived
+        self._velocity = (0.0, 0.0)  # metres a second on the map
+        self._heading: tuple[float, int] | None = None  # radians, and when
+        self._running: asyncio.Task[None] | None = None
+
+    async def open(self) -> None:
+        """Reach the broker, and wait for the first place. Raises OSError."""
+        topics = [Topic.STATE, Topic.VISUALIZATION]
+        self._running = asyncio.create_task(self.link.run(topics))
+        loop = asyncio.get_running_loop()
+        ends_at_s = loop.time() + FIRST_S
+        while self._place is None or self.state is None:
+            if loop.time() > ends_at_s:
+                problem = self.link.problem or "the vehicle says no place"
+                self.close()
+                raise OSError(f"{self.link.broker} {self.link.identity.serial}: {problem}")
+            await asyncio.sleep(LOOK_S)
+
+    # ---------------------------------------------------------------- what the vehicle says
+
+    def _heard(self, message: MessageHeader) -> None:
+        now_us = time.monotonic_ns() // 1000
+        if isinstance(message, VehicleState):
+            self.state = message
+            self.orders.on_state(message)
+            self._placed(message.agv_position, now_us)
+        elif isinstance(message, Visualization):
+            self._placed(message.agv_position, now_us)
+
+    def _placed(self, at: AgvPosition | None, now_us: int) -> None:
+        if at is None or not at.position_initialized:
+            self._place = None
+            return
+        before = self._place
+        self._place = at, now_us
+        if before is None or now_us - before[1] > BETWEEN_US:
+            self._velocity = (0.0, 0.0)
+        elif now_us - before[1] >= LOOK_S * 1e6:
+            for_s = (now_us - before[1]) / 1e6
+            self._velocity = (at.x - before[0].x) / for_s, (at.y - before[0].y) / for_s
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest place, brought forward to now."""
+        place, state = self._place, self.state
+        if place is None or state is None:
+            return None
+        at, heard_at_us = place
+        age_us = now_us - heard_at_us
+        fresh = self.link.connected and age_us <= self.stale_for_us
+        drives = state.driving
+        vx_m_s, vy_m_s = self._velocity if drives else (0.0, 0.0)
+        since_for_s = min(age_us, self.stale_for_us) / 1e6
+        x_m, y_m = at.x + vx_m_s * since_for_s, at.y + vy_m_s * since_for_s
+        sick = state.safety_state.e_stop is not EStop.NONE or any(
+            error.error_level is ErrorLevel.FATAL for error in state.errors
+        )
+        return Observation(
+            x_m, y_m, self._turned(at.theta, now_us), vx_m_s, vy_m_s,
+            battery=min(max(state.battery_state.battery_charge / 100.0, 0.0), 1.0),
+            load=self.orders.load, parcels=self._within_reach((x_m, y_m)),
+            sensed_at_us=now_us if fresh else heard_at_us, health=0.0 if sick else 1.0,
+            position_accuracy_m=ACCURACY_M,
+        )  # fmt: skip
+
+    def _turned(self, theta_rad: float, now_us: int) -> float:
+        if self._heading is not None:
+            before_rad, at_us = self._heading
+            most_rad = TURN_RAD_S * (now_us - at_us) / 1e6
+            off_rad = remainder(theta_rad - before_rad, 2 * pi)
+            theta_rad = before_rad + max(-most_rad, min(off_rad, most_rad))
+        self._heading = theta_rad, now_us
+        return theta_rad
+
+    def _within_reach(self, at: tuple[float, float]) -> dict[int, VisibleParcel]:
+        lying = self.lying | self.orders.dropped
+        return {
+            task: VisibleParcel(*place, False)
+            for task, place in lying.items()
+            if task != self.orders.load and hypot(place[0] - at[0], place[1] - at[1]) < REACH_M
+        }
+
+    async def watch(self, peer: Peer) -> None:
+        """Learn from the fleet's registers where parcels lie."""
+        mission = peer.mission
+        if not isinstance(mission, DeliveryMission):
+            return
+        house = mission.house
+        while True:
+            lying = {}
+            for task, order in mission.dispatch.book.tasks.items():
+                if not house.known(order):
+                    continue
+                trip = house.trip(order)
+                if peer.allocation.phase_of(task) is Phase.DONE:
+                    lying[task] = trip.dropoff
+                elif not peer.progress.bits(task, 0):
+                    lying[task] = trip.pickup
+            self.lying = lying
+            await asyncio.sleep(WATCH_S)
+
+    # ---------------------------------------------------------------- what the robot wants
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        """Send an order, or a cancellation, if the command needs one."""
+        if self._place is None:
+            return
+        at = self._place[0]
+        message = self.orders.want(command, (at.x, at.y), now_us)
+        if message is not None:
+            self.link.publish(message)
+
+    def close(self) -> None:
+        """Let the vehicle stand at the end of its step, and leave the broker."""
+        self.drive(HALT, time.monotonic_ns() // 1000)
+        if self._running is not None:
+            self._running.cancel()
+            self._running = None

@@ -1,0 +1,252 @@
+"""Drives a VDA 5050 vehicle by orders that are a step long, so that it does what a robot wants now.
+
+A robot wants a velocity every 50 ms. A vehicle takes orders: nodes, and edges between them. So the
+velocity becomes an edge that is `STEP_S` long, and the next edge is added before the vehicle reaches
+the end. To stand, or to turn away, the order is cancelled. A vehicle that hears nothing any more stands
+at the end of its step. Handling a parcel is an order with one node and an action.
+
+Sans I/O. The vehicle remembers in the orderId what is aboard, also when this program forgets it.
+"""
+
+from enum import Enum
+from math import atan2, cos, hypot, pi, remainder, sin
+from typing import Any, Final, NamedTuple
+
+from agent.interface.config import MS, S
+from agent.interface.effects import Drive
+from agent.runtime.vda5050.messages import (
+    ENDED,
+    Action,
+    ActionParameter,
+    ActionStatus,
+    BlockingType,
+    InstantActions,
+    MasterOrder,
+    NodePosition,
+    OrderEdge,
+    OrderNode,
+    VehicleState,
+)
+from protocol.state_machine import StateMachine, matrix
+
+STEP_S: Final = 0.6  # of driving in one order; a vehicle that hears nothing more stands after it
+STEP_MIN_M: Final = 0.15  # a shorter edge is within the tolerance of most vehicles
+AHEAD_S: Final = (
+    0.25  # the next edge is sent this long before the end: two messages and a control period
+)
+STANDS_M_S: Final = 0.03  # a slower command is none
+TURNED_RAD: Final = pi / 4  # a command this far off the edge cancels it, unless it is nearly over
+ACCEPTED_US: Final = 1 * S  # an order that no state shows by then is lost or refused
+CANCELLED_US: Final = 500 * MS  # between two cancellations of one order
+NOTHING_ABOARD: Final = -1
+NAME: Final = "headland"  # the first part of our orderIds
+
+
+class OrderPhase(Enum):
+    """How far the newest order is."""
+
+    FREE = "the vehicle has no order of ours"
+    SENT = "an order was sent, and no state shows it yet"
+    ACTIVE = "the vehicle carries it out"
+    CANCELLING = "it was told to give it up"
+
+
+class OrderEvent(Enum):
+    """What the vehicle or we do."""
+
+    ORDERED = "we send an order"
+    SHOWN = "a state shows it"
+    ENDED = "a state shows it without anything ahead"
+    CANCELLED = "we cancel it"
+    LOST = "no state shows it in time"
+
+
+F, T, A, C = OrderPhase
+stay = None
+# fmt: off
+ORDER_TABLE = matrix(
+    OrderEvent,
+    # state  ORDERED SHOWN ENDED CANCELLED LOST
+    (F,      T,      stay, stay, stay,     stay),
+    (T,      stay,   A,    F,    C,        F),
+    (A,      stay,   stay, F,    C,        stay),
+    (C,      stay,   stay, F,    stay,     F),
+)
+# fmt: on
+
+
+class _Sent(NamedTuple):
+    """The newest order, and where it ends."""
+
+    order_id: str
+    update: int
+    end: OrderNode
+    begin: tuple[float, float]
+    parcel: int  # that is handled; -1: none
+    sent_at_us: int
+
+
+def aboard_of(order_id: str) -> int:
+    """The parcel that was aboard when one of our orders was sent; -1: none, or not ours.
+
+    >>> aboard_of("headland/5f/12/7"), aboard_of("other-9")
+    (7, -1)
+    """
+    name, *_, load = order_id.split("/")
+    return int(load) if name == NAME and load.isdecimal() else NOTHING_ABOARD
+
+
+class VehicleOrders:
+    """The orders of one vehicle, from the commands of a robot and the states of the vehicle."""
+
+    def __init__(self, boot: str, map_id: str, parameters: dict[str, Any]) -> None:
+        """`boot`: a word that no two starts share. `parameters`: that the vehicle wants with pick and
+        drop."""
+        self.boot, self.map_id = boot, map_id
+        self.parameters = [ActionParameter(key=k, value=v) for k, v in parameters.items()]
+        self.load = NOTHING_ABOARD
+        self.dropped: dict[
+            int, tuple[float, float]
+        ] = {}  # parcels that we have put down, and where
+        self.machine = StateMachine("order of a vehicle", ORDER_TABLE, OrderPhase.FREE)
+        self._sent: _Sent | None = None
+        self._count = 0
+        self._cancelled_at_us = 0
+
+    @property
+    def phase(self) -> OrderPhase:
+        """How far the newest order is."""
+        return self.machine.state
+
+    # ---------------------------------------------------------------- what the vehicle says
+
+    def on_state(self, state: VehicleState) -> None:
+        """Learn from what the vehicle says how far our order is, and what is aboard."""
+        if state.loads is not None and not state.loads:
+            self.load = NOTHING_ABOARD
+        elif state.loads and self.load == NOTHING_ABOARD:
+            self.load = aboard_of(state.order_id)  # from before we began
+        sent = self._sent
+        if sent is None or state.order_id != sent.order_id:
+            return
+        if state.order_update_id < sent.update:
+            return
+        self.machine.fire(OrderEvent.SHOWN)
+        ahead = [node for node in state.node_states if node.released]
+        acts = [each for each in state.action_states if each.action_type in ("pick", "drop")]
+        if ahead or any(each.action_status not in ENDED for each in acts):
+            return
+        if sent.parcel >= 0 and acts and acts[-1].action_status is ActionStatus.FINISHED:
+            self._handled(sent, acts[-1].action_type == "drop")
+        self.machine.fire(OrderEvent.ENDED)
+        self._sent = None
+
+    def _handled(self, sent: _Sent, dropped: bool) -> None:
+        if dropped:
+            self.load = NOTHING_ABOARD
+            self.dropped[sent.parcel] = sent.begin
+        else:
+            self.load = sent.parcel
+            self.dropped.pop(sent.parcel, None)
+
+    # ---------------------------------------------------------------- what the robot wants
+
+    def want(
+        self, command: Drive, at: tuple[float, float], now_us: int
+    ) -> MasterOrder | InstantActions | None:
+        """What to send for a command. `at`: where the vehicle is, metres on its map."""
+        self._expire(now_us)
+        if self.phase is OrderPhase.CANCELLING:
+            return self._cancel(now_us)
+        speed_m_s = hypot(command.vx_m_s, command.vy_m_s)
+        stands = speed_m_s < STANDS_M_S
+        sent = self._sent
+        if sent is None:
+            if stands and command.parcel_action >= 0:
+                return self._handle(command.parcel_action, at, now_us)
+            return None if stands else self._step(command, at, now_us)
+        if sent.parcel >= 0:
+            asked = stands and command.parcel_action == sent.parcel
+            return None if asked else self._cancel(now_us)
+        if stands:
+            return self._cancel(now_us)
+        assert sent.end.node_position is not None
+        dx_m, dy_m = sent.end.node_position.x - at[0], sent.end.node_position.y - at[1]
+        left_m = hypot(dx_m, dy_m)
+        off_rad = remainder(atan2(command.vy_m_s, command.vx_m_s) - atan2(dy_m, dx_m), 2 * pi)
+        if left_m > STEP_MIN_M and abs(off_rad) > TURNED_RAD:
+            return self._cancel(now_us)
+        if self.phase is OrderPhase.ACTIVE and left_m < AHEAD_S * speed_m_s:
+            return self._step(command, at, now_us)
+        return None
+
+    def _expire(self, now_us: int) -> None:
+        sent = self._sent
+        if sent is None or now_us - sent.sent_at_us < ACCEPTED_US:
+            return
+        if self.phase in (OrderPhase.SENT, OrderPhase.CANCELLING):
+            self.machine.fire(OrderEvent.LOST)
+            self._sent = None
+
+    def _cancel(self, now_us: int) -> InstantActions | None:
+        self.machine.fire(OrderEvent.CANCELLED)
+        if now_us - self._cancelled_at_us < CANCELLED_US:
+            return None
+        self._cancelled_at_us = now_us
+        if self._sent is not None:
+            self._sent = self._sent._replace(sent_at_us=now_us)
+        self._count += 1
+        action_id = f"{self.boot}-{self._count}"
+        action = Action(
+            action_type="cancelOrder", action_id=action_id, blocking_type=BlockingType.HARD
+        )
+        return InstantActions(actions=[action])
+
+    def _step(self, command: Drive, at: tuple[float, float], now_us: int) -> MasterOrder:
+        speed_m_s = hypot(command.vx_m_s, command.vy_m_s)
+        course_rad = atan2(command.vy_m_s, command.vx_m_s)
+        length_m = max(STEP_MIN_M, STEP_S * speed_m_s)
+        sent = self._sent
+        # The next edge begins where the vehicle will be, and leads to where the robot wants to go.
+        goal = at[0] + length_m * cos(course_rad), at[1] + length_m * sin(course_rad)
+        if sent is not None:
+            begin, order_id, update = sent.end, sent.order_id, sent.update + 1
+            begin = begin.model_copy(update={"actions": []})
+        else:
+            order_id, update = self._next_id(), 0
+            begin = self._node(0, at)
+        end = self._node(begin.sequence_id + 2, goal)
+        edge = OrderEdge(
+            edge_id=f"e{begin.sequence_id + 1}", sequence_id=begin.sequence_id + 1, released=True,
+            start_node_id=begin.node_id, end_node_id=end.node_id, max_speed=round(speed_m_s, 3),
+        )  # fmt: skip
+        if sent is None:
+            self.machine.fire(OrderEvent.ORDERED)
+        self._sent = _Sent(order_id, update, end, at, -1, now_us)
+        return MasterOrder(
+            order_id=order_id, order_update_id=update, nodes=[begin, end], edges=[edge]
+        )
+
+    def _handle(self, parcel: int, at: tuple[float, float], now_us: int) -> MasterOrder:
+        kind = "drop" if self.load == parcel else "pick"
+        order_id = self._next_id(NOTHING_ABOARD if kind == "drop" else parcel)
+        action = Action(
+            action_type=kind, action_id=f"{order_id}/{kind}", blocking_type=BlockingType.HARD,
+            action_description=f"task {parcel}", action_parameters=self.parameters or None,
+        )  # fmt: skip
+        node = self._node(0, at, action)
+        self.machine.fire(OrderEvent.ORDERED)
+        self._sent = _Sent(order_id, 0, node, at, parcel, now_us)
+        return MasterOrder(order_id=order_id, order_update_id=0, nodes=[node], edges=[])
+
+    def _next_id(self, load: int | None = None) -> str:
+        self._count += 1
+        return f"{NAME}/{self.boot}/{self._count}/{self.load if load is None else load}"
+
+    def _node(self, sequence: int, at: tuple[float, float], *actions: Action) -> OrderNode:
+        self._count += 1
+        position = NodePosition(x=round(at[0], 4), y=round(at[1], 4), map_id=self.map_id)
+        return OrderNode(
+            node_id=f"{self.boot}-{self._count}", sequence_id=sequence, released=True,
+            node_position=position, actions=list(actions),
+        )  # fmt: skip

@@ -1,0 +1,183 @@
+"""A VDA 5050 vehicle that is driven by orders of one step: what is sent for which command and state."""
+
+import json
+from math import cos, sin
+from typing import Any
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from agent.interface.config import MS, S
+from agent.interface.effects import Drive
+from agent.runtime.vda5050.messages import (
+    ActionState,
+    ActionStatus,
+    BatteryState,
+    InstantActions,
+    Load,
+    MasterOrder,
+    MessageHeader,
+    NodeState,
+    Topic,
+    VehicleState,
+)
+from agent.runtime.vda5050.vehicle_orders import (
+    ACCEPTED_US,
+    CANCELLED_US,
+    STEP_S,
+    OrderPhase,
+    VehicleOrders,
+)
+from tests.tools.vda5050.official_schemas import flaws
+
+STILL = Drive(0.0, 0.0)
+EAST = Drive(0.5, 0.0)
+
+
+def fresh(boot: str = "b") -> VehicleOrders:
+    return VehicleOrders(boot, "hall", {"stationType": "floor"})
+
+
+def state(
+    order: MasterOrder, ahead: bool, *, load: bool | None = None, status: str = "FINISHED"
+) -> VehicleState:
+    node = order.nodes[-1]
+    return VehicleState(
+        order_id=order.order_id, order_update_id=order.order_update_id,
+        node_states=[
+            NodeState(node_id=node.node_id, sequence_id=node.sequence_id, released=True)
+        ] * ahead,
+        action_states=[
+            ActionState(
+                action_id=act.action_id, action_type=act.action_type,
+                action_status=ActionStatus[status],
+            )
+            for each in order.nodes for act in each.actions
+        ],
+        loads=None if load is None else [Load()] * load,
+        battery_state=BatteryState(battery_charge=50.0),
+    )  # fmt: skip
+
+
+def sent(message: MessageHeader | None) -> Any:
+    assert message is not None
+    header = {
+        "header_id": 1, "timestamp": "2024-01-01T00:00:00.000Z", "manufacturer": "A",
+        "serial_number": "1",
+    }  # fmt: skip
+    return json.loads(message.model_copy(update=header).to_json())
+
+
+def ordered(message: MasterOrder | InstantActions | None) -> MasterOrder:
+    assert isinstance(message, MasterOrder)
+    assert flaws(Topic.ORDER, sent(message)) == []
+    return message
+
+
+def cancels(message: MasterOrder | InstantActions | None) -> bool:
+    if not isinstance(message, InstantActions):
+        return False
+    plain = sent(message)
+    assert flaws(Topic.INSTANT_ACTIONS, plain) == []
+    assert plain["actions"] == plain["instantActions"]  # the name of 1.1, which some libraries read
+    return [act.action_type for act in message.actions] == ["cancelOrder"]
+
+
+def test_a_velocity_is_an_edge_and_the_next_one_is_added_before_its_end() -> None:
+    orders = fresh()
+    first = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    end = first.nodes[-1].node_position
+    assert end is not None and end.x == pytest.approx(1.0 + STEP_S * 0.5)
+    assert orders.want(EAST, (1.0, 1.0), 50 * MS) is None
+    orders.on_state(state(first, ahead=True))
+    assert orders.want(EAST, (1.1, 1.0), 100 * MS) is None
+    more = ordered(orders.want(EAST, (1.2, 1.0), 150 * MS))
+    assert (more.order_id, more.order_update_id) == (first.order_id, 1)
+    assert more.nodes[0].node_id == first.nodes[-1].node_id
+
+
+def test_standing_cancels_once_and_the_next_order_waits_for_the_end() -> None:
+    orders = fresh()
+    first = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    orders.on_state(state(first, ahead=True))
+    assert cancels(orders.want(STILL, (1.1, 1.0), S))
+    assert orders.want(STILL, (1.1, 1.0), S + 50 * MS) is None
+    assert orders.want(EAST, (1.1, 1.0), S + 100 * MS) is None
+    assert cancels(orders.want(STILL, (1.1, 1.0), S + CANCELLED_US))  # it may have been lost
+    orders.on_state(state(first, ahead=False))
+    assert orders.phase is OrderPhase.FREE
+    assert ordered(orders.want(EAST, (1.1, 1.0), 2 * S)).order_id != first.order_id
+
+
+def test_turning_away_cancels_and_a_slight_turn_does_not() -> None:
+    orders = fresh()
+    orders.on_state(state(ordered(orders.want(EAST, (1.0, 1.0), 0)), ahead=True))
+    slight = Drive(0.5 * cos(0.3), 0.5 * sin(0.3))
+    assert orders.want(slight, (1.0, 1.0), 50 * MS) is None
+    assert cancels(orders.want(Drive(0.0, 0.5), (1.0, 1.0), S))
+
+
+def test_an_order_that_no_state_shows_is_sent_again_as_another() -> None:
+    orders = fresh()
+    first = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    again = ordered(orders.want(EAST, (1.0, 1.0), ACCEPTED_US))
+    assert again.order_id != first.order_id
+
+
+def test_a_parcel_is_picked_and_dropped_and_a_failure_changes_nothing() -> None:
+    orders = fresh()
+    act = STILL._replace(parcel_action=7)
+    pick = ordered(orders.want(act, (1.0, 1.0), 0))
+    assert [each.action_type for each in pick.nodes[0].actions] == ["pick"]
+    orders.on_state(state(pick, ahead=False, status="FAILED"))
+    assert orders.load == -1
+    pick = ordered(orders.want(act, (1.0, 1.0), S))
+    orders.on_state(state(pick, ahead=False, status="RUNNING"))
+    assert orders.load == -1 and orders.want(act, (1.0, 1.0), S + 1) is None
+    orders.on_state(state(pick, ahead=False, load=True))
+    assert orders.load == 7
+    drop = ordered(orders.want(act, (4.0, 1.0), 9 * S))
+    assert [each.action_type for each in drop.nodes[0].actions] == ["drop"]
+    orders.on_state(state(drop, ahead=False, load=False))
+    assert orders.load == -1 and orders.dropped == {7: (4.0, 1.0)}
+
+
+def test_a_program_that_forgot_learns_from_the_vehicle_what_is_aboard() -> None:
+    orders = fresh()
+    act = STILL._replace(parcel_action=7)
+    pick = ordered(orders.want(act, (1.0, 1.0), 0))
+    orders.on_state(state(pick, ahead=False, load=True))
+    later = fresh("later")
+    later.on_state(state(pick, ahead=False, load=True))
+    assert later.load == 7
+    way = ordered(orders.want(EAST, (1.0, 1.0), S))
+    last = fresh("last")
+    last.on_state(state(way, ahead=True, load=True))
+    assert last.load == 7
+    empty = fresh("empty")
+    empty.on_state(state(pick, ahead=False, load=False))
+    assert empty.load == -1
+
+
+@given(st.lists(st.tuples(
+    st.sampled_from([STILL, EAST, Drive(0.0, -0.7), STILL._replace(parcel_action=3)]),
+    st.sampled_from(["nothing", "ahead", "over"]), st.integers(50 * MS, 2 * S),
+), max_size=40))  # fmt: skip
+def test_whatever_comes_every_message_is_valid_and_ids_are_used_once(
+    story: list[tuple[Drive, str, int]],
+) -> None:
+    orders, newest, now_us = fresh(), None, 0
+    seen: set[tuple[str, int]] = set()
+    for command, said, for_us in story:
+        now_us += for_us
+        message = orders.want(command, (2.0, 2.0), now_us)
+        if isinstance(message, MasterOrder):
+            newest = ordered(message)
+            key = newest.order_id, newest.order_update_id
+            assert key not in seen
+            seen.add(key)
+        elif message is not None:
+            assert cancels(message)
+        if newest is not None and said != "nothing":
+            orders.on_state(state(newest, ahead=said == "ahead"))
