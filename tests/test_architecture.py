@@ -42,11 +42,12 @@ ALLOWED: dict[str, str] = {
     "agent.exploration": "interface paths mapf motion mapping",
     "agent.delivery": "interface paths mapf motion mapping navigation",
     "agent.coverage": "interface mapf",
+    "agent.pathfinding": "interface mapf coverage",
     "agent.segments": "interface safety peer",
     "agent.runtime.files": "interface",
     "agent.runtime.vda5050": "interface",
     "agent.runtime": "interface safety peer segments runtime.files paths mapf motion mapping field "
-    "navigation exploration delivery coverage",
+    "navigation exploration delivery coverage pathfinding",
     "agent.runtime.bodies": "interface motion delivery peer runtime runtime.files runtime.vda5050",
     "sim.files": "",
     "sim.machines": "",

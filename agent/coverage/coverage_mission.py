@@ -98,12 +98,12 @@ class GridWork(Mission):
             self._from = self._to = self.ground.at(here.x_m, here.y_m)
             assert self._to != NONE, "a robot stands in a free cell"
         self._sweep(view)
-        self._told = {n for n in self._told if not view.progress.has(*self.ground.unit(n))}
+        self._forget_told(view)
         rounds = self.agreement
         if rounds.round != self._round:
             self._round, self._step, self._turn = rounds.round, 0, 0
             self._onward = False
-            self._meet_wreck(view)
+            self._meet_wrecks(view)
         gathering = rounds.phase is not AgreementPhase.GO
         if gathering:
             self._tell_of_silent(view)
@@ -127,6 +127,10 @@ class GridWork(Mission):
     def covered_units(self) -> CoveredUnits:
         news, self._news = tuple(self._news), []
         return CoveredUnits(news, self._at_once)
+
+    def _forget_told(self, view: FleetView) -> None:
+        """Forget the news that our replica has by now."""
+        self._told = {n for n in self._told if not view.progress.has(*self.ground.unit(n))}
 
     def _off_m(self, view: FleetView, number: int) -> float:
         x_m, y_m = self.ground.centre(number)
@@ -177,13 +181,15 @@ class GridWork(Mission):
                 if number == before or gone_m >= (1.0 - COVERED) * self.ground.cell_m:
                     self._tell(number, view)
 
-    def _meet_wreck(self, view: FleetView) -> None:
-        """Mark the cells of the one robot that fell silent: it stands where its last command
-        expired."""
-        owing = self.agreement.owing(view.progress, view.fell_silent_at_us)
-        if len(owing) != 1 or owing[0] not in view.neighbours:
-            return
-        pose = view.neighbours[owing[0]].pose
+    def _meet_wrecks(self, view: FleetView) -> None:
+        """Mark the cells of robots that fell silent: each stands where its last command expired."""
+        crew = FleetSnapshot(view.live, view.fell_silent_at_us, view.progress)
+        for slot in self.agreement.wrecks(crew):
+            if slot in view.neighbours:
+                self._meet_wreck(slot, view)
+
+    def _meet_wreck(self, slot: int, view: FleetView) -> None:
+        pose = view.neighbours[slot].pose
         on_m = pose.speed_m_s * ACTUATOR_TTL_US / S
         at_x_m = pose.x_m + on_m * cos(pose.course_rad)
         at_y_m = pose.y_m + on_m * sin(pose.course_rad)
@@ -196,7 +202,7 @@ class GridWork(Mission):
                 cells.append((row + sign * step[0], column + sign * step[1]))
         for cell in cells:
             if self.ground.number(cell) != NONE:
-                self.agreement.meet(self.ground.number(cell), owing[0], view.now_us)
+                self.agreement.meet(self.ground.number(cell), slot, view.now_us)
 
     # ---------------------------------------------------------------- driving
 

@@ -7,6 +7,7 @@ gone on. That order never closes a circle of waiting, because the plan itself is
 of it happens.
 """
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from typing import NamedTuple
 from zlib import crc32
@@ -33,33 +34,18 @@ class Wait(NamedTuple):
 FREE = Wait(NONE, 0, 0)
 
 
-class JointCourse:
-    """A plan, computed step by step as far as it is asked for.
+class GridCourse(ABC):
+    """A joint plan as it is driven: the cell of each robot after each step, and what a step waits
+    for. It is computed step by step as far as it is asked for.
 
     Robots are indices into `slots`, cells are numbers of the ground.
     """
 
     def __init__(
-        self,
-        ground: CellMap,
-        slots: Sequence[int],
-        places: Sequence[int],
-        covered: NDArray[np.bool_],
-        blocked: Sequence[int],
-        turn_cost: float,
+        self, ground: CellMap, slots: Sequence[int], places: Sequence[int], todo: Numbers
     ) -> None:
-        """`covered`: by number, cells that need no coverage; `blocked`: cells no robot enters."""
-        self.ground, self.slots = ground, tuple(slots)
-        walls = ground.walls.copy()
-        for number in blocked:
-            walls[ground.cell(number)] = True
-        mask = np.zeros(walls.shape, dtype=np.bool_)
-        rows, columns = np.divmod(ground.padded[covered], ground.width)
-        mask[rows - 1, columns - 1] = True
-        starts = [ground.cell(number) for number in places]
-        self._team = Team(walls, starts, turn_cost, mask)
-        todo = ground.number_of[self._team.walked.order]
-        self.todo: Numbers = todo
+        """`todo`: the cells that have to be entered, in the order in which they were planned."""
+        self.ground, self.slots, self.todo = ground, tuple(slots), todo
         # The robot that covers each cell; grows with steps.
         self.owner: Numbers = np.full(len(ground), NONE, np.int32)
         self._wanted = np.zeros(len(ground), dtype=np.bool_)
@@ -70,12 +56,16 @@ class JointCourse:
         self._left = np.zeros(len(ground), np.int32)
         self.turns: list[list[tuple[int, int]]] = [[] for _ in slots]  # (step, cell it covers)
 
+    @abstractmethod
+    def _advance(self) -> Numbers | None:
+        """The cells of all robots after one more step, (robots,); None at the end of the plan."""
+
     def _extend(self) -> bool:
-        """One more step of the team; False at the end."""
-        if not self._team.remaining() or len(self._steps) > STEPS_MAX:
-            return False
+        """One more step of the plan; False at the end."""
         step, before = len(self._steps), self._steps[-1]
-        after = self.ground.number_of[np.array(self._team.advance(), np.int64)]
+        after = self._advance() if step <= STEPS_MAX else None
+        if after is None:
+            return False
         moved = np.flatnonzero(after != before)
         self._in[before[moved]], self._left[before[moved]] = moved, step
         waits = {}
@@ -116,6 +106,36 @@ class JointCourse:
         in an earlier step must be free.
         """
         return self._waits[step].get(robot, FREE)
+
+
+class JointCourse(GridCourse):
+    """The steps of a team that covers a grid (`agent/coverage/team.py`)."""
+
+    def __init__(
+        self,
+        ground: CellMap,
+        slots: Sequence[int],
+        places: Sequence[int],
+        covered: NDArray[np.bool_],
+        blocked: Sequence[int],
+        turn_cost: float,
+    ) -> None:
+        """`covered`: by number, cells that need no coverage; `blocked`: cells no robot enters."""
+        walls = ground.walls.copy()
+        for number in blocked:
+            walls[ground.cell(number)] = True
+        mask = np.zeros(walls.shape, dtype=np.bool_)
+        rows, columns = np.divmod(ground.padded[covered], ground.width)
+        mask[rows - 1, columns - 1] = True
+        starts = [ground.cell(number) for number in places]
+        self._team = Team(walls, starts, turn_cost, mask)
+        super().__init__(ground, slots, places, ground.number_of[self._team.walked.order])
+
+    def _advance(self) -> Numbers | None:
+        if not self._team.remaining():
+            return None
+        after: Numbers = self.ground.number_of[np.array(self._team.advance(), np.int64)]
+        return after
 
 
 _KEPT: dict[object, tuple[CellMap, JointCourse]] = {}  # a ground kept keeps its id

@@ -26,7 +26,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.coverage.cell_map import NONE, CellMap
-from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
+from agent.coverage.joint_course import CourseInputs, GridCourse, course_of
 from agent.interface.config import LEASE_US, MS, S
 from agent.mapf.agreement_phase import CALM_US, AgreementPhase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
@@ -105,7 +105,7 @@ class CoverageAgreement:
         self.slot, self.ground, self.turn_cost = slot, ground, turn_cost
         self.round = 0
         self.machine = StateMachine("coverage plan", COVERAGE_PLAN_TABLE, FREE)
-        self.course: JointCourse | None = None  # the one agreed, or to be agreed, last
+        self.course: GridCourse | None = None  # the one agreed, or to be agreed, last
         self.me = NONE  # our index in it; -1: not one of it
         self.rounds = self.called = 0
         self.begun_at_us = 0  # of the round
@@ -257,7 +257,7 @@ class CoverageAgreement:
             return
         if self.phase is GATHER:
             if number != NONE and ready:
-                self._places[self.slot] = CellPlace(number, crew.progress.digest, answer)
+                self._places[self.slot] = CellPlace(number, self._detail(crew), answer)
             self._gather(crew, now_us)
         if self.phase is AGREE:
             self._agree(crew, now_us)
@@ -306,7 +306,7 @@ class CoverageAgreement:
         places = {slot: p for slot, p in self._places.items() if slot in crew.live}
         if places.keys() < crew.live or self.slot not in places:
             return
-        if len({place.digest for place in places.values()}) > 1:
+        if not self._is_equal(places.values()):
             return  # the sync makes them equal
         numbers = [place.number for place in places.values()]
         if len(set(numbers)) < len(numbers):
@@ -316,14 +316,34 @@ class CoverageAgreement:
         self.machine.fire(CoveragePlanEvent.GATHERED)
         self._news_at_us = now_us
 
-    def _compute(self, crew: FleetSnapshot, now_us: int) -> None:
+    def _detail(self, crew: FleetSnapshot) -> int:
+        """24 bits that a robot sends with its place: the digest of what it knows as covered."""
+        return crew.progress.digest
+
+    def _is_equal(self, places: Iterable[CellPlace]) -> bool:
+        """Whether the details of these places allow a plan: all know the same covered cells."""
+        return len({place.digest for place in places}) <= 1
+
+    def _movers(self, crew: FleetSnapshot, now_us: int) -> tuple[dict[int, int], set[int]]:
+        """The cells of the robots that take part, by slot, and the cells that no robot enters."""
         self.bodies = {
             number: body for number, body in self.bodies.items()
             if body.ends_at_us > now_us + SPARE_US and body.slot not in crew.live
         }  # fmt: skip
         movers = {s: p.number for s, p in self._used.items() if p.answer is AgreementReply.GRANT}
         stand = {p.number for p in self._used.values() if p.answer is not AgreementReply.GRANT}
-        blocked = (stand | self.bodies.keys()) - set(movers.values())
+        return movers, (stand | self.bodies.keys()) - set(movers.values())
+
+    def _adopt(self, course: GridCourse, digest: int) -> None:
+        """Take a course as the one to be agreed on, and announce the digest of its inputs."""
+        self.course = course
+        self.me = course.slots.index(self.slot) if self.slot in course.slots else NONE
+        self._reached = {}
+        self._plans[self.slot] = digest
+        self._said.pop(AgreementKind.PLAN, None)
+
+    def _compute(self, crew: FleetSnapshot, now_us: int) -> None:
+        movers, blocked = self._movers(crew, now_us)
         covered = covered_of(self.ground, crew.progress)
         uncovered = ~covered
         ours_is_done = self.kept and self._done(crew.progress)
@@ -336,14 +356,11 @@ class CoverageAgreement:
             slots, tuple(movers[s] for s in slots), np.packbits(covered).tobytes(),
             tuple(sorted(blocked)), self.turn_cost,
         )  # fmt: skip
-        self.course = course_of(self.ground, terms)
-        self.me = slots.index(self.slot) if self.slot in slots else NONE
-        uncovered[self.course.todo] = False
+        course = course_of(self.ground, terms)
+        uncovered[course.todo] = False
         rooms = self.ground.room[self.ground.padded]
         self._left_out = bool((uncovered & np.isin(rooms, rooms[list(movers.values())])).any())
-        self._reached = {}
-        self._plans[self.slot] = terms.digest(self.ground)
-        self._said.pop(AgreementKind.PLAN, None)
+        self._adopt(course, terms.digest(self.ground))
 
     def _agree(self, crew: FleetSnapshot, now_us: int) -> None:
         places = {slot: p for slot, p in self._places.items() if slot in crew.live}
@@ -373,6 +390,11 @@ class CoverageAgreement:
         """Which of these slots have something left to do by the last plan."""
         left = self.owner[~covered_of(self.ground, progress)]
         return sorted(set(left.tolist()) & set(slots))
+
+    def wrecks(self, crew: FleetSnapshot) -> list[int]:
+        """Slots of silent robots that are taken to stand where their last command expired."""
+        owing = self.owing(crew.progress, crew.fell_silent_at_us)
+        return owing if len(owing) == 1 else []
 
     def _kept(self, covered: NDArray[np.bool_], crew: FleetSnapshot) -> NDArray[np.bool_]:
         """Cells that silent robots are believed to be working on."""

@@ -27,6 +27,7 @@ from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.tractor_motion import TractorMotion
 from agent.navigation.navigation_mission import NavigationMission
+from agent.pathfinding.pathfinding_mission import GoalWork
 from agent.runtime.declared_values import BatteryTable, FieldTable, FleetTable, WarehouseTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.hybrid_clock import HybridClock
@@ -181,5 +182,16 @@ def coverage_parts(
     """Coverage of a grid of cells. `rng`: a random source of this robot alone."""
     return MissionParts(
         GridWork(slot, ground, vehicle.speed_m_s, rng, turn_cost),
+        GridGuard(ground.cell_m, vehicle.radius_m, vehicle.speed_m_s),
+    )
+
+
+def pathfinding_parts(
+    slot: int, ground: CellMap, vehicle: Vehicle, rng: Random, goal: int, robots: int
+) -> MissionParts:
+    """A way to one cell of a grid. `goal`: the number of the cell; `robots`: of the whole fleet.
+    `rng`: a random source of this robot alone."""
+    return MissionParts(
+        GoalWork(slot, ground, vehicle.speed_m_s, rng, goal, robots),
         GridGuard(ground.cell_m, vehicle.radius_m, vehicle.speed_m_s),
     )

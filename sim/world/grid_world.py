@@ -70,6 +70,8 @@ class GridTruth:
     closest_m: float = inf
     steps: int = 0  # cells entered
     at: dict[int, int] = field(default_factory=dict)  # slot -> the cell that it covered last
+    # Each time that a robot came to the middle of another cell: when, the slot, the cell.
+    visits: list[tuple[int, int, int]] = field(default_factory=list)
 
 
 class GridWorld(World):
@@ -170,6 +172,7 @@ class GridWorld(World):
             if truth.at.get(slot) == number:
                 continue
             truth.at[slot] = number
+            truth.visits.append((now_us, slot, number))
             truth.steps += 1
             if truth.first_at_us[number] == NONE:
                 truth.first_at_us[number], truth.by[number] = now_us, slot

@@ -414,6 +414,40 @@ def compile_core(
     raise SystemExit(command(remove))
 
 
+@app.command(rich_help_panel=PLAY)
+def mapf(
+    map: Annotated[Path, typer.Argument(help="A MovingAI .map.")],
+    scenario: Annotated[
+        Path | None, typer.Argument(help="Its .scen; none: starts and goals drawn by the seed.")
+    ] = None,
+    agents: Annotated[
+        str, typer.Option(help="How many: 20, 1:100 (doubled), 10:100:30 (with a step).")
+    ] = "20",
+    loss: Annotated[float, typer.Option(help="Odds that a receiver misses a frame.")] = 0.0,
+    crash: Annotated[int, typer.Option(min=0, help="Robots that fail on the way.")] = 0,
+    seed: Annotated[int, typer.Option(help="Of the wire, the crashes, and drawn goals.")] = 1,
+    out: Annotated[Path | None, typer.Option(help="The paths that were driven, a file.")] = None,
+    picture: Annotated[
+        Path | None, typer.Option(help="The same as a picture, .png, .svg or .pdf.")
+    ] = None,
+    json: Json = False,
+) -> None:
+    """Drive a public MAPF instance with whole peers on a bus, judged from outside. Exit 0: no faults.
+
+    Nobody plans for all: robots tell each other where they are and want to be, and agree.
+    Example: headland mapf room-64-64-8.map room-64-64-8-random-1.scen --agents 1:50 --loss 0.02
+    """
+    from sim.files.grid_map import GridFileError
+    from tools.run.mapf import counts_of, measured
+
+    try:
+        counts = counts_of(agents)
+        raise SystemExit(measured(map, scenario, counts, seed, loss, crash, out, picture, json))
+    except (GridFileError, OSError) as error:
+        typer.echo(f"headland: {error}", err=True)
+        raise SystemExit(2) from None
+
+
 app.add_typer(bus_commands.app)
 app.add_typer(trial_commands.app)
 app.add_typer(setup_commands.app)

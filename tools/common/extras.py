@@ -10,6 +10,7 @@ EXTRA_OF = {
     "cantools": "formats",
     "rosbags": "ros",
     "aiomqtt": "vda5050",
+    "pymapf": "mapf", "pettingzoo": "mapf", "gymnasium": "mapf",
     "pynmeagps": "nmea", "serial": "nmea",
     "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",
     "atheris": "fuzz",

@@ -1,0 +1,105 @@
+"""A joint plan from cells to goals, made alike by every robot of a fleet on a grid.
+
+A goal may be out of reach: something stands there or in the only way, or another robot has the same
+goal. Such a robot gets another end: the nearest cell that is nobody's goal. So it leaves the way of
+others.
+"""
+
+from collections import deque
+from typing import NamedTuple
+from zlib import crc32
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.coverage.cell_map import NONE, CellMap
+from agent.coverage.joint_course import GridCourse, Numbers
+from agent.mapf.sum_of_costs import planned
+
+KEPT_MAX = 4  # cached plans: two sides of a network split, and those before them
+DIGEST_MASK = 0xFFFF_FFFF
+
+
+def neighbours(ground: CellMap, blocked: tuple[int, ...] = ()) -> NDArray[np.int32]:
+    """The cells beside each cell, (cells, 4) numbers; -1 for walls and for `blocked` cells."""
+    near: NDArray[np.int32] = np.stack(
+        [ground.number_of[ground.padded + step] for step in (1, -ground.width, -1, ground.width)],
+        axis=1,
+    ).astype(np.int32)
+    if blocked:
+        near[np.isin(near, blocked)] = NONE
+        near[list(blocked)] = NONE
+    return near
+
+
+class GoalInputs(NamedTuple):
+    """All that a plan depends on: robots that agree on these values compute equal plans."""
+
+    slots: tuple[int, ...]
+    places: tuple[int, ...]
+    goals: tuple[int, ...]
+    blocked: tuple[int, ...]
+    salt: int
+
+    def digest(self, ground: CellMap) -> int:
+        """32 bits of these inputs and of the map, for comparing them in one frame."""
+        return crc32(repr((ground.check, *self)).encode()) & DIGEST_MASK
+
+
+def ends_of(near: NDArray[np.int32], inputs: GoalInputs) -> list[int]:
+    """Where each robot is to end: at its goal, or near its place if its goal cannot be reached."""
+    taken = set(inputs.goals)
+    ends: list[int] = []
+    for place, goal in zip(inputs.places, inputs.goals, strict=True):
+        free, queue, seen = NONE, deque([place]), {place}
+        while queue:
+            at = queue.popleft()
+            if at == goal and goal not in ends:
+                break
+            if free == NONE and at not in taken:
+                free = at
+            for to in near[at].tolist():
+                if to != NONE and to not in seen:
+                    seen.add(to)
+                    queue.append(to)
+        else:
+            goal = free if free != NONE else place
+            taken.add(goal)
+        ends.append(goal)
+    return ends
+
+
+class GoalCourse(GridCourse):
+    """The plan, from `agent/mapf/sum_of_costs.py`. Without one, all stay where they are."""
+
+    def __init__(self, ground: CellMap, inputs: GoalInputs) -> None:
+        near = neighbours(ground, inputs.blocked)
+        self.ends = ends_of(near, inputs)
+        track = None
+        if len(set(self.ends)) == len(self.ends):
+            track = planned(near, inputs.places, self.ends, inputs.salt)
+        self.solved = track is not None
+        self._track = np.array(inputs.places, np.int32)[:, None] if track is None else track
+        self.left_out = {
+            slot for slot, goal, end in zip(inputs.slots, inputs.goals, self.ends, strict=True)
+            if goal != end
+        }  # fmt: skip
+        super().__init__(ground, inputs.slots, inputs.places, np.empty(0, np.int32))
+
+    def _advance(self) -> Numbers | None:
+        step = len(self._steps)
+        return self._track[:, step].copy() if step < self._track.shape[1] else None
+
+
+_KEPT: dict[object, tuple[CellMap, GoalCourse]] = {}  # a ground kept keeps its id
+
+
+def course_to_goals(ground: CellMap, inputs: GoalInputs) -> GoalCourse:
+    """The plan of these inputs. The last `KEPT_MAX` are kept, because robots that share a process
+    compute the same one after the other."""
+    key = (id(ground), inputs)
+    if key not in _KEPT:
+        while len(_KEPT) >= KEPT_MAX:
+            del _KEPT[next(iter(_KEPT))]
+        _KEPT[key] = ground, GoalCourse(ground, inputs)
+    return _KEPT[key][1]

@@ -1,0 +1,98 @@
+"""The file of paths that MAPF validators read, and how the visits of real bodies become such paths.
+
+    agents=2
+    map_file=room.map
+    ...
+    starts=(0,0),(5,0)
+    goals=(5,0),(0,0)
+    solution=
+    0:(0,0),(5,0),
+    1:(1,0),(5,1),
+
+A place is (column, row). The form is that of the public LaCAM and PIBT solvers.
+
+Bodies have no common clock. `timed` gives each visit of a cell a whole unit of time: the one in
+which it happened, or a later one where the order of the visits of one cell asks for it. It moves
+nothing forward in time, and visits that no such order allows are an error.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import pairwise
+
+Cell = tuple[int, int]  # row, column
+Visit = tuple[float, int, int]  # units of time, robot, cell number
+MARGIN = 0.5  # of a unit: a visit is rounded to the nearest one
+
+
+class PathError(Exception):
+    """The visits of bodies are no plan: two were in one cell, or changed places."""
+
+
+def timed(visits: Sequence[Visit], robots: int) -> list[list[tuple[int, int]]]:
+    """For each robot its (time, cell) in whole units of time, from the visits in their order.
+
+    PathError if two robots were in one cell at a time, however the visits are timed.
+    """
+    own: list[list[tuple[float, int]]] = [[] for _ in range(robots)]
+    of_cell: dict[int, list[tuple[int, int]]] = {}  # cell -> (robot, index) in order
+    for at, robot, cell in visits:
+        if own[robot] and own[robot][-1][1] == cell:
+            continue
+        of_cell.setdefault(cell, []).append((robot, len(own[robot])))
+        own[robot].append((at, cell))
+    times = [[max(0, int(at + MARGIN)) if k else 0 for k, (at, _) in enumerate(row)] for row in own]
+    before: dict[tuple[int, int], tuple[int, int]] = {}
+    for cell, turns in of_cell.items():
+        for (one, k), (other, j) in pairwise(turns):
+            if one == other:
+                continue
+            if k + 1 >= len(own[one]):
+                raise PathError(f"robot {other} came to cell {cell}, where robot {one} stayed")
+            before[other, j] = (one, k + 1)  # the other one must have gone by then
+    limit = sum(map(len, own)) + max((t for row in times for t in row), default=0) + 1
+    changed = True
+    while changed:
+        changed = False
+        for robot, row in enumerate(times):
+            for k in range(1, len(row)):
+                least = max(row[k], row[k - 1] + 1)
+                gone = before.get((robot, k))
+                if gone is not None:
+                    least = max(least, times[gone[0]][gone[1]])
+                if least > row[k]:
+                    row[k], changed = least, True
+                if least > limit:
+                    raise PathError(f"robot {robot} was in the way of itself or of others")
+    return [
+        [(at, cell) for at, (_, cell) in zip(row, visited, strict=True)]
+        for row, visited in zip(times, own, strict=True)
+    ]
+
+
+def tracks(timed_visits: Sequence[Sequence[tuple[int, int]]]) -> list[list[int]]:
+    """The cell of each robot at each whole time, until the last one has moved."""
+    last = max((row[-1][0] for row in timed_visits), default=0)
+    found = []
+    for row in timed_visits:
+        track, k = [], 0
+        for t in range(last + 1):
+            while k + 1 < len(row) and row[k + 1][0] <= t:
+                k += 1
+            track.append(row[k][1])
+        found.append(track)
+    return found
+
+
+def path_text(
+    head: Mapping[str, object], starts: Sequence[Cell], goals: Sequence[Cell],
+    steps: Sequence[Sequence[Cell]],
+) -> str:  # fmt: skip
+    """The file. `head`: what is told of the run. `steps`: the cells of all robots at each time."""
+    lines = [f"{name}={value}" for name, value in head.items()]
+    lines += [f"starts={_places(starts)}", f"goals={_places(goals)}", "solution="]
+    lines += [f"{t}:{_places(cells)}" for t, cells in enumerate(steps)]
+    return "\n".join([*lines, ""])
+
+
+def _places(cells: Sequence[Cell]) -> str:
+    return "".join(f"({column},{row})," for row, column in cells)

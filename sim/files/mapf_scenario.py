@@ -1,0 +1,113 @@
+"""Instances of multi-agent path finding: MovingAI's `.scen` files, and drawn ones of the same format.
+
+A `.scen` has a version line and one line for each agent: bucket, map, width, height, start column,
+start row, goal column, goal row, length of the shortest path (Sturtevant, Benchmarks for Grid-Based
+Pathfinding, 2012; Stern et al., SoCS 2019). The first K lines are an instance of K agents.
+"""
+
+from math import isfinite
+from pathlib import Path
+from random import Random
+from typing import NamedTuple
+
+import numpy as np
+
+from agent.runtime.files.given_file import GivenFileError, read_text
+from sim.files.grid_map import FILE_BYTES_MAX, Cell, GridFileError, Walls, check_starts
+
+FIELDS = 9  # of a line
+
+
+class MapfInstance(NamedTuple):
+    """A map, and a start and a goal for each agent."""
+
+    name: str
+    walls: Walls
+    starts: list[Cell]
+    goals: list[Cell]
+
+
+def parse_scenario(text: str, name: str, agents: int) -> tuple[list[Cell], list[Cell]]:
+    """Starts and goals of the first `agents` lines of a `.scen`. Raises GridFileError.
+
+    >>> parse_scenario("version 1\\n0\\tm.map\\t9\\t9\\t1\\t2\\t3\\t4\\t4.8\\n", "m.scen", 1)
+    ([(2, 1)], [(4, 3)])
+    """
+    lines = [line for line in text.splitlines() if line.strip()]
+    if not lines or not lines[0].startswith("version"):
+        raise GridFileError(f"{name}: not a MovingAI scenario (its first line is 'version 1')")
+    if len(lines) - 1 < agents:
+        raise GridFileError(f"{name}: has {len(lines) - 1} agents, not {agents}")
+    starts, goals = [], []
+    for number, line in enumerate(lines[1 : agents + 1]):
+        words = line.split()
+        try:
+            if len(words) != FIELDS or not isfinite(float(words[8])):
+                raise ValueError
+            column, row, to_column, to_row = (int(word) for word in words[4:8])
+        except ValueError:
+            raise GridFileError(f"{name}: line {number + 2} is not that of an agent") from None
+        starts.append((row, column))
+        goals.append((to_row, to_column))
+    return starts, goals
+
+
+def read_scenario(path: Path, walls: Walls, agents: int) -> MapfInstance:
+    """The first `agents` of a `.scen` on a map that was read. Raises GridFileError, also if two
+    have one start or one goal, or one of them is in a wall."""
+    try:
+        text = read_text(path, FILE_BYTES_MAX)
+    except GivenFileError as problem:
+        raise GridFileError(f"{path}: {problem}") from None
+    starts, goals = parse_scenario(text, str(path), agents)
+    check_starts(str(path), walls, starts)
+    check_starts(f"{path}, goals", walls, goals)
+    return MapfInstance(path.stem, walls, starts, goals)
+
+
+def drawn_scenario(name: str, walls: Walls, agents: int, seed: int) -> MapfInstance:
+    """Starts and goals drawn from the largest connected part of a map, as the benchmark's `random`
+    scenarios are. Raises GridFileError if there are too few free cells."""
+    part = largest_part(walls)
+    if len(part) < agents:
+        raise GridFileError(f"{name}: {len(part)} connected free cells for {agents} agents")
+    rng = Random(f"{seed}/mapf/{name}")
+    return MapfInstance(
+        f"{name}-seed-{seed}", walls, rng.sample(part, agents), rng.sample(part, agents)
+    )
+
+
+def largest_part(walls: Walls) -> list[Cell]:
+    """The cells of the largest connected free part, in the order of rows and columns."""
+    left = {(int(r), int(c)) for r, c in np.argwhere(~walls)}
+    best: list[Cell] = []
+    while left:
+        first = min(left)
+        left.discard(first)
+        part, stack = [first], [first]
+        while stack:
+            row, column = stack.pop()
+            for cell in (
+                (row - 1, column),
+                (row + 1, column),
+                (row, column - 1),
+                (row, column + 1),
+            ):
+                if cell in left:
+                    left.discard(cell)
+                    part.append(cell)
+                    stack.append(cell)
+        if len(part) > len(best):
+            best = sorted(part)
+    return best
+
+
+def scenario_text(mapf: MapfInstance, map_name: str, lengths: list[int]) -> str:
+    """A `.scen` of an instance; `lengths`: the shortest path of each agent, in moves."""
+    rows, columns = mapf.walls.shape
+    lines = [
+        f"{length // 4}\t{map_name}\t{columns}\t{rows}\t{start[1]}\t{start[0]}\t{goal[1]}\t{goal[0]}"
+        f"\t{length}"
+        for start, goal, length in zip(mapf.starts, mapf.goals, lengths, strict=True)
+    ]
+    return "\n".join(["version 1", *lines, ""])

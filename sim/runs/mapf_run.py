@@ -1,0 +1,201 @@
+"""Whole peers go to their goals on a MAPF map, over the simulated wire; judged from true positions.
+
+    outcome = MapfRun(MapfSetup.of(instance)).run()
+
+Costs are told in units of time, which is what a body takes for one cell at full speed. They count
+from the moment at which the first body set out. What the fleet took to find each other and to agree
+before that is told beside it, because solvers do not count their planning as a cost, either.
+"""
+
+from collections import deque
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from agent.coverage.cell_map import NONE
+from agent.interface.config import S
+from agent.pathfinding.pathfinding_mission import GoalWork
+from sim.files.mapf_paths import PathError, timed, tracks
+from sim.fleet.scheduler import Host
+from sim.fleet.simulated_fleet import Record, Robot
+from sim.runs.coverage_run import QUIET_US, CoverageFleet
+from sim.runs.run import MissionRun, RunProgress, states_of
+from sim.scenarios.coverage_setup import STEP_S
+from sim.scenarios.mapf_setup import MapfSetup
+from sim.world.plan_judge import steps_from
+
+STEP_US = round(STEP_S * S)
+BESIDE = 0.8  # of a cell: a body nearer to a cell's middle, along both axes, may block the cell
+
+
+class MapfOutcome(NamedTuple):
+    """What came of one run, from the truth."""
+
+    map: str
+    robots: int
+    seed: int
+    finished: bool  # all running robots report it
+    crashed: int
+    unsolvable: int  # running robots with a goal that a wreck has closed off
+    arrived: int  # running robots that stand on their goal, of all that can
+    sum_of_costs: float  # of those, units of time
+    shortest: int  # the sum of their shortest paths on the empty map: no plan costs less
+    makespan: float  # units of time
+    before_s: float  # from power-up until the first body set out
+    collisions: int  # contacts of bodies, and centres in walls
+    conflict: str  # why the visits are no plan; empty: they are one
+    closest_m: float
+    rounds: int  # of agreement
+    frames: Mapping[str, int]
+    malformed: int
+    bus_load: float
+    trace_hash: str
+    simulated_s: float
+    cpu_s: float
+
+    @property
+    def solvable(self) -> int:
+        """Robots that were neither crashed nor closed off."""
+        return self.robots - self.crashed - self.unsolvable
+
+    @property
+    def success(self) -> bool:
+        """All that could arrive did, and nothing touched."""
+        clean = not (self.collisions or self.conflict)
+        return self.finished and clean and self.arrived == self.solvable
+
+    @property
+    def ratio(self) -> float:
+        """The sum of costs as a factor of that of the shortest paths."""
+        return self.sum_of_costs / max(self.shortest, 1)
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures as plain values for JSON."""
+        plain = {**self._asdict(), "frames": dict(self.frames)}
+        more = {"solvable": self.solvable, "ratio": round(self.ratio, 4), "success": self.success}
+        return {**plain, **more}
+
+
+class MapfFleet(CoverageFleet):
+    """A cluster on a map where each robot has a goal."""
+
+    def _in_order(self, robot: Robot) -> bool:
+        """Whether all that the robot knows as arrived is also marked as done, but of dead robots."""
+        peer = robot.peer
+        return all(
+            not peer.progress.complete(other.slot) or peer.allocation.done_count() > 0
+            for other in self.running
+        )
+
+    def goal_work(self, robot: Robot) -> GoalWork:
+        """The mission of a robot."""
+        mission = self.mission(robot)
+        assert isinstance(mission, GoalWork)
+        return mission
+
+
+class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
+    """Switches whole peers on, waits until all plans are at their end, and judges the bodies."""
+
+    kind = MapfOutcome
+    quiet_for_us = QUIET_US
+    steps: list[list[int]]  # after the run: the cells of all robots at each unit of time
+
+    def make_fleet(self, channel: str, record: Record, host: Host) -> MapfFleet:
+        return MapfFleet(self.setting, channel, record, host)
+
+    def progress(self, cluster: MapfFleet) -> RunProgress:
+        """Robots at their goals, of all."""
+        at, goals = cluster.grid_world.truth.at, self.setting.goals
+        done = sum(at.get(slot) == goal for slot, goal in enumerate(goals))
+        now_s = cluster.host.now_us() / S
+        return RunProgress(now_s, done, len(goals), done / len(goals), states_of(cluster))
+
+    def measure(self, cluster: MapfFleet) -> dict[str, Any]:
+        setting, truth, ground = self.setting, cluster.grid_world.truth, self.setting.ground
+        up = {robot.slot for robot in cluster.running}
+        moved = [at_us for at_us, slot, cell in truth.visits if cell != setting.cells[slot]]
+        first_at_us = min(moved, default=STEP_US) - STEP_US
+        came_us = {slot: at_us for at_us, slot, cell in truth.visits}  # the last visit of each
+        closed = self._closed_off(cluster, up)
+        there = [slot for slot in sorted(up - closed) if truth.at.get(slot) == setting.goals[slot]]
+        moves = {
+            slot: 0 if setting.cells[slot] == setting.goals[slot] and came_us[slot] < first_at_us
+            else (came_us[slot] - first_at_us) / STEP_US
+            for slot in there
+        }  # fmt: skip
+        visits = [
+            ((at_us - first_at_us) / STEP_US, slot, cell) for at_us, slot, cell in truth.visits
+        ]
+        for slot in set(range(len(setting.goals))) - up:  # where its wreck mostly is
+            cell = ground.at(*cluster.grid_world.body(slot).position)
+            if cell not in (NONE, truth.at[slot]):
+                visits.append((visits[-1][0], slot, cell))
+        conflict = ""
+        self.steps = []
+        try:
+            found = tracks(timed(visits, len(setting.goals)))
+            self.steps = [list(cells) for cells in zip(*found, strict=True)]
+        except PathError as error:
+            conflict = str(error)
+        return {
+            "map": setting.instance.name,
+            "crashed": len(setting.goals) - len(up),
+            "unsolvable": len(closed),
+            "arrived": len(there),
+            "sum_of_costs": float(sum(moves.values())),
+            "shortest": sum(self._shortest(there)),
+            "makespan": float(max(moves.values(), default=0.0)),
+            "before_s": first_at_us / S,
+            "collisions": len(truth.contacts) + truth.through_walls,
+            "conflict": conflict,
+            "closest_m": truth.closest_m,
+            "rounds": max(cluster.mission(r).agreement.rounds for r in cluster.robots.values()),
+        }
+
+    def _shortest(self, slots: Iterable[int]) -> list[int]:
+        """The shortest path of each robot on the map without others, in moves."""
+        walls, starts = self.setting.ground.walls.tolist(), self.setting.instance.starts
+        return [
+            steps_from(walls, [starts[slot]])[self.setting.ground.cell(self.setting.goals[slot])]
+            for slot in slots
+        ]
+
+    def _closed_off(self, cluster: MapfFleet, up: set[int]) -> set[int]:
+        """Running robots whose goal is in a wreck, or is cut off by wrecks from where they are."""
+        ground, world = self.setting.ground, cluster.grid_world
+        walls: NDArray[np.bool_] = ground.walls.copy()
+        for slot in set(world.robots) - up:
+            x_m, y_m = world.body(slot).position
+            row, column = ground.cell_at(x_m, y_m)
+            for cell in ((row + i, column + j) for i in (-1, 0, 1) for j in (-1, 0, 1)):
+                cx_m, cy_m = ground.centre_of(cell)
+                beside = max(abs(cx_m - x_m), abs(cy_m - y_m)) < BESIDE * ground.cell_m
+                if beside and ground.number(cell) != NONE:
+                    walls[cell] = True
+        part: dict[tuple[int, int], int] = {}
+        for number in range(len(ground)):
+            cell = ground.cell(number)
+            if cell in part or walls[cell]:
+                continue
+            part[cell], queue = number, deque([cell])
+            while queue:
+                row, column = queue.popleft()
+                for near in (
+                    (row + 1, column),
+                    (row - 1, column),
+                    (row, column + 1),
+                    (row, column - 1),
+                ):
+                    if ground.number(near) != NONE and not walls[near] and near not in part:
+                        part[near] = number
+                        queue.append(near)
+        closed = set()
+        for slot in up:
+            here = ground.cell_at(*world.body(slot).position)
+            goal = ground.cell(self.setting.goals[slot])
+            if part.get(goal) is None or part.get(here) != part.get(goal):
+                closed.add(slot)
+        return closed

@@ -1,0 +1,31 @@
+"""Visits of bodies become paths in whole units of time, or are found to be no plan."""
+
+import pytest
+
+from sim.files.mapf_paths import PathError, timed, tracks
+
+
+def test_who_follows_closely_is_in_the_next_cell_when_the_first_has_gone() -> None:
+    visits = [
+        (0.0, 0, 1),
+        (0.0, 1, 0),
+        (1.4, 1, 1),
+        (1.6, 0, 2),
+    ]  # 1 came before 0 was in the middle
+    assert tracks(timed(visits, 2)) == [[1, 1, 2], [0, 0, 1]]
+
+
+def test_a_ring_that_turns_is_a_plan() -> None:
+    visits = [(0.0, k, k) for k in range(4)] + [(1.0, k, (k + 1) % 4) for k in range(4)]
+    assert tracks(timed(visits, 4)) == [[k, (k + 1) % 4] for k in range(4)]
+
+
+def test_a_cell_where_another_stayed_is_a_conflict() -> None:
+    with pytest.raises(PathError, match="robot 1 came to cell 2, where robot 0 stayed"):
+        timed([(0.0, 0, 2), (0.0, 1, 1), (1.0, 1, 2)], 2)
+
+
+def test_nothing_happens_earlier_than_it_did() -> None:
+    visits = [(0.0, 0, 0), (0.0, 1, 5), (3.0, 0, 1), (4.1, 0, 2), (5.0, 1, 1)]
+    for row, own in zip(timed(visits, 2), ([0, 3, 4], [0, 5]), strict=True):
+        assert [at for at, _ in row] == own

@@ -1,0 +1,79 @@
+"""Whole peers drive MAPF instances over the wire; their bodies judge, and validators of others."""
+
+import re
+
+import pytest
+
+from sim.files.grid_map import map_text, parse_map, random_walls
+from sim.files.mapf_scenario import MapfInstance, drawn_scenario
+from sim.runs.mapf_run import MapfOutcome, MapfRun
+from sim.scenarios.mapf_setup import MapfSetup
+from sim.scenarios.scenario import Crash, Estop, Fault, Reset
+from sim.world.path_judge import judge_paths
+from tools.run.mapf import judged, path_file
+
+
+def play(
+    mapf: MapfInstance, *faults: Fault, seed: int = 1, loss: float = 0.0
+) -> tuple[MapfRun, MapfOutcome]:
+    run = MapfRun(MapfSetup.of(mapf, seed=seed, loss=loss, faults=faults, time_limit_s=240.0))
+    return run, run.run()
+
+
+def scene(side: int, robots: int, seed: int, share: float = 0.15) -> MapfInstance:
+    return drawn_scenario("grid", random_walls(side, side, share, seed), robots, seed)
+
+
+@pytest.mark.parametrize(("seed", "loss"), [(1, 0.0), (2, 0.02), (3, 0.2)])
+def test_all_arrive_and_two_validators_find_no_conflict(seed: int, loss: float) -> None:
+    mapf = scene(12, 8, seed)
+    run, outcome = play(mapf, seed=seed, loss=loss)
+    assert outcome.success and outcome.arrived == 8, (seed, outcome)
+    assert outcome.ratio < 1.35 + loss, (seed, outcome)
+    verdict = judged(run, outcome, mapf.walls)
+    assert not verdict.faults and verdict.arrived == 8, (seed, verdict)
+    assert abs(verdict.sum_of_costs - outcome.sum_of_costs) <= 8, "a path file rounds to units"
+    pymapf = pytest.importorskip("pymapf")
+    rows = path_file(run, outcome).partition("solution=\n")[2].splitlines()
+    steps = [re.findall(r"\((\d+),(\d+)\)", row) for row in rows]
+    paths = {str(k): [tuple(map(int, step[k])) for step in steps] for k in range(8)}
+    assert pymapf.find_first_conflict(paths) is None, seed
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_robot_that_fails_on_the_way_is_driven_round(seed: int) -> None:
+    mapf = scene(14, 8, seed)
+    run, outcome = play(mapf, Crash(at_s=6.0, kind="crash", robot=3), seed=seed, loss=0.02)
+    assert outcome.success and outcome.crashed == 1 and outcome.rounds >= 2, (seed, outcome)
+    assert not judged(run, outcome, mapf.walls).faults, seed
+
+
+def test_a_wreck_in_the_only_door_closes_off_goals_and_the_others_arrive() -> None:
+    walls = parse_map("type octile\nheight 3\nwidth 9\nmap\n....@....\n.........\n....@....\n")
+    mapf = MapfInstance(
+        "door", walls, [(1, 3), (0, 0), (2, 0), (0, 8)], [(1, 8), (0, 7), (0, 2), (2, 5)]
+    )
+    _, outcome = play(mapf, Crash(at_s=2.3, kind="crash", robot=0))
+    assert outcome.success and outcome.crashed == 1, outcome
+    assert outcome.unsolvable == 1 and outcome.arrived == 2, "robot 1 cannot come through"
+
+
+def test_a_stop_on_the_way_halts_all_and_they_arrive_after_its_release() -> None:
+    mapf = scene(10, 5, 4)
+    stop, release = Estop(at_s=5.0, kind="estop", robot=2), Reset(at_s=15.0, kind="reset")
+    _, outcome = play(mapf, stop, release, seed=4)
+    assert outcome.success and outcome.sum_of_costs > outcome.shortest + 5 * 5, outcome
+
+
+def test_one_seed_is_one_run() -> None:
+    hashes = [play(scene(8, 4, 2), seed=seed)[1].trace_hash for seed in (1, 1, 2)]
+    assert hashes[0] == hashes[1] != hashes[2]
+
+
+def test_the_judge_of_paths_can_fail() -> None:
+    mapf = scene(8, 3, 5)
+    run, outcome = play(mapf)
+    text = path_file(run, outcome)
+    assert judge_paths(text, map_text(mapf.walls)).faults == []
+    two = re.sub(r"^(\d+):(\(\d+,\d+\),)\(\d+,\d+\),", r"\1:\2\2", text, flags=re.M)
+    assert judge_paths(two, map_text(mapf.walls)).faults
