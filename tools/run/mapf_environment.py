@@ -36,7 +36,7 @@ STEPS_MAX = 1000
 STEP_REWARD, GOAL_REWARD = -1.0, 0.0  # so the sum of rewards is minus the sum of costs
 
 
-class MapfEnvironment(ParallelEnv):  # type: ignore[misc]  # the package has no types
+class MapfEnvironment(ParallelEnv):
     """Robots `robot_0`, `robot_1` and so on, with one action each in every unit of time."""
 
     metadata: ClassVar[dict[str, Any]] = {"name": "headland_mapf_v0", "render_modes": ["ansi"]}

@@ -19,7 +19,7 @@ from agent.pathfinding.goal_course import neighbours
 
 
 @register_solver("headland")
-class HeadlandSolver(MAPFSolver):  # type: ignore[misc]  # the package has no types
+class HeadlandSolver(MAPFSolver):
     """LaCAM, then large-neighbourhood search; grids with four neighbours and one goal for each agent."""
 
     def __init__(self, seed: int = 0) -> None:

@@ -37,7 +37,8 @@ def test_pettingzoo_accepts_the_environment() -> None:
 
 
 def test_a_robot_hears_less_if_frames_are_lost_and_never_moves_into_another() -> None:
-    from headland.mapf_environment import UNHEARD, MapfEnvironment
+    from headland.mapf_environment import MapfEnvironment
+    from tools.run.mapf_environment import UNHEARD
 
     mapf = drawn_scenario("grid", random_walls(9, 9, 0.1, 2), 20, 2)
     env = MapfEnvironment(mapf, loss=0.5, seed=4)
