@@ -18,6 +18,7 @@ FLOORS = {
     "protocol/sync": 100,
     "agent/avoidance": 100,
     "agent/coverage": 100,
+    "agent/pathfinding": 100,
     "agent/delivery": 100,
     "agent/exploration": 100,
     "agent/field": 100,

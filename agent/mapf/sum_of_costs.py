@@ -222,7 +222,9 @@ def _improve(table: _Table, groups: int, state: Words) -> None:
 
 
 def costs(track: Ints, goals: Ints) -> NDArray[np.int64]:
-    """The time from which on each robot stays at its goal, (robots,); `track`: (robots, times)."""
+    """The time from which on each robot stays at its goal, (robots,).
+
+    `track`: (robots, times), `goals`: (robots,), both of nodes."""
     away = track[:, ::-1] != goals[:, None]
     times: NDArray[np.int64] = np.where(away.any(axis=1), track.shape[1] - away.argmax(axis=1), 0)
     return times

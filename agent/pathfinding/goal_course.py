@@ -47,7 +47,9 @@ class GoalInputs(NamedTuple):
 
 
 def ends_of(near: NDArray[np.int32], inputs: GoalInputs) -> list[int]:
-    """Where each robot is to end: at its goal, or near its place if its goal cannot be reached."""
+    """Where each robot is to end: at its goal, or near its place if its goal cannot be reached.
+
+    `near`: (cells, 4), as `neighbours` gives it."""
     taken = set(inputs.goals)
     ends: list[int] = []
     for place, goal in zip(inputs.places, inputs.goals, strict=True):

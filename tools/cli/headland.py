@@ -434,7 +434,8 @@ def mapf(
 ) -> None:
     """Drive a public MAPF instance with whole peers on a bus, judged from outside. Exit 0: no faults.
 
-    Nobody plans for all: robots tell each other where they are and want to be, and agree.
+    Nobody plans for all: robots tell each other where they are and want to be, and agree. `--loss` is
+    a share of all frames from 0 to 1, `--crash` a number of robots.
     Example: headland mapf room-64-64-8.map room-64-64-8-random-1.scen --agents 1:50 --loss 0.02
     """
     from sim.files.grid_map import GridFileError
