@@ -155,7 +155,7 @@ class PeerParts:
         self.directive = OperatorDirective(slot, self.safety, mission, self.obstacle)
         self.mission_messages = MissionMessages(mission)
         self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
-        self.progress_told.with_heartbeats = bool(self.proven.kinds)
+        self.progress_told.with_heartbeats = self.state_sync.proven = bool(self.proven.kinds)
         self.claims = SectionClaims(slot, self.allocation)
         self.work = SectionWork(
             self.claims, self.clock, self.sync, self.progress_told, self.lifecycle, self.safety,

@@ -41,6 +41,7 @@ class StateSync(Part):
     ) -> None:
         self.sync, self.admission, self.joining = sync, admission, joining
         self.heartbeat_period_us = heartbeat_period_us
+        self.proven = False  # in a fleet with keys it is known which member says what
         self._told_at_us = -TELL_SPACING_US  # when a device that is no member was last answered
 
     @property
@@ -93,6 +94,10 @@ class StateSync(Part):
         assert slot is not None
         if isinstance(m, ENTRIES) and not self.admission.admits(m, ctx.now_us):
             return NOTHING
+        if self.proven and not header.from_gateway:
+            excess = self.admission.excess(m, slot, self.sync.replica.allocation)
+            if excess is not None:
+                return [Trace("trust", "", "REFUSED", str(slot), excess)]
         outputs: list[Any] = []
         changed = self.sync.on_message(slot, m, ctx.now_us)
         if changed:

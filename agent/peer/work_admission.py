@@ -4,12 +4,17 @@ Replicas must become equal, so permanent refusal depends only on the configurati
 a fleet share: the sections of its field and its members. A register whose epoch is higher than the
 hand-overs since boot explain is only deferred: a robot that was away receives it again until it
 accepts it, while a few forged frames are not accepted.
+
+In a fleet with keys it is known which robot sends a claim. It must be the sender's own, and one robot
+holds few sections.
 """
 
 from collections import Counter
 from collections.abc import Set as AbstractSet
 
-from agent.interface.config import S
+from agent.interface.config import CLAIM_AHEAD, S
+from crdt import FieldAllocationCRDT
+from crdt.claim_register import Phase
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 
 # Hand-overs of one section: a fault of the fleet costs one or two, and its lease lasts 20 s.
@@ -20,6 +25,10 @@ EPOCH_EVERY_US = 10 * S
 EPOCH_EXPLAINED_MAX = 64
 PERSISTS_US = 3 * S  # accepted if received again after this, because sync repeats differences
 FORGOTTEN_US = 60 * S  # sync asks at least every 38 s
+# Sections that one robot may hold: four times what an honest one claims (`CLAIM_AHEAD`). More is a
+# broken unit or a stolen key.
+HELD_MAX = 8
+assert HELD_MAX >= 4 * (1 + CLAIM_AHEAD)
 PUT_OFF_MAX = 256  # sections with a deferred epoch; beyond that the oldest are dropped
 
 Work = TaskClaim | StateSyncResponse | WorkProgress
@@ -54,6 +63,23 @@ class Admission:
             return True
         self.refused["epoch"] += 1
         return False
+
+    def excess(self, message: Work, slot: int, allocation: FieldAllocationCRDT) -> str | None:
+        """What is wrong with a claim that this member has proven; None: nothing. It is counted.
+
+        A member that says such a thing is broken, or its key is stolen."""
+        if not isinstance(message, TaskClaim):
+            return None
+        if message.owner != slot:
+            self.refused["claim of another"] += 1
+            return f"robot {slot} claims in the name of robot {message.owner}"
+        if message.phase not in (Phase.CLAIMED, Phase.STARTED):
+            return None
+        held = allocation.assigned_sections(slot)
+        if len(held) < HELD_MAX or message.section in held:
+            return None
+        self.refused["too many sections"] += 1
+        return f"robot {slot} claims more than {HELD_MAX} sections"
 
     def _persists(self, section: int, epoch: int, now_us: int) -> bool:
         known, first_at_us, last_at_us = self._put_off.pop(section, (epoch, now_us, now_us))

@@ -5,14 +5,14 @@ change of a replica, a state or a drive has one cause, and a judge that is not i
 """
 
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from random import Random
 from typing import NamedTuple
 
 import numpy as np
 
 from agent.interface.config import MS, S
-from agent.interface.effects import HALT, Drive, Send
+from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
@@ -132,8 +132,12 @@ class KeyedRig:
 
     def tell(self, slot: int, fact: Input) -> None:
         """Give a robot one input now, and put what it sends on the wire."""
+        self.send(slot, self.peers[slot].step(fact, self.now_us))
+
+    def send(self, slot: int, effects: Sequence[Effect]) -> None:
+        """Perform effects of a robot, or what somebody with its key would do."""
         peer = self.peers[slot]
-        for effect in peer.step(fact, self.now_us):
+        for effect in effects:
             if isinstance(effect, Drive):
                 self._move(slot)
                 self.drives[slot] = effect

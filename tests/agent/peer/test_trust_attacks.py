@@ -5,8 +5,10 @@ from collections.abc import Iterator
 import pytest
 
 from agent.interface.config import MS, S, beat_of
+from agent.interface.effects import Send
 from agent.interface.lifecycle import State
 from agent.peer.inputs import Received
+from agent.peer.work_admission import HELD_MAX
 from crdt import Phase
 from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import (
@@ -234,3 +236,31 @@ def test_a_proof_of_one_address_is_none_for_another(rig: KeyedRig) -> None:
             moved = encode(message, rig.address_of(2))
             rig.peers[0].step(Received(moved), rig.now_us)
     assert rig.peers[0].allocation.owner_of(6) is None
+
+
+def say(rig: KeyedRig, slot: int, *messages: object) -> None:
+    """A robot that is broken, or whose key is stolen, says this and proves it."""
+    peer = rig.peers[slot]
+    rig.send(slot, peer.proven.cover([Send(message) for message in messages], rig.now_us))
+    rig.run_for(100 * MS)
+
+
+def test_a_member_claims_only_for_itself(rig: KeyedRig) -> None:
+    say(rig, 1, TaskClaim(5, 0, Phase.CLAIMED, 0, 50, 2), TaskClaim(6, 0, Phase.CLAIMED, 0, 51, 1))
+    for slot in (0, 2):
+        allocation = rig.peers[slot].allocation
+        assert allocation.owner_of(5) is None and allocation.owner_of(6) == 1
+        assert rig.peers[slot].named.admission.refused == {"claim of another": 1}
+
+
+def test_a_member_holds_few_sections(rig: KeyedRig) -> None:
+    for peer in rig.peers.values():
+        peer.named.admission.sections = frozenset()  # a field of many sections
+    claims = [TaskClaim(n, 1, Phase.STARTED, 0, 50 + n, 2) for n in range(HELD_MAX + 5)]
+    effects = rig.peers[2].proven.cover([Send(claim) for claim in claims], rig.now_us)
+    rig.send(2, effects)
+    rig.send(2, rig.peers[2].proven.cover([Send(rig.peers[2].joining.announcement)], rig.now_us))
+    for slot in (0, 1):
+        peer = rig.peers[slot]
+        assert len(peer.allocation.assigned_sections(2)) == HELD_MAX
+        assert peer.named.admission.refused["too many sections"] == 5
