@@ -51,7 +51,7 @@ class Rekeying(NamedTuple):
     generation: int
     secret: bytes
     revoked: int = NOBODY
-    since_s: int = ALWAYS_S  # what it said up to this long before the switch is void
+    void_for_s: int = ALWAYS_S  # what it said up to this long before the switch is void
 
     @property
     def keys(self) -> Keys:
@@ -83,7 +83,9 @@ def own_key(root: bytes, slot: int) -> bytes:
 
 def seal(rekeying: Rekeying, own: bytes, slot: int) -> list[KeyPart]:
     """The frames of the new secret for one robot."""
-    content = CONTENT.pack(rekeying.secret, rekeying.generation, rekeying.revoked, rekeying.since_s)
+    content = CONTENT.pack(
+        rekeying.secret, rekeying.generation, rekeying.revoked, rekeying.void_for_s
+    )
     sealed = AESSIV(own).encrypt(content, [_about(slot)])
     short = rekeying.generation & AHEAD_MAX
     return [
@@ -99,8 +101,8 @@ def opened(parts: Mapping[int, bytes], own: bytes, slot: int) -> Rekeying | None
         content = AESSIV(own).decrypt(sealed, [_about(slot)])
     except InvalidTag:
         return None
-    secret, generation, revoked, since_s = CONTENT.unpack(content)
-    return Rekeying(generation, secret, revoked, since_s)
+    secret, generation, revoked, void_for_s = CONTENT.unpack(content)
+    return Rekeying(generation, secret, revoked, void_for_s)
 
 
 class PartsOf:

@@ -9,6 +9,11 @@ from functools import cache
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
+
+# An example that takes long, on a busy machine or where a kernel is compiled, is not wrong.
+settings.register_profile("headland", deadline=None)
+settings.load_profile("headland")
 
 PROCESS = re.compile(
     r"^\s*(?:import (?:subprocess|multiprocessing)|from (?:asyncio\.subprocess|tests\.tools\.launching)"

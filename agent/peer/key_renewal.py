@@ -100,11 +100,11 @@ class KeyRenewal(Part):
         self.authority.rekey(keys)
         self._now, self._next = new, None
         outputs: list[Any] = []
-        since_us = None if new.since_s == ALWAYS_S else now_us - new.since_s * S
+        compromised_at_us = None if new.void_for_s == ALWAYS_S else now_us - new.void_for_s * S
         if new.revoked != NOBODY:
             self.revoked |= {new.revoked}
         outputs.append(record(new, self.revoked))
-        outputs.append(notices.KeysChanged(keys, new.revoked, since_us))
+        outputs.append(notices.KeysChanged(keys, new.revoked, compromised_at_us))
         said = f"revoked robot {new.revoked}" if new.revoked != NOBODY else "rotated"
         outputs.append(Trace("keys", "", "SWITCHED", str(new.generation), said))
         self._answered_at_us = -ANSWER_SPACING_US

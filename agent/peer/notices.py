@@ -195,11 +195,11 @@ class HeartbeatHeard(NamedTuple):
 
 
 class KeysChanged(NamedTuple):
-    """The fleet has other keys. What the revoked member said after `since_us` is void."""
+    """The fleet has other keys. What the revoked member said after `compromised_at_us` is void."""
 
     keys: Keys
     revoked: int  # slot; `protocol.rekeying.NOBODY`: the keys were only rotated
-    since_us: int | None  # None: from the beginning
+    compromised_at_us: int | None  # None: from the beginning
 
 
 class MemberAnnounced(NamedTuple):

@@ -106,27 +106,21 @@ class Peer:
         """Everything that this fact causes, in the order in which it must be performed.
 
         An empty result of a received beacon guarantees that `due_at_us` is not earlier now."""
-        effects = self._step(fact, now_us)
-        return self.proven.cover(effects, now_us) if effects and self._held else effects
-
-    def _step(self, fact: Input, now_us: int) -> Sequence[Effect]:
         kind = type(fact)
+        outputs: Outputs = NOTHING
+        effects: list[Effect] = []
         if kind is Received:
             outputs = self._received(fact.frame, now_us)  # type: ignore[union-attr]
         elif kind is Timer:
-            return self._timer(now_us)
+            self._timer(effects, now_us)
         elif kind is Heard:
             heard: Heard = fact  # type: ignore[assignment]
             outputs = self._heard(heard.source, heard.destination, heard.message, now_us)
         else:
-            effects: list[Effect] = []
             self._deliver(fact, effects, now_us)
-            return effects
-        if not outputs:
-            return NOTHING
-        effects = []
-        self._settle(outputs, effects, now_us)
-        return effects
+        if outputs:
+            self._settle(outputs, effects, now_us)
+        return self.proven.cover(effects, now_us) if effects and self._held else effects
 
     @property
     def due_at_us(self) -> int:
@@ -249,8 +243,7 @@ class Peer:
 
     # ---------------------------------------------------------------- time
 
-    def _timer(self, now_us: int) -> Sequence[Effect]:
-        effects: list[Effect] = []
+    def _timer(self, effects: list[Effect], now_us: int) -> None:
         ctx: StepContext | None = None
         for part in self._timed:
             if ctx is None:
@@ -259,7 +252,6 @@ class Peer:
             if outputs:
                 self._settle(outputs, effects, now_us)
                 ctx = None  # it may be out of date
-        return effects
 
     # ---------------------------------------------------------------- notices
 

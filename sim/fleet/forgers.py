@@ -89,12 +89,12 @@ def _thief(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
     time.known = True
     batch = ProofBatch(robot, ProofKeys(setting.keys), time)
     cluster.kill(robot)
-    begun_us = cluster.host.now_us()
+    begun_at_us = cluster.host.now_us()
     revoked = False
     with device(cluster, {}) as bus:
         for due_at_us in _times(cluster, fault.for_s, FORGED_US):
             yield due_at_us
-            if not revoked and due_at_us - begun_us >= fault.for_s * S * REVOKED_AFTER:
+            if not revoked and due_at_us - begun_at_us >= fault.for_s * S * REVOKED_AFTER:
                 revoked = True
                 cluster.host.spawn(revocation(cluster, robot))
             message = insider(cluster, robot, rng)

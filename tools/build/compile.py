@@ -28,30 +28,30 @@ CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has
 # each time.
 GROUP = {
     "crdt": "allocation claim_register clock digest progress",
-    "protocol": "address frames.codec frames.identifier links.bus "
-    "state_machine sync.digest_comparison sync.replica sync.synchronizer task_client transport",
+    "protocol": "address frames.codec frames.identifier links.bus state_machine "
+    "sync.digest_comparison sync.replica sync.synchronizer task_client transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
-    "field.section_partition field.travel_times field.work_leg interface.effects motion.deadlock_yield "
-    "motion.holonomic_motion motion.obstacle_detector motion.obstacle_stop "
-    "motion.path_tracker motion.right_of_way motion.stopping_zone peer.announcements "
-    "peer.control_cycle peer.departure peer.fleet_clock peer.diagnostic_broadcasts peer.diagnostics "
-    "peer.durable_records peer.fleet_summary peer.fleet_views peer.leader_election "
-    "peer.leader_votes peer.map_exchange peer.member_conflicts peer.member_discovery "
-    "peer.member_reports peer.membership peer.mission_messages peer.name_discovery "
-    "peer.network_join peer.obstacle_hold peer.operator_directive peer.part peer.peer "
-    "peer.peer_lifecycle peer.peer_parts peer.pgn_responder peer.progress_announcements "
+    "field.section_partition field.tractor_mission field.travel_times field.work_leg "
+    "interface.effects motion.deadlock_yield motion.holonomic_motion motion.obstacle_detector "
+    "motion.obstacle_stop motion.path_tracker motion.right_of_way motion.stopping_zone "
+    "motion.tractor_motion peer.announcements peer.control_cycle peer.departure "
+    "peer.diagnostic_broadcasts peer.diagnostics peer.durable_records peer.fleet_clock "
+    "peer.fleet_summary peer.fleet_views peer.key_renewal peer.leader_election peer.leader_votes "
+    "peer.map_exchange peer.member_conflicts peer.member_discovery peer.member_reports "
+    "peer.membership peer.mission_messages peer.name_discovery peer.network_join "
+    "peer.obstacle_hold peer.operator_directive peer.part peer.peer peer.peer_lifecycle "
+    "peer.peer_parts peer.pgn_responder peer.progress_announcements peer.proven_frames "
     "peer.section_claims peer.section_work peer.self_check peer.self_health peer.sender_origins "
     "peer.sense_freshness peer.slot_discovery peer.state_sync peer.stop_reception "
     "peer.stop_release peer.task_reporting peer.unknown_stop_sources runtime.peer_runner "
-    "safety.command_authority safety.stop_controller segments.fleet_stops "
-    "segments.remote_segments segments.segment_area",
+    "safety.command_authority safety.stop_controller segments.fleet_stops segments.remote_segments "
+    "segments.segment_area",
     "sim": "can.can_segment can.frame_counter can.frame_timing can.simulated_bus "
-    "chaos.effect_observer chaos.protocol_rules fleet.batched_runner fleet.contact_history "
-    "fleet.event_loop fleet.sensor_faults fleet.simulated_disk fleet.simulated_fleet fleet.stop_monitor "
-    "fleet.trace_recorder "
-    "world.checkers world.ground_truth world.protocol_world world.pymunk_engine "
-    "world.robot_body world.world",
+    "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
+    "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "
+    "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder world.checkers world.ground_truth "
+    "world.protocol_world world.pymunk_engine world.robot_body world.world",
 }  # fmt: skip
 
 

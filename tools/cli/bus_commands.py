@@ -20,6 +20,7 @@ from tools.common.options import (
     OperatorKey,
     PagePort,
     Port,
+    Timeout,
 )
 
 REASONS = (
@@ -35,7 +36,7 @@ def stop(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
     reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = "OPERATOR_INTERVENTION",
-    timeout: Annotated[float, typer.Option(help="Seconds to wait for every robot's echo.")] = 2.0,
+    timeout_s: Timeout = 2.0,
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
     json: Json = False,
 ) -> None:  # fmt: skip
@@ -46,7 +47,7 @@ def stop(
     from tools.operate.estop import estop as command
 
     raise SystemExit(
-        command(interface, channel, bitrate, host, port, keys, reason, timeout, watch, json)
+        command(interface, channel, bitrate, host, port, keys, reason, timeout_s, watch, json)
     )
 
 
@@ -56,7 +57,7 @@ def release(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
     start: Annotated[bool, typer.Option("--start/--no-start", help="And start the work.")] = False,
-    timeout: Annotated[float, typer.Option(help="Seconds to wait.")] = 5.0,
+    timeout_s: Timeout = 5.0,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Clear the stops that are shown, reset each machine, and (with --start) start the work again.
@@ -65,7 +66,7 @@ def release(
     """
     from tools.operate.reset import reset as command
 
-    raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout, json))
+    raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout_s, json))
 
 
 @app.command("tc", rich_help_panel=OPERATE)
@@ -122,7 +123,7 @@ def order(
     ] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, key: OperatorKey = None,
-    timeout: Annotated[float, typer.Option(help="Seconds to wait for the robot's word.")] = 5.0,
+    timeout_s: Timeout = 5.0,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Answer a robot that has stopped before something, or direct it. It confirms, or exit 1.
@@ -132,7 +133,7 @@ def order(
     from tools.operate.order import order as command
 
     bus = (interface, channel, bitrate, host, port)
-    raise SystemExit(command(robot, what, place, bus, key, timeout, json))
+    raise SystemExit(command(robot, what, place, bus, key, timeout_s, json))
 
 
 @app.command(rich_help_panel=OPERATE)
@@ -161,7 +162,7 @@ def say(
         str | None, typer.Option(help="OpenAI-compatible URL for what the grammar cannot read.")
     ] = None,
     model: Annotated[str, typer.Option(help="Of the endpoint.")] = "default",
-    timeout: Annotated[float, typer.Option(help="Seconds to wait for a robot's word.")] = 5.0,
+    timeout_s: Timeout = 5.0,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Tell or ask the fleet something in plain language. Ambiguous or unsafe: exit 3 and a question.
@@ -173,7 +174,7 @@ def say(
 
     bus = (interface, channel, bitrate, host, port)
     options = Options(
-        bus, key, places, queue, by, endpoint, model, timeout, wait, yes, read, log, json
+        bus, key, places, queue, by, endpoint, model, timeout_s, wait, yes, read, log, json
     )
     raise SystemExit(command(phrase or [], options))
 

@@ -6,9 +6,8 @@ from typing import Annotated, NoReturn
 
 import typer
 
-from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port
+from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port, Timeout
 
-Wait = Annotated[float, typer.Option("--timeout", help="Seconds to wait for the robots.")]
 FLEET_FILE, OPERATOR_FILE = "fleet.json", "operator.json"
 WRONG = 2
 app = typer.Typer(
@@ -55,7 +54,7 @@ def rotate(
         bool, typer.Option("--running", help="Give the new keys to the robots on a bus, now.")
     ] = False,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, timeout: Wait = 5.0, json: Json = False,
+    host: Host = "127.0.0.1", port: Port = 0, timeout_s: Timeout = 5.0, json: Json = False,
 ) -> None:  # fmt: skip
     """Replace all keys: for a fleet that is switched off, or with --running for one at work.
 
@@ -78,7 +77,7 @@ def rotate(
         from tools.operate.rekey import rekey
 
         bus = (interface, channel, bitrate, host, port)
-        raise SystemExit(rekey(NOBODY, ALWAYS_S, folder, bus, timeout, json))
+        raise SystemExit(rekey(NOBODY, ALWAYS_S, folder, bus, timeout_s, json))
     folder = folder or Path("keys")
     fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
     try:
@@ -109,7 +108,7 @@ def revoke(
         float | None, typer.Option(help="What it said in the last so many seconds is void (all).")
     ] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, timeout: Wait = 5.0, json: Json = False,
+    host: Host = "127.0.0.1", port: Port = 0, timeout_s: Timeout = 5.0, json: Json = False,
 ) -> None:  # fmt: skip
     """Take a robot out of its fleet for good: all others get new keys, and what only it said is void.
 
@@ -121,9 +120,9 @@ def revoke(
 
     if since is not None and not 0.0 <= since < ALWAYS_S:
         _wrong(f"--since {since:g}: use 0 to {ALWAYS_S - 1}")
-    since_s = ALWAYS_S if since is None else round(since)
+    void_for_s = ALWAYS_S if since is None else round(since)
     raise SystemExit(
-        rekey(robot, since_s, folder, (interface, channel, bitrate, host, port), timeout, json)
+        rekey(robot, void_for_s, folder, (interface, channel, bitrate, host, port), timeout_s, json)
     )
 
 

@@ -35,6 +35,7 @@ Port = Annotated[
         "--port", min=0, max=PORT_MAX, help="Port of a socketcand interface (0: the newest launch)."
     ),
 ]
+Timeout = Annotated[float, typer.Option("--timeout", help="Seconds to wait for the robots.")]
 Json = Annotated[bool, typer.Option("--json", help="Print JSON instead of text.")]
 Cluster = Annotated[
     str, typer.Option(help="Address of a Dask scheduler; none: processes of this machine.")

@@ -78,17 +78,22 @@ class Rekeyer:
 
 
 def rekey(
-    revoked: int, since_s: int, folder: Path | None, bus: Attached, timeout_s: float, as_json: bool
+    revoked: int,
+    void_for_s: int,
+    folder: Path | None,
+    bus: Attached,
+    timeout_s: float,
+    as_json: bool,
 ) -> int:
     """The exit code: 0 if every robot that is heard uses the new keys, 1 if one does not, 2 if there is
     no bus or the folder is not the owner's.
 
-    `revoked`: slot, or `NOBODY`. `since_s`: what it said up to this long ago is void."""
+    `revoked`: slot, or `NOBODY`. `void_for_s`: what it said up to this long ago is void."""
     interface, _, _, host, port = bus
     place = folder or own_keys(interface, host, port) or DEFAULT
     try:
         keys = owned(place)
-        rekeying = keys.begin(revoked, since_s)
+        rekeying = keys.begin(revoked, void_for_s)
         return asyncio.run(_rekey(keys, rekeying, bus, timeout_s, as_json))
     except (KeyFileError, AttachError) as problem:
         print(f"headland: {problem}", file=sys.stderr)

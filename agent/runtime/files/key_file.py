@@ -88,7 +88,7 @@ def write(
 def texts(
     fleet: Path, operator: Path, keys: Keys, device: int, slots: Iterable[int], root: bytes
 ) -> dict[Path, str]:
-    """The contents of all files of a fleet."""
+    """The contents of all files of a fleet. `device`: the number of the operator's device, 192 to 254."""
     assert keys.master is not None and keys.operator is not None
     operators = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
     secrets = {"id": key_id(keys.master), "key": keys.master.hex(), **operators}

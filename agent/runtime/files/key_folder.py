@@ -49,15 +49,16 @@ class KeyFolder(NamedTuple):
             said = read_json(path, KEY_BYTES_MAX)
             return Rekeying(
                 int(said["generation"]), bytes.fromhex(said["secret"]), int(said["revoked"]),
-                int(said["since_s"]),
+                int(said["void_for_s"]),
             )  # fmt: skip
         except (GivenFileError, OSError, KeyError, TypeError, ValueError):
             raise KeyFileError(f"{path}: damaged: delete it and begin again") from None
 
-    def begin(self, revoked: int = NOBODY, since_s: int = ALWAYS_S) -> Rekeying:
+    def begin(self, revoked: int = NOBODY, void_for_s: int = ALWAYS_S) -> Rekeying:
         """The change to make: the one that was begun, if it is the same, or a new one.
 
-        Raises KeyFileError, also if another one was begun, and OSError."""
+        `revoked`: slot, or NOBODY. `void_for_s`: what it said up to this long ago is void. Raises
+        KeyFileError, also if another one was begun, and OSError."""
         begun = self.begun
         if begun is not None:
             if begun.revoked != revoked:
@@ -68,7 +69,7 @@ class KeyFolder(NamedTuple):
             return begun
         if self.generation >= GENERATION_MAX:
             raise KeyFileError(f"{self.folder}: too many generations: make new keys")
-        made = Rekeying(self.generation + 1, token_bytes(KEY_SIZE), revoked, since_s)
+        made = Rekeying(self.generation + 1, token_bytes(KEY_SIZE), revoked, void_for_s)
         plain = {**made._asdict(), "secret": made.secret.hex()}
         create(self.folder / NEXT, json.dumps(plain))
         return made
