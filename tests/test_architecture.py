@@ -70,7 +70,9 @@ ALLOWED: dict[str, str] = {
     "tools.vda5050": "common operate inspect",
     "tools.chaos": "common",
     "tools.bench.kernels": "",
-    "tools.bench": "bench.kernels common operate inspect language build livemap report run chaos",
+    "tools.bench.vda5050": "bench common operate run",
+    "tools.bench": "bench.kernels bench.vda5050 common operate inspect language build livemap report "
+    "run chaos",
     "tools.cli": "common operate inspect language build livemap report run vda5050 chaos bench",
 }  # fmt: skip
 # The only modules of the core that may use clocks, sockets, threads and files.

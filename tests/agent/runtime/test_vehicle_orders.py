@@ -29,7 +29,7 @@ from agent.runtime.vda5050.vehicle_orders import (
     OrderPhase,
     VehicleOrders,
 )
-from tests.tools.vda5050.official_schemas import flaws
+from tools.bench.vda5050.official_schemas import flaws
 
 STILL = Drive(0.0, 0.0)
 EAST = Drive(0.5, 0.0)

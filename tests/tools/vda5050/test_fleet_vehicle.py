@@ -26,7 +26,7 @@ from agent.runtime.vda5050.messages import (
     MessageHeader,
     Topic,
 )
-from tests.tools.vda5050.official_schemas import flaws
+from tools.bench.vda5050.official_schemas import flaws
 from tools.vda5050.factsheet import factsheet_of
 from tools.vda5050.fleet_vehicle import UNHEARD, FleetVehicle, HeardRobot
 from tools.vda5050.order_book import BookedOrder, BookError, OrderBook

@@ -1,4 +1,4 @@
-// An independent VDA 5050 master control (vda-5050-lib), driven by a test.
+// An independent VDA 5050 master control (vda-5050-lib), driven by a bench.
 //
 //   node master.js BROKER_URL FIRST COUNT MAP_ID CELLS
 //
@@ -60,6 +60,7 @@ function give(agvId) {
         if (job && state.orderId === job.order.orderId) job.seen = true;
     });
     await master.trackAgvs((agvId, state) => {
+        if (agvId.manufacturer !== "Headland") return;  // vehicles of others have a master
         if (state === "ONLINE") online.add(agvId.serialNumber); else online.delete(agvId.serialNumber);
         say({ vehicle: agvId.serialNumber, state });
         give(agvId);

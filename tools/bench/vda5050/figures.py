@@ -1,0 +1,90 @@
+"""The figures of the door to VDA 5050."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from tools.bench.figure import Figure
+from tools.bench.vda5050 import masters_orders, own_vehicles, stop_latency
+from tools.bench.vda5050.counterparts import PACKAGE, node_folder
+
+AGAINST = f"{PACKAGE}, mosquitto, official schemas of 2.1"
+ORDERS, ORDERS_QUICK = 50, 4
+VEHICLES, VEHICLES_QUICK = 20, 2
+# The bound of a stop on the bus is in `headland bench stop`; a door may add this.
+ADDED_MS = 100.0
+
+
+def figures(quick: bool) -> Iterator[Figure]:
+    """Orders of a master, vehicles without a master, and stops from both sides."""
+    with TemporaryDirectory(prefix="headland-vda5050-") as folder:
+        node = node_folder(Path(folder))
+        yield from _master(Path(folder), node, quick)
+        if not quick:  # the start of peers and vehicles alone takes most of a minute
+            yield from _vehicles(Path(folder), node)
+            yield from _stops(Path(folder), node)
+
+
+def _master(folder: Path, node: Path, quick: bool) -> Iterator[Figure]:
+    orders = ORDERS_QUICK if quick else ORDERS
+    place = folder / "master"
+    place.mkdir()
+    told = asyncio.run(masters_orders.trial(place, node, orders, deaths=not quick))
+    deaths = (
+        "nothing is killed" if quick else "broker killed twice, two robots and the gateway killed"
+    )
+    scope = f"{orders} orders, {masters_orders.ROBOTS} robots as processes; {deaths}"
+    yield _exactly(
+        "VDA 5050: orders of a master delivered once", told.delivered_once, orders, scope
+    )
+    yield _exactly(
+        "VDA 5050: orders that the master knows as done", len(set(told.done)), orders, scope
+    )
+    flawed = sum(told.flaws.values()) + len(told.dropped)
+    count = sum(told.messages.values())
+    yield _exactly(
+        "VDA 5050: messages to a master that are not valid", flawed, 0, f"of {count}; {scope}"
+    )
+
+
+def _vehicles(folder: Path, node: Path) -> Iterator[Figure]:
+    place = folder / "vehicles"
+    place.mkdir()
+    told = asyncio.run(own_vehicles.trial(place, node, VEHICLES))
+    scope = (
+        f"{VEHICLES} virtual AGVs as bodies, peers in {own_vehicles.GROUPS} processes; "
+        "master and gateway killed for good, broker once, half of the peers once"
+    )
+    once = told.delivered_once
+    yield _exactly(
+        "VDA 5050: tasks that vehicles without a master delivered once", once, told.ordered, scope
+    )
+    flawed, count = sum(told.flaws.values()), sum(told.messages.values())
+    yield _exactly(
+        "VDA 5050: messages to vehicles that are not valid", flawed, 0, f"of {count}; {scope}"
+    )
+    least_m = 2 * own_vehicles.RADIUS_M
+    yield Figure(
+        "VDA 5050: least distance of two vehicles", told.closest_m, "m", f">= {least_m:g}",
+        told.closest_m >= least_m, AGAINST, f"by their own places; {scope}",
+    )  # fmt: skip
+
+
+def _stops(folder: Path, node: Path) -> Iterator[Figure]:
+    place = folder / "stops"
+    place.mkdir()
+    told = asyncio.run(stop_latency.trial(place, node))
+    bound_ms = told.bus_bound_ms + ADDED_MS
+    scope = (
+        f"{told.presses} presses, bodies of the launch; bound of the bus {told.bus_bound_ms:.0f} ms"
+    )
+    for side, latest_ms in (("the master's side", told.master_ms), ("the bus", told.bus_ms)):
+        yield Figure(
+            f"VDA 5050: stop pressed on {side}, until the last body is told to stand", latest_ms, "ms",
+            f"<= {bound_ms:.0f}", latest_ms <= bound_ms, AGAINST, scope,
+        )  # fmt: skip
+
+
+def _exactly(name: str, value: int, target: int, scope: str) -> Figure:
+    return Figure(name, float(value), "", f"= {target}", value == target, AGAINST, scope)

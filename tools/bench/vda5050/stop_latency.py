@@ -1,0 +1,124 @@
+"""A stop from a master control, and one on the bus: how long until the last robot is latched.
+
+Robots are processes of a launch. The end of each trial is the first beat of the last robot that says it
+is stopped; a robot brakes before it says so. Beats come every 50 ms, so a trial is that much too long at
+most.
+"""
+
+import asyncio
+import json
+from asyncio.subprocess import PIPE, STDOUT, Process
+from pathlib import Path
+from typing import NamedTuple
+
+from protocol.frames.codec import decode
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import EmergencyStop, Reason
+from tools.bench.vda5050.counterparts import WAIT_S, Mosquitto, drain, end, said, start
+from tools.bench.vda5050.masters_orders import ROBOTS, SCENARIO, serve
+from tools.common.bus_attach import CHANNEL, attach
+from tools.operate.operator_device import Operator
+
+PRESSES = 10
+# From a press until no command to move is in force: the silence limit of 300 ms and 20 ms.
+BUS_BOUND_MS = 320.0  # docs/how/safety_case.md, S1
+LOOK_S = 0.01
+REPEAT_S = 0.005  # as a stop panel repeats its press
+TIMEOUT_S = 10.0
+
+
+class StopLatency(NamedTuple):
+    """The longest of each side, milliseconds."""
+
+    presses: int  # of each side
+    master_ms: float
+    bus_ms: float
+    bus_bound_ms: float = BUS_BOUND_MS
+
+
+class _Beats:
+    """Which robots say that they are stopped."""
+
+    def __init__(self) -> None:
+        self.stopped: dict[int, bool] = {}  # by source address
+        self.all_at_s: float | None = None  # when all said so
+
+    def hear(self, frame: Frame) -> None:
+        source, message = decode(frame)
+        if isinstance(message, Pose):
+            self.stopped[source] = message.stopped
+            if self.all_at_s is None and len(self.stopped) == ROBOTS and all(self.stopped.values()):
+                self.all_at_s = asyncio.get_running_loop().time()
+
+    async def until(self, stopped: bool) -> None:
+        async with asyncio.timeout(TIMEOUT_S):
+            while set(self.stopped.values()) != {stopped} or len(self.stopped) < ROBOTS:
+                await asyncio.sleep(LOOK_S)
+
+
+async def trial(folder: Path, node: Path) -> StopLatency:
+    """`PRESSES` of each side, with a release between them."""
+    (folder / "yard.toml").write_text(SCENARIO.replace("handle_s", "random_tasks = 40\nhandle_s"))
+    broker = Mosquitto(folder)
+    await broker.start()
+    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh")
+    gateway: Process | None = None
+    master: Process | None = None
+    beats = _Beats()
+    took: dict[str, list[float]] = {"master": [], "bus": []}
+    try:
+        port = await said(launch, r"socketcand \S+:(\d+)")
+        await said(launch, rf"(robot {ROBOTS - 1}: process)")
+        reading = asyncio.create_task(drain(launch))
+        gateway = await serve(folder, port, broker.url)
+        for _ in range(ROBOTS):
+            await said(gateway, r"(a vehicle at)")
+        listening = asyncio.create_task(drain(gateway))
+        master = await asyncio.create_subprocess_exec(
+            "node", str(node / "stop.js"), broker.url, stdin=PIPE, stdout=PIPE, stderr=STDOUT
+        )
+        await said(master, "(ready)")
+        bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", int(port))
+        bus.subscribe(beats.hear)
+        operator = Operator(bus, None)
+        await operator.device.held()
+        await beats.until(False)
+        loop = asyncio.get_running_loop()
+        for _ in range(PRESSES):
+            for side, times in took.items():
+                beats.all_at_s = None
+                if side == "master":
+                    assert master.stdin is not None
+                    master.stdin.write(b"stop\n")
+                    pressed_at_s = loop.time()
+                else:
+                    stop: EmergencyStop = operator.new_stop(Reason.OPERATOR_INTERVENTION)
+                    operator.stop(stop)
+                    pressed_at_s = loop.time()
+                async with asyncio.timeout(TIMEOUT_S):
+                    while beats.all_at_s is None:
+                        await asyncio.sleep(REPEAT_S)
+                        if side == "bus":
+                            operator.stop(stop)
+                times.append(1000 * (beats.all_at_s - pressed_at_s))
+                await _release(folder, port)
+                await beats.until(False)
+        bus.close()
+        listening.cancel()
+        reading.cancel()
+    finally:
+        if master is not None and master.returncode is None:
+            master.kill()
+            await master.communicate()
+        await end(gateway)
+        await end(launch)
+        await broker.kill()
+    (folder / "took.json").write_text(json.dumps(took))
+    return StopLatency(PRESSES, max(took["master"]), max(took["bus"]))
+
+
+async def _release(folder: Path, port: str) -> None:
+    process = await start(folder, "release", "--start", "--port", port)
+    async with asyncio.timeout(WAIT_S):
+        await process.communicate()
