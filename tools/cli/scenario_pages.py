@@ -53,7 +53,7 @@ MEANING = {
     "steer_deg": "full lock; ackermann",
     "silence": "what others do about a silent robot: wait for it, go on slowly, or go on after 2 s",
     "asks": "in a building: stop before an unannounced obstacle and ask, else drive round it",
-    "keys": "fleet key file or its folder, of `headland keys new`; `drawn`: from the seed, in virtual time",
+    "keys": "fleet key file or its folder, of `headland keys new`; `drawn`: from the seed",
     "slip": "share by which wheels slip, at random",
     "rays": "rays of each range sensor",
     "bitrate": "bit/s",

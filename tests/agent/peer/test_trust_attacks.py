@@ -19,6 +19,7 @@ from protocol.frames.fleet_frames import (
     VectorSlice,
 )
 from protocol.frames.frame import Frame
+from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
@@ -238,7 +239,7 @@ def test_a_proof_of_one_address_is_none_for_another(rig: KeyedRig) -> None:
     assert rig.peers[0].allocation.owner_of(6) is None
 
 
-def say(rig: KeyedRig, slot: int, *messages: object) -> None:
+def say(rig: KeyedRig, slot: int, *messages: Message) -> None:
     """A robot that is broken, or whose key is stolen, says this and proves it."""
     peer = rig.peers[slot]
     rig.send(slot, peer.proven.cover([Send(message) for message in messages], rig.now_us))
