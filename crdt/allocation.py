@@ -156,6 +156,19 @@ class FieldAllocationCRDT:
         self.lamport = max(self.lamport, other.lamport)
         return set(newer)
 
+    def take_out(self, section: int, key: int | None) -> None:
+        """Set a register to a lesser key, or to none, because the member that vouched for it was
+        revoked. This is no join: every replica does it when the fleet's keys change."""
+        known = self._keys[section]
+        assert key is None or key < known
+        self._sums.changing(section, known)
+        if key is None:
+            del self._keys[section]
+        else:
+            self._keys[section] = key
+        self._done -= known >= DONE_BIT and (key is None or key < DONE_BIT)
+        self._changed()
+
     def _changed(self) -> None:
         self.changes += 1
         if self._held:

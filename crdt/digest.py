@@ -42,12 +42,13 @@ def entry_hash(kind: int, name: int, value: int) -> int:
 
 
 @lru_cache(maxsize=HASHES_MAX)
-def change_of(kind: int, name: int, before: int | None, value: int) -> tuple[int, int]:
+def change_of(kind: int, name: int, before: int | None, value: int | None) -> tuple[int, int]:
     """(bucket, value to add to its sum) for a change of an entry from `before` to `value`.
 
-    `before` is None for an entry that is new. The addend is modulo 2^64.
+    `before` is None for an entry that is new, `value` for one that is taken out. The addend is
+    modulo 2^64.
     """
-    change = entry_hash(kind, name, value)
+    change = 0 if value is None else entry_hash(kind, name, value)
     if before is not None:
         change -= entry_hash(kind, name, before)
     return bucket_of(kind, name), change & MASK
@@ -90,7 +91,7 @@ class Sums:
         if self._before:
             kind, sums = self.kind, self._sums
             for name, before in self._before.items():
-                bucket, change = change_of(kind, name, before, self._values[name])
+                bucket, change = change_of(kind, name, before, self._values.get(name))
                 sums[bucket] = (sums[bucket] + change) & MASK
                 self._total = (self._total + change) & MASK
             self._before.clear()

@@ -61,6 +61,22 @@ class Progress:
         self._count[section] = self._count.get(section, 0) + (grown ^ known).bit_count()
         return True
 
+    def take_out(self, section: int, block: int, bits: int) -> bool:
+        """Remove units, because the member that vouched for them was revoked; True if some were
+        there. This is no join, as `FieldAllocationCRDT.take_out`."""
+        name = name_of(section, block)
+        known = self._blocks.get(name, 0)
+        rest = known & ~bits
+        if rest == known:
+            return False
+        self._sums.changing(name, known)
+        if rest:
+            self._blocks[name] = rest
+        else:
+            del self._blocks[name]
+        self._count[section] -= (known ^ rest).bit_count()
+        return True
+
     def _allowed(self, section: int, block: int) -> int:
         units = self.units.get(section)
         if units is None:

@@ -298,6 +298,11 @@ class ProofChecker:
         if at is not None:
             self.dropped += len(at.frames)
 
+    def forget_all(self) -> None:
+        """The fleet has other keys: what waits is void."""
+        for address in list(self._at):
+            self.forget(address)
+
     def _match(self, address: int, at: _Address, proof: Proof, now_us: int) -> Proven | None:
         if not self.time.known:
             return None

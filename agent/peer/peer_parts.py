@@ -62,6 +62,7 @@ from protocol.authentication import Keyring
 from protocol.frame_proofs import START_BITS, FleetTime, ProofKeys
 from protocol.sync.map_sync import MapSync
 from protocol.sync.synchronizer import Synchronizer
+from protocol.sync.vouchers import Vouchers
 
 
 class PeerParts:
@@ -94,6 +95,8 @@ class PeerParts:
             chart.recalled(now_us)
         self.clock = VectorClock({slot: self.records.operations})
         self.sync = Synchronizer(slot, self.allocation, self.progress)
+        if keyring is not None:
+            self.sync.replica.vouchers = Vouchers()
         self.admission = Admission(frozenset(units), identity.members, now_us)
 
         # Stops, and the members on the bus.

@@ -214,8 +214,10 @@ class ProvenFrames(Part):
         return NOTHING
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
-        """What waits for a proof was sent before, and the senders' next proofs have the new keys."""
-        if self.checker is not None:
+        """What waits for a proof was said with the old keys, perhaps after a revoked member: drop it."""
+        if self.checker is not None and self._batch is not None:
+            self._batch.clear()
+            self.checker.forget_all()
             self.checker.keys.rekey(notice.keys)
         return NOTHING
 

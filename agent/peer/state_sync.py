@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from agent.interface.config import S
-from agent.interface.effects import Send, Trace
+from agent.interface.effects import Persist, Send, Trace
 from agent.interface.lifecycle import IDLE, SYNCHRONIZING, WORKING
 from agent.peer import notices
+from agent.peer.durable_records import DurableRecords
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.work_admission import Admission
@@ -22,6 +23,7 @@ from protocol.frames.work_frames import (
     TaskClaim,
     WorkProgress,
 )
+from protocol.rekeying import NOBODY
 from protocol.sync.synchronizer import ENTRIES, Synchronizer
 
 TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
@@ -61,6 +63,7 @@ class StateSync(Part):
             notices.AddressGained: self._joined,
             notices.HeartbeatHeard: self._heartbeat,
             notices.ReceivedAgain: self._received_again,
+            notices.KeysChanged: self._keys_changed,
         }
 
     @property
@@ -117,6 +120,23 @@ class StateSync(Part):
     def _heartbeat(self, ctx: StepContext, notice: notices.HeartbeatHeard) -> Outputs:
         self.sync.heard_digest(notice.slot, notice.heartbeat.digest, ctx.now_us)
         return NOTHING
+
+    def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
+        """What only the revoked member vouched for is void; the work is free again."""
+        revoked, since_us = notice.revoked, notice.since_us
+        if revoked == NOBODY:
+            return NOTHING
+        sections, blocks = self.sync.void(revoked, since_us)
+        progress = self.sync.replica.progress
+        said = f"sections {sections}, {len(blocks)} blocks of units"
+        outputs: list[Any] = [Trace("sync", "", "VOID", "", f"by robot {revoked}: {said}")]
+        for name in blocks:
+            section, block = name >> 8, name & 0xFF
+            kept = DurableRecords.progress(section, block, progress.bits(section, block))
+            outputs.append(Persist(*kept))
+        if sections:
+            outputs.append(notices.SectionsMerged(frozenset(sections), revoked))
+        return outputs
 
     def _received_again(self, ctx: StepContext, notice: notices.ReceivedAgain) -> Outputs:
         self.sync.received_again(ctx.now_us)

@@ -12,12 +12,14 @@ from collections.abc import Iterator
 from itertools import islice
 from typing import NamedTuple
 
-from crdt import FieldAllocationCRDT, Progress
+from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.allocation import KIND as REGISTERS
 from crdt.claim_register import pack
 from crdt.digest import BUCKETS, MASK, bucket_of, mix, short
 from crdt.progress import KIND as BLOCKS
+from crdt.progress import name_of
 from protocol.frames.work_frames import Digests, StateSyncResponse, TaskClaim, WorkProgress
+from protocol.sync.vouchers import Vouchers
 
 FORKS_MAX = 256  # versions tried as a fork, newest first; takes a fifth of a millisecond
 HISTORY_MAX = 512  # own digests remembered: 10 s of the busiest fleet, minutes of a small one
@@ -58,6 +60,7 @@ class Replica:
 
     def __init__(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
         self.allocation, self.progress = allocation, progress
+        self.vouchers: Vouchers | None = None  # of a fleet with keys
         self.version = 1
         self._changed: dict[int, int] = {}  # entry -> version of its last change; newest last
         self._history: dict[int, ReplicaVersion] = {}  # own digest -> version; newest last
@@ -98,6 +101,49 @@ class Replica:
         self._changed.pop(entry, None)
         self._changed[entry] = self.version
         self._remember()
+
+    def void(self, revoked: int, since_us: int | None) -> tuple[list[int], list[int]]:
+        """Take out what only a revoked member vouched for; returns sections and names of blocks.
+
+        `since_us`: what it said before remains; None: nothing does. Without vouchers nothing is
+        known of who said what, and nothing changes."""
+        vouchers = self.vouchers
+        if vouchers is None:
+            return [], []
+        registers = vouchers.registers_without(revoked, since_us, dict(self.allocation.entries()))
+        blocks = [
+            name for name, bits in vouchers.blocks_without(revoked, since_us).items()
+            if self.progress.take_out(name >> 8, name & 0xFF, bits)
+        ]  # fmt: skip
+        registers |= dict.fromkeys(self._done_too_early({name >> 8 for name in blocks}))
+        for section, key in registers.items():
+            if key is None:
+                vouchers.forget(section)
+            self.allocation.take_out(section, key)
+            self._taken_out(entry_of(REGISTERS, section), key is not None)
+        for name in blocks:
+            left = self.progress.bits(name >> 8, name & 0xFF)
+            self._taken_out(entry_of(BLOCKS, name), bool(left))
+        if registers or blocks:
+            self._history.clear()  # nobody with an older state is one of us any more
+            self.version += 1
+            self._remember()
+        return sorted(registers), sorted(blocks)
+
+    def _done_too_early(self, sections: set[int]) -> list[int]:
+        """Sections that an honest robot has ended, because it believed units that are void now."""
+        allocation, progress = self.allocation, self.progress
+        return [
+            section for section in sorted(sections)
+            if allocation.phase_of(section) is Phase.DONE
+            and section in progress.units and not progress.complete(section)
+        ]  # fmt: skip
+
+    def _taken_out(self, entry: int, remains: bool) -> None:
+        self._changed.pop(entry, None)
+        if remains:
+            self.version += 1
+            self._changed[entry] = self.version
 
     def _remember(self) -> None:
         history = self._history
@@ -147,17 +193,35 @@ class Replica:
 
     # ---------------------------------------------------------------- frames
 
-    def on_message(self, message: TaskClaim | StateSyncResponse | WorkProgress) -> AppliedEntry:
-        """Join the entry that a frame carries, and say what that changed."""
+    def on_message(
+        self,
+        message: TaskClaim | StateSyncResponse | WorkProgress,
+        sender: int | None = None,
+        now_us: int = 0,
+    ) -> AppliedEntry:
+        """Join the entry that a frame carries, and say what that changed.
+
+        `sender`: the member whose proof covers the frame; None in a fleet without keys."""
+        vouchers = None if sender is None else self.vouchers
         if isinstance(message, WorkProgress):
             section, block, bits = message
-            changed = self.progress.apply(section, block, bits)
+            if vouchers is not None and sender is not None:
+                before = self.progress.bits(section, block)
+                changed = self.progress.apply(section, block, bits)
+                if changed:
+                    new = self.progress.bits(section, block) & ~before
+                    vouchers.block(name_of(section, block), new, sender, now_us)
+            else:
+                changed = self.progress.apply(section, block, bits)
             stale = self.progress.bits(section, block) & ~bits != 0
             entry = entry_of(BLOCKS, section << 8 | block)
         else:
             section = message.section
             key = pack(message.epoch, message.phase, message.bid, message.lamport, message.owner)
+            known = self.allocation.key(section) if vouchers is not None else None
             changed = self.allocation.apply(section, key)
+            if changed and vouchers is not None and sender is not None:
+                vouchers.register(section, known, key, sender, now_us)
             stale = not changed and self.allocation.key(section) != key
             entry = entry_of(REGISTERS, section)
         if changed:

@@ -220,10 +220,17 @@ class Synchronizer:
             self._buckets(slot, message, now_us)
         return set()
 
+    def void(self, revoked: int, since_us: int | None) -> tuple[list[int], list[int]]:
+        """Take out what only a revoked member vouched for; returns sections and names of blocks."""
+        sections, blocks = self.replica.void(revoked, since_us)
+        for entry in [entry for entry in self._queue if entry not in self.replica]:
+            del self._queue[entry]
+        return sections, blocks
+
     def _entry(
         self, slot: int, message: TaskClaim | StateSyncResponse | WorkProgress, now_us: int
     ) -> set[int]:
-        heard = self.replica.on_message(message)
+        heard = self.replica.on_message(message, slot, now_us)
         entry = heard.entry
         relayed = self._is_relayed(slot, message, entry)
         if relayed:

@@ -11,6 +11,7 @@ from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import Fault
 
 BABBLING = 0x4D  # lowest bits of an identifier: group 0, and a device's address
+THEFT_S = 6.0  # at least, so that the revocation is over before the calm
 NONSENSE_S = 5.0  # upper limit; the same time must be left before the end
 YARD_M = 18.0, 12.0  # boxes appear within this distance of the middle
 Draw = Callable[[Random, int, float, float], list[Fault]]  # random source, robots, start, end
@@ -215,6 +216,13 @@ def _forger(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Faul
     return [kinds.Forger.model_validate(table)]
 
 
+def _thief(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    """With the keys of the last robot. Its owner revokes it in the middle; no frame may be lost then."""
+    at_s = round(min(at_s, end_at_s - THEFT_S), 3)
+    table = {"at_s": at_s, "kind": "forger", "robot": robots - 1, "position": "inside"}
+    return [kinds.Forger.model_validate(table | {"for_s": rng.uniform(THEFT_S, end_at_s - at_s)})]
+
+
 def _release(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     return [kinds.Reset(at_s=at_s, kind="reset")]
 
@@ -298,5 +306,6 @@ DRAWS: dict[str, Draw] = {
     "twin": _twin,
     "nonsense": _nonsense,
     "forger": _forger,
+    "thief": _thief,
 }
 CLUSTERS: dict[str, Draw] = {"blackout": _blackout, "burst": _burst, "split": _split}

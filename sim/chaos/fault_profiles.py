@@ -148,6 +148,9 @@ PROFILES = {
                                              "crash_working": 0.5, "box": 0.5},
                             "fields of fleets with keys: attackers without a key, presses, crashes",
                             keyed=True),
+    "stolen": Profile((3, 5), (1, 6), {"thief": 3.0, "estop": 1.0, "reset": 1.0},
+                      "drills of fleets with keys: a thief with a robot's keys, until its revocation",
+                      "drill", keyed=True),
 }  # fmt: skip
 
 

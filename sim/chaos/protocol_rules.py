@@ -17,6 +17,7 @@ from crdt import Phase
 from crdt.claim_register import pack
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
+from protocol.frames.key_frames import KeysHeld
 from protocol.frames.messages import Message
 from protocol.frames.safety_frames import (
     EVERYBODY,
@@ -49,6 +50,7 @@ class RobotStatements:
     def __init__(self) -> None:
         self.incarnation = -1
         self.operations = -1
+        self.generation = 0  # of the keys that it uses
         self.registers: dict[int, int] = {}  # of all sections that it has sent
         self.own: dict[int, int] = {}  # those that it wrote itself, which are on its disk
         self.progress: dict[tuple[int, int], int] = {}
@@ -160,6 +162,12 @@ class ProtocolRules:
             if speaker.operations >= 0 and ahead >= HALF_U16:
                 self._add("S9", now_us, f"robot {slot} counts its operations backwards")
             speaker.operations = message.operations
+        elif isinstance(message, KeysHeld) and message.switched:
+            if message.generation > speaker.generation:  # what a revoked member said is void
+                speaker.generation = message.generation
+                speaker.registers.clear()
+                speaker.own.clear()
+                speaker.progress.clear()
         elif isinstance(message, TaskClaim | StateSyncResponse):
             m = message
             key = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)

@@ -18,8 +18,17 @@ def test_an_attacker_without_a_key_breaks_no_rule(position: str, seed: int) -> N
     assert verdict.ok and verdict.faults["forger"] == 1, f"seed {seed}: {verdict.broken}"
 
 
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_what_a_thief_said_is_void_after_its_revocation(seed: int) -> None:
+    """It ends all sections with a stolen key; the others work them again, all of them, in truth."""
+    fault = {"at_s": 6.0, "kind": "forger", "position": "inside", "robot": 1, "for_s": 20.0}
+    fleet = drill(3, seed, "sprint", keys=DRAWN)
+    verdict = judge(with_faults(fleet, [Forger.model_validate(fault)]))
+    assert verdict.ok, f"seed {seed}: {verdict.broken}"
+
+
 def test_profiles_with_attackers_have_keys() -> None:
-    attacked = {name for name, profile in PROFILES.items() if "forger" in profile.weights}
+    attacked = {n for n, profile in PROFILES.items() if {"forger", "thief"} & {*profile.weights}}
     assert attacked and all(PROFILES[name].keyed for name in attacked)
     assert draw(1, "forged").fleet.keys == DRAWN
     assert draw(1, "protocol").fleet.keys is None
