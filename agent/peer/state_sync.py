@@ -123,10 +123,10 @@ class StateSync(Part):
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
         """What only the revoked member vouched for is void; the work is free again."""
-        revoked, since_us = notice.revoked, notice.since_us
+        revoked, compromised_at_us = notice.revoked, notice.compromised_at_us
         if revoked == NOBODY:
             return NOTHING
-        sections, blocks = self.sync.void(revoked, since_us)
+        sections, blocks = self.sync.void(revoked, compromised_at_us)
         progress = self.sync.replica.progress
         said = f"sections {sections}, {len(blocks)} blocks of units"
         outputs: list[Any] = [Trace("sync", "", "VOID", "", f"by robot {revoked}: {said}")]

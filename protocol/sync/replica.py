@@ -102,17 +102,19 @@ class Replica:
         self._changed[entry] = self.version
         self._remember()
 
-    def void(self, revoked: int, since_us: int | None) -> tuple[list[int], list[int]]:
+    def void(self, revoked: int, compromised_at_us: int | None) -> tuple[list[int], list[int]]:
         """Take out what only a revoked member vouched for; returns sections and names of blocks.
 
-        `since_us`: what it said before remains; None: nothing does. Without vouchers nothing is
+        `compromised_at_us`: what it said before remains; None: nothing does. Without vouchers nothing is
         known of who said what, and nothing changes."""
         vouchers = self.vouchers
         if vouchers is None:
             return [], []
-        registers = vouchers.registers_without(revoked, since_us, dict(self.allocation.entries()))
+        registers = vouchers.registers_without(
+            revoked, compromised_at_us, dict(self.allocation.entries())
+        )
         blocks = [
-            name for name, bits in vouchers.blocks_without(revoked, since_us).items()
+            name for name, bits in vouchers.blocks_without(revoked, compromised_at_us).items()
             if self.progress.take_out(name >> 8, name & 0xFF, bits)
         ]  # fmt: skip
         registers |= dict.fromkeys(self._done_too_early({name >> 8 for name in blocks}))

@@ -220,9 +220,9 @@ class Synchronizer:
             self._buckets(slot, message, now_us)
         return set()
 
-    def void(self, revoked: int, since_us: int | None) -> tuple[list[int], list[int]]:
+    def void(self, revoked: int, compromised_at_us: int | None) -> tuple[list[int], list[int]]:
         """Take out what only a revoked member vouched for; returns sections and names of blocks."""
-        sections, blocks = self.replica.void(revoked, since_us)
+        sections, blocks = self.replica.void(revoked, compromised_at_us)
         for entry in [entry for entry in self._queue if entry not in self.replica]:
             del self._queue[entry]
         return sections, blocks

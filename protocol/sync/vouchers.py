@@ -52,7 +52,7 @@ class Vouchers:
         self._registers.pop(section, None)
 
     def registers_without(
-        self, revoked: int, since_us: int | None, present: dict[int, int]
+        self, revoked: int, compromised_at_us: int | None, present: dict[int, int]
     ) -> dict[int, int | None]:
         """The sections whose register changes when a member's facts are void, and what remains.
 
@@ -61,13 +61,15 @@ class Vouchers:
         found: dict[int, int | None] = {}
         for section, key in present.items():
             chain = self._registers.get(section, [])
-            void = {v.value for v in chain if _is_void(v, revoked, since_us, owner_of(v.value))}
-            if since_us is None and owner_of(key) == revoked:
+            void = {
+                v.value for v in chain if _is_void(v, revoked, compromised_at_us, owner_of(v.value))
+            }
+            if compromised_at_us is None and owner_of(key) == revoked:
                 void.add(key)
             if key not in void:
                 continue
             kept = {v.value for v in chain} | {v.before for v in chain if v.before is not None}
-            if since_us is None:
+            if compromised_at_us is None:
                 kept = {value for value in kept if owner_of(value) != revoked}
             found[section] = max(kept - void, default=None)
         for section, rest in found.items():
@@ -75,11 +77,11 @@ class Vouchers:
             self._registers[section] = [v for v in chain if rest is not None and v.value <= rest]
         return found
 
-    def blocks_without(self, revoked: int, since_us: int | None) -> dict[int, int]:
+    def blocks_without(self, revoked: int, compromised_at_us: int | None) -> dict[int, int]:
         """By name of the block: the units that are void."""
         found: dict[int, int] = {}
         for name, chain in self._blocks.items():
-            void = [v for v in chain if _is_void(v, revoked, since_us, None)]
+            void = [v for v in chain if _is_void(v, revoked, compromised_at_us, None)]
             if void:
                 bits = 0
                 for vouched in void:
@@ -89,6 +91,8 @@ class Vouchers:
         return found
 
 
-def _is_void(vouched: Vouched, revoked: int, since_us: int | None, author: int | None) -> bool:
-    late = since_us is None or vouched.at_us >= since_us
+def _is_void(
+    vouched: Vouched, revoked: int, compromised_at_us: int | None, author: int | None
+) -> bool:
+    late = compromised_at_us is None or vouched.at_us >= compromised_at_us
     return late and revoked in (vouched.sender, author)
