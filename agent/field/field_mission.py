@@ -109,6 +109,11 @@ class FieldMission(Mission):
         return {section.id: section.units for section in self.field.sections}
 
     @property
+    def outline(self) -> list[Point]:
+        """The field without its holes."""
+        return [(float(x), float(y)) for x, y, *_ in self.field.polygon.exterior.coords]
+
+    @property
     def remaining_path(self) -> list[Point]:
         """What is left of the leg that we drive, and the legs after it."""
         now = [] if self.tracker is None else self.tracker.remaining_path

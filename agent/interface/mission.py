@@ -170,6 +170,13 @@ class Mission(ABC):
     # ---------------------------------------------------------------- for displays to people
 
     @property
+    def outline(self) -> Sequence[tuple[float, float]]:
+        """The outline of the place of work, (x, y) metres; empty if there is none. Peers never
+        read it.
+        """
+        return ()
+
+    @property
     def remaining_path(self) -> Sequence[tuple[float, float]]:
         """The rest of the planned route, nearest point first, (x, y) metres. Peers never
         read it.

@@ -105,6 +105,11 @@ class Election:
         self._spaced_for_us = min(2 * self._spaced_for_us, SPACING_US_MAX)
         return vote
 
+    def repeat(self) -> None:
+        """Say our vote again with the next beat. Others answer if there is a later term."""
+        if self.slot in self.votes:
+            self._say(self._own)
+
     def fence(self, term: int, now_us: int) -> None:
         """That term existed before we joined, so ours must be later."""
         if (term >= self.term and self.leader is None) or term > self.term:

@@ -54,6 +54,7 @@ from agent.peer.state_sync import StateSync
 from agent.peer.stop_reception import StopReception
 from agent.peer.stop_release import StopRelease
 from agent.peer.task_reporting import TaskReporting
+from agent.peer.terminal_service import TerminalService
 from agent.peer.work_admission import Admission
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
@@ -174,6 +175,10 @@ class PeerParts:
             self.clock, self.sync, now_us,
         )  # fmt: skip
         self.departure = Departure(self.safety)
+        self.terminal = TerminalService(
+            identity, self.safety, self.votes, self.letters, self.membership, self.reports,
+            self.views, lambda: () if mission is None else mission.outline, rng,
+        )  # fmt: skip
         self._boot(now_us, recalled)
 
     @property
@@ -185,7 +190,7 @@ class PeerParts:
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
             self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
-            self.departure, self.diagnostics, self.tasks, self.proven,
+            self.departure, self.diagnostics, self.tasks, self.terminal, self.proven,
         ]  # fmt: skip
 
     def _make_trust(self, keyring: Keyring | None, now_us: int) -> None:

@@ -24,6 +24,7 @@ from agent.peer.state_sync import StateSync
 from agent.peer.stop_reception import StopReception
 from agent.peer.stop_release import StopRelease
 from agent.peer.task_reporting import TaskReporting
+from agent.peer.terminal_service import TerminalService
 from protocol.frames.agreement_frames import AgreementMessage, SilentPosition
 from protocol.frames.codec import Malformed
 from protocol.frames.delivery_frames import (
@@ -145,6 +146,9 @@ ROUTES: Routes = {
     ClearFault: MessageRoute(DiagnosticBroadcasts, DEVICE),
     TransportManagement: MessageRoute(PgnResponder, DEVICE),
     TransportData: MessageRoute(PgnResponder, DEVICE),
+    TerminalMessage: MessageRoute(TerminalService, DEVICE),
+    ExtendedTransportManagement: MessageRoute(TerminalService, DEVICE),
+    ExtendedTransportData: MessageRoute(TerminalService, DEVICE),
 }
 # Messages that no robot handles, and which devices they are for.
 NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
@@ -156,8 +160,5 @@ NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
     Functionalities: "diagnostic tools",
     StandardHeartbeat: "the device that asked for it",
     WorkingSetMaster: "task controllers and virtual terminals",
-    ExtendedTransportManagement: "virtual terminals and task controllers",
-    ExtendedTransportData: "virtual terminals and task controllers",
-    TerminalMessage: "the device whose screen is shown",
     TerminalRequest: "virtual terminals",
 }

@@ -55,7 +55,9 @@ class RigDevice(Protocol):
 class RigBus:
     """One CAN bus with its devices."""
 
-    def __init__(self, seed: int) -> None:
+    def __init__(self, seed: int, tick_for_us: int = 10 * MS) -> None:
+        """`tick_for_us`: how often each device has a turn."""
+        self.tick_for_us = tick_for_us
         self.wire, self.nodes = Wire(seed), dict[int, RigDevice]()
         self.carried: list[Frame] = []  # all frames, in order
 
@@ -67,7 +69,7 @@ class RigBus:
         """Everything that happens on the bus in this time."""
         now_us = begin_at_us
         while now_us < end_at_us:
-            now_us = min(now_us + 10 * MS, end_at_us)
+            now_us = min(now_us + self.tick_for_us, end_at_us)
             while (next_at_us := self.wire.next_at_us) is not None and next_at_us <= now_us:
                 for at_us, frame, _, receivers in self.wire.advance(next_at_us):
                     self.carried.append(frame)

@@ -34,6 +34,7 @@ from protocol.name import fleet_name
 from sim.can.frame_timing import frame_bits
 from sim.files.candump import read_candump
 from sim.rigs.implements_rig import two_sprayers
+from sim.rigs.terminal_rig import killed_screens
 from tools.bench.cantools_judge import judge
 from tools.bench.figure import Figure
 from tools.common.child_process import module_command
@@ -41,6 +42,8 @@ from tools.common.child_process import module_command
 TOOL = 249  # an address
 BITS_A_SECOND = 250_000
 ROBOTS = 20
+LOAD_MAX = 0.04  # share of the bus
+STOP_BOUND_MS = 20.0  # as for a press at a robot: seven frames of the highest priority
 NOTHING = 1e-6  # share: rounding of polygons
 # Groups that a tool asks for first, and whether a robot sends them (findings, table B).
 ASKED = {65259: True, 64965: True, 65242: True, 64653: True, 64654: True, 64818: True, DM1.pgn: True,
@@ -59,6 +62,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield _answers(seed)
     yield _load(seed)
     yield from _two_sprayers(seed, quick)
+    yield from _screen(seed, quick)
     with TemporaryDirectory() as folder:
         for kind in list(RUNS)[: 2 if quick else None]:
             yield _read_by_cantools(kind, Path(folder))
@@ -146,6 +150,26 @@ def _two_sprayers(seed: int, quick: bool) -> Iterator[Figure]:
                  found.left_out < NOTHING, against, scope)  # fmt: skip
     yield Figure("log-in of an implement at our task controller", found.log_in_for_s, "s", "<= 3",
                  found.log_in_for_s <= 3, against, "from power-up of all, the slower one")  # fmt: skip
+
+
+def _screen(seed: int, quick: bool) -> Iterator[Figure]:
+    """The fleet's screen on a terminal of another maker, whose serving robot is killed."""
+    found = killed_screens(3 if quick else 100, seed=seed)
+    against = "a terminal written from ISO 11783-6 and -3"
+    scope = (
+        f"4 robots; {found.kills} kills, each robot starts again with its memory; a pool of "
+        f"{found.pool_bytes} bytes by ETP; {len(found.errors)} errors of the pool or its changes"
+    )
+    yield Figure("screen on a terminal is back after its robot was killed", found.back_for_s, "s",
+                 "<= 3", found.back_for_s <= 3 and not found.errors, against, scope)  # fmt: skip
+    yield Figure("two screens of one fleet within a second", float(found.twice), "times", "0",
+                 found.twice == 0, against, scope)  # fmt: skip
+    yield Figure("from the stop key to the last robot that has latched", found.stop_for_ms, "ms",
+                 f"<= {STOP_BOUND_MS:.0f}", found.stop_for_ms <= STOP_BOUND_MS, against,
+                 f"{found.stops} presses, {found.released} released by the key")  # fmt: skip
+    large = killed_screens(0, robots=ROBOTS, seed=seed)
+    yield Figure(f"bus load of the screen, {ROBOTS} robots", large.load, "share", "<= 0.04",
+                 large.load <= LOAD_MAX, "250 kbit/s", "10 s of a fleet that stands")  # fmt: skip
 
 
 def _read_by_cantools(kind: str, folder: Path) -> Figure:

@@ -13,7 +13,14 @@ from agent.interface import lifecycle
 from agent.mapf import joint_plan_agreement
 from agent.motion import obstacle_stop
 from agent.segments import gateway_election
-from protocol import address, extended_transport, task_client, task_server, transport
+from protocol import (
+    address,
+    extended_transport,
+    task_client,
+    task_server,
+    terminal_client,
+    transport,
+)
 from protocol.state_machine import edges
 
 WIDTH, HEIGHT = 860, 620
@@ -64,6 +71,11 @@ MACHINES = (
         "states_task_server.svg", "An implement at our task controller",
         "How an implement of any maker logs in at `headland tc`.",
         "protocol/task_server.py", task_server.CLIENT_TABLE, task_server.GREETED,
+    ),
+    Machine(
+        "states_terminal.svg", "The fleet's screen on a virtual terminal",
+        "How the robot that serves the screen brings it to a terminal of another maker.",
+        "protocol/terminal_client.py", terminal_client.TERMINAL_TABLE, terminal_client.AWAY,
     ),
     Machine(
         "states_obstacle.svg", "Question about an obstacle",

@@ -1,0 +1,263 @@
+"""The fleet's screen on a virtual terminal of the bus (ISO 11783-6): the elected leader shows it.
+
+Every robot hears the terminal, so that it can take over at once. A robot shows the screen only while it
+is the leader of its term, and takes it down when it is not; after a pause of its own process it waits
+until the votes are in again. STOP is an emergency stop at this robot. RELEASE is refused in a fleet with
+keys, because the operator's are not on the terminal.
+"""
+
+from collections import deque
+from collections.abc import Callable, Mapping, Sequence
+from random import Random
+from typing import Any, Final
+
+from agent.interface.config import MS
+from agent.interface.effects import Send, Trace
+from agent.interface.identity import Identity
+from agent.interface.lifecycle import State
+from agent.peer import inputs, notices
+from agent.peer.fleet_views import FleetViews
+from agent.peer.leader_votes import LeaderVotes
+from agent.peer.member_reports import MemberReports
+from agent.peer.membership import Membership
+from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.pgn_responder import PgnResponder
+from agent.peer.stop_release import KEYLESS_OPERATOR
+from agent.safety.stop_cause import Severity, cause_of
+from agent.safety.stop_controller import StopController
+from protocol.extended_transport import LONG_SIZE_MIN, ExtendedTransport
+from protocol.frames.network_frames import ExtendedTransportData, ExtendedTransportManagement
+from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand, Reason
+from protocol.frames.task_frames import WorkingSetMaster
+from protocol.frames.terminal_frames import ECU_TO_VT, TerminalMessage, TerminalRequest
+from protocol.terminal_client import (
+    JoinTerminal,
+    KeyPressed,
+    PoolWanted,
+    ShownScreen,
+    TerminalClient,
+    TerminalData,
+    TerminalKey,
+    TerminalOutput,
+    TerminalState,
+)
+from protocol.terminal_pool import field_picture, screen_pool
+
+LOOK_US: Final = 500 * MS  # between two looks at what the screen should show
+PAUSED_US: Final = 250 * MS  # shorter than the silence after which others elect another leader
+DOUBTS_US: Final = 1500 * MS  # until a later term is heard, if there is one
+QUESTION_BITS: Final = 48
+RELEASE_GAP_US: Final = 100 * MS  # between the steps of a release
+NEEDS_KEYS: Final = "RELEASE needs the operator's keys"
+
+
+class TerminalService(Part):
+    """The part that shows the fleet on a virtual terminal, and obeys its keys."""
+
+    def __init__(
+        self,
+        identity: Identity,
+        safety: StopController,
+        votes: LeaderVotes,
+        letters: PgnResponder,
+        membership: Membership,
+        reports: MemberReports,
+        views: FleetViews,
+        outline: Callable[[], Sequence[tuple[float, float]]],
+        rng: Random,
+    ) -> None:
+        """`outline`: of the field, metres; empty without one. `rng`: draws questions of releases."""
+        self.safety, self.votes, self.letters = safety, votes, letters
+        self.membership, self.reports, self.views, self.outline = (
+            membership,
+            reports,
+            views,
+            outline,
+        )
+        self.client, self.long, self._rng = TerminalClient(), ExtendedTransport(), rng
+        self._identity = identity
+        self._alarms = _Alarms()
+        self._look_at_us = 0
+        self._turn_at_us: int | None = None  # of our newest turn
+        self._doubts_end_at_us = 0  # after a pause of our own: another robot may lead by now
+        self._steps: deque[tuple[int, list[Any]]] = deque()  # of a release, with their times
+
+    @property
+    def handles(self) -> Mapping[type[Any], Handler]:
+        return {
+            TerminalMessage: self._message,
+            ExtendedTransportManagement: self._packets,
+            ExtendedTransportData: self._packets,
+        }
+
+    @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {notices.AddressLost: self._away, notices.BusLost: self._away}
+
+    @property
+    def due_at_us(self) -> int:
+        due = [each for each in (self.client.due_at_us, self.long.due_at_us) if each is not None]
+        if self.client.state is TerminalState.SHOWN:
+            due.append(self._look_at_us)
+        if self._steps:
+            due.append(self._steps[0][0])
+        return min(due, default=FOREVER)
+
+    def on_timer(self, ctx: StepContext) -> Outputs:
+        if not self._identity.diagnostics:
+            return NOTHING
+        now_us = ctx.now_us
+        paused = self._turn_at_us is not None and now_us - self._turn_at_us > PAUSED_US
+        self._turn_at_us = now_us
+        if paused:
+            self._doubts_end_at_us = now_us + DOUBTS_US
+            self.votes.election.repeat()
+        wanted = ctx.joined and now_us >= self._doubts_end_at_us and self.votes.leader == ctx.slot
+        if wanted == self.client.serves and now_us < self.due_at_us:
+            return NOTHING
+        outputs = self._told(ctx, self.client.serve(wanted, now_us))
+        if not ctx.joined:
+            return outputs
+        if self._steps and now_us >= self._steps[0][0]:
+            outputs += self._steps.popleft()[1]
+        for message, destination in self.long.on_tick(now_us):
+            outputs.append(Send(message, destination))
+        outputs += self._told(ctx, self.client.on_timer(now_us))
+        if self.client.state is TerminalState.SHOWN and now_us >= self._look_at_us:
+            self._look_at_us = now_us + LOOK_US
+            self.client.show(self._screen(ctx), now_us)
+        return outputs
+
+    def _message(self, ctx: StepContext, header: Header, m: TerminalMessage) -> Outputs:
+        if not ctx.joined or not self._identity.diagnostics:
+            return NOTHING
+        return self._told(ctx, self.client.on_message(header.source, m.body, ctx.now_us))
+
+    def _packets(
+        self, ctx: StepContext, header: Header,
+        m: ExtendedTransportManagement | ExtendedTransportData,
+    ) -> Outputs:  # fmt: skip
+        """Grants for our pool. Long messages to a robot are refused: no one has a use for them."""
+        if not ctx.joined or header.source != self.client.server:
+            return NOTHING
+        before = self.long.counts["delivered"]
+        answers, _ = self.long.on_message(header.source, m, ctx.now_us)
+        outputs: list[Any] = [Send(*answer) for answer in answers]
+        if self.long.counts["delivered"] > before:
+            outputs += self._told(ctx, self.client.uploaded())
+        return outputs
+
+    def _away(self, ctx: StepContext, notice: Any) -> Outputs:
+        self.client.reset()
+        return NOTHING
+
+    # ---------------------------------------------------------------- what it shows
+
+    def _told(self, ctx: StepContext, said: Sequence[TerminalOutput]) -> list[Any]:
+        outputs: list[Any] = []
+        server = self.client.server
+        for each in said:
+            match each:
+                case JoinTerminal():
+                    outputs += [Send(WorkingSetMaster(1)),
+                                Trace("terminal", "", "LOG_IN", "", f"address {server}")]  # fmt: skip
+                case PoolWanted(dots):
+                    outputs += self._told(ctx, self._draw(ctx, dots))
+                case KeyPressed(key):
+                    outputs += self._key(ctx, key)
+                case TerminalData(data) if server is not None and len(data) == ECU_TO_VT.length:
+                    outputs.append(Send(TerminalRequest(data), server))
+                case TerminalData(data) if server is not None and len(data) >= LONG_SIZE_MIN:
+                    self.long.forget(server)
+                    first = self.long.send(ECU_TO_VT.pgn, data, server, ctx.now_us) or ()
+                    outputs += [Send(*each_) for each_ in first]
+                case TerminalData(data) if server is not None:
+                    outputs += self.letters.sends(ECU_TO_VT.pgn, data, server, ctx.now_us)
+        return outputs
+
+    def _draw(self, ctx: StepContext, dots: int) -> list[TerminalOutput]:
+        screen = self._screen(ctx)._replace(alarm="")
+        robots = [(seen.pose.x_m, seen.pose.y_m) for seen in self.membership.neighbours.values()]
+        if ctx.here is not None:
+            robots.append((ctx.here.x_m, ctx.here.y_m))
+        picture = field_picture(self.outline(), robots)
+        name = f"fleet, shown by {ctx.slot}"
+        pool = screen_pool(name, screen.rows, screen.covered_percent, picture, dots)
+        self._look_at_us = ctx.now_us
+        return self.client.upload(pool, screen, ctx.now_us)
+
+    def _screen(self, ctx: StepContext) -> ShownScreen:
+        rows: list[str] = []
+        standing: list[str] = []
+        for slot in sorted(self._identity.members):
+            causes = self._causes(slot, ctx, Severity.PAUSE)
+            state = self._state(slot, ctx)
+            rows.append(f"{slot} {causes[0] if causes else state}")
+            alarms = self._causes(slot, ctx, Severity.PROTECTIVE)
+            standing += [f"{slot}: {cause}" for cause in alarms]
+        covered = min(100, int(100 * self.views.progress.fraction()))
+        return ShownScreen(tuple(rows), covered, self._alarms.text(frozenset(standing)))
+
+    def _state(self, slot: int, ctx: StepContext) -> str:
+        if slot == ctx.slot:
+            return ctx.state.name
+        seen = self.membership.neighbours.get(slot)
+        status = self.membership.standing[slot].name
+        return status if seen is None or status != "LIVE" else State(seen.pose.state).name
+
+    def _causes(self, slot: int, ctx: StepContext, worse: Severity) -> list[str]:
+        """Names of the causes of a robot that are at least so bad, the worst first."""
+        if slot == ctx.slot:
+            causes = sorted(self.safety.causes, key=lambda each: -each[0].severity)
+            return [cause.name for cause, _ in causes if cause.severity >= worse]
+        told = self.reports.standstills.get(slot)
+        found = [] if told is None else [cause_of(m.cause) for m in told.fresh(ctx.now_us)]
+        return [c.name for c in found if c is not None and c.severity >= worse]
+
+    # ---------------------------------------------------------------- keys
+
+    def _key(self, ctx: StepContext, key: TerminalKey) -> list[Any]:
+        told = Trace("terminal", "", key.name, "", f"address {self.client.server}")
+        if key is TerminalKey.STOP:
+            return [inputs.Press(Reason.OPERATOR_INTERVENTION), told]
+        if key is TerminalKey.ACKNOWLEDGE:
+            self._alarms.acknowledge()
+            self.client.show(self._screen(ctx), ctx.now_us)
+            return [told]
+        if self.safety.keyed:
+            self._alarms.say(NEEDS_KEYS)
+            self.client.show(self._screen(ctx), ctx.now_us)
+            return [told._replace(target="REFUSED")]
+        # Each robot clears its stops, is then reset, and this one last: a reset gives up its address.
+        release = inputs.ReleaseStops(None, self._rng.getrandbits(QUESTION_BITS))
+        reset = Send(OperatorCommand(Command.MANUAL_RESET, EVERYBODY, KEYLESS_OPERATOR))
+        at_us = ctx.now_us
+        self._steps = deque((
+            (at_us + RELEASE_GAP_US, [release]), (at_us + 2 * RELEASE_GAP_US, [reset]),
+            (at_us + 3 * RELEASE_GAP_US, [inputs.EndRelease(), inputs.ManualReset()]),
+        ))  # fmt: skip
+        return [release, told]
+
+
+class _Alarms:
+    """Which alarm is on the screen, and which ones a person has acknowledged."""
+
+    def __init__(self) -> None:
+        self._said = ""  # something that no robot stands for
+        self._standing: frozenset[str] = frozenset()
+        self._known: frozenset[str] = frozenset()
+
+    def say(self, text: str) -> None:
+        """Show this until it is acknowledged."""
+        self._said = text
+
+    def acknowledge(self) -> None:
+        """A person has seen all that is shown."""
+        self._said, self._known = "", self._standing
+
+    def text(self, standing: frozenset[str]) -> str:
+        """The alarm to show; "" without one. `standing`: robots with their causes."""
+        self._standing = standing
+        self._known &= standing  # a cause that comes back is news
+        new = sorted(standing - self._known)
+        return self._said or (f"{len(new)} stopped; {new[0]}" if new else "")

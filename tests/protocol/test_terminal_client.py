@@ -1,0 +1,122 @@
+"""A session with a virtual terminal, byte by byte as ISO 11783-6 has it."""
+
+from random import Random
+
+from protocol.terminal_client import (
+    JoinTerminal,
+    KeyPressed,
+    PoolWanted,
+    ShownScreen,
+    TerminalClient,
+    TerminalData,
+    TerminalKey,
+    TerminalOutput,
+    TerminalState,
+)
+from protocol.terminal_pool import (
+    PICTURE_HEIGHT,
+    PICTURE_WIDTH,
+    RED,
+    field_picture,
+    screen_pool,
+)
+from protocol.units import MS, S
+
+VT = 38
+STATUS = bytes.fromhex("FE FE E803 D007 00 00")
+SHOWN = ShownScreen(("0 IDLE", "1 IDLE"), 12)
+
+
+def sent(outputs: list[TerminalOutput]) -> list[bytes]:
+    return [each.data for each in outputs if isinstance(each, TerminalData)]
+
+
+def tell(client: TerminalClient, text: str, now_us: int = 0) -> list[TerminalOutput]:
+    return client.on_message(VT, bytes.fromhex(text).ljust(8, b"\xff"), now_us)
+
+
+def shown() -> TerminalClient:
+    client = TerminalClient()
+    client.on_message(VT, STATUS, 0)
+    outputs = client.serve(True, 0)
+    assert isinstance(outputs[0], JoinTerminal)
+    assert [data[0] for data in sent(outputs)] == [0xFF, 0xC0]
+    assert sent(outputs)[0] == bytes.fromhex("FF 01 03 FFFFFFFF FF")
+    assert [data[0] for data in sent(tell(client, "C0 04 00"))] == [0xC3]
+    assert [data[0] for data in sent(tell(client, "C3 FFFFFFFF 7F 7F 0F"))] == [0xC7]
+    assert tell(client, "C7 01 02 0F F000 F000") == [PoolWanted(240)]
+    pool = screen_pool("north", SHOWN.rows, 12, field_picture((), ()), 240)
+    assert sent(client.upload(pool, SHOWN, 0)) == [b"\x11" + pool]
+    assert sent(client.uploaded()) == [b"\x12" + b"\xff" * 7]
+    tell(client, "12 00 FFFF FFFF 00")
+    assert client.state is TerminalState.SHOWN
+    return client
+
+
+def test_the_first_change_is_maintained_and_answered() -> None:
+    client = shown()
+    client.show(SHOWN._replace(rows=("0 STOP_DOT", "1 IDLE"), alarm="1 stopped"), 0)
+    said = []
+    for now_us in range(0, S, 50 * MS):
+        client.on_message(VT, STATUS, now_us)
+        said += sent(client.on_timer(now_us))
+        tell(client, "B3 FFFF 0410 00", now_us)
+    assert [data[0] for data in said[:3]] == [0xB3, 0xAD, 0xB3]
+    assert said[0][1:5] == bytes.fromhex("A30F 3000") and said[0][5:14] == b"1 stopped"
+    assert said[1] == bytes.fromhex("AD 0000 E903 FFFFFF"), "the alarm mask"
+    assert said[2][1:5] == bytes.fromhex("0410 1800") and said[2][5:15] == b"0 STOP_DOT"
+    (maintenance,) = (data for data in sent(client.on_timer(S)) if data[0] == 0xFF)
+    assert maintenance == bytes.fromhex("FF 00 03 FFFFFFFF FF")
+
+
+def test_keys_are_told_and_sent_back() -> None:
+    client = shown()
+    outputs = tell(client, "00 01 B80B E803 01 FF")
+    assert sent(outputs) == [bytes.fromhex("00 01 B80B E803 01 FF")]
+    assert KeyPressed(TerminalKey.STOP) in outputs
+    assert not any(isinstance(each, KeyPressed) for each in tell(client, "00 00 B80B E803 01 FF"))
+    assert KeyPressed(TerminalKey.ACKNOWLEDGE) in tell(client, "00 01 FFFF E903 00 FF")
+    assert client.on_message(VT + 1, bytes.fromhex("0001B80BE80301FF"), 0) == []
+
+
+def test_another_robots_turn_takes_the_screen_down() -> None:
+    client = shown()
+    assert sent(client.serve(False, 0)) == [b"\xb2" + b"\xff" * 7]
+    assert client.state is TerminalState.AWAY and client.due_at_us is None
+    assert client.on_message(VT, STATUS, S) == [], "it only listens"
+
+
+def test_a_silent_terminal_and_one_without_memory() -> None:
+    client = shown()
+    assert client.on_timer(4 * S) == [] and client.state is TerminalState.AWAY
+    client = shown()
+    for now_us in range(0, 4 * S, 50 * MS):
+        client.on_message(VT, STATUS, now_us)
+        client.on_timer(now_us)
+        if client.state is not TerminalState.SHOWN:
+            break
+    assert client.state is TerminalState.MEMORY, "it asks again, because changes are not answered"
+    assert now_us <= 2_500 * MS
+
+
+def test_the_picture_has_the_outline_and_the_robots() -> None:
+    picture = field_picture([(0, 0), (100, 0), (100, 50), (0, 50)], [(50, 25)])
+    assert len(picture.dots) == PICTURE_WIDTH * PICTURE_HEIGHT
+    assert picture.dots.count(RED) == 1 and picture.dots.count(2) > 100
+
+
+def test_any_bytes_in_any_state_raise_nothing() -> None:
+    rng, client = Random(11), shown()
+    for step in range(20_000):
+        now_us = step * 20 * MS
+        if step % 40 == 0:
+            client.on_message(VT, STATUS, now_us)
+        client.serve(rng.random() < 0.9, now_us)
+        first = rng.choice((0, 0x12, 0xA8, 0xAD, 0xB3, 0xC0, 0xC3, 0xC7, rng.randrange(256)))
+        for out in client.on_message(
+            rng.choice((VT, 1)), bytes((first,)) + rng.randbytes(7), now_us
+        ):
+            if isinstance(out, PoolWanted):
+                client.upload(bytes(2000), SHOWN, now_us)
+        client.show(ShownScreen((str(step), "x"), step % 100, rng.choice(("", "alarm"))), now_us)
+        client.on_timer(now_us)
