@@ -69,7 +69,7 @@ class AsAppliedMap:
         return whole
 
     def needs(self, points: Points) -> NDArray[np.bool_]:
-        """Whether ground is to be worked and not worked yet: n truths. `points`: n x 2, metres."""
+        """Whether ground is to be worked and not worked yet, (n,). `points`: (n, 2), metres."""
         lattice = np.floor((points - self.origin) / self.part_m).astype(np.int64)
         keys, bits = _keys(lattice), _bits(lattice)
         cells, where = np.unique(keys, return_inverse=True)

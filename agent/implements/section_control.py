@@ -109,7 +109,7 @@ class SectionedImplement:
     def decide(
         self, here: Observation, ahead_m: float, ground: AsAppliedMap, now_us: int
     ) -> NDArray[np.bool_]:
-        """Which sections are to be on, n truths; as before while the implement stands."""
+        """Which sections are to be on, (n,); as before while the implement stands."""
         speed_m_s = float(np.hypot(here.vx_m_s, here.vy_m_s))
         if not self.sections or speed_m_s < SPEED_MIN_M_S:
             return self.wanted
@@ -145,7 +145,7 @@ class SectionedImplement:
     def setpoints(self, of: NDArray[np.bool_]) -> list[tuple[Key, int]]:
         """What tells it the wanted states: condensed where it has them.
 
-        `of`: n truths, the sections that are said again where each has a state of its own."""
+        `of`: (n,), True for the sections that are said again where each has a state of its own."""
         words = -(-len(self.sections) // PER_WORD)
         said: list[tuple[Key, int]] = []
         for word in range(words):

@@ -42,7 +42,7 @@ class Vouchers:
         del chain[:-CHAIN_MAX]
 
     def block(self, name: int, new_bits: int, sender: int, now_us: int) -> None:
-        """A frame added units to a block."""
+        """A frame added units to a block. `name`: of the block. `new_bits`: of the units in it."""
         chain = self._blocks.setdefault(name, [])
         chain.append(Vouched(None, new_bits, sender, now_us))
         assert len(chain) <= BLOCKS_MAX

@@ -43,7 +43,7 @@ class MapfOutcome(NamedTuple):
     sum_of_costs: float  # of those, units of time
     shortest: int  # the sum of their shortest paths on the empty map: no plan costs less
     makespan: float  # units of time
-    before_s: float  # from power-up until the first body set out
+    before_for_s: float  # from power-up until the first body set out
     collisions: int  # contacts of bodies, and centres in walls
     conflict: str  # why the visits are no plan; empty: they are one
     closest_m: float
@@ -118,12 +118,12 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
         up = {robot.slot for robot in cluster.running}
         moved = [at_us for at_us, slot, cell in truth.visits if cell != setting.cells[slot]]
         first_at_us = min(moved, default=STEP_US) - STEP_US
-        came_us = {slot: at_us for at_us, slot, cell in truth.visits}  # the last visit of each
+        came_at_us = {slot: at_us for at_us, slot, cell in truth.visits}  # the last visit of each
         closed = self._closed_off(cluster, up)
         there = [slot for slot in sorted(up - closed) if truth.at.get(slot) == setting.goals[slot]]
         moves = {
-            slot: 0 if setting.cells[slot] == setting.goals[slot] and came_us[slot] < first_at_us
-            else (came_us[slot] - first_at_us) / STEP_US
+            slot: 0 if setting.cells[slot] == setting.goals[slot] and came_at_us[slot] < first_at_us
+            else (came_at_us[slot] - first_at_us) / STEP_US
             for slot in there
         }  # fmt: skip
         visits = [
@@ -148,7 +148,7 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
             "sum_of_costs": float(sum(moves.values())),
             "shortest": sum(self._shortest(there)),
             "makespan": float(max(moves.values(), default=0.0)),
-            "before_s": first_at_us / S,
+            "before_for_s": first_at_us / S,
             "collisions": len(truth.contacts) + truth.through_walls,
             "conflict": conflict,
             "closest_m": truth.closest_m,

@@ -61,7 +61,7 @@ class View(NamedTuple):
     foot: float
 
     def at(self, x_m: float, y_m: float) -> tuple[float, float]:
-        """Pixels from the left and from the top."""
+        """The point in pixels, from the left and from the top."""
         return self.left + x_m * self.scale, self.foot - y_m * self.scale
 
 

@@ -52,7 +52,9 @@ def counts_of(words: str) -> list[int]:
 
 
 def crashes_of(count: int, agents: int, seed: int) -> list[Fault]:
-    """Crashes of `count` robots, drawn by the seed, at times at which the fleet drives."""
+    """Crashes of `count` robots, drawn by the seed, at times at which the fleet drives.
+
+    Raises GridFileError."""
     if not 0 <= count < agents:
         raise GridFileError(f"--crash {count}: 0 to {agents - 1} of {agents} robots can crash")
     rng = Random(f"{seed}/mapf/crash")
@@ -71,7 +73,8 @@ def read(map_file: Path, scenario: Path | None, agents: int, seed: int) -> MapfI
 
 
 def setting_of(mapf: MapfInstance, seed: int, loss: float, crashes: int) -> MapfSetup:
-    """A run of an instance; its limit grows with the map. Raises GridFileError."""
+    """A run of an instance; its limit grows with the map. `loss`: share of all frames. Raises
+    GridFileError."""
     if not 0.0 <= loss <= LOSS_MAX:
         raise GridFileError(f"--loss is 0 to {LOSS_MAX:g}")
     faults = crashes_of(crashes, len(mapf.starts), seed)
@@ -158,7 +161,7 @@ def measured(
         table.add_row(
             f"{report['robots']}", f"{report['arrived']} of {report['solvable']}",
             f"{report['sum_of_costs']:.0f}", f"{report['shortest']}", f"{report['ratio']:.3f}",
-            f"{report['makespan']:.0f}", f"{report['before_s']:.1f} s", f"{report['rounds']}",
+            f"{report['makespan']:.0f}", f"{report['before_for_s']:.1f} s", f"{report['rounds']}",
             f"{report['collisions'] + len(report['faults_of_paths'])}",
         )  # fmt: skip
     if not as_json:

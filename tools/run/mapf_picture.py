@@ -14,7 +14,8 @@ def draw_ways(
     path: Path, walls: NDArray[np.bool_], steps: Sequence[Sequence[Cell]], goals: Sequence[Cell],
     title: str,
 ) -> None:  # fmt: skip
-    """Write a .png, .svg or .pdf. `steps`: the cells of all robots at each time."""
+    """Write a .png, .svg or .pdf. `walls`: (rows, columns). `steps`: the cells of all robots
+    at each time."""
     from matplotlib import colormaps
     from matplotlib.figure import Figure
 

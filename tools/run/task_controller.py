@@ -82,7 +82,7 @@ class Sayer:
         self._console = Console(highlight=False, soft_wrap=True)
 
     def say(self, event: str, text: str, **values: object) -> None:
-        """One event."""
+        """Print one event at once: its text, or with `as_json` its name and values."""
         if self.as_json:
             print(dumps({"event": event, **values}), flush=True)
         else:
@@ -207,7 +207,8 @@ def task_controller(
 ) -> int:  # fmt: skip
     """Serve until Ctrl-C. `bus`: interface, channel, bit rate, host and port of the tractor's bus.
     `fleet`: host and port of the bus on which the map is shared; port 0: the tractor's. `machine`:
-    slot and number of slots. The exit code is 2 for what a person has to mend."""
+    slot and number of slots. The exit code is 2 for what a person has to mend, which one
+    line on stderr says (AttachError)."""
 
     async def serve() -> None:
         own = attach(*bus)
