@@ -76,7 +76,7 @@ def status(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, json: Json = False,
 ) -> None:  # fmt: skip
-    """Say what has become of one transport. Exit 0 only if it is delivered.
+    """Say what has become of one transport, after up to `--wait` seconds. Exit 0 only if it is delivered.
 
     Example: headland task status 5 --wait 60
     """
