@@ -1,32 +1,30 @@
 """Work in fields against a plan that OR-Tools makes for the whole fleet in one place.
 
-The opponent plans with the same sections, each in one of two directions, the same starts, the same
-paths (`Route.path`) and the same bodies: a trapezoid of speed on each straight piece, and a stop at
-each corner. It minimises the time of the last robot by guided local search. Its plan is not driven:
-no robot is in another's way, and nothing is sent. The fleet's own time is that of true bodies.
+`tools/bench/field_opponent.py` is the opponent. Its plan is not driven: no robot is in another's way, and
+nothing is sent. The fleet's own time is that of true bodies. Tractors have an opponent of their own
+(`tools/bench/field_tractors.py`).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from importlib.metadata import version
-from itertools import pairwise
-from math import hypot, sqrt
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Final, NamedTuple
+from time import process_time
+from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
-from agent.field.field_map import Polyline
-from agent.interface.vehicle import Vehicle
+from agent.field.fleet_plan import FleetPlan, FreedRobot
+from agent.field.travel_times import Remainder
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.ground_truth import TrackPoint
 from tools.bench.drawn_fields import drawn_setup
 from tools.bench.field_changes import FleetChange, changed_run
+from tools.bench.field_opponent import central_plan_s, problem_at, problem_of, snake_s
+from tools.bench.field_tractors import tractor_problem
 from tools.bench.figure import Figure
-from tools.bench.routing_opponents import guided_search
 
 SEARCH_S, QUICK_SEARCH_S = 40.0, 5.0
 QUICK: Final = (("small", 3),)
@@ -34,8 +32,6 @@ CASES: Final = (
     ("small", 3), ("small", 6), ("oxted", 6), ("oxted", 12), ("oxted", 24),
     ("curitiba", 8), ("curitiba", 16),
 )  # fmt: skip
-TICK_S = 0.01  # unit of time of the opponent, whose times are whole numbers
-SPAN_COST = 100  # of the last finish, in those of travel
 STILL_M_S = 0.05  # a slower robot stands
 MEAN_MAX, WORST_MAX = 1.03, 1.10
 ALONE: Final = ("small", "oxted", "curitiba")
@@ -45,18 +41,11 @@ CHANGE_MAX = 1.10
 DRAWN: Final = range(50)
 QUICK_DRAWN: Final = (8, 18, 32)  # of few robots, so that they take seconds
 IDLE_MAX = {6: 0.04, 24: 0.08}
-
-Point = tuple[float, float]
-Times = NDArray[np.int64]
-
-
-class FleetProblem(NamedTuple):
-    """The whole problem in units of `TICK_S`. Node 2 k is section k from its first end, 2 k + 1 from
-    its last."""
-
-    work: Times  # (2 sections,): to work a section
-    lead: Times  # (robots, 2 sections): from a start to where a section is begun
-    link: Times  # (2 sections, 2 sections): from where one ends to where another is begun
+SPEED_LEAST = {("oxted", 6): 60.0, ("oxted", 24): 12.0}  # times real time
+TRACTORS: Final = (("small", 3), ("small", 6), ("curitiba", 3), ("curitiba", 6), ("oxted", 6))
+TRACTORS_MAX = 1.15
+PLANNING: Final = ("oxted", 24)
+PLANNING_MAX_MS = 200.0
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
@@ -67,7 +56,9 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     for name, robots in QUICK if quick else CASES:
         setup = FieldSetup(load(name).changed(robots, seed))
         run = FieldRun(setup)
+        began_s = process_time()
         outcome = run.run()
+        computed_s = process_time() - began_s
         planned_s = central_plan_s(problem_of(setup), search_s)
         ratios.append(outcome.makespan_s / planned_s)
         idle = standing_share(list(run.tracks.values()), outcome.makespan_s)
@@ -77,6 +68,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
         )
         yield Figure(f"makespan, {name}, {robots} robots", ratios[-1], "x", f"<= {WORST_MAX:g}",
                      ratios[-1] <= WORST_MAX and outcome.success, against, scope)  # fmt: skip
+        yield _speed(name, robots, outcome.makespan_s / computed_s)
         most = IDLE_MAX.get(robots)
         yield Figure(f"time standing, {name}, {robots} robots", idle, "",
                      "" if most is None else f"<= {most:g}", None if most is None else idle <= most,
@@ -89,7 +81,54 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     for name, robots in CHANGES[:1] if quick else CHANGES:
         for change in (FleetChange.DIES,) if quick else FleetChange:
             yield _changed(name, robots, change, search_s, seed, against)
+    yield from _planning(seed)
+    for name, robots in TRACTORS[:1] if quick else TRACTORS:
+        yield from _tractors(name, robots, search_s, seed)
     yield from _drawn(QUICK_DRAWN if quick else DRAWN)
+
+
+def _speed(name: str, robots: int, times: float) -> Figure:
+    least = SPEED_LEAST.get((name, robots))
+    return Figure(f"speed, {name}, {robots} robots", times, "x real time",
+                  "" if least is None else f">= {least:g}", None if least is None else times >= least,
+                  "", "simulated time of the work by CPU of the run, one core, interpreted, without "
+                  "recordings; the first of a process loads its kernels")  # fmt: skip
+
+
+def _planning(seed: int) -> Iterator[Figure]:
+    """What a peer computes for its first plan and for a later one."""
+    name, robots = PLANNING
+    setup = FieldSetup(load(name).changed(robots, seed))
+    travel = setup.plan.travel
+    left: dict[int, Remainder | None] = {section.id: None for section in setup.field.sections}
+    free = {slot: FreedRobot(place, 0) for slot, place in enumerate(setup.starts)}
+    FleetPlan(travel, seed=1).plan(left, free)  # the matrix of ways, and the kernels
+    plan = FleetPlan(travel)
+    for what in ("the first plan", "a later plan"):
+        began_s = process_time()
+        rows = plan.plan(left, free)
+        for_ms = 1000 * (process_time() - began_s)
+        yield Figure(f"planning, {what}, {robots} robots, {len(setup.field.sections)} sections", for_ms,
+                     "ms", f"<= {PLANNING_MAX_MS:g}", for_ms <= PLANNING_MAX_MS, "",
+                     "CPU of one peer; a later plan begins with the one before")  # fmt: skip
+        free = {slot: FreedRobot(at, 1_000 * slot) for slot, (at, _) in free.items()}
+        left = {section: None for row in rows.values() for section in row[1:]}
+
+
+def _tractors(name: str, robots: int, search_s: float, seed: int) -> Iterator[Figure]:
+    setup = FieldSetup(load(name).changed(robots, seed, drive="ackermann"))
+    outcome = FieldRun(setup).run()
+    planned_s = central_plan_s(tractor_problem(setup), search_s)
+    ratio, where = outcome.makespan_s / planned_s, f"{name}, {robots} tractors"
+    yield Figure(f"makespan, {where}", ratio, "x", f"<= {TRACTORS_MAX:g}",
+                 ratio <= TRACTORS_MAX and outcome.finished,
+                 f"OR-Tools {version('ortools')}, guided local search, {search_s:g} s, single swaths, "
+                 "Dubins words without fences",
+                 f"{outcome.makespan_s:.0f} s driven against {planned_s:.0f} s planned; "
+                 f"{outcome.contacts} contacts; seed {seed}")  # fmt: skip
+    yield Figure(f"reachable ground worked, {where}", outcome.reached, "", ">= 1",
+                 outcome.reached >= 1.0, "",
+                 f"what their turning circle allows; seed {seed}")  # fmt: skip
 
 
 def _alone(name: str, search_s: float, seed: int, against: str) -> Figure:
@@ -151,95 +190,3 @@ def standing_share(tracks: Sequence[Sequence[TrackPoint]], end_s: float) -> floa
         unseen_s = max(0.0, end_s - rows[-1, 0] / 1e6)  # a track may end where the robot stands
         shares.append((float(passed_s[stood].sum()) + unseen_s) / end_s)
     return float(np.mean(shares))
-
-
-def drive_s(points: Sequence[Point], vehicle: Vehicle) -> float:
-    """Seconds for a polyline in metres, with a stop at each of its points."""
-    return sum(
-        _straight_s(hypot(bx - ax, by - ay), vehicle) for (ax, ay), (bx, by) in pairwise(points)
-    )
-
-
-def _straight_s(length_m: float, vehicle: Vehicle) -> float:
-    up, down, top = vehicle.acceleration_m_s2, vehicle.braking_m_s2, vehicle.speed_m_s
-    ramps_m = top * top / 2 * (1 / up + 1 / down)
-    if length_m < ramps_m:
-        top = sqrt(2 * length_m / (1 / up + 1 / down))
-        ramps_m = length_m
-    return top * (1 / up + 1 / down) + (length_m - ramps_m) / max(top, 1e-9)
-
-
-def problem_of(setup: FieldSetup) -> FleetProblem:
-    """All times of a field and its fleet."""
-    return problem_at(setup, setup.starts, [section.swaths for section in setup.field.sections])
-
-
-def problem_at(
-    setup: FieldSetup, places: Sequence[Point], left: Sequence[Sequence[Polyline]]
-) -> FleetProblem:
-    """All times of what is left of a field: the swaths of each section, for robots at `places`."""
-    vehicle, route = setup.vehicle, setup.plan.route
-    begins = [end for lines in left for end in (lines[0][0], lines[-1][-1])]
-    ends = [end for lines in left for end in (lines[-1][-1], lines[0][0])]
-
-    def way_s(start: Point, goal: Point) -> float:
-        return drive_s(route.path(start, goal), vehicle)
-
-    work = [_work_s(lines, way_s, vehicle) for lines in left for _ in range(2)]
-    lead = [[way_s(place, begin) for begin in begins] for place in places]
-    link = [[way_s(end, begin) for begin in begins] for end in ends]
-    return FleetProblem(_ticks(work), _ticks(lead), _ticks(link))
-
-
-def snake_s(problem: FleetProblem) -> float:
-    """Seconds of one robot that works the sections in their order, each from the end that is nearer."""
-    now, at = 0, -1
-    for section in range(len(problem.work) // 2):
-        ways = (problem.lead[0] if at < 0 else problem.link[at])[2 * section : 2 * section + 2]
-        at = 2 * section + int(np.argmin(ways))
-        now += int(ways.min()) + int(problem.work[at])
-    return now * TICK_S
-
-
-def _work_s(
-    lines: Sequence[Polyline], way_s: Callable[[Point, Point], float], vehicle: Vehicle
-) -> float:
-    turns_s = sum(way_s(a[-1], b[0]) for a, b in pairwise(lines))
-    return turns_s + sum(drive_s(line, vehicle) for line in lines)
-
-
-def _ticks(seconds: object) -> Times:
-    return np.round(np.asarray(seconds, dtype=np.float64) / TICK_S).astype(np.int64)
-
-
-def central_plan_s(problem: FleetProblem, search_s: float) -> float:
-    """Seconds until the last finish of the best plan that OR-Tools finds."""
-    from ortools.constraint_solver import pywrapcp
-
-    robots, nodes = problem.lead.shape
-    size = nodes + robots + 1
-    times = np.zeros((size, size), dtype=np.int64)
-    times[:nodes, :nodes] = problem.work[:, None] + problem.link
-    times[nodes : nodes + robots, :nodes] = problem.lead
-    times[:nodes, -1] = problem.work
-    rows = times.tolist()
-    manager = pywrapcp.RoutingIndexManager(
-        size, robots, [nodes + robot for robot in range(robots)], [size - 1] * robots
-    )
-    routing = pywrapcp.RoutingModel(manager)
-
-    def passed(a: int, b: int) -> int:
-        return int(rows[manager.IndexToNode(a)][manager.IndexToNode(b)])
-
-    arc = routing.RegisterTransitCallback(passed)
-    routing.SetArcCostEvaluatorOfAllVehicles(arc)
-    routing.AddDimension(arc, 0, 1 << 40, True, "time")
-    dimension = routing.GetDimensionOrDie("time")
-    dimension.SetGlobalSpanCostCoefficient(SPAN_COST)
-    for section in range(nodes // 2):  # in one of its two directions
-        both = [manager.NodeToIndex(2 * section), manager.NodeToIndex(2 * section + 1)]
-        routing.AddDisjunction(both, 1 << 40)
-    found = routing.SolveWithParameters(guided_search(search_s))
-    assert found is not None, "a robot can do all the work alone"
-    last = max(found.Value(dimension.CumulVar(routing.End(robot))) for robot in range(robots))
-    return float(last) * TICK_S

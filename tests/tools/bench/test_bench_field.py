@@ -1,5 +1,6 @@
 """The plan of the whole fleet by OR-Tools, and what robots stand."""
 
+from math import pi
 from pathlib import Path
 
 import pytest
@@ -10,16 +11,17 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.drawn_fields import drawn_setup
-from tools.bench.field import (
+from tools.bench.field import standing_share
+from tools.bench.field_changes import WatchedRun
+from tools.bench.field_opponent import (
     TICK_S,
     central_plan_s,
     drive_s,
     problem_at,
     problem_of,
     snake_s,
-    standing_share,
 )
-from tools.bench.field_changes import WatchedRun
+from tools.bench.field_tractors import dubins_m, tractor_problem
 
 pytest.importorskip("ortools", reason="the opponent is in the extra dev")
 
@@ -84,3 +86,17 @@ def test_a_drawn_field_is_worked_without_a_flaw(seed: int, tmp_path: Path) -> No
     run = FieldRun(drawn_setup(seed, tmp_path))
     outcome = run.run()
     assert outcome.success and outcome.reached == 1.0 and outcome.units_twice == 0, (seed, outcome)
+
+
+def test_a_tractor_turns_back_in_a_half_circle_or_a_bulb() -> None:
+    apart = dubins_m((0.0, 0.0, 0.0), (0.0, 6.0, pi), 3.0)
+    assert apart == pytest.approx(3.0 * pi)
+    assert dubins_m((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0), 3.0) == pytest.approx(5.0)  # backing up
+
+
+def test_the_plan_of_tractors_takes_every_swath_once() -> None:
+    setup = FieldSetup(load("small").changed(3, 1, drive="ackermann"))
+    problem = tractor_problem(setup)
+    work_s = float(problem.work[::2].sum()) * TICK_S
+    assert work_s == pytest.approx(setup.field.work_m / setup.vehicle.speed_m_s, rel=0.001)
+    assert work_s / 3 < central_plan_s(problem, 0.5) < 2 * work_s

@@ -1,0 +1,57 @@
+"""The opponent of tractors: a plan of the whole fleet, with Dubins turns, made in one place.
+
+It may work the swaths of a field in any order, each from either end, and joins them by the shortest
+Dubins word, ahead or backing up. Fences, holes and other tractors are not in its way, and it pays no
+time for changes of direction. Its turning circle is that of the fleet's own planned paths. So it is
+stricter than a plan that could be driven.
+"""
+
+from collections.abc import Sequence
+from math import atan2, pi
+
+import numpy as np
+
+from agent.paths.dubins import shortest_m
+from sim.scenarios.field_setup import FieldSetup
+from tools.bench.field_opponent import FleetProblem, Point, ticks
+
+Pose = tuple[float, float, float]  # x, y in metres, heading in radians
+
+
+def dubins_m(start: Pose, goal: Pose, radius_m: float) -> float:
+    """Length of the shortest Dubins word between two poses, ahead or backing up, metres."""
+    back_m = shortest_m(_turned(start), _turned(goal), radius_m)
+    return min(shortest_m(start, goal, radius_m), back_m)
+
+
+def tractor_problem(setup: FieldSetup) -> FleetProblem:
+    """All times of a field and its tractors; a job is one swath."""
+    vehicle, radius_m = setup.vehicle, setup.turn_radius_m
+    lines = [swath for section in setup.field.sections for swath in section.swaths]
+    both = [way for line in lines for way in (line, line[::-1])]
+    begins = [_pose(way[:2], 0) for way in both]
+    ends = [_pose(way[-2:], 1) for way in both]
+    starts = [(x_m, y_m, 0.0) for x_m, y_m in setup.starts]
+
+    def way_s(start: Pose, goal: Pose) -> float:
+        return dubins_m(start, goal, radius_m) / vehicle.speed_m_s
+
+    # A tractor does not stop between a swath and a turn.
+    work = [_length_m(line) / vehicle.speed_m_s for line in both]
+    lead = [[way_s(place, begin) for begin in begins] for place in starts]
+    link = [[way_s(end, begin) for begin in begins] for end in ends]
+    return FleetProblem(ticks(work), ticks(lead), ticks(link))
+
+
+def _length_m(line: Sequence[Point]) -> float:
+    points = np.array(line)
+    return float(np.hypot(*np.diff(points, axis=0).T).sum())
+
+
+def _pose(ends: Sequence[Point], at: int) -> Pose:
+    (ax, ay), (bx, by) = ends
+    return (*ends[at], atan2(by - ay, bx - ax))
+
+
+def _turned(pose: Pose) -> Pose:
+    return pose[0], pose[1], pose[2] + pi
