@@ -225,7 +225,7 @@ class ScenarioJudge:
             case kinds.Babble() if _outranks_claims(fault):
                 # While a device outranks address claims, no other device can show its NAME.
                 self._at(at_us, self.witness.words.without_name)
-            case kinds.Box():
+            case kinds.Box() | kinds.Person() | kinds.PassingVehicle():
                 self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
 
     # ---------------------------------------------------------------- while it runs

@@ -13,6 +13,7 @@ from sim.can.simulated_bus import FieldBus
 from sim.fleet.event_loop import SimulatedRunner
 from sim.fleet.foreign_devices import buttons, used_stop
 from sim.fleet.forgers import forger
+from sim.fleet.moving_obstacles import Shape, walk
 from sim.fleet.scheduler import Script, follow
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
@@ -32,7 +33,8 @@ PUSHED_M_S = 1.0  # walking speed of people that push a machine
 PUSHED_APART_M = 0.3  # gap left between two machines when one is pushed
 SETTLED_S = 3.0  # this long after trouble of links or members, all members receive each other again
 HEARD_ALL_THE_SAME = (kinds.Buttons, kinds.UsedStop, kinds.Estop, kinds.Reset, kinds.Order,
-                      kinds.Box, kinds.Pushed)  # fmt: skip
+                      kinds.Box, kinds.Person, kinds.PassingVehicle, kinds.Pushed)  # fmt: skip
+PERSON = Shape(0.5)  # across the shoulders, with the arms
 SETTLE_S = 1.0  # between a reset and the start that follows it: rejoin and sync
 
 
@@ -115,6 +117,11 @@ class FaultPlan:
                 return self._order(robot, Command[order.upper()], (x_m, y_m))
             case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
                 return self._box(x_m, y_m, size_m, for_s)
+            case kinds.Person(route=route, speed_m_s=speed_m_s, yields=yields):
+                return walk(cluster.world, self._now_us, PERSON, route, speed_m_s, yields)
+            case kinds.PassingVehicle(route=route, speed_m_s=speed_m_s, yields=yields):
+                shape = Shape(fault.length_m, fault.width_m)
+                return walk(cluster.world, self._now_us, shape, route, speed_m_s, yields)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 cluster.stops.carried(robot)
                 return self._push(robot, dx_m, dy_m)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from agent.mapping.building import Floor
 from sim.record.mcap_schema import THING
 from sim.record.scene import Scene
+from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.fleet_setup import FleetSetup
@@ -35,6 +36,11 @@ def scene_of(setting: FleetSetup) -> Scene:
         goals: Mapping[int, Sequence[Sequence[float]]] = getattr(setting, "goals", {})
         scene["goals"] = [[slot, *_point(at)] for slot, own in goals.items() for at in own]
         scene["kind"] = "floor"
+        if isinstance(setting, DeliverySetup):
+            scene["kind"] = "warehouse"
+            scene["bays"] = [_point(bay) for bay in setting.scenario.warehouse.bays]
+            known = setting.house.tasks
+            scene["transports"] = [[n, task.pickup, task.dropoff] for n, task in known.items()]
     elif isinstance(setting, ExplorationSetup):
         geometry = setting.geometry
         west, south = geometry.origin_m

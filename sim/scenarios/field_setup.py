@@ -20,7 +20,17 @@ from agent.runtime.files.given_file import GivenFileError, read_bytes
 from agent.runtime.mission_parts import field_parts, values_of
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import Box, Crash, CrashWorking, Order, Scenario, ScenarioError
+from sim.scenarios.scenario import (
+    Box,
+    Crash,
+    CrashWorking,
+    Fault,
+    Order,
+    PassingVehicle,
+    Person,
+    Scenario,
+    ScenarioError,
+)
 from sim.scenarios.time_limit import time_limit_s
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
@@ -60,19 +70,19 @@ class FieldSetup(FleetSetup):
         """ScenarioError for an obstacle or a goal where no robot of this field could ever meet it."""
         west, south, east, north = self.field.polygon.bounds
         for number, fault in enumerate(self.scenario.fault):
-            if isinstance(fault, Box):
-                reach_m, x_m, y_m = fault.size_m / 2, fault.x_m, fault.y_m
-            elif isinstance(fault, Order) and fault.order == "set_goal":
-                reach_m, x_m, y_m = 0.0, fault.x_m, fault.y_m
-            else:
+            reach_m, places = _met_at(fault)
+            xs, ys = [x_m for x_m, _ in places], [y_m for _, y_m in places]
+            if not places or (
+                max(xs) >= west - reach_m and min(xs) <= east + reach_m
+                and max(ys) >= south - reach_m and min(ys) <= north + reach_m
+            ):  # fmt: skip
                 continue
-            inside_x = west - reach_m <= x_m <= east + reach_m
-            if not (inside_x and south - reach_m <= y_m <= north + reach_m):
-                raise ScenarioError(
-                    f"{self.scenario.name}: fault.{number}: {x_m:g}, {y_m:g} is outside of the field, "
-                    f"which reaches from {west:.0f} to {east:.0f} m east and from {south:.0f} to "
-                    f"{north:.0f} m north of its middle"
-                )
+            x_m, y_m = places[0]
+            raise ScenarioError(
+                f"{self.scenario.name}: fault.{number}: {x_m:g}, {y_m:g} is outside of the field, "
+                f"which reaches from {west:.0f} to {east:.0f} m east and from {south:.0f} to "
+                f"{north:.0f} m north of its middle"
+            )
 
     def _field(self) -> Field:
         table = self.scenario.field
@@ -164,3 +174,16 @@ class FieldSetup(FleetSetup):
         rings, run = [self.field.exterior, *self.field.holes], self.scenario.run
         lidar = Lidar(self.scenario.fleet.rays)
         return self.populated(World(rings, run.seed, lidar, engine=run.engine))
+
+
+def _met_at(fault: Fault) -> tuple[float, list[tuple[float, float]]]:
+    """How far from its places a fault reaches, metres, and the places; none where it has none."""
+    match fault:
+        case Box(x_m=x_m, y_m=y_m, size_m=size_m):
+            return size_m / 2, [(x_m, y_m)]
+        case Person(route=route) | PassingVehicle(route=route):
+            return 0.0, route
+        case Order(order="set_goal", x_m=x_m, y_m=y_m):
+            return 0.0, [(x_m, y_m)]
+        case _:
+            return 0.0, []

@@ -192,6 +192,27 @@ class Box(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class _Moving(_Fault):
+    route: list[tuple[float, float]] = Field(min_length=2, max_length=64)
+    yields: bool = True
+
+
+class Person(_Moving):
+    """A person walks along a route. No frame tells the robots; they see it."""
+
+    kind: Literal["person"]
+    speed_m_s: float = Field(default=1.3, gt=0.0, le=4.0)
+
+
+class PassingVehicle(_Moving):
+    """A vehicle of somebody else drives along a route. No frame tells the robots; they see it."""
+
+    kind: Literal["vehicle"]
+    speed_m_s: float = Field(default=3.0, gt=0.0, le=15.0)
+    length_m: float = Field(default=4.5, gt=0.0, le=20.0)
+    width_m: float = Field(default=2.0, gt=0.0, le=6.0)
+
+
 class Pushed(_Fault):
     """Somebody moves a machine, as far as there is room."""
 
@@ -382,7 +403,8 @@ class CrashWorking(_Fault):
 
 Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
-    | BusOff | Estop | Reset | Order | Box | Pushed | Join | Babble | Clone | Drift
+    | BusOff | Estop | Reset | Order | Box | Person | PassingVehicle | Pushed | Join | Babble
+    | Clone | Drift
     | ClockJump | CrashWorking | Blind | Frozen | Jumped | Drifting | DeafWheels | Slipping | Late
     | DiskFull
     | Buttons | UsedStop | Foreign | Twin | Nonsense | Forger,

@@ -154,6 +154,10 @@ class ProtocolWorld(World):
         """Has no effect, because robots meet nothing here."""
         return 0
 
+    def add_disc(self, x_m: float, y_m: float, radius_m: float) -> int:
+        """Has no effect, as `add_box`."""
+        return 0
+
     def remove_box(self, number: int) -> None: ...
 
     def checker(self) -> CommandChecker:

@@ -19,7 +19,7 @@ from agent.safety.stop_cause import StopCause
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.claim_register import pack
 from protocol.frames.codec import UNKNOWN, Malformed, decode
-from protocol.frames.delivery_frames import NO_TASK, Itinerary
+from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
 from protocol.frames.fleet_frames import (
     NOWHERE_M,
     Heartbeat,
@@ -116,6 +116,7 @@ class Inspector:
         self.stops: dict[tuple[int, int, int], float] = {}
         self.cleared: dict[tuple[int, int, int], float] = {}
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
+        self.transports: dict[int, tuple[int, int]] = {}  # task: cells of its pickup and dropoff
         self._buttons: dict[int, float] = {}  # address of a pressed button: when it was heard last
         self.bits = 0
         self.changed_s = 0.0  # when a frame last brought a new claim or new work
@@ -158,6 +159,8 @@ class Inspector:
             self.cleared.setdefault(message[:3], t_s)
         elif isinstance(message, AllImplementsStop):
             self._button(t_s, source, message)
+        elif isinstance(message, TaskOrder):  # of a tool, or of a robot that says it again
+            self.transports[message.task] = (message.pickup, message.dropoff)
         if slot is None:
             return
         robot = self.robots[slot]

@@ -21,6 +21,7 @@ class PageUpdates:
         self._paths: dict[int, Any] = {}
         self._things: Any = None
         self._events = 0
+        self._transports = 0
 
     def tell(self) -> dict[str, Any]:
         """The next message for the page. After a jump in time it has everything again."""
@@ -32,6 +33,7 @@ class PageUpdates:
             self._jumps = player.jumps
             self._paths.clear()
             self._things = None
+            self._transports = 0
             watcher.all_changed()
         recording = player.recording
         told: dict[str, Any] = {
@@ -68,6 +70,8 @@ class PageUpdates:
         stands = watcher.stands(robot)
         if stands:
             told["stands"] = stands
+        if robot.battery is not None:
+            told["battery"], told["queue"] = round(robot.battery, 2), watcher.itinerary(robot)
         question = watcher.asking.get(robot.slot)
         if question is not None:
             told["asks"] = [question.matter.name, round(question.x_m, 1), round(question.y_m, 1)]
@@ -95,10 +99,26 @@ class PageUpdates:
         watcher.changed_patches = set()
         if watcher.things is not self._things:
             self._things = told["things"] = watcher.things
+        if len(watcher.transports) != self._transports:
+            self._transports = len(watcher.transports)
+            told["transports"] = [[task, *cells] for task, cells in watcher.transports.items()]
         index = self.player.index
         if index.noted != self._events:
             self._events = index.noted
             told["events"] = list(index.events)
+
+    def why(self, section: int) -> dict[str, Any]:
+        """How a section came to its owner, as `headland inspect --why` says it: lines for a person,
+        each with its time and, behind it, what led to it."""
+        steps = []
+        for step in self.player.watcher.why(section):
+            because = [_told(cause) for cause in step["because"]]
+            steps.append([step["t_s"], step["text"], because])
+        allocation = self.player.watcher.allocation
+        return {
+            "kind": "why", "section": section, "steps": steps[-TRANSITIONS_TOLD:],
+            "phase": allocation.phase_of(section).name, "owner": allocation.owner_of(section),
+        }  # fmt: skip
 
     def robot(self, slot: int) -> dict[str, Any] | None:
         """All that is known of one robot, as `headland inspect` shows it."""
@@ -111,6 +131,13 @@ class PageUpdates:
         found["frames"] = dict(robot.frames.most_common(KINDS_MAX))
         found["health"] = robot.health
         return {"kind": "robot", **found}
+
+
+def _told(heard: dict[str, Any]) -> str:
+    """What was heard, with its sender where the text does not begin with it."""
+    text: str = heard["text"]
+    who = "a device" if heard["said_by"] is None else f"robot {heard['said_by']}"
+    return text if text.startswith("robot ") else f"{who} {text}"
 
 
 def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:

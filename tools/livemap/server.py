@@ -262,6 +262,8 @@ def _obey(text: str, player: Player, teller: PageUpdates) -> dict[str, Any] | No
                 teller.drawn = min(int(wish["count"]), teller.told)
             case "robot":
                 return teller.robot(int(wish["slot"]))
+            case "why":
+                return teller.why(int(wish["section"]))
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError):
         return None
     return None

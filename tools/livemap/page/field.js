@@ -24,7 +24,7 @@ export class Field {
     this.pen = canvas.getContext("2d", { alpha: false }); // opaque: cheaper to put on the screen
     this.ground = document.createElement("canvas");
     this.view = { x: 0, y: 0, scale: 4 }; // metres in the middle, pixels a metre
-    this.layers = { path: true, velocity: true, orca: false, sections: true, trail: true };
+    this.layers = { path: true, velocity: true, orca: false, sections: true, trail: true, walls: false };
     this.chosen = null;
     this.fitted = false;
     this.moved = false; // by a person, who keeps what they look at
@@ -37,6 +37,7 @@ export class Field {
     this.done = new Map(); // id -> array of bits, one for each unit
     this.trails = new Map();
     this.known = new Set(); // cells of an explored map
+    this.transports = new Map(this.scene?.transports?.map(([task, from, to]) => [task, [from, to]])); // task -> cells
     this.stale = true;
     this.groundAt = 0;
     if (this.cells) this.cells.pen.clearRect(0, 0, this.cells.canvas.width, this.cells.canvas.height);
@@ -44,6 +45,7 @@ export class Field {
 
   setScene(scene) {
     this.scene = scene;
+    this.transports = new Map(scene?.transports?.map(([task, from, to]) => [task, [from, to]]));
     this.units = new Map();
     this.unitCount = 0;
     this.grid = this.cells = null;
@@ -66,6 +68,7 @@ export class Field {
     for (const [id, phase, owner] of told.sections ?? []) { this.sections.set(id, { phase, owner }); this.stale = true; }
     for (const [id, block, hex] of told.units ?? []) this.cover(id, block, BigInt("0x" + hex));
     for (const patch of told.cells ?? []) this.paint(patch);
+    for (const [task, from, to] of told.transports ?? []) this.transports.set(task, [from, to]);
     if (told.things) this.things = told.things;
     for (const robot of told.robots) {
       const trail = this.trails.get(robot.s) ?? [];
@@ -83,12 +86,27 @@ export class Field {
     this.stale = true;
   }
 
+  // Parcels: how many are there, and how many were delivered.
+  get delivered() {
+    const done = [...this.transports.keys()].filter((task) => this.sections.get(task)?.phase === "DONE");
+    return [done.length, this.transports.size];
+  }
+
   get workDone() {
+    if (this.isWarehouse) { const [done, all] = this.delivered; return all ? done / all : null; }
     const cells = this.scene?.cells;
     if (cells) return this.known.size / (cells.rows * cells.columns);
     let count = 0;
     for (const done of this.done.values()) for (const each of done) if (each) count++;
     return this.unitCount ? count / this.unitCount : null;
+  }
+
+  get isWarehouse() { return Boolean(this.scene?.bays); }
+
+  // Metres of the middle of a cell of the floor; cells are counted without the border of walls.
+  cellAt(cell) {
+    const { columns, cell_m } = this.scene.grid, wide = columns - 2;
+    return [((cell % wide) + 0.5) * cell_m, (Math.floor(cell / wide) + 0.5) * cell_m];
   }
 
   paint([row, column, ...values]) {
@@ -153,6 +171,29 @@ export class Field {
     return best;
   }
 
+  // The section whose swath is nearest, within half a width or a finger's breadth.
+  sectionAt(px, py) {
+    if (!this.layers.sections) return null;
+    const at = this.toField(px, py), reach = Math.max((this.scene?.width_m ?? 0) / 2, 10 / this.view.scale);
+    let best = null, nearest = reach;
+    for (const section of this.scene?.sections ?? [])
+      for (const swath of section.swaths)
+        for (let k = 1; k < swath.length; k++) {
+          const far = away(at, swath[k - 1], swath[k]);
+          if (far < nearest) { nearest = far; best = section.id; }
+        }
+    return best;
+  }
+
+  // Latitude and longitude of a place, degrees; null where the scene is nowhere on earth.
+  earth([x, y]) {
+    if (!this.scene?.earth) return null;
+    const [lat, lon] = this.scene.earth, f = lat * Math.PI / 180;
+    const north = 111132.92 - 559.82 * Math.cos(2 * f) + 1.175 * Math.cos(4 * f); // m for a degree
+    const east = 111412.84 * Math.cos(f) - 93.5 * Math.cos(3 * f);
+    return [lat + y / north, lon + x / east];
+  }
+
   // ---------------------------------------------------------------- drawing
 
   draw(told) {
@@ -173,6 +214,7 @@ export class Field {
     pen.drawImage(this.ground, 0, 0);
     pen.setTransform(dense, 0, 0, dense, 0, 0);
     this.drawThings(pen);
+    if (told && this.isWarehouse) this.drawParcels(pen, told);
     if (told) this.drawRobots(pen, told);
   }
 
@@ -187,7 +229,8 @@ export class Field {
     pen.fillRect(0, 0, this.canvas.clientWidth, this.canvas.clientHeight);
     pen.lineJoin = pen.lineCap = "round";
     if (!scene) { this.drawMesh(pen); return; }
-    scene.rings.forEach((ring, k) => {
+    const rings = scene.cells && !this.layers.walls ? scene.rings.slice(0, 1) : scene.rings; // what nobody has seen yet
+    rings.forEach((ring, k) => {
       pen.beginPath(); this.trace(pen, ring, true);
       pen.fillStyle = k ? paint().hole : paint().field; pen.fill();
     });
@@ -199,7 +242,8 @@ export class Field {
     }
     if (this.layers.sections) this.drawSections(pen);
     pen.strokeStyle = paint().fence; pen.lineWidth = 1.6;
-    for (const ring of scene.rings) { pen.beginPath(); this.trace(pen, ring, true); pen.stroke(); }
+    for (const ring of rings) { pen.beginPath(); this.trace(pen, ring, true); pen.stroke(); }
+    for (const bay of scene.bays ?? []) charger(pen, ...this.toScreen(...bay));
     for (const [slot, gx, gy] of scene.goals) {
       const [x, y] = this.toScreen(gx, gy);
       pen.strokeStyle = colourOf(slot); pen.lineWidth = 2;
@@ -267,6 +311,20 @@ export class Field {
       else if (shape === BOX) this.trace(pen, [[-1, -1], [1, -1], [1, 1], [-1, 1]].map(([a, b]) =>
         [x + a * halfX * cos - b * halfY * sin, y + a * halfX * sin + b * halfY * cos]), true);
       pen.fill(); pen.stroke();
+    }
+  }
+
+  // A parcel waits at its pickup, rides on its robot, and is small where it was delivered.
+  drawParcels(pen, told) {
+    const where = new Map(told.robots.map((r) => [r.s, r]));
+    for (const [task, [from, to]] of this.transports) {
+      const { phase = "FREE", owner = null } = this.sections.get(task) ?? {}, aboard = (this.done.get(task) ?? [])[0];
+      const carrier = aboard && phase !== "DONE" ? where.get(owner) : null;
+      const [x, y] = this.toScreen(...(carrier ? [carrier.x, carrier.y] : this.cellAt(phase === "DONE" ? to : from)));
+      const half = phase === "DONE" ? 3 : 6, up = carrier ? 16 : 0;
+      pen.fillStyle = phase === "DONE" ? paint().done : owner === null || phase === "FREE" ? "#d8b26a" : colourOf(owner);
+      pen.strokeStyle = paint().rim; pen.lineWidth = 1.5;
+      pen.fillRect(x - half, y - half - up, 2 * half, 2 * half); pen.strokeRect(x - half, y - half - up, 2 * half, 2 * half);
     }
   }
 
@@ -371,6 +429,19 @@ export class Field {
     pen.fillStyle = robot.stopped ? "#f5222d" : paint().line; pen.fill(); pen.lineWidth = 1.5; pen.strokeStyle = paint().rim; pen.stroke();
     pen.restore();
   }
+}
+
+// Pixels or metres from a point to a piece of a line.
+function away([x, y], [ax, ay], [bx, by]) {
+  const dx = bx - ax, dy = by - ay, share = Math.max(0, Math.min(1, ((x - ax) * dx + (y - ay) * dy) / (dx * dx + dy * dy || 1)));
+  return Math.hypot(x - ax - share * dx, y - ay - share * dy);
+}
+
+function charger(pen, x, y) {
+  pen.strokeStyle = paint().gate; pen.lineWidth = 2; pen.strokeRect(x - 9, y - 9, 18, 18);
+  pen.fillStyle = paint().warn; pen.beginPath();
+  for (const [a, b] of [[2, -7], [-4, 1], [0, 1], [-2, 7], [4, -1], [0, -1]]) pen.lineTo(x + a, y + b);
+  pen.fill();
 }
 
 function push(map, key, value) { const list = map.get(key); if (list) list.push(value); else map.set(key, [value]); }

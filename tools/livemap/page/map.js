@@ -7,7 +7,7 @@ const SPEEDS = [0.5, 1, 2, 10, 30, 100], TEXT_MS = 200, AGAIN_MS = 1000, ASK_MS 
 const OLD_S = 2; // twice what makes a robot silent: then nothing here is a picture of now
 const STEP_S = 5, ZOOM = 1.4; // of one key or button
 const NO_TOKEN = 4401; // close code of the map's server
-const field = new Field($("field")), side = new Side(choose);
+const field = new Field($("field")), side = new Side(choose, (section) => ask({ do: "why", section }));
 let socket = null, told = null, dirty = true, live = false, releases = false, events = [], scrubbing = false;
 let heard = 0, drawn = 0, heardAt = performance.now(), textAt = 0, askedAt = 0, denied = false;
 // What a test may look at.
@@ -46,6 +46,7 @@ function hear(message) {
     if (message.slot === field.chosen) side.showOne(message, told?.robots.find((r) => r.s === message.slot));
     return;
   }
+  if (message.kind === "why") return side.showWhy(message);
   if (message.jumped) { field.forget(); side.forget(); }
   const paths = new Map((message.jumped ? [] : told?.robots ?? []).map((robot) => [robot.s, robot.path]));
   for (const robot of message.robots) robot.path ??= paths.get(robot.s);
@@ -71,7 +72,9 @@ function begin({ title, scene, live: isLive, releases: mayRelease, colours }) {
   $("name").textContent = scene?.name ?? "Headland";
   $("source").textContent = live ? `live · ${title}` : title;
   document.title = `${scene?.name ?? "Headland"} · Headland`;
-  $("work-name").textContent = scene?.cells ? "seen" : "work";
+  $("work-name").textContent = scene?.cells ? "seen" : scene?.bays ? "delivered" : "work";
+  $("walls-line").hidden = !scene?.cells;
+  side.showWhy(null); keep(false);
   $("hand").hidden = !live;
   dirty = true;
 }
@@ -84,6 +87,7 @@ function picture(now) {
   requestAnimationFrame(picture);
   const text = now - textAt >= TEXT_MS;
   if (text) { textAt = now; showAge(now); }
+  if (kept && told) centre();
   if (!dirty && !field.stale) return;
   field.draw(told);
   if (heard > drawn) {
@@ -144,17 +148,39 @@ function showTime() {
 
 function showScale() {
   const metres = [0.5, 1, 2, 5, 10, 20, 50, 100, 200, 500].find((m) => m * field.view.scale >= 60) ?? 1000;
-  $("scale").firstElementChild.style.width = `${metres * field.view.scale}px`;
-  $("scale").lastElementChild.textContent = `${metres} m`;
+  $("scale").querySelector("i").style.width = `${metres * field.view.scale}px`;
+  $("metres").textContent = `${metres} m`;
 }
 
 // ---------------------------------------------------------------- looking around
 
 function choose(slot) {
   field.chosen = field.chosen === slot ? null : slot;
+  keep(false);
   if (field.chosen === null) side.showOne(null);
   else ask({ do: "robot", slot });
   dirty = true; textAt = 0;
+}
+
+// The chosen robot stays in the middle, until a person looks elsewhere.
+let kept = false;
+function keep(on) { kept = on; $("with").setAttribute("aria-pressed", String(on)); $("with").className = on ? "on" : ""; }
+function centre() {
+  const robot = told.robots.find((each) => each.s === field.chosen);
+  if (!robot) return keep(false);
+  const { x, y } = field.view;
+  if (Math.hypot(robot.x - x, robot.y - y) * field.view.scale < 1) return;
+  field.view.x = robot.x; field.view.y = robot.y;
+  field.moved = field.stale = dirty = true;
+}
+$("with").addEventListener("click", () => keep(!kept));
+$("why-no").addEventListener("click", () => side.showWhy(null));
+
+function showPlace(px, py) {
+  const at = field.toField(px, py), earth = field.earth(at);
+  const [x, y] = at.map((value) => value.toFixed(1));
+  const text = earth ? ` · ${earth[0].toFixed(6)}, ${earth[1].toFixed(6)}` : "";
+  $("place").textContent = `${x} m east, ${y} m north${text}`;
 }
 
 const pointers = new Map(); // of fingers or the mouse on the map, by identifier
@@ -172,10 +198,12 @@ $("field").addEventListener("pointerdown", (event) => {
   $("field").setPointerCapture(event.pointerId);
 });
 $("field").addEventListener("pointermove", (event) => {
+  showPlace(event.offsetX, event.offsetY);
   if (!pointers.has(event.pointerId)) return;
   const before = middle();
   pointers.set(event.pointerId, { x: event.offsetX, y: event.offsetY });
   const after = middle();
+  if (moved > 5) keep(false);
   moved += Math.abs(after.x - before.x) + Math.abs(after.y - before.y) + Math.abs(after.span - before.span);
   field.pan(after.x - before.x, after.y - before.y);
   if (before.span > 0 && after.span > 0) field.zoom(after.span / before.span, after.x, after.y);
@@ -186,7 +214,11 @@ for (const kind of ["pointerup", "pointercancel"])
     const single = pointers.size === 1 && pointers.delete(event.pointerId);
     pointers.delete(event.pointerId);
     const slot = kind === "pointerup" && single && moved < 5 && told ? field.at(event.offsetX, event.offsetY, told.robots) : null;
-    if (slot !== null) choose(slot);
+    if (slot !== null) { choose(slot); return; }
+    const section = kind === "pointerup" && single && moved < 5 && told ? field.sectionAt(event.offsetX, event.offsetY) : null;
+    if (section === null) return;
+    ask({ do: "why", section });
+    document.body.classList.add("sheet"); $("sheet").setAttribute("aria-expanded", "true");
   });
 $("field").addEventListener("wheel", (event) => { event.preventDefault(); field.zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY); dirty = true; }, { passive: false });
 

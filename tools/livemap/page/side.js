@@ -7,6 +7,7 @@ const STATES = ["DISCONNECTED", "IDLE", "SYNCHRONIZING", "WORKING", "EMERGENCY_S
 const words = (name) => name.toLowerCase().replaceAll("_", " ");
 const EVENTS_SHOWN = 100;
 const MARKS = { stop: "#f5222d", reset: "#4fd17c", back: "#4fd17c", other: "#ffb020" };
+const PACE_S = 60; // over which the pace of the work is measured
 const HISTORY = 120; // looks at the load of the bus, two a second
 
 function node(tag, text, kind) {
@@ -39,15 +40,16 @@ function why(robot) {
 }
 
 export class Side {
-  constructor(choose) {
-    this.choose = choose;
+  constructor(choose, askWhy) {
+    this.choose = choose; this.askWhy = askWhy;
     this.rows = new Map();
     this.loads = [];
+    this.paces = []; // time and share of the work, over the last minute
     this.owned = new Map(); // slot -> sections it has begun
     this.old = false; // nothing that is shown is of now
   }
 
-  forget() { this.loads = []; this.owned.clear(); this.sections = new Map(); }
+  forget() { this.loads = []; this.paces = []; this.owned.clear(); this.sections = new Map(); }
 
   take(told) {
     this.sections ??= new Map();
@@ -67,7 +69,10 @@ export class Side {
     this.showFleet(told, field.chosen);
     const work = field.workDone;
     $("work-bar").style.width = `${100 * (work ?? 0)}%`;
-    $("work").textContent = work === null ? "–" : `${(100 * work).toFixed(1)} %`;
+    const [delivered, parcels] = field.isWarehouse ? field.delivered : [0, 0];
+    $("work").textContent = work === null ? "–" : parcels ? `${delivered} of ${parcels}` : `${(100 * work).toFixed(1)} %`;
+    const left = this.old ? null : this.remaining(told.t, work);
+    set($("eta"), left === null ? "" : `${clock(left).split(".")[0]} left`);
     $("work-meter").setAttribute("aria-valuenow", (100 * (work ?? 0)).toFixed(0));
     $("load").textContent = this.old ? "–" : `${(100 * told.load).toFixed(0)} %`;
     $("load-line").setAttribute("aria-valuenow", (100 * told.load).toFixed(0));
@@ -120,10 +125,52 @@ export class Side {
       row.cells[2].firstChild.className = `pill ${state}`;
       set(row.cells[2].lastChild, why(robot));
       row.cells[3].textContent = this.old || robot.silent || robot.left ? "–" : robot.v.toFixed(1);
-      row.cells[4].textContent = this.owned.get(robot.s) ?? "";
+      this.showWork(row.cells[4], robot);
     }
     for (const [slot, row] of this.rows)
       if (!told.robots.some((robot) => robot.s === slot)) { row.remove(); this.rows.delete(slot); }
+  }
+
+  // What a robot has: its sections as buttons that say why, or its itinerary and battery.
+  showWork(cell, robot) {
+    const text = robot.queue ? `${robot.queue.join(" ")} ${Math.round(100 * robot.battery)}\u00a0%` : this.owned.get(robot.s) ?? "";
+    if (cell.dataset.text === text) return; // a button that has the focus stays
+    cell.dataset.text = text;
+    const pieces = text.split(" ").map((word) => {
+      const section = /^\(?S(\d+)\)?$/.exec(word);
+      if (!section) return `${word} `;
+      const button = node("button", word, "section");
+      button.type = "button"; button.setAttribute("aria-label", `why ${word}`);
+      button.addEventListener("click", (event) => { event.stopPropagation(); this.askWhy(Number(section[1])); });
+      return button;
+    });
+    cell.replaceChildren(...pieces);
+  }
+
+  // How a section came to its robot.
+  showWhy(told) {
+    $("why").hidden = !told;
+    if (!told) return;
+    $("why-name").textContent = `section ${told.section}`;
+    $("why-now").textContent = told.owner === null ? "free: no robot has it" : `${words(told.phase)} by robot ${told.owner}`;
+    $("why-steps").replaceChildren(...told.steps.map(([t, text, because]) => {
+      const line = node("li");
+      line.append(node("span", clock(t - this.from), "when"), node("span", ` ${text}`));
+      for (const cause of because) line.append(node("span", `because ${cause}`, "because"));
+      return line;
+    }));
+    $("why").scrollIntoView({ block: "nearest" });
+  }
+
+  // Seconds until all is done, at the pace of the last minute; null: nobody can say.
+  remaining(t, work) {
+    if (work === null) return null;
+    const first = this.paces[0];
+    if (first && t < first[0]) this.paces = [];
+    this.paces.push([t, work]);
+    while (this.paces.length > 2 && t - this.paces[1][0] > PACE_S) this.paces.shift();
+    const [t0, work0] = this.paces[0];
+    return work >= 1 || t - t0 < 5 || work <= work0 ? null : (1 - work) * (t - t0) / (work - work0);
   }
 
   drawLoad() {

@@ -1,0 +1,92 @@
+"""People and vehicles of others in a field: where they are, and that robots do not touch them."""
+
+from math import hypot
+from pathlib import Path
+
+import pytest
+
+from agent.interface.config import S
+from sim.fleet.moving_obstacles import Shape, walk
+from sim.runs.field_run import FieldRun
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import ScenarioError, load
+from sim.world.walls import BOX, DISC
+
+FIELD = """
+name = "met"
+[field]
+file = "small.geojson"
+implement_width_m = 4.0
+section_length_m = 60.0
+[fleet]
+robots = 3
+silence = "continue"
+"""
+WALK = """
+[[fault]]
+kind = "person"
+at_s = 15.0
+route = [[-30.0, -18.0], [30.0, 18.0], [-30.0, 18.0]]
+[[fault]]
+kind = "vehicle"
+at_s = 60.0
+route = [[-45.0, 0.0], [45.0, 3.0]]
+"""
+
+
+def setup_of(folder: Path, faults: str) -> FieldSetup:
+    (folder / "met.toml").write_text(FIELD + faults)
+    return FieldSetup(load(str(folder / "met.toml")))
+
+
+def test_a_walker_follows_its_route_and_stands_before_a_robot(tmp_path: Path) -> None:
+    world = setup_of(tmp_path, "").world()
+    clock = {"now": 0}
+
+    def now_us() -> int:
+        return clock["now"]
+
+    body = min(world.robots.values(), key=lambda each: each.position[0])
+    at = body.position
+    far = (at[0] - 6.0, at[1])
+    seen = []
+    for due_at_us in walk(world, now_us, Shape(0.5), [far, at], 1.0, yields=True):
+        (row,) = [r for r in world.obstacles() if r[0] == DISC]
+        seen.append(hypot(row[1] - at[0], row[2] - at[1]))
+        clock["now"] = due_at_us
+        if due_at_us > 20 * S:
+            break
+    assert seen[0] == pytest.approx(6.0) and seen[20] == pytest.approx(5.0, abs=0.06)
+    assert body.radius_m + 0.25 + 0.5 < seen[-1] < body.radius_m + 0.25 + 0.8, "it stands"
+    for row in world.obstacles():
+        assert row[0] == DISC
+    away = (far[0] - 2.0, far[1])
+    rude = list(walk(world, now_us, Shape(4.5, 2.0), [far, away], 4.0, yields=False))
+    assert len(rude) in (10, 11), "2 m at 4 m/s, in periods of 50 ms"
+    assert not [r for r in world.obstacles() if r[0] == BOX], "gone at the end of its route"
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+@pytest.mark.slow
+def test_robots_touch_neither_a_person_nor_a_vehicle(tmp_path: Path, seed: int) -> None:
+    setup = setup_of(tmp_path, WALK)
+    outcome = FieldRun(FieldSetup(setup.scenario.changed(3, seed))).run()
+    assert outcome.contacts == 0, f"seed {seed}: headland run met.toml --seed {seed}"
+    # A robot that had to stop beside its line may wait for an operator, whom this run does not have.
+    assert outcome.coverage > 0.85, f"seed {seed}"
+
+
+@pytest.mark.parametrize(
+    ("faults", "words"),
+    [
+        ('kind = "person"\nat_s = 1.0\nroute = [[0.0, 0.0]]', "route"),
+        ('kind = "person"\nat_s = 1.0\nroute = [[900.0, 0.0], [950.0, 3.0]]', "outside of the field"),
+        ('kind = "person"\nat_s = 1.0', "route"),
+        ('kind = "vehicle"\nat_s = 1.0\nroute = [[0.0, 0.0], [1.0, 0.0]]\nspeed_m_s = 90.0', "speed_m_s"),
+        ('kind = "persn"\nat_s = 1.0\nroute = [[0.0, 0.0], [1.0, 0.0]]', "person"),
+    ],
+)  # fmt: skip
+def test_a_wrong_route_is_one_line(tmp_path: Path, faults: str, words: str) -> None:
+    with pytest.raises(ScenarioError) as told:
+        setup_of(tmp_path, f"[[fault]]\n{faults}\n")
+    assert words in str(told.value) and "\n" not in str(told.value)
