@@ -48,6 +48,7 @@ BETWEEN_US: Final = 300 * MS  # two places further apart say nothing of the velo
 # Standard deviation of a place that is added up from two: at 1 m/s and 100 ms, with 20 % of slip.
 ACCURACY_M: Final = 0.02
 TURN_RAD_S: Final = 2.0
+TURN_STEP_US: Final = 100 * MS  # also after a pause: 11 degrees, and 20 would be a jump
 
 
 class Vda5050Body(RobotBody):
@@ -142,7 +143,7 @@ class Vda5050Body(RobotBody):
     def _turned(self, theta_rad: float, now_us: int) -> float:
         if self._heading is not None:
             before_rad, at_us = self._heading
-            most_rad = TURN_RAD_S * (now_us - at_us) / 1e6
+            most_rad = TURN_RAD_S * min(now_us - at_us, TURN_STEP_US) / 1e6
             off_rad = remainder(theta_rad - before_rad, 2 * pi)
             theta_rad = before_rad + max(-most_rad, min(off_rad, most_rad))
         self._heading = theta_rad, now_us
