@@ -20,6 +20,7 @@ OWN: Final = {
     "standing": "agent.runtime.robot_body:StandingBody",
     "nmea": "agent.runtime.bodies.nmea_body:NmeaBody",
     "vda5050": "agent.runtime.bodies.vda5050_body:Vda5050Body",
+    "isobus": "agent.runtime.bodies.isobus_body:IsobusBody",
     "sim": "sim.record.remote_body:WorldBody",  # in the world of a launch
     "replay": "agent.runtime.bodies.replay_body:ReplayBody",
 }

@@ -1,0 +1,187 @@
+"""Commands to a tractor by its bus, as bytes, with its interlocks, and on a tractor that obeys them."""
+
+import asyncio
+from math import cos, hypot, radians, sin
+from struct import pack, unpack_from
+from typing import Any
+
+import can
+import pytest
+
+from agent.interface.config import MS, S
+from agent.interface.effects import Drive, GatedDrive
+from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.motion.wheel_kinematics import WheelSpeeds
+from agent.runtime.bodies.guidance_commands import GuidanceCommands
+from agent.runtime.bodies.isobus_body import IsobusBody
+from agent.runtime.body_plugins import made
+from agent.runtime.robot_body import DeclaredMachine, FactoryError
+from protocol.frames.frame import Frame
+
+TRACTOR, US = 240, 200
+INFO = 0x0CACFF00 | TRACTOR
+READY = bytes.fromhex("807D F4 1F 40 FFFFFF")  # no lockout, ready, switch on
+BASE_M = 2.5
+
+
+def commands(steering: bool = True, speed: bool = True) -> GuidanceCommands:
+    return GuidanceCommands(BASE_M, steering=steering, speed=speed)
+
+
+def wheels(forward_m_s: float, steer_rad: float = 0.0) -> WheelSpeeds:
+    return WheelSpeeds((forward_m_s,), steer_rad)
+
+
+def test_the_bytes_are_those_of_the_standard() -> None:
+    guidance = commands()
+    guidance.take(INFO, READY, 0)
+    steer, speed = guidance.commands(wheels(1.5, 0.2), 1.0, US, 0)
+    assert steer.identifier == 0x0CADF000 | US, "to the tractor"
+    (bits,) = unpack_from("<H", steer.data)
+    assert bits * 0.25 - 8032 == pytest.approx(-1000 * 0.2027 / BASE_M, abs=0.2), (
+        "to the left is negative"
+    )
+    assert steer.data[2:] == bytes.fromhex("FD FFFFFFFFFF")
+    assert speed == Frame(0x0CFD4300 | US, bytes.fromhex("DC05 FFFF FFFFFF FD"))
+    (_, back) = guidance.commands(wheels(-0.5), 1.0, US, 100 * MS)
+    assert back.data == bytes.fromhex("F401 FFFF FFFFFF FC")
+
+
+def test_it_is_off_by_default() -> None:
+    body = IsobusBody(0, "can1")
+    assert body.wanted == (False, False)
+    guidance = commands(steering=False, speed=False)
+    guidance.take(INFO, READY, 0)
+    assert guidance.commands(wheels(1.0), 1.0, US, 0) == []
+
+
+@pytest.mark.parametrize(
+    "info", ["807D F5 1F 40", "807D F0 1F 40", "807D F4 1F 00", "807D FC 1F C0"]
+)
+def test_nothing_is_commanded_before_the_tractor_allows_it(info: str) -> None:
+    guidance = commands()
+    assert guidance.commands(wheels(1.0), 1.0, US, 0) == []
+    guidance.take(INFO, bytes.fromhex(info) + b"\xff" * 3, 0)
+    assert guidance.commands(wheels(1.0), 1.0, US, 0) == []
+
+
+def test_it_lets_go_when_the_switch_goes_off_or_the_tractor_falls_silent() -> None:
+    for ends in ("off", "silent"):
+        guidance = commands()
+        guidance.take(INFO, READY, 0)
+        assert len(guidance.commands(wheels(1.0), 1.0, US, 0)) == 2
+        now_us = 600 * MS if ends == "silent" else 50 * MS
+        if ends == "off":
+            guidance.take(INFO, READY[:4] + b"\x00" + READY[5:], now_us)
+        steer, speed = guidance.commands(wheels(1.0), 1.0, US, now_us)
+        assert steer.data[2] & 3 == 0 and speed.data[:2] == b"\0\0"
+        assert guidance.commands(wheels(1.0), 1.0, US, now_us) == [], "once"
+    assert guidance.let_go(US) == []
+
+
+def test_a_halt_is_said_at_once_and_speeds_are_taken() -> None:
+    guidance = commands()
+    guidance.take(INFO, READY, 0)
+    assert guidance.commands(wheels(1.0), 1.0, US, 0)
+    assert guidance.commands(wheels(1.0), 1.0, US, 50 * MS) == [], "each 100 ms"
+    assert guidance.commands(wheels(0.0), 1.0, US, 60 * MS)[1].data[:2] == b"\0\0"
+    guidance.take(0x0CFE4800 | TRACTOR, bytes.fromhex("DC05 00000000 FF FC"), 0)
+    assert guidance.machine_speed_m_s == -1.5
+    guidance.take(0x0CFE4900 | TRACTOR, bytes.fromhex("E803 00000000 FF FD"), 0)
+    assert guidance.machine_speed_m_s == 1.0
+
+
+class Tractor:
+    """A tractor on the bus: it obeys curvature and speed, and tells places, heading and readiness."""
+
+    def __init__(self) -> None:
+        self.x_m, self.y_m, self.heading_rad = 0.0, 3.0, 0.3
+        self.curvature_1_m = self.speed_m_s = 0.0
+        self.switch, self.heard = True, 0
+
+    def hears(self, identifier: int, data: bytes) -> None:
+        if identifier >> 8 & 0x3FF00 == 0xAD00:
+            self.heard += 1
+            steers = data[2] & 3 == 1
+            self.curvature_1_m = -(unpack_from("<H", data)[0] * 0.25 - 8032) / 1000 * steers
+        if identifier >> 8 & 0x3FFFF == 0xFD43:
+            self.speed_m_s = unpack_from("<H", data)[0] / 1000 * (1 if data[7] & 3 == 1 else -1)
+
+    def moves(self, for_s: float) -> None:
+        step_m = self.speed_m_s * for_s
+        self.heading_rad += self.curvature_1_m * step_m
+        self.x_m += step_m * cos(self.heading_rad)
+        self.y_m += step_m * sin(self.heading_rad)
+
+    def frames(self) -> list[tuple[int, bytes]]:
+        metre_deg = 1 / 111_195.0
+        place = pack("<ii", round(1e7 * self.y_m * metre_deg), round(1e7 * self.x_m * metre_deg))
+        bearing = round(1e4 * ((radians(90) - self.heading_rad) % 6.283185))
+        info = READY if self.switch else READY[:4] + b"\x00" + READY[5:]
+        return [
+            (0x09F8011C, place), (0x09F1121C, pack("<BHHHB", 1, bearing, 0x7FFF, 0x7FFF, 0xFC)),
+            (INFO, info),
+        ]  # fmt: skip
+
+
+def test_a_tractor_is_brought_to_a_line_and_stands_when_its_switch_goes_off(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """On python-can's virtual bus, with the time of the test instead of a clock."""
+
+    async def story() -> None:
+        clock = {"us": S}
+        monkeypatch.setattr("agent.runtime.bodies.isobus_body._now_us", lambda: clock["us"])
+        body: Any = IsobusBody(
+            1,
+            "tractor bus",
+            "virtual",
+            steering=True,
+            speed=True,
+            accuracy_m=0.02,
+            origin=(0.0, 0.0),
+        )
+        body.declare(DeclaredMachine(Vehicle(drive=DriveTrain.ACKERMANN), None))
+        tractor, bus = Tractor(), can.Bus("tractor bus", interface="virtual")
+        opening = asyncio.create_task(body.open())
+        while not opening.done():
+            for identifier, data in tractor.frames():
+                bus.send(can.Message(arbitration_id=identifier, data=data))
+            clock["us"] += 50 * MS
+            await asyncio.wait({opening}, timeout=0.01)
+        await opening
+
+        async def drives(for_s: float) -> None:
+            for _ in range(round(for_s * 20)):
+                clock["us"] += 50 * MS
+                tractor.moves(0.05)
+                for identifier, data in tractor.frames():
+                    body._heard(Frame(identifier, data))
+                here = body.sense(clock["us"])
+                assert here is not None
+                towards = -0.4 * here.y_m  # back to y = 0
+                speed = 1.2 / hypot(1.0, towards)
+                body.drive(GatedDrive(Drive(speed, towards * speed)), clock["us"])
+                while (message := bus.recv(0)) is not None:
+                    tractor.hears(message.arbitration_id, bytes(message.data))
+
+        await drives(40.0)
+        assert abs(tractor.y_m) < 0.2 and tractor.x_m > 20.0, (tractor.x_m, tractor.y_m)
+        assert tractor.heard > 300
+        tractor.switch = False
+        await drives(1.0)
+        stands_at_m = tractor.x_m
+        await drives(2.0)
+        assert tractor.speed_m_s == 0.0 and tractor.x_m == stands_at_m
+        body.close()
+        bus.shutdown()
+
+    asyncio.run(story())
+
+
+def test_it_is_a_plug_in_for_steered_machines() -> None:
+    body = made("isobus", None, 0, {"channel": "can1"})
+    with pytest.raises(ValueError, match="ackermann"):
+        body.declare(DeclaredMachine(Vehicle(), (0.0, 0.0)))
+    with pytest.raises(FactoryError):
+        made("isobus", None, 0, {})
