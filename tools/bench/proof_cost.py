@@ -31,7 +31,7 @@ CPU_SHARE = 0.05  # of a control period
 ROUNDS = 2_000
 
 
-class BusLoad(NamedTuple):
+class ProofLoad(NamedTuple):
     """Share of the bus of one fleet at work, 0 to 1, and its frames a second."""
 
     share: float
@@ -39,7 +39,7 @@ class BusLoad(NamedTuple):
     proofs: float
 
 
-def bus_load(robots: int, seed: int, keyed: bool, seconds: float) -> BusLoad:
+def bus_load(robots: int, seed: int, keyed: bool, seconds: float) -> ProofLoad:
     """Whole peers on the simulated wire; the time in which they join is left out."""
     loop = EventLoop()
     setting = ProtocolSetup(drill(robots, seed, keys=DRAWN if keyed else None))
@@ -60,7 +60,7 @@ def bus_load(robots: int, seed: int, keyed: bool, seconds: float) -> BusLoad:
     share = (wire.worst_for_us - worst_us) / (seconds * S)
     rate = (wire.frames - frames) / seconds
     cluster.end()
-    return BusLoad(share, rate, proofs / (JOINED_S + seconds))
+    return ProofLoad(share, rate, proofs / (JOINED_S + seconds))
 
 
 def _proofs(cluster: Cluster) -> int:
