@@ -47,6 +47,9 @@ WATCH_S: Final = 0.1  # between two looks at the registers
 BETWEEN_US: Final = 300 * MS  # two places further apart say nothing of the velocity between them
 # Standard deviation of a place that is added up from two: at 1 m/s and 100 ms, with 20 % of slip.
 ACCURACY_M: Final = 0.02
+# A place is brought forward by this at most: a vehicle that has turned since is elsewhere, and from
+# 0.3 m on the next place would have jumped.
+FORWARD_US: Final = 100 * MS
 TURN_RAD_S: Final = 2.0
 TURN_STEP_US: Final = 100 * MS  # also after a pause: 11 degrees, and 20 would be a jump
 
@@ -127,7 +130,7 @@ class Vda5050Body(RobotBody):
         fresh = self.link.connected and age_us <= self.stale_for_us
         drives = state.driving
         vx_m_s, vy_m_s = self._velocity if drives else (0.0, 0.0)
-        since_for_s = min(age_us, self.stale_for_us) / 1e6
+        since_for_s = min(age_us, FORWARD_US) / 1e6
         x_m, y_m = at.x + vx_m_s * since_for_s, at.y + vy_m_s * since_for_s
         sick = state.safety_state.e_stop is not EStop.NONE or any(
             error.error_level is ErrorLevel.FATAL for error in state.errors

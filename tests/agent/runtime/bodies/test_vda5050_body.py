@@ -44,6 +44,8 @@ def test_between_two_messages_the_way_since_is_added_and_an_old_place_is_old(
     seen = made.sense(now_us[0] + 50 * MS)
     assert seen is not None and seen.battery == 0.5
     assert seen.x_m == pytest.approx(1.15) and seen.sensed_at_us == now_us[0] + 50 * MS
+    held = made.sense(now_us[0] + 250 * MS)  # a vehicle that has turned since is not further ahead
+    assert held is not None and held.x_m == pytest.approx(1.2)
     old = made.sense(now_us[0] + 400 * MS)
     assert old is not None and old.sensed_at_us == now_us[0]
     made.link.connected = False
