@@ -1,50 +1,16 @@
 """Sentences of the documents are short: their median and the share of long ones have floors."""
 
-import re
-from collections.abc import Iterator
 from pathlib import Path
 from statistics import median
 
 import pytest
 
+from tools.build.prose_checker import LONG, LONG_SHARE_MAX, MEDIAN_MAX, pages, sentences
+
 ROOT = Path(__file__).parents[1]
-MEDIAN_MAX = 16  # words a sentence
-LONG = 35  # words; a sentence with more is read twice
-LONG_SHARE_MAX = 0.02  # of all sentences
 PAGE_SHARE_MAX = 0.11  # of a page with enough sentences to have a share
 ENOUGH = 20
-CODE = "Code"  # stands for a piece of code: one word, and the begin of a sentence where it is one
-END = re.compile(r"(?<=[.!?])[)\"']*\s+(?=[A-Z(\"'])")
-PAGES = [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
-TODAY = [path for path in PAGES if path.parent.name != "history"]
-
-
-def prose(text: str) -> Iterator[str]:
-    """Paragraphs and items of lists, without code, tables, headings and pictures."""
-    text = re.sub(r"^( *)```.*?^\1```", "\n", text, flags=re.S | re.M)
-    text = re.sub(r"<!--.*?-->", "", text, flags=re.S)
-    lines = []
-    for line in text.splitlines():
-        plain = line.strip()
-        if plain.startswith(("|", "#", "![", "<")):
-            lines.append("")
-        else:
-            lines.append(re.sub(r"^\s*(?:[-*]|\d+\.)\s+", "\n\n", line))
-    joined = re.sub(r"!?\[([^\]]*)\]\([^)]*\)", r"\1", "\n".join(lines))
-    joined = re.sub(r"`[^`]*`", CODE, joined)
-    for paragraph in re.split(r"\n\s*\n", joined):
-        yield " ".join(paragraph.split()).replace("*", "")
-
-
-def sentences(text: str) -> list[tuple[int, str]]:
-    """The words of each sentence, and the sentence."""
-    found = []
-    for paragraph in prose(text):
-        for sentence in END.split(paragraph):
-            words = sum(any(c.isalnum() for c in word) for word in sentence.split())
-            if words > 2:
-                found.append((words, sentence))
-    return found
+TODAY = pages(ROOT)
 
 
 def test_sentences_are_counted_as_a_reader_does() -> None:

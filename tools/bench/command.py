@@ -35,6 +35,7 @@ BENCHES = {
     "files": "damaged files of every kind that is read: time and memory to refuse them",
     "isobus": "devices of other makers: what a robot answers them, what their tools read of it",
     "systems": "doors to other systems: VDA 5050, each against a counterpart of others",
+    "people": "the first hour: start, install, typing errors, a round of an operator, prose",
     "leaks": "memory of ten robots with the map, 24 h from 30 min",
     "house": "what can be counted of the sources: cycles, names, ignored types, docstrings, lines",
     "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",
