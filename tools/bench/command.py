@@ -19,6 +19,7 @@ BENCHES = {
     "floods": "a bus full of frames that outrank a stop, with presses, by true positions",
     "durability": "SIGKILLs and power cuts of the journal",
     "forgery": "forged, replayed and stale orders",
+    "trust": "fleets with keys: forged frames, stolen keys, attackers in campaigns, bus load, CPU",
     "field": "work in fields against a plan of the whole fleet by OR-Tools",
     "coverage": "plans against the lower bound and the mission's planner",
     "delivery": "plans against PyVRP and OR-Tools, streams, batteries, trouble",
