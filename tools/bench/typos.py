@@ -119,14 +119,14 @@ for_s = 10.0 | for_s = 10.0 s | line
 CASES = [tuple(line.split(" | ")) for line in TYPOS.strip().splitlines()]
 
 
-class Answer(NamedTuple):
+class ToldOfTypo(NamedTuple):
     """What a person is told about one wrong file."""
 
     text: str  # empty: it was taken
     good: bool  # one line, short, with the word
 
 
-def answers() -> Iterator[tuple[tuple[str, ...], Answer]]:
+def answers() -> Iterator[tuple[tuple[str, ...], ToldOfTypo]]:
     """Each typo with what is said about it. What is not a ScenarioError goes up as it is."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder, "mine.toml")
@@ -142,4 +142,4 @@ def answers() -> Iterator[tuple[tuple[str, ...], Answer]]:
             except ScenarioError as problem:
                 text = str(problem)
             good = 0 < len(text) <= 500 and "\n" not in text and word in text
-            yield case, Answer(text, good)
+            yield case, ToldOfTypo(text, good)

@@ -2,11 +2,11 @@
 
 import pytest
 
-from tools.bench.typos import CASES, Answer, answers
+from tools.bench.typos import CASES, ToldOfTypo, answers
 
 
 @pytest.fixture(scope="module")
-def told() -> dict[tuple[str, ...], Answer]:
+def told() -> dict[tuple[str, ...], ToldOfTypo]:
     return dict(answers())
 
 
@@ -16,6 +16,6 @@ def test_there_are_as_many_as_the_issue_asks_for() -> None:
 
 @pytest.mark.parametrize("case", CASES, ids=lambda case: case[1])
 def test_a_typo_is_one_line_that_names_it(
-    case: tuple[str, ...], told: dict[tuple[str, ...], Answer]
+    case: tuple[str, ...], told: dict[tuple[str, ...], ToldOfTypo]
 ) -> None:
     assert told[case].good, told[case].text or "it was taken without a word"
