@@ -14,7 +14,7 @@ from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
 from tools.common.launch_keys import own_keys
-from tools.operate.estop import NOT_ALL, WRONG, listen_to
+from tools.operate.estop import NOT_ALL, WRONG
 from tools.operate.operator_device import Operator
 from tools.operate.order import Attached
 
@@ -110,8 +110,13 @@ async def _rekey(
     try:
         operator = Operator(can_bus, None)
         rekeyer = Rekeyer(operator, keys, rekeying)
-        can_bus.subscribe(rekeyer.hear)
-        listen_to(can_bus, operator)
+        loop = asyncio.get_running_loop()
+
+        def heard(frame: Frame) -> None:  # a bus has one listener
+            operator.hear(loop.time(), frame)
+            rekeyer.hear(frame)
+
+        can_bus.subscribe(heard)
         operator.ask_who()
         await operator.listen(LISTEN_S)
         if not rekeyer.wanted:
