@@ -68,12 +68,13 @@ ALLOWED: dict[str, str] = {
     "tools.report": "common inspect livemap",
     "tools.run": "common operate inspect language build livemap report",
     "tools.vda5050": "common operate inspect",
+    "tools.ros2": "common operate inspect livemap",
     "tools.chaos": "common",
     "tools.bench.kernels": "",
     "tools.bench.vda5050": "bench common operate run",
     "tools.bench": "bench.kernels bench.vda5050 common operate inspect language build livemap report "
     "run chaos",
-    "tools.cli": "common operate inspect language build livemap report run vda5050 chaos bench",
+    "tools.cli": "common operate inspect language build livemap report run vda5050 ros2 chaos bench",
 }  # fmt: skip
 # The only modules of the core that may use clocks, sockets, threads and files.
 EDGES = ("agent/runtime/", "protocol/links/")

@@ -53,6 +53,7 @@ FLOORS = {
     "tools/livemap": 95,
     "tools/operate": 95,
     "tools/report": 95,
+    "tools/ros2": 100,
     "tools/run": 94,
     "tools/vda5050": 95,
 }

@@ -19,6 +19,7 @@ GROUP: Final = "headland.body"
 OWN: Final = {
     "standing": "agent.runtime.robot_body:StandingBody",
     "nmea": "agent.runtime.bodies.nmea_body:NmeaBody",
+    "ros2": "agent.runtime.bodies.ros2_body:Ros2Body",
     "vda5050": "agent.runtime.bodies.vda5050_body:Vda5050Body",
     "isobus": "agent.runtime.bodies.isobus_body:IsobusBody",
     "sim": "sim.record.remote_body:WorldBody",  # in the world of a launch

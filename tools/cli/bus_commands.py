@@ -335,3 +335,30 @@ def vda5050(
     raise SystemExit(
         serve(broker, scenario, book, where, keys, topics, manufacturer, standard, seconds)
     )
+
+
+@app.command(rich_help_panel=SET_UP)
+def ros2(
+    interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
+    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    operator_key: Annotated[
+        Path | None, typer.Option(help="By which ROS may release. Without it ROS may only stop.")
+    ] = None,
+    scenario: Annotated[
+        str | None, typer.Option(help="What stands there; none: that of a launch.")
+    ] = None,
+    namespace: Annotated[str, typer.Option(help="Of all topics.")] = "headland",
+    domain: Annotated[
+        int | None, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID; none: of the environment.")
+    ] = None,
+    seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
+) -> None:  # fmt: skip
+    """Show a fleet to ROS 2: odometry, states, plans, maps, diagnostics. Stops go both ways.
+
+    `domain` is that of the ROS graph, `seconds` ends it. Topics: docs/use/ros2.md.
+    Example: headland ros2 --domain 7
+    """
+    from tools.ros2.command import serve
+
+    where = (interface, channel, bitrate, host, port)
+    raise SystemExit(serve(where, keys, operator_key, scenario, namespace, domain, seconds))

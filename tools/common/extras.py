@@ -10,6 +10,8 @@ EXTRA_OF = {
     "cantools": "formats",
     "rosbags": "ros",
     "aiomqtt": "vda5050",
+    "rclpy": "ros2", "nav_msgs": "ros2", "geometry_msgs": "ros2", "sensor_msgs": "ros2",
+    "std_msgs": "ros2", "std_srvs": "ros2", "visualization_msgs": "ros2", "diagnostic_msgs": "ros2",
     "pymapf": "mapf", "pettingzoo": "mapf", "gymnasium": "mapf",
     "pynmeagps": "nmea", "serial": "nmea",
     "zenoh": "backbone", "distributed": "backbone", "dask": "backbone",

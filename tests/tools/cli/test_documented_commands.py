@@ -47,6 +47,7 @@ PARSED = {
     "coverage drive": "a minute; tests/tools/run/test_coverage.py",
     "coverage solve MAP": "a reader's own map",
     "headland mapf": "minutes on the maps shown; tests/tools/run/test_mapf.py",
+    "headland ros2": "needs ROS 2; tests/tools/ros2",
     "headland run": "a minute each; run by tests of its mission",
     "keys rotate keys --running": "needs a launch; tests/tools/cli/test_keys.py",
     "keys revoke": "needs a launch; tests/tools/cli/test_keys.py",

@@ -1,0 +1,146 @@
+"""`headland ros2`: a fleet on a bus as topics of ROS 2, and stops from either side on both."""
+
+import asyncio
+import signal
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+from agent.runtime.files.given_file import (
+    REPORT_BYTES_MAX,
+    SETTINGS_BYTES_MAX,
+    GivenFileError,
+    read_json,
+)
+from protocol.frames.frame import Frame
+from sim.record.intent_stream import IntentListener
+from sim.record.scene import Scene, in_folder
+from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.launch_keys import keys_in
+from tools.inspect.inspection import SourceError
+from tools.livemap.command import check_operator_key
+from tools.livemap.stop_panel import Panel, PanelError
+from tools.operate.estop import keyring_of
+
+WRONG = 2
+NODE = "headland"
+NO_ROS = "headland ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'"
+NO_RELEASE = "no operator's key: start it with --operator-key, or release with headland release"
+Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
+
+
+def serve(
+    where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
+    namespace: str, domain: int | None, seconds: float | None,
+) -> int:  # fmt: skip
+    """The exit code of `headland ros2`: 0 when it was ended, 2 for a wrong argument.
+
+    `domain`: the number of the ROS graph. `seconds`: after which it ends.
+    """
+    if find_spec("rclpy") is None:
+        print(f"headland: {NO_ROS}", file=sys.stderr)
+        return WRONG
+    try:
+        check_operator_key(operator_key)
+        asyncio.run(_serve(where, keys, operator_key, scenario, namespace, domain, seconds))
+    except (AttachError, SourceError, OSError) as problem:
+        print(f"headland: {problem}", file=sys.stderr)
+        return WRONG
+    return 0
+
+
+def _launch() -> dict[str, Any]:
+    """Of the newest launch; empty if there is none, or it is another user's."""
+    try:
+        return dict(read_json(LAUNCH, SETTINGS_BYTES_MAX))
+    except (GivenFileError, TypeError, ValueError):
+        return {}
+
+
+def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
+    if scenario is not None:
+        from sim.record.scene_builder import scene_named
+        from sim.scenarios.scenario import ScenarioError
+
+        try:
+            return scene_named(scenario)
+        except ScenarioError as problem:
+            raise SourceError(str(problem)) from None
+    try:
+        scene = read_json(in_folder(Path(str(launch.get("folder", ".")))), REPORT_BYTES_MAX)
+    except GivenFileError:
+        return None
+    return scene if isinstance(scene, dict) else None
+
+
+async def _serve(
+    where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
+    namespace: str, domain: int | None, seconds: float | None,
+) -> None:  # fmt: skip
+    from agent.runtime.ros2_node import Ros2Node
+    from tools.ros2.ros2_feed import Ros2Feed
+
+    interface, channel, bitrate, host, port = where
+    launch = _launch() if interface == "socketcand" and port == 0 else {}
+    if launch:
+        host, port, channel = str(launch["host"]), int(launch["port"]), str(launch["channel"])
+        if keys is None and operator_key is None:
+            keys = operator_key = keys_in(LAUNCH, launch)
+    scene = _scene(scenario, launch)
+    end, loop = asyncio.Event(), asyncio.get_running_loop()
+    for number in (signal.SIGINT, signal.SIGTERM):
+        loop.add_signal_handler(number, end.set)
+    if seconds is not None:
+        loop.call_later(seconds, end.set)
+    bus = attach(interface, channel, bitrate, host, port)
+    panel = Panel(bus, keyring_of(keys), operator_key)
+
+    async def stop() -> tuple[bool, str]:
+        found = await panel.stop()
+        late = found["late"]
+        said = f"not confirmed: {late}" if late else f"stopped: {found['stopped']}"
+        return bool(found["heard"]) and not late, said if found["heard"] else "no robot is heard"
+
+    async def release() -> tuple[bool, str]:
+        if not panel.releases:
+            return False, NO_RELEASE
+        try:
+            found = await panel.release(keyless=False, reset=True, start=True)
+        except PanelError as problem:
+            return False, str(problem)
+        late = found["late"]
+        return bool(found["heard"]) and not late, f"not released: {late}" if late else "released"
+
+    feed = Ros2Feed(Ros2Node(NODE, namespace, domain), scene, stop, release)
+
+    def heard(frame: Frame) -> None:
+        now_s = loop.time()
+        feed.hear(now_s, frame)
+        panel.hear(now_s, frame)
+
+    bus.subscribe(heard)
+    beside = [loop.create_task(panel.keep_asking())]
+    if launch.get("bodies"):
+        beside.append(loop.create_task(_watch(feed, Path(str(launch["bodies"])))))
+    print(f"ROS 2: node /{namespace.strip('/')}/{NODE}   (Ctrl-C ends it)", flush=True)
+    try:
+        await end.wait()
+    finally:
+        for task in beside:
+            task.cancel()
+        feed.close()
+        bus.close()
+
+
+async def _watch(feed: Any, bodies: Path) -> None:
+    """What the robots of a launch intend."""
+    loop = asyncio.get_running_loop()
+    watching = IntentListener(lambda intent: feed.intend(loop.time(), intent))
+    try:
+        await watching.connect(bodies)
+        await watching.run()
+    except OSError:
+        return  # the launch has ended, or is another user's: frames are heard all the same
+    finally:
+        watching.end()

@@ -1,0 +1,326 @@
+"""A fleet that is heard, published as standard ROS 2 messages, and a stop that comes from there.
+
+What is published, topic by topic, is in docs/use/ros2.md. Callbacks of ROS come in another thread; they
+pass what they heard to the loop and touch nothing else.
+"""
+
+import asyncio
+from base64 import b64decode
+from collections.abc import Callable
+from importlib.util import find_spec
+from itertools import pairwise
+from math import ceil, cos, sin
+from typing import Any, Final
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import Point, PoseStamped, Quaternion
+from nav_msgs.msg import OccupancyGrid, Odometry, Path
+from numpy.typing import NDArray
+from std_msgs.msg import Bool, ColorRGBA, String
+from std_srvs.srv import Trigger
+from visualization_msgs.msg import Marker, MarkerArray
+
+from agent.runtime.ros2_node import COMPLETE, LATCHED, RELIABLE, Ros2Node
+from crdt import Phase
+from protocol.frames.fleet_frames import Pose
+from sim.files.palette import rgb_of
+from sim.record.scene import Scene
+from tools.inspect.inspector import SILENT_S, Seen
+from tools.livemap.map_state import Watcher
+
+FIELD: Final = "map"  # the frame of all coordinates: metres, x east, y north (REP 105)
+TELL_S: Final = 1.0  # between two looks at what changes slowly
+CELL_M: Final = 0.5  # of the coverage grid, or coarser where the field is large
+CELLS_MAX: Final = 1_000_000
+UNKNOWN, OPEN, SOLID = -1, 0, 100  # of an occupancy grid
+WORKED: Final = {Phase.FREE: 0, Phase.CLAIMED: 10, Phase.STARTED: 50, Phase.DONE: 100}
+HEIGHT_M, LINE_M = 0.6, 0.15
+ANSWER_S: Final = 30.0  # for a service that stops or releases: as long as the panel itself may take
+GREY: Final = (0.5, 0.5, 0.5)
+Asked = Callable[[], Any]  # makes a coroutine that returns (success, message)
+
+
+class Ros2Feed(Watcher):
+    """An inspector of the bus that tells a ROS graph what it hears."""
+
+    def __init__(
+        self, node: Ros2Node, scene: Scene | None, stop: Asked, release: Asked
+    ) -> None:  # fmt: skip
+        """`stop`, `release`: called in the loop when ROS asks for it."""
+        super().__init__(scene)
+        self.scene, self.node = scene or {}, node
+        self._loop = asyncio.get_running_loop()
+        self._asked = {"stop": stop, "release": release}
+        made = node.node
+        self._stopped = made.create_publisher(Bool, "stopped", LATCHED)
+        self._coverage = made.create_publisher(OccupancyGrid, "coverage", LATCHED)
+        self._map = made.create_publisher(OccupancyGrid, "map", LATCHED)
+        self._markers = made.create_publisher(MarkerArray, "markers", LATCHED)
+        self._diagnostics = made.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
+        self._tf = self._make_tf()
+        self._odom: dict[int, Any] = {}
+        self._states: dict[int, Any] = {}
+        self._plans: dict[int, Any] = {}
+        self._told: dict[str, object] = {}  # topic -> what was last published there
+        made.create_subscription(Bool, "emergency_stop", self._stop_heard, RELIABLE)
+        for name in self._asked:
+            made.create_service(Trigger, name, self._serve(name))
+        self._telling = self._loop.create_task(self._keep_telling())
+
+    def close(self) -> None:
+        """Tell nothing more, and leave the graph."""
+        self._telling.cancel()
+        self.node.close()
+
+    def _make_tf(self) -> Any:
+        """The publisher of `/tf`; None where the installation has no tf2_msgs."""
+        if find_spec("tf2_msgs") is None:
+            return None
+        from tf2_msgs.msg import TFMessage
+
+        return self.node.node.create_publisher(TFMessage, "/tf", COMPLETE)
+
+    # ---------------------------------------------------------------- what ROS asks
+
+    def _stop_heard(self, message: Any) -> None:
+        """In the thread of the node. False is no release: for that there is the service."""
+        if message.data:
+            self._loop.call_soon_threadsafe(self._begin, "stop")
+
+    def _begin(self, name: str) -> None:
+        self._running = asyncio.ensure_future(self._asked[name]())
+
+    def _serve(self, name: str) -> Callable[[Any, Any], Any]:
+        def answer(_: Any, response: Any) -> Any:
+            """In the thread of the node, which waits for the bus."""
+            asked = asyncio.run_coroutine_threadsafe(self._asked[name](), self._loop)
+            try:
+                response.success, response.message = asked.result(ANSWER_S)
+            except TimeoutError:
+                response.success, response.message = False, f"no answer in {ANSWER_S:.0f} s"
+            return response
+
+        return answer
+
+    # ---------------------------------------------------------------- what is heard
+
+    def intend(self, t_s: float, intent: dict[str, Any]) -> None:
+        """Take what a robot of a launch says of itself beside the bus, and publish its path."""
+        super().intend(t_s, intent)
+        slot = int(intent["slot"])
+        path = Path()
+        path.header.frame_id, path.header.stamp = FIELD, self.node.stamp()
+        for x_m, y_m in [(intent["x"], intent["y"]), *intent["path"]]:
+            pose = PoseStamped(header=path.header)
+            pose.pose.position.x, pose.pose.position.y = float(x_m), float(y_m)
+            path.poses.append(pose)
+        self._of(self._plans, slot, Path, "plan", RELIABLE).publish(path)
+
+    def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
+        super()._robot(t_s, robot, kind, message)
+        if isinstance(message, Pose) and message.placed:
+            self._place(t_s, robot)
+
+    def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
+        before = robot.state
+        super()._state(t_s, robot, state, kind)
+        if robot.state != before:
+            publisher = self._of(self._states, robot.slot, String, "state", LATCHED)
+            publisher.publish(String(data=robot.state))
+            self._tell_stopped()
+
+    def _of(self, publishers: dict[int, Any], slot: int, kind: Any, name: str, quality: Any) -> Any:
+        if slot not in publishers:
+            topic = f"robot_{slot}/{name}"
+            publishers[slot] = self.node.node.create_publisher(kind, topic, quality)
+        return publishers[slot]
+
+    def _place(self, t_s: float, robot: Seen) -> None:
+        intent = self.intent(robot.slot, t_s)
+        course_rad = self.course.get(robot.slot, 0.0)
+        heading_rad = course_rad if intent is None else float(intent["heading"])
+        odom = Odometry()
+        odom.header.frame_id, odom.header.stamp = FIELD, self.node.stamp()
+        odom.child_frame_id = f"robot_{robot.slot}"
+        odom.pose.pose.position.x, odom.pose.pose.position.y = robot.x_m, robot.y_m
+        odom.pose.pose.orientation = _turn(heading_rad)
+        off_rad = course_rad - heading_rad
+        odom.twist.twist.linear.x = robot.speed_m_s * cos(off_rad)
+        odom.twist.twist.linear.y = robot.speed_m_s * sin(off_rad)
+        self._of(self._odom, robot.slot, Odometry, "odom", COMPLETE).publish(odom)
+        if self._tf is not None:
+            self._tf.publish(_transform(odom))
+
+    def _tell_stopped(self) -> None:
+        """Whether every robot that is heard is latched, as the fleet's lamp."""
+        live = [r for r in self.robots.values() if self.now_s - r.last_s <= SILENT_S and not r.left]
+        stopped = bool(live) and all(robot.state == "EMERGENCY_STOP" for robot in live)
+        if self._new("stopped", stopped):
+            self._stopped.publish(Bool(data=stopped))
+
+    # ---------------------------------------------------------------- what changes slowly
+
+    async def _keep_telling(self) -> None:
+        while True:
+            await asyncio.sleep(TELL_S)
+            self.tell()
+
+    def tell(self) -> None:
+        """Publish what has changed: markers, the map, the coverage, and the diagnostics always."""
+        self._tell_stopped()
+        self._diagnostics.publish(self._health())
+        phases = tuple(
+            (section["id"], self.allocation.phase_of(section["id"]))
+            for section in self.scene.get("sections", ())
+        )
+        if phases and self._new("coverage", phases):
+            self._coverage.publish(self._covered(dict(phases)))
+        grid = self._charted()
+        if grid is not None and self._new("map", grid.tobytes()):
+            self._map.publish(self._grid_of(grid, *self._geometry()))
+        if self.robots or self.scene:
+            self._markers.publish(self._marked())
+
+    def _new(self, topic: str, what: object) -> bool:
+        if self._told.get(topic) == what:
+            return False
+        self._told[topic] = what
+        return True
+
+    def _health(self) -> Any:
+        report = DiagnosticArray()
+        report.header.stamp = self.node.stamp()
+        for robot in self.robots.values():
+            silent = self._loop.time() - robot.last_s > SILENT_S
+            status = DiagnosticStatus(
+                name=f"headland: robot {robot.slot}", hardware_id=str(robot.address)
+            )
+            bad = silent or robot.state == "EMERGENCY_STOP"
+            status.level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
+            status.message = "silent" if silent else robot.state
+            values = {
+                "x_m": f"{robot.x_m:.2f}", "y_m": f"{robot.y_m:.2f}", "health": f"{robot.health:.2f}",
+                "held": str(robot.held), "operations": str(robot.operations),
+            }  # fmt: skip
+            status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+            report.status.append(status)
+        return report
+
+    def _covered(self, phases: dict[int, Phase]) -> Any:
+        """Swaths of sections, as wide as the implement: 0 free, 10 claimed, 50 begun, 100 done."""
+        swaths = {s["id"]: s["swaths"] for s in self.scene["sections"]}
+        points = np.array([p for lines in swaths.values() for line in lines for p in line])
+        width_m = float(self.scene.get("width_m") or 2 * CELL_M)
+        low, high = points.min(axis=0) - width_m / 2, points.max(axis=0) + width_m / 2
+        cell_m = CELL_M
+        while np.prod((high - low) / cell_m) > CELLS_MAX:
+            cell_m *= 2
+        columns, rows = (max(1, ceil(side / cell_m)) for side in (high - low))
+        grid = np.full((rows, columns), UNKNOWN, np.int8)
+        for section, lines in swaths.items():
+            for line in lines:
+                _sweep(grid, np.array(line), low, cell_m, width_m, WORKED[phases[section]])
+        return self._grid_of(grid, (float(low[0]), float(low[1])), cell_m)
+
+    def _geometry(self) -> tuple[tuple[float, float], float]:
+        if self.chart is not None:
+            return self.chart.geometry.origin_m, self.chart.geometry.cell_m
+        told = self.scene["grid"]
+        return (float(told["origin"][0]), float(told["origin"][1])), float(told["cell_m"])
+
+    def _charted(self) -> NDArray[np.int8] | None:
+        """The explored map of an arena, or the walls of a building; None if there is neither."""
+        if self.chart is not None:
+            geometry = self.chart.geometry
+            kinds = np.zeros((geometry.rows, geometry.columns), dtype=np.int64)
+            for row, column, *values in self.cells(self.chart.known_patches()):
+                block = np.asarray(values).reshape(4, 4)
+                part = kinds[row : row + 4, column : column + 4]
+                part[:] = block[: part.shape[0], : part.shape[1]]
+        elif (told := self.scene.get("grid")) is not None:
+            bits = np.unpackbits(np.frombuffer(b64decode(told["walls"]), dtype=np.uint8))
+            rows, columns = int(told["rows"]), int(told["columns"])
+            kinds = bits[: rows * columns].reshape(rows, columns).astype(np.int64) + 1
+        else:
+            return None
+        return np.array((UNKNOWN, OPEN, SOLID), dtype=np.int8)[np.minimum(kinds, 2)]
+
+    def _grid_of(self, cells: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> Any:
+        grid = OccupancyGrid()
+        grid.header.frame_id, grid.header.stamp = FIELD, self.node.stamp()
+        grid.info.resolution = cell_m
+        grid.info.height, grid.info.width = cells.shape
+        grid.info.origin.position.x, grid.info.origin.position.y = origin
+        grid.info.origin.orientation.w = 1.0
+        grid.data = cells.ravel().tolist()
+        return grid
+
+    def _marked(self) -> Any:
+        marked = MarkerArray()
+        for number, ring in enumerate(self.scene.get("rings", ())):
+            if ring:
+                marked.markers.append(self._line(number, [*ring, ring[0]]))
+        length_m = 2.0 * float(self.scene.get("radius_m", 0.8))
+        for robot in self.robots.values():
+            marker = self._marker("robots", robot.slot, Marker.CUBE)
+            if robot.left:
+                marker.action = Marker.DELETE
+            marker.pose.position.x, marker.pose.position.y = robot.x_m, robot.y_m
+            marker.pose.orientation = _turn(self.course.get(robot.slot, 0.0))
+            marker.scale.x, marker.scale.y, marker.scale.z = length_m, 0.8 * length_m, HEIGHT_M
+            silent = self._loop.time() - robot.last_s > SILENT_S
+            marker.color = _colour(GREY if silent else rgb_of(robot.slot))
+            marked.markers.append(marker)
+        return marked
+
+    def _line(self, number: int, points: list[list[float]]) -> Any:
+        marker = self._marker("outlines", number, Marker.LINE_STRIP)
+        marker.scale.x, marker.color = LINE_M, _colour(GREY)
+        marker.points = [Point(x=float(x), y=float(y), z=0.0) for x, y in points]
+        return marker
+
+    def _marker(self, group: str, number: int, kind: int) -> Any:
+        marker = Marker(ns=group, id=number, type=kind, action=Marker.ADD)
+        marker.header.frame_id, marker.header.stamp = FIELD, self.node.stamp()
+        marker.pose.orientation.w = 1.0
+        return marker
+
+
+def _sweep(
+    grid: NDArray[np.int8], line: NDArray[np.float64], low: NDArray[np.float64], cell_m: float,
+    width_m: float, value: int,
+) -> None:  # fmt: skip
+    """Write a value into the cells of a line of that width."""
+    rows, columns = grid.shape
+    reach = width_m / 2
+    for a, b in pairwise(line):
+        first = np.floor((np.minimum(a, b) - reach - low) / cell_m).astype(int).clip(0)
+        last = np.ceil((np.maximum(a, b) + reach - low) / cell_m).astype(int)
+        x = low[0] + (np.arange(first[0], min(last[0], columns)) + 0.5) * cell_m
+        y = low[1] + (np.arange(first[1], min(last[1], rows)) + 0.5) * cell_m
+        dx, dy = b - a
+        along = ((x[None, :] - a[0]) * dx + (y[:, None] - a[1]) * dy) / max(dx * dx + dy * dy, 1e-9)
+        along = along.clip(0.0, 1.0)
+        off = np.hypot(x[None, :] - a[0] - along * dx, y[:, None] - a[1] - along * dy)
+        part = grid[first[1] : first[1] + len(y), first[0] : first[0] + len(x)]
+        part[off <= reach] = value
+
+
+def _transform(odom: Any) -> Any:
+    from geometry_msgs.msg import TransformStamped
+    from tf2_msgs.msg import TFMessage
+
+    made = TransformStamped(header=odom.header, child_frame_id=odom.child_frame_id)
+    made.transform.translation.x = odom.pose.pose.position.x
+    made.transform.translation.y = odom.pose.pose.position.y
+    made.transform.rotation = odom.pose.pose.orientation
+    return TFMessage(transforms=[made])
+
+
+def _turn(heading_rad: float) -> Any:
+    return Quaternion(x=0.0, y=0.0, z=sin(heading_rad / 2), w=cos(heading_rad / 2))
+
+
+def _colour(colour: tuple[float, float, float]) -> Any:
+    return ColorRGBA(r=float(colour[0]), g=float(colour[1]), b=float(colour[2]), a=1.0)
