@@ -112,11 +112,11 @@ async def _rekey(
         rekeyer = Rekeyer(operator, keys, rekeying)
         loop = asyncio.get_running_loop()
 
-        def heard(frame: Frame) -> None:  # a bus has one listener
+        def listen(frame: Frame) -> None:  # a bus has one listener
             operator.hear(loop.time(), frame)
             rekeyer.hear(frame)
 
-        can_bus.subscribe(heard)
+        can_bus.subscribe(listen)
         operator.ask_who()
         await operator.listen(LISTEN_S)
         if not rekeyer.wanted:
