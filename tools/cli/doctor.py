@@ -12,6 +12,7 @@ from rich.console import Console
 
 from sim.files.strict_json import dumps
 from tools.build.compiled_core import place
+from tools.build.kernel_cache import kernels_kept
 from tools.cli.panels import CAN_FILES, can_defaults, version_text
 from tools.common.bus_attach import AttachError, address_of_launch
 from tools.common.extras import EXTRA_OF
@@ -65,13 +66,9 @@ def _loopback() -> Finding:
 
 
 def _kernels() -> Finding:
-    if importlib.util.find_spec("numba") is None:
+    kept = kernels_kept()
+    if kept is None:
         return Finding("kernels", None, "none: only the tools of the bus are installed")
-    import numba
-
-    folder = Path(numba.config.CACHE_DIR or "agent")
-    root = folder if folder.is_absolute() else Path(__file__).parents[2] / folder
-    kept = sum(1 for _ in root.rglob("*.nbi"))
     if kept:
         return Finding("kernels", True, f"{kept} are compiled")
     return Finding(

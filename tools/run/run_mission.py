@@ -18,6 +18,7 @@ from sim.files.strict_json import dumps
 from sim.record.recording import Recording
 from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
+from tools.build.kernel_cache import WAIT, kernels_kept
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.run_recorder import RunRecorder
@@ -90,6 +91,8 @@ def run_mission(
         return _wrong(f"{'--out or --log' if logs else '--out'}: {problem}")
     if shown is not None:
         console.print(f"map: {shown.url}")
+    if kernels_kept() == 0:
+        console.print(WAIT)
     command.run.out, command.run.logs, command.run.attach = folder, logs, recorder
     try:
         with ProgressBar(console, name, command.run, command.unit):
