@@ -44,9 +44,9 @@ GROUP = {
     "peer.peer_parts peer.pgn_responder peer.progress_announcements peer.proven_frames "
     "peer.section_claims peer.section_work peer.self_check peer.self_health peer.sender_origins "
     "peer.sense_freshness peer.slot_discovery peer.state_sync peer.stop_reception "
-    "peer.stop_release peer.task_reporting peer.unknown_stop_sources runtime.peer_runner "
-    "safety.command_authority safety.stop_controller segments.fleet_stops segments.remote_segments "
-    "segments.segment_area",
+    "peer.stop_release peer.task_reporting peer.terminal_service peer.unknown_stop_sources "
+    "runtime.peer_runner safety.command_authority safety.stop_controller segments.fleet_stops "
+    "segments.remote_segments segments.segment_area",
     "sim": "can.can_segment can.frame_counter can.frame_timing can.simulated_bus "
     "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
     "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "

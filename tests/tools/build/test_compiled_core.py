@@ -136,14 +136,3 @@ def test_a_process_that_has_begun_interpreted_goes_on_so(core: Path) -> None:
     assert crdt.digest.__file__.endswith(".py")
     assert not compiled_core.use(core)
     assert not any(isinstance(finder, Finder) for finder in sys.meta_path)
-
-
-def test_a_core_has_every_part_of_a_peer() -> None:
-    """Chaos ran with S15 on every seed: a part outside the core cannot extend the compiled `Part`."""
-    inside = set(compiling.files(compiling.GROUP))
-    parts = {
-        str(file.relative_to(ROOT))
-        for file in (ROOT / "agent").rglob("*.py")
-        if "(Part)" in file.read_text()
-    }
-    assert len(parts) > 20 and not parts - inside
