@@ -12,6 +12,7 @@ from tools.bench.figure import Figure
 # Name of the door -> its module. Doors are measured in this order.
 DOORS = {
     "VDA 5050": "tools.bench.vda5050.figures",
+    "MAPF": "tools.bench.mapf",
 }
 
 
