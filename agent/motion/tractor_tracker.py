@@ -17,7 +17,7 @@ CLOSE_1_M = 0.33
 CLOSE_RAD_MAX = 0.5  # largest angle to the path while an error is closed
 LATERAL_M_S2 = 1.0  # lateral acceleration that is comfortable, and far from tipping or slipping
 WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
-STEER_SHARE = 0.5  # share of the steering rate that plans use
+STEER_SHARE = 0.7  # share of the steering rate that plans use; the rest is for corrections
 SLOWEST_M_S = 0.4  # bends are not planned slower than this
 PREVIEW_S = 0.25  # half the time from lock to straight, and the delay of the command
 BACK_M_S = 0.9  # highest speed backward
@@ -135,7 +135,7 @@ def _speeds(
     bend = np.sqrt(LATERAL_M_S2 / np.maximum(np.abs(way[:, 3]), 1e-6))
     speeds = np.minimum(bend, limits.speed_m_s)
     speeds[way[:, GEAR] < 0.0] = np.minimum(speeds[way[:, GEAR] < 0.0], BACK_M_S)
-    # Curvature may change only as fast as the wheels are turned, half of that being kept in reserve.
+    # Curvature may change only as fast as the wheels are turned, and some of that is kept in reserve.
     before = np.interp(along - WINDOW_M / 2, along, way[:, 3])
     after = np.interp(along + WINDOW_M / 2, along, way[:, 3])
     rate = np.abs(after - before) / WINDOW_M

@@ -1,27 +1,37 @@
 """The opponent of tractors: a plan of the whole fleet, with Dubins turns, made in one place.
 
-It may work the swaths of a field in any order, each from either end, and joins them by the shortest
-Dubins word, ahead or backing up. Fences, holes and other tractors are not in its way, and it pays no
-time for changes of direction. Its turning circle is that of the fleet's own planned paths. So it is
-stricter than a plan that could be driven.
+It may work the swaths of a field in any order, each from either end, and joins them by the soonest
+Dubins word, ahead or backing up. Its turning circle and its speed in arcs are those of the fleet's own
+planned paths. Fences, holes and other tractors are not in its way, and it pays no time for turning the
+wheels and for changes of direction. So no fleet can drive its plan.
 """
 
 from collections.abc import Sequence
-from math import atan2, pi
+from math import atan2, inf, pi, sqrt
 
 import numpy as np
 
-from agent.paths.dubins import shortest_m
+from agent.motion.tractor_tracker import LATERAL_M_S2
+from agent.paths.dubins import STRAIGHT_1_M, WORDS, words
 from sim.scenarios.field_setup import FieldSetup
 from tools.bench.field_opponent import FleetProblem, Point, ticks
 
 Pose = tuple[float, float, float]  # x, y in metres, heading in radians
 
 
-def dubins_m(start: Pose, goal: Pose, radius_m: float) -> float:
-    """Length of the shortest Dubins word between two poses, ahead or backing up, metres."""
-    back_m = shortest_m(_turned(start), _turned(goal), radius_m)
-    return min(shortest_m(start, goal, radius_m), back_m)
+def dubins_s(start: Pose, goal: Pose, radius_m: float, speed_m_s: float) -> float:
+    """Time of the soonest Dubins word between two poses, ahead or backing up, seconds.
+
+    Straight pieces take `speed_m_s`, arcs the lateral acceleration that the fleet's tractors permit.
+    """
+    bend_m_s = min(speed_m_s, sqrt(LATERAL_M_S2 * radius_m))
+    soonest_s = inf
+    for a, b in ((start, goal), (_turned(start), _turned(goal))):
+        lengths_m, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))
+        words(*a, *b, radius_m, lengths_m, curvatures)
+        passing_m_s = np.where(np.abs(curvatures) < STRAIGHT_1_M, speed_m_s, bend_m_s)
+        soonest_s = min(soonest_s, float((lengths_m / passing_m_s).sum(axis=1).min()))
+    return soonest_s
 
 
 def tractor_problem(setup: FieldSetup) -> FleetProblem:
@@ -34,7 +44,7 @@ def tractor_problem(setup: FieldSetup) -> FleetProblem:
     starts = [(x_m, y_m, 0.0) for x_m, y_m in setup.starts]
 
     def way_s(start: Pose, goal: Pose) -> float:
-        return dubins_m(start, goal, radius_m) / vehicle.speed_m_s
+        return dubins_s(start, goal, radius_m, vehicle.speed_m_s)
 
     # A tractor does not stop between a swath and a turn.
     work = [_length_m(line) / vehicle.speed_m_s for line in both]

@@ -1,12 +1,13 @@
 """The plan of the whole fleet by OR-Tools, and what robots stand."""
 
-from math import pi
+from math import pi, sqrt
 from pathlib import Path
 
 import pytest
 from shapely.geometry import LineString, Point
 
 from agent.interface.vehicle import Vehicle
+from agent.motion.tractor_tracker import LATERAL_M_S2
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
@@ -21,7 +22,7 @@ from tools.bench.field_opponent import (
     problem_of,
     snake_s,
 )
-from tools.bench.field_tractors import dubins_m, tractor_problem
+from tools.bench.field_tractors import dubins_s, tractor_problem
 
 pytest.importorskip("ortools", reason="the opponent is in the extra dev")
 
@@ -89,9 +90,10 @@ def test_a_drawn_field_is_worked_without_a_flaw(seed: int, tmp_path: Path) -> No
 
 
 def test_a_tractor_turns_back_in_a_half_circle_or_a_bulb() -> None:
-    apart = dubins_m((0.0, 0.0, 0.0), (0.0, 6.0, pi), 3.0)
-    assert apart == pytest.approx(3.0 * pi)
-    assert dubins_m((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0), 3.0) == pytest.approx(5.0)  # backing up
+    half_s = dubins_s((0.0, 0.0, 0.0), (0.0, 6.0, pi), 3.0, 2.5)
+    assert half_s == pytest.approx(3.0 * pi / sqrt(LATERAL_M_S2 * 3.0))
+    back_s = dubins_s((0.0, 0.0, 0.0), (-5.0, 0.0, 0.0), 3.0, 2.5)
+    assert back_s == pytest.approx(5.0 / 2.5)
 
 
 def test_the_plan_of_tractors_takes_every_swath_once() -> None:
