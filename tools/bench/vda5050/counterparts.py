@@ -56,7 +56,7 @@ async def end(process: Process | None) -> None:
     """Ask a process to end, and wait for it."""
     if process is not None and process.returncode is None:
         process.terminate()
-        await process.communicate()
+        await process.wait()
 
 
 def free_port() -> int:

@@ -71,7 +71,7 @@ async def trial(folder: Path, node: Path, orders: int, deaths: bool = True) -> M
     (folder / "yard.toml").write_text(SCENARIO)
     broker, master = Mosquitto(folder), NodeProgram()
     await broker.start()
-    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh")
+    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", "--no-keys")
     witness, gateway = Witness(broker, "Headland"), None
     try:
         port = await said(launch, r"socketcand \S+:(\d+)")

@@ -133,7 +133,7 @@ async def trial(folder: Path, node: Path, vehicles: int, deaths: bool = True) ->
             await agvs.until(lambda events: any("pick" in e for e in events), RUN_S)
         await master.kill()  # for good
         gateway.kill()
-        await gateway.communicate()
+        await gateway.wait()
         if deaths:
             await broker.kill()
             await broker.start()

@@ -10,6 +10,9 @@ const master = new MasterController(
 
 (async () => {
     await master.start();
+    await new Promise((resolve) => master.trackAgvs((agvId, state) => {
+        if (agvId.serialNumber === "robot0" && state === "ONLINE") resolve();
+    }));
     console.log(JSON.stringify({ ready: true }));
     let count = 0;
     for await (const _ of readline.createInterface({ input: process.stdin })) {

@@ -62,7 +62,7 @@ async def trial(folder: Path, node: Path) -> StopLatency:
     (folder / "yard.toml").write_text(SCENARIO.replace("handle_s", "random_tasks = 40\nhandle_s"))
     broker = Mosquitto(folder)
     await broker.start()
-    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh")
+    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", "--no-keys")
     gateway: Process | None = None
     master: Process | None = None
     beats = _Beats()
@@ -110,7 +110,7 @@ async def trial(folder: Path, node: Path) -> StopLatency:
     finally:
         if master is not None and master.returncode is None:
             master.kill()
-            await master.communicate()
+            await master.wait()
         await end(gateway)
         await end(launch)
         await broker.kill()
