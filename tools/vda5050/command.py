@@ -14,6 +14,7 @@ from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_attach import AttachError, attach, keep_attached
+from tools.common.launch_keys import own_keys
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookError, OrderBook
 
@@ -27,6 +28,7 @@ def serve(
     manufacturer: str, version: str, seconds: float | None,
 ) -> int:  # fmt: skip
     """The exit code of `headland vda5050`: 0 when it was ended, 2 for a wrong argument."""
+    keys = keys or own_keys(where[0], where[3], where[4])
     try:
         asyncio.run(
             _serve(

@@ -11,7 +11,7 @@ from tools.bench.vda5050.own_vehicles import RADIUS_M, trial
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("vehicles", [4, 20])
+@pytest.mark.parametrize("vehicles", [4])  # 20: headland bench systems
 def test_vehicles_without_a_master_deliver_every_task_once(tmp_path: Path, vehicles: int) -> None:
     folder = tmp_path / "fleet"
     folder.mkdir()
