@@ -58,7 +58,7 @@ class Ros2Machine:
         self._scan = self.node.create_publisher(LaserScan, "scan", 10) if scan else None
         self.node.create_subscription(Twist, "cmd_vel", self._take, 10)
         self.node.create_subscription(Bool, "implement", self._lower, 10)
-        self._steps, self._last_s = 0, time.monotonic()
+        self._steps, self._last_at_s = 0, time.monotonic()
         self.node.create_timer(STEP_S, self._step)
         self._closing = False
         self._thread = threading.Thread(target=self.spin, daemon=True, name=f"base {namespace}")
@@ -98,12 +98,12 @@ class Ros2Machine:
     def _step(self) -> None:
         """As many steps as time has gone by: a machine does not slow down with its computer."""
         now_s = time.monotonic()
-        while self._last_s + STEP_S <= now_s:
-            self._last_s += STEP_S
-            live = self._last_s - self._told_at_s < LOST_AFTER_S
+        while self._last_at_s + STEP_S <= now_s:
+            self._last_at_s += STEP_S
+            live = self._last_at_s - self._told_at_s < LOST_AFTER_S
             self._move(self._told if live else (0.0, 0.0, 0.0), live and self._implement)
             self._steps += 1
-            if self._steps % ODOM_STEPS == 0 and now_s - self._last_s < ODOM_STEPS * STEP_S:
+            if self._steps % ODOM_STEPS == 0 and now_s - self._last_at_s < ODOM_STEPS * STEP_S:
                 self._tell()
 
     def _move(self, told: tuple[float, float, float], implement: bool) -> None:
@@ -119,7 +119,7 @@ class Ros2Machine:
         self.x_m += (ahead * cos(middle) - left * sin(middle)) * STEP_S
         self.y_m += (ahead * sin(middle) + left * cos(middle)) * STEP_S
         self.heading_rad += turn * STEP_S
-        self.trace.append(TracePoint(round(self._last_s * 1e6), self.x_m, self.y_m, implement))
+        self.trace.append(TracePoint(round(self._last_at_s * 1e6), self.x_m, self.y_m, implement))
 
     def _tell(self) -> None:
         odom = Odometry()

@@ -29,7 +29,7 @@ REVOKED_S = THEFT_S + FOR_S * REVOKED_AFTER
 GONE_S = 5.0
 
 
-class Trial(NamedTuple):
+class StolenKeyTrial(NamedTuple):
     """What came of one theft."""
 
     seed: int
@@ -55,7 +55,7 @@ class _Theft:
         self.lies: int | None = None
         self.left: int | None = None
 
-    def run(self) -> Trial:
+    def run(self) -> StolenKeyTrial:
         self.judge.run()
         verdict = verdict_of(self.judge)
         revoked_at_us = round(REVOKED_S * S)
@@ -63,7 +63,7 @@ class _Theft:
         broken = tuple(f"{each.rule}: {each.what}" for each in verdict.broken)
         assert self.lies is not None and self.left is not None, "the run ended before the look"
         gone_after_s = (last_at_us - revoked_at_us) / S
-        return Trial(self.seed, self.lies, gone_after_s, self.left, broken)
+        return StolenKeyTrial(self.seed, self.lies, gone_after_s, self.left, broken)
 
     def _look(self, slot: int, now_us: int, effect: Effect) -> None:
         if isinstance(effect, Trace) and effect.event == "VOID":
@@ -91,7 +91,7 @@ class _Theft:
         return found
 
 
-def trial(seed: int) -> Trial:
+def trial(seed: int) -> StolenKeyTrial:
     """Play one theft."""
     return _Theft(seed).run()
 
