@@ -53,6 +53,7 @@ HELD_MAX: Final = 32  # unproven frames of one address: four batches
 HELD_FOR_US: Final = 1_500 * MS  # longer than the longest pause between two proofs of a robot
 WAITING_MAX: Final = 2  # proofs of one address that wait for frames that are still in a queue
 WAITS_FOR_US: Final = 250 * MS
+TOOL_TIME_US: Final = 5 * S  # a device that hears no proofs asks again after this
 START_BITS: Final = WORD_BITS - 1  # the fleet's time can run for 9 million years
 
 Words = tuple[bytes, ...]  # groups and data of frames, each once, in order
@@ -380,3 +381,44 @@ class TimeAnswers:
         if ticks is None or question is None:
             return None
         return ticks if self.keys.time_tag(question, ticks) == told.value else None
+
+
+class ToolProofs:
+    """The proofs of an operator's device, which asks the robots for the fleet's time."""
+
+    def __init__(self, keys: Keys, device: int, lot: bytes) -> None:
+        """`device`: under whose key it signs, from `OPERATOR_FIRST`. `lot`: different at each start."""
+        self.device, self._lot = device, lot
+        self._keys = ProofKeys(keys)
+        self._time = FleetTime(0, 0)
+        self._batch = ProofBatch(device, self._keys, self._time)
+        self._answers = TimeAnswers(self._keys)
+        self._question: TimeQuestion | None = None
+        self._asked = 0
+        self._learned_at_us = -TOOL_TIME_US
+
+    def hear(self, source: int, message: Any, now_us: int) -> None:
+        """Take in a message of the bus: answers to our question matter."""
+        if isinstance(message, FleetTimeTold):
+            ticks = self._answers.hear(source, message, self._question)
+            if ticks is not None:
+                self._time.learn(ticks, now_us)
+                self._learned_at_us = now_us
+
+    def after(self, message: Any, address: int, now_us: int) -> list[Proof | TimeQuestion]:
+        """What follows a frame that was sent from this address: its proof, and a question for the time
+        if ours is not known or old. Without a time there is no proof; the caller repeats its frame."""
+        said: list[Proof | TimeQuestion] = []
+        self._batch.add(message, now_us)
+        proof = self._batch.seal(address, now_us)
+        if proof is not None:
+            said.append(proof)
+        if now_us - self._learned_at_us >= TOOL_TIME_US:
+            said.append(self._ask())
+        return said
+
+    def _ask(self) -> TimeQuestion:
+        self._asked += 1
+        lot = self._lot + self._asked.to_bytes(8, "little")
+        self._question = TimeQuestion(self.device, self._keys.number(b"nonce", lot, WORD_BITS))
+        return self._question

@@ -24,10 +24,11 @@ from agent.peer.part import (
     Part,
     StepContext,
 )
-from protocol.frame_proofs import FleetTime, ProofKeys, TimeAnswers
+from protocol.frame_proofs import BACK, FleetTime, ProofKeys, TimeAnswers
 from protocol.frames.trust_frames import WORD_BITS, FleetTimeTold, TimeQuestion
 
-ASK_AGAIN_US: Final = 150 * MS
+ASK_AGAIN_US: Final = 150 * MS  # or so long for each robot of the fleet, if that is more:
+ASK_SHARE_US: Final = 5 * MS  # 200 questions a second of a fleet that is switched on
 # Nobody answered: ask a last time, then start the time. Between two slots is time for that.
 ALONE_US: Final = 400 * MS
 LAST_WAIT_US: Final = 25 * MS
@@ -42,15 +43,18 @@ NONCE_LIFE_US: Final = 1 * S
 DOUBT_US: Final = 500 * MS  # between questions because of a doubt; doubles
 DOUBLINGS_MAX: Final = 5  # up to 16 s, so that forged proofs cost next to nothing
 ANSWER_US, ANSWER_STEP_US = 2 * MS, 3 * MS  # two frames, and one that blocks them
-ANSWER_SPACING_US: Final = 20 * MS  # questions of strangers cost at most 6 % of the bus
+ANSWER_SPACING_US: Final = 8 * MS  # the largest fleet learns the time in a second
 assert ANSWER_US + PEERS_MAX * ANSWER_STEP_US < ALONE_US, "the last slot answers in time"
-QUESTIONS_MAX: Final = 16
+QUESTIONS_MAX: Final = 128
 
 
 class FleetClock(Part):
     """The part that asks for the fleet's time, and answers. Without keys it does nothing."""
 
-    def __init__(self, slot: int, keys: ProofKeys | None, time: FleetTime, lot: bytes) -> None:
+    def __init__(
+        self, slot: int, keys: ProofKeys | None, time: FleetTime, lot: bytes, members: int
+    ) -> None:
+        self.ask_again_us = max(ASK_AGAIN_US, members * ASK_SHARE_US)
         self.slot, self.keys, self.time, self.lot = slot, keys, time, lot
         self.answers = None if keys is None else TimeAnswers(keys)
         self.asks_at_us = self.alone_at_us = FOREVER
@@ -72,7 +76,10 @@ class FleetClock(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = min(self.asks_at_us, self.alone_at_us)
-        return min(due_at_us, *self._pending.values()) if self._pending else due_at_us
+        if not self._pending:
+            return due_at_us
+        answer_at_us = max(min(self._pending.values()), self._answered_at_us + ANSWER_SPACING_US)
+        return min(due_at_us, answer_at_us)
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         now_us = ctx.now_us
@@ -88,17 +95,27 @@ class FleetClock(Part):
                 self._last, self.asks_at_us = True, now_us
                 self.alone_at_us = now_us + LAST_WAIT_US
         if now_us >= self.asks_at_us:
-            self.asks_at_us = FOREVER if self.time.known else now_us + ASK_AGAIN_US
+            self.asks_at_us = FOREVER if self.time.known else now_us + self.ask_again_us
             if ctx.joined:
                 outputs.append(Send(self._ask(now_us)))
-        for question in [q for q, at_us in self._pending.items() if now_us >= at_us]:
-            del self._pending[question]
-            assert self.answers is not None
-            if ctx.joined and now_us - self._answered_at_us >= ANSWER_SPACING_US:
-                self._answered_at_us = now_us
-                halves = self.answers.halves(question, self.time.at(now_us))
-                outputs += [Send(half) for half in halves]
+        if self._pending and now_us - self._answered_at_us >= ANSWER_SPACING_US:
+            outputs += self._answer(ctx)
         return outputs
+
+    def _answer(self, ctx: StepContext) -> Outputs:
+        """Answer one question that is due: the lowest slot first, which would start a time first."""
+        now_us = ctx.now_us
+        for old in [q for q, at_us in self._pending.items() if now_us - at_us > NONCE_LIFE_US]:
+            del self._pending[old]
+        due = [question for question, at_us in self._pending.items() if now_us >= at_us]
+        if not due or not ctx.joined:
+            return NOTHING
+        question = min(due)
+        del self._pending[question]
+        assert self.answers is not None
+        self._answered_at_us = now_us
+        halves = self.answers.halves(question, self.time.at(now_us))
+        return [Send(half) for half in halves]
 
     def _ask(self, now_us: int) -> TimeQuestion:
         assert self.keys is not None
@@ -139,7 +156,7 @@ class FleetClock(Part):
         now_us = ctx.now_us
         for question in list(self._pending):  # another robot has answered as we would
             ticks = self.answers.hear(header.source, m, question)
-            if ticks is not None and ticks >= self.time.at(now_us) - 1:
+            if ticks is not None and ticks >= self.time.at(now_us) - BACK:
                 del self._pending[question]
         mine = self._question if now_us - self._asked_at_us <= NONCE_LIFE_US else None
         ticks = self.answers.hear(header.source, m, mine)

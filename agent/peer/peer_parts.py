@@ -199,7 +199,7 @@ class PeerParts:
         lot = b"" if keyring is None else keyring.lot + bytes((keyring.sender,))
         start = 0 if keys is None else keys.number(b"start", lot, START_BITS)
         time, identity = FleetTime(start, now_us), self.identity
-        self.fleet_clock = FleetClock(identity.slot, keys, time, lot)
+        self.fleet_clock = FleetClock(identity.slot, keys, time, lot, len(identity.members))
         self.proven = ProvenFrames(identity.slot, keys, time, self.membership, self.joining)
         if keys is not None:
             self.membership.life_for_us = self.beat.life_for_us

@@ -14,7 +14,7 @@ is proven.
 from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
-from agent.interface.config import MS, S
+from agent.interface.config import MS
 from agent.interface.effects import Effect, Send
 from agent.peer import notices
 from agent.peer.membership import Membership
@@ -67,9 +67,6 @@ PROVEN_KINDS: Final[frozenset[type[Any]]] = frozenset({
 })  # fmt: skip
 NOTHING_HELD: Final[frozenset[type[Any]]] = frozenset()
 SOON_US: Final = 20 * MS  # less than the pause after which another robot continues a sync
-UNSURE_US: Final = (
-    1 * S
-)  # an unverified proof of a member that proved nothing for so long is a doubt
 
 
 class ProvenFrames(Part):
@@ -154,8 +151,6 @@ class ProvenFrames(Part):
         assert self.checker is not None
         if type(message) is StateSyncRequest and (message.scope == STOPS or slot is None):
             return None  # any device may ask
-        if type(message) is TaskOrder and slot is None:
-            return None  # tools do not prove their orders yet
         outputs: list[Any] = []
         if slot is None and type(message) is not Member and type(message) is not TaskOrder:
             outputs.append(notices.StrangerHeard(source))
@@ -173,8 +168,7 @@ class ProvenFrames(Part):
         proven = checker.verify(source, m, now_us)
         if proven is not None:
             return self._believe(source, header.slot, proven, now_us)
-        last_at_us = self.membership.proven_at_us.get(m.sender, now_us - UNSURE_US)
-        return [notices.TimeDoubted()] if now_us - last_at_us >= UNSURE_US else NOTHING
+        return NOTHING if self.membership.vouched(m.sender, now_us) else [notices.TimeDoubted()]
 
     def _may_speak(self, source: int, slot: int | None, sender: int) -> bool:
         """A robot speaks from the address that it has proven, or proves it now; tools from any."""

@@ -21,6 +21,7 @@ from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
 from protocol.authentication import Keys, Signed
+from protocol.frame_proofs import ToolProofs
 from protocol.frames.codec import decode_once, destination_of, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
@@ -143,6 +144,9 @@ class Cluster:
         self._tool: FieldBus | None = None
         self._tools: set[int] = set()  # addresses that our devices have claimed
         self._keyring = setting.keyring(OPERATOR, "operator")
+        self._proofs: ToolProofs | None = None
+        if self._keyring is not None:
+            self._proofs = ToolProofs(self._keyring.keys, OPERATOR, self._keyring.lot)
 
     def boot_all(self) -> None:
         """Boot all robots except those that join later."""
@@ -292,6 +296,14 @@ class Cluster:
             self._tool.submit(tool_claim(source))
         self._tool.submit(encode(message, source))
 
+    def propose(self, message: Message) -> None:
+        """Send a frame of a device that is no robot, with its proof in a fleet with keys. The caller
+        repeats it, because the device may not know the fleet's time yet."""
+        self.inject(message)
+        if self._proofs is not None:
+            for said in self._proofs.after(message, TOOL_ADDRESS, self.host.now_us()):
+                self.inject(said)
+
     def order(self, message: Signed) -> None:
         """Send an order from the operator's device. In a fleet with keys: with a tag, and twice."""
         if self.on_order is not None:
@@ -323,6 +335,8 @@ class Cluster:
             for address in sorted(self._tools):
                 if destination_of(frame) in (GLOBAL_ADDRESS, address):
                     self._tool.submit(tool_claim(address))
+        if self._proofs is not None:
+            self._proofs.hear(source, message, self.host.now_us())
         if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
             proof = self._keyring.answer(message, self.host.now_us())
             if proof is not None:

@@ -78,7 +78,7 @@ class DeliveryFleet(Cluster):
     ) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
-        self.depot = WarehouseFloor(setting, self.world, host.now_us, self.is_up, self.inject)
+        self.depot = WarehouseFloor(setting, self.world, host.now_us, self.is_up, self.propose)
         self.truth, self.desk = self.depot.truth, self.depot.desk
         self.missions: dict[int, DeliveryMission] = {}
         self.segment.taps.append(self.depot.hear)

@@ -6,7 +6,16 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.common.options import PORT_MAX, Bitrate, Channel, Host, Interface, Json, Port
+from tools.common.options import (
+    PORT_MAX,
+    Bitrate,
+    Channel,
+    Host,
+    Interface,
+    Json,
+    OperatorKey,
+    Port,
+)
 
 if TYPE_CHECKING:
     from agent.delivery.warehouse import Warehouse
@@ -25,7 +34,7 @@ def add(
     port: Annotated[
         int, typer.Option("--port", min=0, max=PORT_MAX, help="0: the newest live run or launch.")
     ] = 0,
-    json: Json = False,
+    keys: OperatorKey = None, json: Json = False,
 ) -> None:  # fmt: skip
     """Order a transport, and wait until robots say that they know of it. Exit 0 only then.
 
@@ -34,7 +43,7 @@ def add(
     from tools.operate.transport_order import order
 
     where = (interface, channel, bitrate, host, port)
-    raise SystemExit(order(pickup, dropoff, file, scenario, where, json))
+    raise SystemExit(order(pickup, dropoff, file, scenario, where, json, keys))
 
 
 Scenario = Annotated[str | None, typer.Option(help="Whose map says where its cells are.")]

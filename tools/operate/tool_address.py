@@ -15,7 +15,9 @@ from secrets import randbits
 from typing import Protocol
 
 from protocol.address import AddressClaim, AddressMessage
+from protocol.frame_proofs import ToolProofs
 from protocol.frames.codec import decode, encode
+from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.messages import GROUP_OF, Message
@@ -43,12 +45,17 @@ class DeviceAddress:
     """Claims an address for a tool and keeps it; messages wait until there is one, except stops and
     requests."""
 
-    def __init__(self, bus: Sender, name: Name | None = None) -> None:
-        """`name`: of the device; none: a tool's, with an identity number drawn for this process."""
+    def __init__(
+        self, bus: Sender, name: Name | None = None, proofs: ToolProofs | None = None
+    ) -> None:
+        """`name`: of the device; none: a tool's, with an identity number drawn for this process.
+        `proofs`: makes the proofs of transport orders, in a fleet with keys."""
         self.bus = bus
         self.name = tool_name(randbits(IDENTITY_BITS)) if name is None else name
         self.claim: AddressClaim | None = None  # begins with the first frame, or with the loop
         self.refused = 0  # messages beyond those that are kept
+        self.proofs = proofs
+        self._now_us = 0
         self.on_claim: Callable[[], None] | None = None  # called each time an address became ours
         self._kept: list[tuple[Message, int]] = []
         self._told: int | None = None
@@ -77,8 +84,11 @@ class DeviceAddress:
 
     def hear(self, now_s: float, frame: Frame) -> None:
         """Take one frame of the bus: claims and requests for claims matter, and the time goes on."""
-        now_us = round(now_s * 1e6)
+        now_us = self._now_us = round(now_s * 1e6)
         self._tick(now_us)
+        if self.proofs is not None:
+            source, message = decode(frame)
+            self.proofs.hear(source, message, now_us)
         group = frame.identifier >> 16 & 0xFF
         if group == CLAIM_PGN >> 8 or group == GROUP_OF[Request].pgn >> 8:
             self._heard(frame, now_us)
@@ -91,7 +101,11 @@ class DeviceAddress:
         if address is None and isinstance(message, URGENT):
             address = NULL_ADDRESS
         if address is not None:
-            return self.bus.send(encode(message, address, destination))
+            sent = self.bus.send(encode(message, address, destination))
+            if self.proofs is not None and isinstance(message, TaskOrder):
+                for said in self.proofs.after(message, address, self._now_us):
+                    self.bus.send(encode(said, address))
+            return sent
         if len(self._kept) >= KEPT_MAX:
             self.refused += 1
             return False

@@ -7,6 +7,8 @@ from pathlib import Path
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
+from agent.runtime.files.key_file import KeyFileError
+from protocol.frame_proofs import ToolProofs
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.frame import Frame
 from sim.files.strict_json import dumps
@@ -15,6 +17,8 @@ from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_attach import AttachError, attach
+from tools.common.launch_keys import own_keys
+from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
 
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
@@ -24,17 +28,20 @@ REFUSED, WRONG = 1, 2
 
 def order(
     pickup: str | None, dropoff: str | None, file: Path | None, scenario: str,
-    where: tuple[str, str, int, str, int], as_json: bool,
+    where: tuple[str, str, int, str, int], as_json: bool, keys: Path | None = None,
 ) -> int:  # fmt: skip
-    """Exit code 0 only where robots say that they know of all."""
+    """Exit code 0 only where robots say that they know of all. `keys`: the operator's key file; None:
+    that of the launch on this bus, if it is the caller's."""
     try:
         rows = _rows(pickup, dropoff, file)
         house = house_of(scenario)
         orders = [
             TransportTask(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows
         ]
-        known = asyncio.run(_order(orders, where))
-    except (ScenarioError, AttachError) as problem:
+        interface, _, _, host, port = where
+        keys = keys or own_keys(interface, host, port)
+        known = asyncio.run(_order(orders, where, proofs_of(keys)))
+    except (ScenarioError, AttachError, KeyFileError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     for number, sure in known.items():
@@ -75,11 +82,11 @@ def _cell(house: Warehouse, at: tuple[float, float]) -> int:
 
 
 async def _order(
-    orders: list[TransportTask], where: tuple[str, str, int, str, int]
+    orders: list[TransportTask], where: tuple[str, str, int, str, int], proofs: ToolProofs | None
 ) -> dict[int, bool]:
     """Task numbers, and whether two robots, or all there are, have said that they know them."""
     bus = attach(*where)
-    desk, device = TransportClient(), DeviceAddress(bus)
+    desk, device = TransportClient(), DeviceAddress(bus, proofs=proofs)
     loop = asyncio.get_running_loop()
 
     def hear(frame: Frame) -> None:

@@ -15,6 +15,7 @@ from sim.record.remote_body import BodyServer
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody, Parcels
 from tools.language.places import Places
+from tools.operate.order_proofs import proofs_with
 from tools.operate.tool_address import DeviceAddress
 from tools.run.launch import Launch
 from tools.run.launch_bus import LaunchBus
@@ -41,7 +42,9 @@ class HaulLaunch(Launch):
         assert isinstance(self.setting, DeliverySetup)
 
         loop = asyncio.get_running_loop()
-        desk = DeviceAddress(_Desk(bus))
+        keys = self.setting.keys
+        proofs = None if keys is None else proofs_with(keys)
+        desk = DeviceAddress(_Desk(bus), proofs=proofs)
 
         def say(message: Message) -> None:
             desk.send(message)

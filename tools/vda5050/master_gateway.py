@@ -35,6 +35,7 @@ from sim.fleet.transport_orders import TransportClient
 from tools.inspect.inspector import SILENT_S, Inspector, Seen
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
+from tools.operate.order_proofs import proofs_of
 from tools.operate.reset import operator_keyring
 from tools.vda5050.factsheet import factsheet_of
 from tools.vda5050.fleet_vehicle import FleetVehicle, HeardRobot
@@ -71,6 +72,7 @@ class MasterGateway:
         self.house, self.book, self.broker, self.told = house, book, broker, told
         self.named, self.keys = named, keys
         self.operator = Operator(bus, None)
+        self.operator.device.proofs = proofs_of(keys)
         self.inspector, self.desk = Inspector(), TransportClient(max(book.tasks, default=-1) + 1)
         self.courses: dict[int, float] = {}  # of each robot, radians
         self.ports: dict[int, _Port] = {}

@@ -9,7 +9,7 @@ from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_allocation import round_tasks_max
 from agent.delivery.task_outcome import TaskPhase, outcome_of
 from agent.delivery.warehouse import Warehouse
-from agent.interface.config import S
+from agent.interface.config import ADDRESS_FIRST, S
 from crdt import Phase
 from protocol.frames.codec import decode_once
 from protocol.frames.delivery_frames import PlanRow, TaskOrder
@@ -17,6 +17,7 @@ from sim.fleet.simulated_disk import MemoryJournal
 from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import DeliveryScenario, Outage, TaskRow
 from sim.scenarios.delivery_setup import DeliverySetup
+from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.scenario import Crash, Heal, Loss, Partition, Restart
 from tests.agent.planning import short_search
 from tools.inspect.inspector import Inspector
@@ -436,3 +437,22 @@ def test_a_transport_that_is_taken_back_too_late_is_delivered() -> None:
 
     outcome, _ = play(scenario(), watch)
     assert taken and outcome.finished and outcome.replicas_equal
+
+
+def test_t13_in_a_fleet_with_keys_only_proven_orders_are_believed() -> None:
+    """The operator's device proves its orders; those of a stranger are held and dropped."""
+    given = scenario(2, random_tasks=2, random_over_s=4.0)
+    fleet = given.fleet.model_copy(update={"keys": DRAWN})
+    limit = given.run.model_copy(update={"time_limit_s": 60.0})
+    given = given.model_copy(update={"fleet": fleet, "run": limit})
+    forged, known = TaskOrder(200, 0, 5), []
+
+    def watch(cluster: DeliveryFleet) -> None:
+        cluster.inject(forged)
+        cluster.inject(forged, ADDRESS_FIRST)  # in a robot's name
+        for mission in cluster.missions.values():
+            known.append(200 in mission.dispatch.book.tasks)
+
+    outcome, _ = play(given, watch)
+    assert known and not any(known)
+    assert outcome.delivered == 2, "the parcel of the stranger lies there, and nobody fetches it"
