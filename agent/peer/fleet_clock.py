@@ -25,12 +25,12 @@ from agent.peer.part import (
     StepContext,
 )
 from protocol.frame_proofs import BACK, FleetTime, ProofKeys, TimeAnswers
-from protocol.frames.trust_frames import WORD_BITS, FleetTimeTold, TimeQuestion
+from protocol.frames.trust_frames import TAG, WORD_BITS, FleetTimeTold, TimeQuestion
 
 ASK_AGAIN_US: Final = 150 * MS  # or so long for each robot of the fleet, if that is more:
 ASK_SHARE_US: Final = 5 * MS  # 200 questions a second of a fleet that is switched on
 # Nobody answered: ask a last time, then start the time. Between two slots is time for that.
-ALONE_US: Final = 400 * MS
+ALONE_US: Final = 600 * MS
 LAST_WAIT_US: Final = 25 * MS
 # Robots that are switched on together join within 153 ms of each other (ISO 11783-5) and ask again
 # after 150 ms. So the first slot starts the time, and all others learn it. The last of a large fleet
@@ -42,9 +42,10 @@ assert ALONE_STEP_US > LATE_STEP_US > LAST_WAIT_US
 NONCE_LIFE_US: Final = 1 * S
 DOUBT_US: Final = 500 * MS  # between questions because of a doubt; doubles
 DOUBLINGS_MAX: Final = 5  # up to 16 s, so that forged proofs cost next to nothing
-ANSWER_US, ANSWER_STEP_US = 2 * MS, 3 * MS  # two frames, and one that blocks them
+ANSWER_US, ANSWER_STEP_US = 2 * MS, 5 * MS  # two frames, and one that blocks them
 ANSWER_SPACING_US: Final = 8 * MS  # the largest fleet learns the time in a second
 assert ANSWER_US + PEERS_MAX * ANSWER_STEP_US < ALONE_US, "the last slot answers in time"
+ANSWERERS: Final = 6  # members that answer, the lowest slots first
 QUESTIONS_MAX: Final = 128
 
 
@@ -62,6 +63,7 @@ class FleetClock(Part):
         self._asked = 0
         self._asked_at_us = self._answered_at_us = -NONCE_LIFE_US
         self._doubts = 0
+        self._turn_for_us = ANSWER_US  # we leave the answer to lower slots for so long
         self._last = False  # our last question before we start the time is asked
         self._pending: dict[TimeQuestion, int] = {}  # question of another device -> when we answer
 
@@ -145,7 +147,11 @@ class FleetClock(Part):
         keys = self.keys
         if keys is None or not self.time.known or keys.of_time(m.asker) is None:
             return NOTHING
-        self._pending[m] = ctx.now_us + ANSWER_US + self.slot * ANSWER_STEP_US
+        rank = sum(slot < self.slot for slot in ctx.live)
+        if rank >= ANSWERERS:
+            return NOTHING
+        self._turn_for_us = ANSWER_US + (rank or self.slot) * ANSWER_STEP_US
+        self._pending[m] = ctx.now_us + self._turn_for_us
         if len(self._pending) > QUESTIONS_MAX:
             del self._pending[next(iter(self._pending))]
         return NOTHING
@@ -154,6 +160,9 @@ class FleetClock(Part):
         if self.answers is None:
             return NOTHING
         now_us = ctx.now_us
+        if m.part == TAG:  # one answer at a time on the bus: all others wait their turn again
+            turn_at_us = now_us + self._turn_for_us
+            self._pending = {q: max(at_us, turn_at_us) for q, at_us in self._pending.items()}
         for question in list(self._pending):  # another robot has answered as we would
             ticks = self.answers.hear(header.source, m, question)
             if ticks is not None and ticks >= self.time.at(now_us) - BACK:

@@ -168,7 +168,9 @@ class ProvenFrames(Part):
         proven = checker.verify(source, m, now_us)
         if proven is not None:
             return self._believe(source, header.slot, proven, now_us)
-        return NOTHING if self.membership.vouched(m.sender, now_us) else [notices.TimeDoubted()]
+        if len(checker.held(source)) < m.covered or self.membership.vouched(m.sender, now_us):
+            return NOTHING  # its frames are still in a queue, or one is lost
+        return [notices.TimeDoubted()]
 
     def _may_speak(self, source: int, slot: int | None, sender: int) -> bool:
         """A robot speaks from the address that it has proven, or proves it now; tools from any."""

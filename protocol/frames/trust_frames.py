@@ -53,7 +53,7 @@ class TimeQuestion(NamedTuple):
 
 
 TIME_QUESTION = FrameLayout(
-    TimeQuestion, "TIME_QUESTION", pgn=0xFF3C, priority=6, sender=ANY_DEVICE,
+    TimeQuestion, "TIME_QUESTION", pgn=0xFF3C, priority=7, sender=ANY_DEVICE,
     fields=(
         integer("asker", 8, "slot of the robot, or the operator device"),
         integer("nonce", WORD_BITS, "used once"),
@@ -72,7 +72,7 @@ class FleetTimeTold(NamedTuple):
 
 
 FLEET_TIME = FrameLayout(
-    FleetTimeTold, "FLEET_TIME", pgn=0xFF3D, priority=6, sender=ANY_DEVICE,
+    FleetTimeTold, "FLEET_TIME", pgn=0xFF3D, priority=7, sender=ANY_DEVICE,
     fields=(
         integer("part", 8, "0: ticks of 8 ms; 1: tag", accepted=range(2)),
         integer("value", WORD_BITS, "the ticks, or an AES-CMAC over asker, nonce and ticks"),
