@@ -55,7 +55,7 @@ class FleetClock(Part):
     def __init__(
         self, slot: int, keys: ProofKeys | None, time: FleetTime, lot: bytes, members: int
     ) -> None:
-        self.ask_again_us = max(ASK_AGAIN_US, members * ASK_SHARE_US)
+        self.ask_again_for_us = max(ASK_AGAIN_US, members * ASK_SHARE_US)
         self.slot, self.keys, self.time, self.lot = slot, keys, time, lot
         self.answers = None if keys is None else TimeAnswers(keys)
         self.asks_at_us = self.alone_at_us = FOREVER
@@ -97,7 +97,7 @@ class FleetClock(Part):
                 self._last, self.asks_at_us = True, now_us
                 self.alone_at_us = now_us + LAST_WAIT_US
         if now_us >= self.asks_at_us:
-            self.asks_at_us = FOREVER if self.time.known else now_us + self.ask_again_us
+            self.asks_at_us = FOREVER if self.time.known else now_us + self.ask_again_for_us
             if ctx.joined:
                 outputs.append(Send(self._ask(now_us)))
         if self._pending and now_us - self._answered_at_us >= ANSWER_SPACING_US:
