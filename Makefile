@@ -26,9 +26,10 @@ $(VENV)/installed: pyproject.toml
 	  $(PYTHON) -m venv $(VENV); }
 	@echo "installing into $(VENV): about two minutes and 1.3 GB, with all that the tests need ..."
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat -e '.[dev]'
-# ROS 2 requires lark-parser, whose files lie where those of its successor lark do.
-	@! $(BIN)/python -m pip show --quiet lark-parser 2>/dev/null || \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall 'lark>=1.1'
+# ROS 2 requires lark-parser, an old name of lark: both write the package lark, and the older one adds types of its own.
+	@! $(BIN)/python -m pip show --quiet lark-parser 2>/dev/null || { \
+	  $(BIN)/python -m pip uninstall --quiet --disable-pip-version-check --yes lark-parser && \
+	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall 'lark>=1.1'; }
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps pyrvo || \
 	  echo "pyrvo is not to be had here: the comparison with RVO2 will be skipped"
 	@touch $@
