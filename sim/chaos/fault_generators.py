@@ -104,6 +104,24 @@ def _box(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     return [kinds.Box(at_s=at_s, kind="box", x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s)]
 
 
+def _route(rng: Random) -> list[tuple[float, float]]:
+    """From one end of the yard to the other, with up to three bends; back and forth half the time."""
+    width_m, height_m = YARD_M
+    way = [(rng.uniform(-width_m, width_m), rng.uniform(-height_m, height_m)) for _ in range(4)]
+    way = way[: rng.randrange(2, 5)]
+    return way + way[-2::-1] if rng.random() < 0.5 else way
+
+
+def _person(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    table = {"at_s": at_s, "kind": "person", "route": _route(rng)}
+    return [kinds.Person.model_validate(table | {"speed_m_s": rng.uniform(0.5, 2.0)})]
+
+
+def _vehicle(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    table = {"at_s": at_s, "kind": "vehicle", "route": _route(rng)}
+    return [kinds.PassingVehicle.model_validate(table | {"speed_m_s": rng.uniform(1.0, 5.0)})]
+
+
 def _push(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     dx_m, dy_m = rng.uniform(-4.0, 4.0), rng.uniform(-4.0, 4.0)
     robot = rng.randrange(robots)
@@ -289,6 +307,8 @@ DRAWS: dict[str, Draw] = {
     "join": _join,
     "box": _box,
     "pushed": _push,
+    "person": _person,
+    "vehicle": _vehicle,
     "blind": _blind,
     "frozen": _frozen,
     "jumped": _jumped,

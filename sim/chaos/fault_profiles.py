@@ -57,6 +57,7 @@ BODIES = (
 # Drawn in their own profile only: the seeds of the others stay what they were.
 SENSES = ("jumped", "drifting", "deaf_wheels", "slipping")
 ATTACKS = ("forger", "thief")
+TRAFFIC = ("person", "vehicle")
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
          kinds.Duplicate, kinds.BusOff, kinds.Babble, kinds.Clone, kinds.Freeze, kinds.Drift,
          kinds.ClockJump, kinds.Foreign, kinds.Twin, kinds.Nonsense, kinds.Forger)  # fmt: skip
@@ -81,7 +82,10 @@ class Profile(NamedTuple):
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
-EVERYTHING = dict.fromkeys((each for each in DRAWS if each not in (*SENSES, *ATTACKS)), 1.0) | OFTEN
+EVERYTHING = (
+    dict.fromkeys((each for each in DRAWS if each not in (*SENSES, *ATTACKS, *TRAFFIC)), 1.0)
+    | OFTEN
+)
 PROFILES = {
     "all": Profile((2, 5), (1, 10), EVERYTHING, "every kind of fault"),
     "bus": Profile(
@@ -140,6 +144,9 @@ PROFILES = {
                                       "join": 0.5, "freeze": 0.5, "bus_off": 0.5},
                      "short drills under the policy continue: presses, and devices that outrank them",
                      "sprint", together=0.5, silence="continue"),
+    "traffic": Profile((2, 4), (2, 6), {"person": 3.0, "vehicle": 2.0, "box": 0.5, "estop": 1.0,
+                                        "reset": 0.5, "crash_working": 0.5, "loss": 0.5},
+                       "people and vehicles that cross the field and make way, presses, dead robots"),
     "forged": Profile((2, 5), (2, 8), {"forger": 5.0, "estop": 2.0, "reset": 2.0, "crash": 1.0,
                                        "join": 0.5, "freeze": 0.5, "partition": 0.5, "loss": 0.5},
                       "drills of fleets with keys: attackers without a key, presses, resets, crashes",

@@ -1,12 +1,13 @@
 """People that walk and vehicles that pass: bodies of the world that no frame announces.
 
 They follow a route at their speed. One that yields stands while a robot is in its way, as a person
-does who sees the machine. Robots know of them only what their range sensors see.
+does that sees the machine, and turns round if the robot stays. Robots know of them only what their
+range sensors see.
 """
 
 from collections.abc import Callable
 from itertools import pairwise
-from math import atan2, hypot
+from math import atan2, dist, hypot
 from typing import NamedTuple
 
 from agent.interface.config import CONTROL_PERIOD_US, S
@@ -14,6 +15,7 @@ from sim.fleet.scheduler import Script
 from sim.world.world import World
 
 CLEAR_M = 0.6  # from body to body, at which one that yields stands: an arm's length
+PATIENCE_US = 5 * S  # for which a person waits before a robot that stands, before it turns round
 XY = tuple[float, float]
 
 
@@ -33,25 +35,42 @@ def walk(
     world: World, now_us: Callable[[], int], shape: Shape, route: list[XY], speed_m_s: float,
     yields: bool,
 ) -> Script[None]:  # fmt: skip
-    """Appear at the first point of the route, follow it, and vanish at its end."""
-    number = None
-    for (x_m, y_m), (to_x_m, to_y_m) in pairwise(route):
-        long_m = hypot(to_x_m - x_m, to_y_m - y_m)
-        heading_rad = atan2(to_y_m - y_m, to_x_m - x_m)
-        gone_m = 0.0
-        while gone_m < long_m or number is None:
-            share = min(gone_m / long_m, 1.0) if long_m > 0 else 1.0
-            place = (x_m + (to_x_m - x_m) * share, y_m + (to_y_m - y_m) * share)
-            at_us = now_us()
-            if number is None or not (yields and _in_the_way(world, place, shape)):
-                if number is not None:
-                    world.remove_box(number)
-                number = _put(world, place, shape, heading_rad)
-                gone_m += speed_m_s * CONTROL_PERIOD_US / S
-            yield at_us + CONTROL_PERIOD_US
-    now_us()
-    if number is not None:
+    """Appear at the first point of the route, follow it, and vanish at its end.
+
+    One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from.
+    """
+    gone_m, long_m = 0.0, sum(dist(*leg) for leg in pairwise(route))
+    onward, stands_since_us = 1, None
+    place, heading_rad = _on(route, 0.0)
+    number = _put(world, place, shape, heading_rad)
+    while 0.0 <= gone_m < long_m:
+        at_us = now_us()
+        yield at_us + CONTROL_PERIOD_US
+        next_m = gone_m + onward * speed_m_s * CONTROL_PERIOD_US / S
+        next_place, heading_rad = _on(route, next_m)
+        if yields and _in_the_way(world, place, next_place, shape):
+            stands_since_us = at_us if stands_since_us is None else stands_since_us
+            if at_us - stands_since_us >= PATIENCE_US:
+                onward, stands_since_us = -onward, None
+            continue
+        stands_since_us = None
         world.remove_box(number)
+        gone_m, place = next_m, next_place
+        number = _put(world, place, shape, heading_rad)
+    now_us()
+    world.remove_box(number)
+
+
+def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:
+    """The place so far along a route, metres, and the direction of its leg, radians."""
+    for begin, end in pairwise(route):
+        leg_m = dist(begin, end)
+        if gone_m <= leg_m or end is route[-1]:
+            share = min(max(gone_m / leg_m, 0.0), 1.0) if leg_m > 0 else 1.0
+            place = begin[0] + (end[0] - begin[0]) * share, begin[1] + (end[1] - begin[1]) * share
+            return place, atan2(end[1] - begin[1], end[0] - begin[0])
+        gone_m -= leg_m
+    raise AssertionError("a route has a leg")
 
 
 def _put(world: World, place: XY, shape: Shape, heading_rad: float) -> int:
@@ -60,9 +79,10 @@ def _put(world: World, place: XY, shape: Shape, heading_rad: float) -> int:
     return world.add_disc(*place, shape.long_m / 2)
 
 
-def _in_the_way(world: World, place: XY, shape: Shape) -> bool:
+def _in_the_way(world: World, place: XY, next_place: XY, shape: Shape) -> bool:
+    """Whether the next step comes near to a robot; one that leads away from it does not."""
     return any(
-        hypot(place[0] - body.position[0], place[1] - body.position[1])
-        < shape.reach_m + body.radius_m + CLEAR_M
+        dist(next_place, body.position) < shape.reach_m + body.radius_m + CLEAR_M
+        and dist(next_place, body.position) < dist(place, body.position)
         for body in world.robots.values()
     )

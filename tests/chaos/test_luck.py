@@ -115,7 +115,7 @@ def test_what_is_drawn_can_be_written_by_hand(profile: str, tmp_path: Path) -> N
 def _kinds_of(name: str) -> set[str]:
     """The kinds of fault that a draw of this name makes."""
     together = {"blackout": {"crash", "restart"}, "burst": {"omission", "estop"},
-                "split": {"partition", "heal"}}  # fmt: skip
+                "split": {"partition", "heal"}, "thief": {"forger"}}  # fmt: skip
     return {"haste": {"order"}, **together}.get(name, {name})
 
 

@@ -12,6 +12,7 @@ from agent.delivery import plan_negotiation
 from agent.interface import lifecycle
 from agent.mapf import joint_plan_agreement
 from agent.motion import obstacle_stop
+from agent.runtime.vda5050 import vehicle_orders
 from agent.segments import gateway_election
 from protocol import (
     address,
@@ -98,6 +99,12 @@ MACHINES = (
         "How carriers agree on new itineraries: every robot searches, and the cheapest plan wins.",
         "agent/delivery/plan_negotiation.py", plan_negotiation.NEGOTIATION_TABLE,
         plan_negotiation.REST,
+    ),
+    Machine(
+        "states_vehicle_order.svg", "Order of a VDA 5050 vehicle",
+        "How far a vehicle is with the newest order of the robot whose body it is.",
+        "agent/runtime/vda5050/vehicle_orders.py", vehicle_orders.ORDER_TABLE,
+        vehicle_orders.OrderPhase.FREE,
     ),
     Machine(
         "states_gateway.svg", "Gateway candidate",

@@ -1,10 +1,6 @@
 """Names of parameter groups that Headland does not speak and that are common on a tractor's bus."""
 
 NAMES = {
-    0x0E600: "virtual terminal to device",
-    0x0E700: "device to virtual terminal",
-    0x0C700: "extended transport data",
-    0x0C800: "extended transport management",
     0x0AA00: "device to file server",
     0x0AB00: "file server to device",
     0x0AC00: "guidance machine status",

@@ -92,8 +92,8 @@ def aboard_of(order_id: str) -> int:
     >>> aboard_of("headland/5f/12/7"), aboard_of("other-9")
     (7, -1)
     """
-    name, *_, load = order_id.split("/")
-    return int(load) if name == NAME and load.isdecimal() else NOTHING_ABOARD
+    parts = order_id.split("/")
+    return int(parts[-1]) if parts[0] == NAME and parts[-1].isdecimal() else NOTHING_ABOARD
 
 
 class VehicleOrders:

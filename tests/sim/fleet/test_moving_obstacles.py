@@ -5,8 +5,8 @@ from pathlib import Path
 
 import pytest
 
-from agent.interface.config import S
-from sim.fleet.moving_obstacles import Shape, walk
+from agent.interface.config import CONTROL_PERIOD_US, S
+from sim.fleet.moving_obstacles import PATIENCE_US, Shape, walk
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError, load
@@ -39,7 +39,7 @@ def setup_of(folder: Path, faults: str) -> FieldSetup:
     return FieldSetup(load(str(folder / "met.toml")))
 
 
-def test_a_walker_follows_its_route_and_stands_before_a_robot(tmp_path: Path) -> None:
+def test_a_walker_stands_before_a_robot_and_turns_round(tmp_path: Path) -> None:
     world = setup_of(tmp_path, "").world()
     clock = {"now": 0}
 
@@ -54,12 +54,14 @@ def test_a_walker_follows_its_route_and_stands_before_a_robot(tmp_path: Path) ->
         (row,) = [r for r in world.obstacles() if r[0] == DISC]
         seen.append(hypot(row[1] - at[0], row[2] - at[1]))
         clock["now"] = due_at_us
-        if due_at_us > 20 * S:
-            break
+        assert due_at_us < 20 * S, "it does not give way"
     assert seen[0] == pytest.approx(6.0) and seen[20] == pytest.approx(5.0, abs=0.06)
-    assert body.radius_m + 0.25 + 0.5 < seen[-1] < body.radius_m + 0.25 + 0.8, "it stands"
-    for row in world.obstacles():
-        assert row[0] == DISC
+    nearest_m = min(seen)
+    assert body.radius_m + 0.25 + 0.5 < nearest_m < body.radius_m + 0.25 + 0.8, "it stands"
+    stood_for_us = seen.count(nearest_m) * CONTROL_PERIOD_US
+    assert PATIENCE_US <= stood_for_us <= PATIENCE_US + 3 * CONTROL_PERIOD_US
+    assert seen[-1] == pytest.approx(6.0, abs=0.06), "it has gone back"
+    assert not [r for r in world.obstacles() if r[0] == DISC]
     away = (far[0] - 2.0, far[1])
     rude = list(walk(world, now_us, Shape(4.5, 2.0), [far, away], 4.0, yields=False))
     assert len(rude) in (10, 11), "2 m at 4 m/s, in periods of 50 ms"

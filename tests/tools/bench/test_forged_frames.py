@@ -14,11 +14,16 @@ def test_an_outsider_changes_no_replica_state_or_motion(seed: int) -> None:
 
 
 def test_the_judge_finds_a_fleet_that_believes_unproven_frames() -> None:
-    played = ForgeryTrial(1)
-    for peer in played.rig.peers.values():
-        peer.proven.kinds = peer._held = NOTHING_HELD
-    played.run(2_000)
-    assert played.broken
+    """An outsider's frame that fits is rare, so one of a few attackers has to find it."""
+    seeds = range(1, 6)
+    for seed in seeds:
+        played = ForgeryTrial(seed)
+        for peer in played.rig.peers.values():
+            peer.proven.kinds = peer._held = NOTHING_HELD
+        played.run(5_000)
+        if played.broken:
+            return
+    raise AssertionError(f"none of the seeds {seeds} was noticed")
 
 
 def test_the_figure() -> None:

@@ -99,7 +99,10 @@ NAMED = {
     "tools.cli.headland", "tools.chaos.fuzz_atheris", "agent.runtime.robot_body",
     "tools.common.child_process", "agent.peer.durable_records", "agent.safety.stop_controller",
     "agent.peer.peer", "agent.peer.membership", "agent.runtime.bodies.nmea_body:NmeaBody",
-    "agent.runtime.bodies.replay_body:ReplayBody",
+    "agent.runtime.bodies.replay_body:ReplayBody", "agent.runtime.bodies.ros2_body:Ros2Body",
+    "agent.runtime.bodies.vda5050_body:Vda5050Body", "agent.runtime.bodies.isobus_body:IsobusBody",
+    "tools.bench.vda5050.figures", "tools.bench.mapf", "tools.bench.systems",
+    "tools.bench.vda5050.many_robots",
 }  # fmt: skip
 
 

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from agent.runtime.files.key_file import FLEET, OPERATOR, read
+from tools.common import launch_keys
 from tools.common.launch_keys import KEYS, fleet_keys, is_private, keys_in, own_keys
 
 
@@ -46,7 +47,7 @@ def test_only_the_user_of_a_launch_takes_its_keys(
     launch.chmod(0o666)
     assert keys_in(launch, where) is None, "others could have named the folder"
     launch.chmod(0o644)
-    monkeypatch.setattr(os, "getuid", lambda: 12345)
+    monkeypatch.setattr(launch_keys, "USER", 12345)
     assert keys_in(launch, where) is None, "another user's launch"
 
 

@@ -146,13 +146,13 @@ def test_a14_frames_of_others_are_unknown_by_their_group_and_not_malformed() -> 
     inspector = Inspector()
     for number in range(5):
         inspector.hear(number, Frame(0x0CF00400, b"\xff" * 8))
-        inspector.hear(number, Frame(0x0CE62680, b"\xff" * 8))  # to a destination
+        inspector.hear(number, Frame(0x0CAB2680, b"\xff" * 8))  # to a destination
         inspector.hear(number, Frame(0x18FEFF80, b""))
     told = inspector.to_dict()
     assert told["malformed"] == {} and len(NAMES) >= 20
     assert told["unknown"] == {
         "PGN 61444 (EEC1: engine speed)": 5,
-        "PGN 58880 (virtual terminal to device)": 5,
+        "PGN 43776 (file server to device)": 5,
         "PGN 65279": 5,
     }
     inspector.hear(9.0, Frame(0x14FF1080, b"\x00"))

@@ -71,7 +71,7 @@ def test_check_says_what_would_run_and_what_is_missing(folder: Path) -> None:
         ((), "robot: is missing"),
         (
             ("--slot", "1", "--body", "nmae"),
-            "no plug-in 'nmae'; there are nmea, replay, sim, standing",
+            "no plug-in 'nmae'; there are isobus, nmea, replay, ros2, sim, standing, vda5050",
         ),
         (("--slot", "1", "--body", "nmea"), "body.plugin:"),
         (("--slot", "1", "-i", "sokketcan"), "bus: cannot open sokketcan try"),
