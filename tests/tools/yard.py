@@ -53,7 +53,10 @@ def play(
             if before is not None:
                 await before(process)
             add = ("task", "add", "--file", "more.csv", "--scenario", "yard.toml", "--json")
-            code, text = await call(folder, *add, "--port", port)
+            own = (
+                ("--keys", "out/keys") if words[0] == "launch" else ()
+            )  # `--out` is not the newest launch
+            code, text = await call(folder, *add, *own, "--port", port)
             print(text)
             await delivered(int(port), 2)
             process.send_signal(signal.SIGINT)

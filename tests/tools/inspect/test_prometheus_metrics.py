@@ -223,7 +223,7 @@ def test_prometheus_alerts_on_a_killed_robot_of_a_launch(tmp_path: Path) -> None
             code, text = await call(tmp_path, "stop")
             assert code in (0, 1), text
             told = await asyncio.to_thread(page, url)
-            assert told == told.strip() + "\n" and "headland_stops_latched 1.0" in told
+            assert told == told.strip() + "\n" and "headland_stops_latched 0.0" not in told
             count = [
                 x for x in told.splitlines() if x.startswith("headland_stop_echo_seconds_count")
             ]
