@@ -33,7 +33,7 @@ from tests.agent.field.test_fleet_plan import drawn_problem
 from tests.sim.runs.test_work_record import STARTED, tracks
 from tools.cli.headland import app
 
-FIELDS = Path("/work/shared/data/fields")
+FIELDS = Path(__file__).parents[4] / "shared" / "data" / "fields"
 KML = "{http://www.opengis.net/kml/2.2}"
 
 
