@@ -44,7 +44,7 @@ from protocol.sync.map_sync import MapSync
 class Work(NamedTuple):
     """What a robot works on."""
 
-    field_hash: int  # u24; equal for all robots of a fleet, and of no other work
+    field_hash: int  # u24; equal for all robots of a fleet; other work has another
     sections: int  # in all; 0: not known before
     parts: MissionParts
 

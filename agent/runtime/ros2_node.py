@@ -1,6 +1,6 @@
 """A ROS 2 node of ours in a thread of its own: rclpy waits there, and this process goes on.
 
-Callbacks run in that thread, one at a time. Whoever takes their values reads one attribute that holds a
+Callbacks run in that thread, one at a time. A caller of another thread reads one attribute that holds a
 whole value, or passes them on with `loop.call_soon_threadsafe`.
 """
 
@@ -16,7 +16,7 @@ from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.utilities import try_shutdown
 
 SPIN_S = 0.1  # the longest wait for a callback, and so for `close`
-KEPT = 10  # messages that wait for a slow reader; an older command is of no use
+KEPT = 10  # messages that wait for a slow reader; an older command is useless
 RECORDED = 1000  # the same of topics that people record: ten seconds of five robots
 # Every message arrives, in order: commands, stops, places.
 RELIABLE = QoSProfile(depth=KEPT, reliability=QoSReliabilityPolicy.RELIABLE)

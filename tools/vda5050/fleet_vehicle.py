@@ -1,7 +1,7 @@
 """One robot of a fleet as a VDA 5050 vehicle: its order, its instant actions, and its state.
 
 Sans I/O: messages and what was heard on the bus go in, the state comes out. What is said of an order is
-what the fleet's registers say of its task, whoever carries it.
+what the fleet's registers say of its task, whichever robot carries it.
 """
 
 from collections.abc import Callable, Sequence

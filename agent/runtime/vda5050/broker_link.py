@@ -32,7 +32,7 @@ from agent.runtime.vda5050.messages import (
 
 KEEP_ALIVE_S: Final = 5  # a broker publishes the last will 1.5 times this after the last word
 AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)  # pauses between attempts; the last one is repeated
-# States that wait for a slow broker. More are older than the newest by seconds, and of no use.
+# States that wait for a slow broker. More are older than the newest by seconds, and useless.
 WAITING_MAX: Final = 64
 TOPIC_OF: Final = {kind: topic for topic, kind in MODELS.items()}
 
