@@ -5,8 +5,8 @@ them, for each register and block, what every received frame changed: the value 
 after it, the member whose proof covered the frame, and when. The first who said it vouched for it: later
 frames that repeat a fact may only repeat what that one said.
 
-A claim also names its author, the owner. What a revoked member is the author of is void, too, whichever robot
-relayed it.
+A claim also names its author, the owner. What a revoked member is the author of is void, too, whichever
+robot relayed it.
 """
 
 from typing import Final, NamedTuple

@@ -1,4 +1,4 @@
-"""Which robot goes where if goals cannot be reached, and rounds of agreement on goals over a lossy wire."""
+"""Goals of robots if some cannot be reached, and rounds of agreement on goals over a lossy wire."""
 
 from random import Random
 

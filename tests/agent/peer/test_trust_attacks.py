@@ -1,4 +1,4 @@
-"""The attacks of the findings against a fleet with keys, by an attacker that hears all and holds no key."""
+"""Attacks of the findings on a fleet with keys, by an attacker that hears all and holds no key."""
 
 from collections.abc import Iterator
 
