@@ -89,8 +89,8 @@ class _Sent(NamedTuple):
 def aboard_of(order_id: str) -> int:
     """The parcel that was aboard when one of our orders was sent; -1: none, or not ours.
 
-    >>> aboard_of("headland/5f/12/7"), aboard_of("other-9")
-    (7, -1)
+    >>> aboard_of("headland/5f/12/7"), aboard_of("other-9"), aboard_of("other/9")
+    (7, -1, -1)
     """
     parts = order_id.split("/")
     return int(parts[-1]) if parts[0] == NAME and parts[-1].isdecimal() else NOTHING_ABOARD
