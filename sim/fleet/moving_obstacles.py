@@ -40,7 +40,7 @@ def walk(
     One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from.
     """
     gone_m, long_m = 0.0, sum(dist(*leg) for leg in pairwise(route))
-    onward, stands_since_us = 1, None
+    onward, stood_at_us = 1, None
     place, heading_rad = _on(route, 0.0)
     number = _put(world, place, shape, heading_rad)
     while 0.0 <= gone_m < long_m:
@@ -49,11 +49,11 @@ def walk(
         next_m = gone_m + onward * speed_m_s * CONTROL_PERIOD_US / S
         next_place, heading_rad = _on(route, next_m)
         if yields and _in_the_way(world, place, next_place, shape):
-            stands_since_us = at_us if stands_since_us is None else stands_since_us
-            if at_us - stands_since_us >= PATIENCE_US:
-                onward, stands_since_us = -onward, None
+            stood_at_us = at_us if stood_at_us is None else stood_at_us
+            if at_us - stood_at_us >= PATIENCE_US:
+                onward, stood_at_us = -onward, None
             continue
-        stands_since_us = None
+        stood_at_us = None
         world.remove_box(number)
         gone_m, place = next_m, next_place
         number = _put(world, place, shape, heading_rad)
