@@ -60,7 +60,7 @@ class TimetableArrays(NamedTuple):
 
 
 @njit(cache=True)
-def _draw(state: Words, below: int) -> np.int64:
+def draw(state: Words, below: int) -> np.int64:
     """A whole number from 0 to `below` - 1 (splitmix64), the same on every robot. `state`: (1,)."""
     z = state[0] + np.uint64(0x9E3779B97F4A7C15)
     state[0] = z
@@ -201,7 +201,7 @@ def _in_the_way(
     group[0] = robot
     visit = far[track[robot, 0]] + work.waits[robot]
     for _ in range(WALKS):
-        t = _draw(state, visit)
+        t = draw(state, visit)
         at = track[robot, t]
         while t < end and count < size:
             to = at
@@ -211,7 +211,7 @@ def _in_the_way(
                     other = near[at, side] if side < 4 else at
                     if other >= 0 and t + 1 + far[other] < visit:
                         choices += 1
-                        if _draw(state, choices) == 0:
+                        if draw(state, choices) == 0:
                             to = other
                 if choices == 0:
                     break
@@ -274,10 +274,10 @@ def _regrouped(work: TimetableArrays, groups: int, state: Words) -> None:
         robot = np.argmax(waits * 1024 * PATIENCE // (PATIENCE + vain))
         if waits[robot] == 0 or looks > LOOKS_MAX:
             return
-        size = min(2 + _draw(state, GROUP_MAX - 1), count)
+        size = min(2 + draw(state, GROUP_MAX - 1), count)
         size = _in_the_way(work, robot, group, size, state)
         for k in range(1, size):
-            other = k + _draw(state, size - k)
+            other = k + draw(state, size - k)
             group[k], group[other] = group[other], group[k]
         kept, looked = _regroup(work, group[:size])
         looks += looked

@@ -24,6 +24,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from agent.mapf.lacam import search
+from agent.mapf.lns import draw
 from agent.mapf.pibt import NOWHERE, ways
 
 Ints = NDArray[np.int32]
@@ -51,16 +52,6 @@ class _Table(NamedTuple):
     following: Ints
     heads: Ints
     seen: Ints
-
-
-@njit(cache=True)
-def _draw(state: Words, below: int) -> np.int64:
-    """A whole number from 0 to `below` - 1 (splitmix64), the same on every robot. `state`: (1,)."""
-    z = state[0] + np.uint64(0x9E3779B97F4A7C15)
-    state[0] = z
-    z = (z ^ (z >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
-    z = (z ^ (z >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
-    return np.int64(((z ^ (z >> np.uint64(31))) >> np.uint64(1)) % np.uint64(below))
 
 
 @njit(cache=True)
@@ -139,16 +130,16 @@ def _group(table: _Table, group: Ints, size: int, state: Words) -> int:
     """
     near, far, track, owner, ends = table.near, table.far, table.track, table.owner, table.ends
     count, last = track.shape[0], owner.shape[0] - 1
-    robot = _draw(state, count)
+    robot = draw(state, count)
     for _ in range(4):  # the one of five that waits longest
-        other = _draw(state, count)
+        other = draw(state, count)
         if ends[other] - far[other, track[other, 0]] > ends[robot] - far[robot, track[robot, 0]]:
             robot = other
     group[0], found = robot, 1
     for _ in range(4 * size):
         if found == size:
             break
-        t = _draw(state, max(ends[robot], 1))
+        t = draw(state, max(ends[robot], 1))
         at = track[robot, t]
         while t < last and found < size:
             to, choices = at, 0
@@ -156,7 +147,7 @@ def _group(table: _Table, group: Ints, size: int, state: Words) -> int:
                 other = near[at, side] if side < 4 else at
                 if other >= 0 and t + 1 + far[robot, other] <= ends[robot]:
                     choices += 1
-                    if _draw(state, choices) == 0:
+                    if draw(state, choices) == 0:
                         to = other
             if choices == 0:
                 break
@@ -212,10 +203,10 @@ def _improve(table: _Table, groups: int, state: Words) -> None:
     for _ in range(groups):
         if looks > LOOKS_MAX:
             return
-        size = min(2 + _draw(state, GROUP_MAX - 1), count)
+        size = min(2 + draw(state, GROUP_MAX - 1), count)
         size = _group(table, group, size, state)
         for k in range(size - 1):
-            other = k + _draw(state, size - k)
+            other = k + draw(state, size - k)
             group[k], group[other] = group[other], group[k]
         _, looked = _regroup(table, group[:size])
         looks += looked
