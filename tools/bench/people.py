@@ -25,6 +25,10 @@ WARM_S_MAX, START_S_MAX, INSTALL_MB_MAX = 8.0, 0.3, 100
 FIRST_PICTURE_S_MAX = 120.0  # then it is given up
 STARTS = 5  # of each tool; the least is that of the tool, the rest is the machine
 TOOLS = ("inspect", "estop", "dbc", "say", "map")
+ENDS = {  # until when it is measured: with which words
+    "until its help is printed": dict.fromkeys(TOOLS, "--help"),
+    "until it has worked or found no launch": dict.fromkeys(TOOLS, "") | {"say": "stop"},
+}
 MB = 1e6
 # Tests of what a person does, by what they show.
 ROUNDS = (
@@ -41,7 +45,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     """Every row of the target table. `seed`: of the run whose first picture is waited for."""
     yield from _typos()
     yield from _prose()
-    yield _starts()
+    yield from _starts()
     first_s = _first_picture(seed)
     yield Figure(
         "headland run --map, warm: start to the first moving picture", first_s, "s",
@@ -79,22 +83,28 @@ def _prose() -> Iterator[Figure]:
                  share <= LONG_SHARE_MAX, "", scope)  # fmt: skip
 
 
-def _starts() -> Figure:
+def _starts() -> Iterator[Figure]:
     """CPU time: the time by the clock is that of whatever else runs here."""
-    slowest = max(min(_cpu_s(tool) for _ in range(STARTS)) for tool in TOOLS)
-    return Figure(
-        "start of a tool of the bus, until its help is printed, the slowest", slowest, "CPU s",
-        f"<= {START_S_MAX:g}", slowest <= START_S_MAX, "",
-        f"{', '.join(TOOLS)}; least of {STARTS} starts each",
-    )  # fmt: skip
+    for until, ends in ENDS.items():
+        slowest = max(
+            min(_cpu_s(f"{tool} {end}") for _ in range(STARTS)) for tool, end in ends.items()
+        )
+        yield Figure(
+            f"start of a tool of the bus, {until}, the slowest", slowest, "CPU s",
+            f"<= {START_S_MAX:g}", slowest <= START_S_MAX, "",
+            f"{', '.join(ends)}; least of {STARTS} starts each",
+        )  # fmt: skip
 
 
-def _cpu_s(tool: str) -> float:
+def _cpu_s(words: str) -> float:
+    """Of one call, in a folder without a launch."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(
-        [sys.executable, "-m", "tools.cli.headland", tool, "--help"], cwd=ROOT,
-        stdout=subprocess.DEVNULL, check=True,
-    )  # fmt: skip
+    with tempfile.TemporaryDirectory() as folder:
+        subprocess.run(
+            [sys.executable, "-m", "tools.cli.headland", *words.split()], cwd=folder, check=False,
+            stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+            env={**os.environ, "PYTHONPATH": str(ROOT)},
+        )  # fmt: skip
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 

@@ -2,41 +2,29 @@
 
 import asyncio
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from importlib.util import find_spec
-from itertools import chain, count
+from itertools import chain
 from math import inf
 from pathlib import Path
 from typing import Any
 
-import can
-from rich.console import Console
-from rich.table import Table
-
 from agent.interface.lifecycle import TABLE, State
 from agent.peer.pgn_responder import LOG_PGN
-from agent.peer.self_health import POOR
-from agent.runtime.files.given_file import check_regular
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from protocol.state_machine import to_mermaid
-from sim.files.candump import read_candump
-from sim.files.log_parts import parts_of
 from sim.files.strict_json import dumps
-from sim.record.mcap_log import McapMissing, read_frames
 from tools.common.bus_attach import AttachError, attach
-from tools.inspect.inspector import NO_KEYS, Inspector
+from tools.inspect.inspector import Inspector
+from tools.inspect.log_frames import SourceError, frames_of
+from tools.inspect.robot_table import show
 
 WRONG = 2
-UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
 LISTEN_S = 3.0  # to a live bus, where nothing else is said
 WATCH_S = 1.0  # between two lines of a watch
 HEARD_S = 0.3  # by then we are on the bus
-
-
-class SourceError(Exception):
-    """One line for the person."""
 
 
 def inspect(
@@ -87,7 +75,7 @@ def inspect(
     if as_json:
         print(dumps(inspector.to_dict()))
     else:
-        _show(Console(), inspector.to_dict())
+        show(inspector.to_dict())
     return 0
 
 
@@ -150,67 +138,6 @@ def _section(why: str | None) -> int | None:
     return int(digits)
 
 
-def frames_of(
-    source: Path, other: Callable[[], object] = lambda: None
-) -> Iterator[tuple[int, Frame]]:
-    """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
-    .trc). `other` is called for each frame with an 11-bit identifier, and for each remote or error
-    frame. SourceError, also where there is no frame in it."""
-    empty = True
-    for row in _frames_of(source, other):
-        empty = False
-        yield row
-    if empty:
-        raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
-
-
-def _frames_of(source: Path, other: Callable[[], object]) -> Iterator[tuple[int, Frame]]:
-    path = source / "can.log" if source.is_dir() else source
-    if source.is_dir() and not path.is_file():
-        path = source / "run.mcap"
-    if not path.is_file():
-        raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
-    if path.suffix == ".log":
-        damaged = count()
-        try:
-            frames = False
-            for part in parts_of(path):
-                for row in read_candump(part, lambda: next(damaged), other):
-                    frames = True
-                    yield row
-        except OSError as problem:
-            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
-        if (lines := next(damaged)) and frames:
-            print(f"headland: {path}: {lines} damaged lines are left out", file=sys.stderr)
-        return
-    if path.suffix == ".mcap":
-        try:
-            for part in parts_of(path):
-                yield from read_frames(part)
-        except (McapMissing, ValueError) as problem:
-            raise SourceError(f"{path}: {problem}") from None
-        except OSError as problem:
-            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
-        return
-    try:
-        check_regular(path)
-        for message in can.LogReader(path):
-            if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
-                yield (
-                    round(message.timestamp * 1e6),
-                    Frame(message.arbitration_id, bytes(message.data)),
-                )
-            else:
-                other()
-    except Exception as problem:  # log readers raise any exception on files of another kind
-        raise SourceError(f"{path}: not a CAN log: {_first_line(problem)}") from None
-
-
-def _first_line(problem: Exception) -> str:
-    lines = str(problem).splitlines()
-    return lines[0] if lines else type(problem).__name__
-
-
 async def _listen(
     inspector: Inspector,
     interface: str,
@@ -245,7 +172,7 @@ def _told_json(inspector: Inspector) -> None:
 
 
 def _told_text(inspector: Inspector) -> None:
-    _show(Console(), inspector.to_dict())
+    show(inspector.to_dict())
 
 
 def _traces(
@@ -322,79 +249,3 @@ def _cause(heard: dict[str, Any], steps: dict[tuple[float, str], int]) -> str:
 
 def _again(step: dict[str, Any]) -> str:
     return f" (said {step['again']} times more)" if step["again"] else ""
-
-
-def table_of(seen: dict[str, Any]) -> Table:
-    """The robots, a row each."""
-    table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
-    for column in (
-        "robot",
-        "address",
-        "state",
-        "peers",
-        "sections",
-        "vector clock",
-        "replica",
-        "path of states",
-    ):
-        table.add_column(column, overflow="fold", no_wrap=column in ("robot", "state"))
-    for robot in seen["robots"]:
-        state = (
-            robot["state"]
-            + (" (silent)" if robot["silent"] else "")
-            + (" (left)" if robot["left"] else "")
-            + ("" if robot["health"] == 1.0 else f" {robot['health']:.0%}")
-        )
-        clock = " ".join(f"{slot}:{count}" for slot, count in robot["clock"].items())
-        replica = robot["replica"]
-        if replica == "differs":
-            replica += f": {robot['digest']}"
-        path = " > ".join(f"{t['to']}@{t['t_s']:.1f}" for t in robot["transitions"][-6:])
-        table.add_row(
-            str(robot["slot"]), str(robot["address"]), state,
-            " ".join(map(str, robot["peers"])),
-            " ".join(robot["sections"]), clock, replica, path,
-        )  # fmt: skip
-    return table
-
-
-def _show(console: Console, seen: dict[str, Any]) -> None:
-    console.print(table_of(seen))
-    done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")
-    console.print(f"sections heard of: {len(seen['sections'])}, done: {done}")
-    if seen["leader"] is not None:
-        console.print(f"leader: robot {seen['leader']} answers for the fleet", highlight=False)
-    for robot in seen["robots"]:
-        if robot["health"] <= POOR and not robot["left"]:
-            ask = f"headland inspect --traces {robot['slot']} asks it why"
-            console.print(
-                f"robot {robot['slot']} health {robot['health']:.0%}: {ask}", highlight=False
-            )
-        for why in robot["stands"]:
-            console.print(f"robot {robot['slot']} stands: {why}", highlight=False)
-        if "itinerary" in robot:
-            stops, battery = ", ".join(robot["itinerary"]), robot["battery"]
-            console.print(
-                f"robot {robot['slot']}: \\[{stops}]  battery {battery:.0%}", highlight=False
-            )
-    console.print(f"frames: {', '.join(f'{n} {k}' for k, n in seen['frames'].items())}")
-    console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
-    if seen["keyed"] is False:
-        console.print(f"[bold red]{NO_KEYS}")
-    if seen["latched"]:
-        console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
-    for key, whose in (
-        ("unknown", "not of Headland"),
-        ("other_makers", "of other makers, not read"),
-    ):
-        if seen[key]:
-            groups = [f"{n} {name}" for name, n in seen[key].items()]
-            beyond = len(groups) - UNKNOWN_SHOWN
-            more = f" and {beyond} more groups" if beyond > 0 else ""
-            console.print(f"{whose}: {', '.join(groups[:UNKNOWN_SHOWN])}{more}")
-    if seen["other_frames"]:
-        console.print(
-            f"{seen['other_frames']} remote or error frames, or with an 11-bit identifier"
-        )
-    if seen["malformed"]:
-        console.print(f"malformed: {seen['malformed']}")

@@ -14,8 +14,8 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import LAUNCH, AttachError, attach
 from tools.common.launch_keys import own_keys
-from tools.inspect.inspection import SourceError, frames_of
 from tools.inspect.inspector import Inspector
+from tools.inspect.log_frames import SourceError, frames_of
 from tools.language.endpoint import Endpoint, EndpointError
 from tools.language.goal_queue import GoalQueue, QueueError
 from tools.language.intent import AnyIntent

@@ -31,7 +31,7 @@ from sim.record.scene import Scene, in_folder
 from tools.common.bus_attach import LAUNCH, AttachError, attach
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
-from tools.inspect.inspection import SourceError, frames_of
+from tools.inspect.log_frames import SourceError, frames_of
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port

@@ -10,7 +10,7 @@ from rich.console import Console
 
 from sim.files.strict_json import dumps
 from sim.record.mcap_log import McapMissing
-from tools.inspect.inspection import SourceError
+from tools.inspect.log_frames import SourceError
 from tools.report.chapter import Chapter, chapters
 from tools.report.page import page
 from tools.report.run_data import RunEvidence, gather

@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from agent.runtime.files.given_file import REPORT_BYTES_MAX, GivenFileError, read_json
 from sim.record.recording import Recording
-from tools.inspect.inspection import SourceError
+from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 
 REPORT, CAMPAIGN = "report.json", "chaos.json"

@@ -18,7 +18,7 @@ from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
 from tools.common.bus_attach import LAUNCH, AttachError, attach
 from tools.common.launch_keys import keys_in
-from tools.inspect.inspection import SourceError
+from tools.inspect.log_frames import SourceError
 from tools.livemap.command import check_operator_key
 from tools.livemap.stop_panel import Panel, PanelError
 from tools.operate.estop import keyring_of

@@ -13,7 +13,7 @@ from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
-from tools.inspect.inspection import SourceError
+from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 from tools.run.film import FILM_S, FilmError, write_film
 

@@ -13,8 +13,9 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from sim.record.recording import FramesDigest
 from tools.common.bus_attach import AttachError, attach
-from tools.inspect.inspection import SourceError, frames_of, table_of
 from tools.inspect.inspector import Inspector
+from tools.inspect.log_frames import SourceError, frames_of
+from tools.inspect.robot_table import table_of
 from tools.livemap.command import show_map
 
 WRONG = 2

@@ -36,8 +36,8 @@ from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import fleet_name
 from tests.agent.lone_peer import introduce, peer_in, turn
-from tools.inspect.inspection import _show
 from tools.inspect.inspector import Inspector
+from tools.inspect.robot_table import show
 
 WELL = Known(1.0, 1.0, Health.ACTIVE, (), 0, True)
 
@@ -176,6 +176,6 @@ def test_m25_inspect_shows_the_health_that_is_told() -> None:
     seen = inspector.to_dict()
     assert [robot["health"] for robot in seen["robots"]] == [0.0]
     console = Console(width=200, file=StringIO())
-    _show(console, seen)
+    show(seen, console)
     text = console.file.getvalue()  # type: ignore[attr-defined]
     assert "robot 1 health 0%: headland inspect --traces 1 asks it why" in text

@@ -12,7 +12,7 @@ from sim.record.robot_intent import Intent
 from sim.record.scene_builder import scene_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
-from tools.inspect.inspection import frames_of
+from tools.inspect.log_frames import frames_of
 from tools.livemap.command import recorded
 
 LIMIT = Limit(part_bytes=4096, parts=3)

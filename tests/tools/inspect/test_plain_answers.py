@@ -15,8 +15,8 @@ from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.work_frames import WorkProgress
 from sim.files.strict_json import dumps
-from tools.inspect.inspection import table_of
 from tools.inspect.inspector import Inspector
+from tools.inspect.robot_table import table_of
 from tools.run.notebook import Run, play
 
 ROOT = Path(__file__).parents[3]

@@ -6,7 +6,7 @@ from pathlib import Path
 import can
 import pytest
 
-from tools.inspect.inspection import frames_of
+from tools.inspect.log_frames import frames_of
 from tools.run.replay import replay
 from tools.run.run_field import run
 
