@@ -126,6 +126,8 @@ class ExtendedTransport:
     @property
     def due_at_us(self) -> int | None:
         """When `on_tick` next has something to do; None: no session is open."""
+        if not self._receiving and not self._sending:
+            return None
         due = [session.due_at_us for session in self._receiving.values()]
         due += [session.due_at_us for session in self._sending.values()]
         return min(due, default=None)

@@ -96,12 +96,13 @@ class TerminalService(Part):
 
     @property
     def due_at_us(self) -> int:
-        due = [each for each in (self.client.due_at_us, self.long.due_at_us) if each is not None]
-        if self.client.state is TerminalState.SHOWN:
-            due.append(self._look_at_us)
-        if self._steps:
-            due.append(self._steps[0][0])
-        return min(due, default=FOREVER)
+        due_at_us = self._steps[0][0] if self._steps else FOREVER
+        for each in (self.client.due_at_us, self.long.due_at_us):
+            if each is not None and each < due_at_us:
+                due_at_us = each
+        if self.client.state is TerminalState.SHOWN and self._look_at_us < due_at_us:
+            due_at_us = self._look_at_us
+        return due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if not self._identity.diagnostics:

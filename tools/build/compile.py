@@ -28,8 +28,9 @@ CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has
 # each time.
 GROUP = {
     "crdt": "allocation claim_register clock digest progress",
-    "protocol": "address frames.codec frames.identifier links.bus state_machine "
-    "sync.digest_comparison sync.replica sync.synchronizer task_client transport",
+    "protocol": "address extended_transport frames.codec frames.identifier links.bus state_machine "
+    "sync.digest_comparison sync.replica sync.synchronizer task_client terminal_client "
+    "transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_partition field.tractor_mission field.travel_times field.work_leg "
@@ -45,8 +46,8 @@ GROUP = {
     "peer.section_claims peer.section_work peer.self_check peer.self_health peer.sender_origins "
     "peer.sense_freshness peer.slot_discovery peer.state_sync peer.stop_reception "
     "peer.stop_release peer.task_reporting peer.terminal_service peer.unknown_stop_sources "
-    "runtime.peer_runner safety.command_authority safety.stop_controller segments.fleet_stops "
-    "segments.remote_segments segments.segment_area",
+    "peer.work_admission runtime.peer_runner safety.command_authority safety.standard_stop "
+    "safety.stop_controller segments.fleet_stops segments.remote_segments segments.segment_area",
     "sim": "can.can_segment can.frame_counter can.frame_timing can.simulated_bus "
     "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
     "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "
