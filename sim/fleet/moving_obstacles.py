@@ -3,11 +3,15 @@
 They follow a route at their speed. One that yields stands while a robot is in its way, as a person
 does that sees the machine, and turns round if the robot stays. Robots know of them only what their
 range sensors see.
+
+A robot stands for the mover, and the mover for a robot. Where robots stand at both ends of the
+mover's way, all would wait for ever. So one that comes back to where it has turned leaves its route
+and goes straight to the side where most room is.
 """
 
 from collections.abc import Callable
 from itertools import pairwise
-from math import atan2, dist, hypot
+from math import atan2, cos, dist, hypot, pi, sin
 from typing import NamedTuple
 
 from agent.interface.config import CONTROL_PERIOD_US, S
@@ -16,6 +20,12 @@ from sim.world.world import World
 
 CLEAR_M = 0.6  # from body to body, at which one that yields stands: an arm's length
 PATIENCE_US = 5 * S  # for which a person waits before a robot that stands, before it turns round
+TURNS_MAX = 1  # one way back; after that the route is blocked at both ends
+LEAVE_M = (
+    30.0  # length of the way out: three times the range of the sensors, so no robot waits for it
+)
+DIRECTIONS = 16  # in which a way out is looked for
+LOOK_M = 12.0  # of a way out that is looked at: robots further off have time to see the mover
 XY = tuple[float, float]
 
 
@@ -37,10 +47,11 @@ def walk(
 ) -> Script[None]:  # fmt: skip
     """Appear at the first point of the route, follow it, and vanish at its end.
 
-    One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from.
+    One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from. If it
+    has to turn more often than `TURNS_MAX`, it leaves by a straight way between the robots.
     """
-    gone_m, long_m = 0.0, sum(dist(*leg) for leg in pairwise(route))
-    onward, stood_at_us = 1, None
+    gone_m, long_m = 0.0, _length_m(route)
+    onward, turns, stood_at_us = 1, 0, None
     place, heading_rad = _on(route, 0.0)
     number = _put(world, place, shape, heading_rad)
     while 0.0 <= gone_m < long_m:
@@ -51,7 +62,10 @@ def walk(
         if yields and _in_the_way(world, place, next_place, shape):
             stood_at_us = at_us if stood_at_us is None else stood_at_us
             if at_us - stood_at_us >= PATIENCE_US:
-                onward, stood_at_us = -onward, None
+                onward, turns, stood_at_us = -onward, turns + 1, None
+                if turns > TURNS_MAX:
+                    route = _way_out(world, place)
+                    onward, gone_m, long_m = 1, 0.0, _length_m(route)
             continue
         stood_at_us = None
         world.remove_box(number)
@@ -59,6 +73,30 @@ def walk(
         number = _put(world, place, shape, heading_rad)
     now_us()
     world.remove_box(number)
+
+
+def _length_m(route: list[XY]) -> float:
+    return sum(dist(*leg) for leg in pairwise(route))
+
+
+def _way_out(world: World, place: XY) -> list[XY]:
+    """A straight way from here, in the direction that passes the robots at the greatest distance."""
+    bodies = [body.position for body in world.robots.values()]
+    angles_rad = [2 * pi * k / DIRECTIONS for k in range(DIRECTIONS)]
+
+    def room_m(angle_rad: float) -> tuple[float, float]:
+        """The least distance on the way, and at its end if many ways begin beside the same robot."""
+        ux, uy = cos(angle_rad), sin(angle_rad)
+        gaps_m, ends_m = [], []
+        for x_m, y_m in bodies:
+            dx_m, dy_m = x_m - place[0], y_m - place[1]
+            along_m = min(max(dx_m * ux + dy_m * uy, 0.0), LOOK_M)
+            gaps_m.append(hypot(dx_m - along_m * ux, dy_m - along_m * uy))
+            ends_m.append(hypot(dx_m - LOOK_M * ux, dy_m - LOOK_M * uy))
+        return min(gaps_m), min(ends_m)
+
+    best_rad = max(angles_rad, key=room_m)
+    return [place, (place[0] + LEAVE_M * cos(best_rad), place[1] + LEAVE_M * sin(best_rad))]
 
 
 def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:

@@ -68,6 +68,30 @@ def test_a_walker_stands_before_a_robot_and_turns_round(tmp_path: Path) -> None:
     assert not [r for r in world.obstacles() if r[0] == BOX], "gone at the end of its route"
 
 
+def test_l5_a_mover_between_two_robots_that_stand_leaves_its_route(tmp_path: Path) -> None:
+    """Chaos, profile traffic, seeds 8, 9 and 23: a vehicle that only turned round drove to and fro
+    between two robots, which stood for it for ever."""
+    world = setup_of(tmp_path, "").world()
+    clock = {"now": 0}
+    left, right, far = world.robots.values()
+    begin, end, middle = (-6.0, 0.0), (6.0, 0.0), (0.0, 0.0)
+    left.teleport(*begin)
+    right.teleport(*end)
+    far.teleport(30.0, 0.0)
+    nearest_m = 99.0
+    for due_at_us in walk(
+        world, lambda: clock["now"], Shape(0.5), [middle, end, begin, end], 2.0, yields=True
+    ):
+        (row,) = [r for r in world.obstacles() if r[0] == DISC]
+        for body in (left, right):
+            gap_m = hypot(row[1] - body.position[0], row[2] - body.position[1])
+            nearest_m = min(nearest_m, gap_m - 0.25 - body.radius_m)
+        clock["now"] = due_at_us
+        assert due_at_us < 60 * S, "it drives to and fro"
+    assert nearest_m > 0.5
+    assert not [r for r in world.obstacles() if r[0] == DISC]
+
+
 @pytest.mark.parametrize("seed", [1, 2])
 @pytest.mark.slow
 def test_robots_touch_neither_a_person_nor_a_vehicle(tmp_path: Path, seed: int) -> None:
