@@ -151,6 +151,8 @@ class ProvenFrames(Part):
         assert self.checker is not None
         if type(message) is StateSyncRequest and (message.scope == STOPS or slot is None):
             return None  # any device may ask
+        if type(message) is TaskBookDigest and slot is None:
+            return None  # a question, too: robots repeat orders that they know, and learn nothing
         outputs: list[Any] = []
         if slot is None and type(message) is not Member and type(message) is not TaskOrder:
             outputs.append(notices.StrangerHeard(source))

@@ -52,7 +52,10 @@ def play(
             port = await said(process, r"socketcand \S+:(\d+)")
             if before is not None:
                 await before(process)
-            add = ("task", "add", "--file", "more.csv", "--scenario", "yard.toml", "--json")
+            scenario = (
+                ("--scenario", "yard.toml") if words[0] == "launch" else ()
+            )  # `--out` is not the newest launch
+            add = ("task", "add", "--file", "more.csv", *scenario, "--json")
             own = (
                 ("--keys", "out/keys") if words[0] == "launch" else ()
             )  # `--out` is not the newest launch

@@ -20,6 +20,10 @@ from tools.common.options import (
 if TYPE_CHECKING:
     from agent.delivery.warehouse import Warehouse
 
+Scenario = Annotated[
+    str | None,
+    typer.Option(help="Whose map has the places (none: of the newest live run or launch)."),
+]
 app = typer.Typer(help="Tasks of a delivering fleet.", no_args_is_help=True)
 
 
@@ -28,7 +32,7 @@ def add(
     pickup: Annotated[str | None, typer.Argument(help="Where the parcel is: X,Y in metres.")] = None,
     dropoff: Annotated[str | None, typer.Argument(help="Where it is to go: X,Y.")] = None,
     file: Annotated[Path | None, typer.Option(help="Instead: CSV or JSON lines.")] = None,
-    scenario: Annotated[str, typer.Option(help="Whose map says what is floor.")] = "warehouse",
+    scenario: Scenario = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1",
     port: Annotated[
@@ -46,13 +50,12 @@ def add(
     raise SystemExit(order(pickup, dropoff, file, scenario, where, json, keys))
 
 
-Scenario = Annotated[str | None, typer.Option(help="Whose map says where its cells are.")]
-
-
-def _house(scenario: str | None) -> "Warehouse | None":
+def _house(scenario: str | None, interface: str, host: str, port: int) -> "Warehouse | None":
     from sim.scenarios.scenario import ScenarioError
+    from tools.common.bus_attach import scenario_of_launch
     from tools.operate.transport_order import house_of
 
+    scenario = scenario or scenario_of_launch(interface, host, port)
     if scenario is None:
         return None
     try:
@@ -74,7 +77,8 @@ def list_tasks(
     """
     from tools.inspect.task_outcomes import list_tasks as command
 
-    raise SystemExit(command(_house(scenario), (interface, channel, bitrate, host, port), json))
+    where = (interface, channel, bitrate, host, port)
+    raise SystemExit(command(_house(scenario, interface, host, port), where, json))
 
 
 @app.command()
@@ -92,4 +96,5 @@ def status(
     from tools.inspect.task_outcomes import status as command
 
     where = (interface, channel, bitrate, host, port)
-    raise SystemExit(command(number, wait, _house(scenario), where, json))
+    house = _house(scenario, interface, host, port)
+    raise SystemExit(command(number, wait, house, where, json))

@@ -53,6 +53,23 @@ def robots_of_launch(interface: str, host: str, port: int) -> list[int]:
     return robots if interface == "socketcand" and same else []
 
 
+def scenario_of_launch(interface: str, host: str, port: int) -> str | None:
+    """The scenario of the newest launch in this folder, as a tool here can load it; None: another bus."""
+    try:
+        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
+        same = port == 0 or (host == where["host"] and port == where["port"])
+        scenario = str(where["scenario"])
+    except (ValueError, KeyError, TypeError):  # of them GivenFileError
+        return None
+    return scenario if interface == "socketcand" and same else None
+
+
+def absolute(scenario: str) -> str:
+    """The name of a scenario as another process can load it: a file by its absolute path."""
+    path = Path(scenario)
+    return str(path.absolute()) if path.exists() else scenario
+
+
 async def keep_attached(channel: str, host: str, port: int, seed: str) -> SocketcandLink:
     """A socketcand bus that is attached again by itself when its server comes back.
 

@@ -19,6 +19,9 @@ from tools.operate.operator_device import Operator
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 ASK_S = 0.5  # between questions for orders; robots answer two a beat
 LEARN_S = 20.0  # for all orders: 500 of them take 13 s
+DUMB_S = (
+    3.0  # without a further order: nobody answers, and a list without places is better than none
+)
 LOOK_S = 0.2
 AGAIN_S = 2.0  # between questions for registers while waiting
 NOT_DELIVERED, WRONG = 1, 2
@@ -77,8 +80,11 @@ class TaskListener:
         if not self.known and not self.inspector.robots:
             raise AttachError("no delivering fleet is heard on this bus: headland launch warehouse")
         self.operator.ask_work()
-        end_s = self._loop.time() + LEARN_S
-        while self.known - self.orders.keys() and self._loop.time() < end_s:
+        learned = len(self.orders)
+        last_s, end_s = self._loop.time(), self._loop.time() + LEARN_S
+        while self.known - self.orders.keys() and self._loop.time() < min(last_s + DUMB_S, end_s):
+            if len(self.orders) > learned:
+                learned, last_s = len(self.orders), self._loop.time()
             for bucket in {task // BUCKET_TASKS for task in self.known - self.orders.keys()}:
                 mine = {t % BUCKET_TASKS for t in self.orders if t // BUCKET_TASKS == bucket}
                 self.operator.send(TaskBookDigest(bucket, 0, sum(1 << k for k in mine)))

@@ -16,29 +16,33 @@ from sim.fleet.transport_orders import TransportClient
 from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_attach import AttachError, attach, scenario_of_launch
 from tools.common.launch_keys import own_keys
 from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
 
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 CONFIRM_S = 5.0
+SHIPPED = "warehouse"  # whose map is taken where nothing says which
 REFUSED, WRONG = 1, 2
 
 
 def order(
-    pickup: str | None, dropoff: str | None, file: Path | None, scenario: str,
+    pickup: str | None, dropoff: str | None, file: Path | None, scenario: str | None,
     where: tuple[str, str, int, str, int], as_json: bool, keys: Path | None = None,
 ) -> int:  # fmt: skip
-    """Exit code 0 only where robots say that they know of all. `keys`: the operator's key file; None:
-    that of the launch on this bus, if it is the caller's."""
+    """Exit code 0 only where robots say that they know of all. `scenario`: whose map has the places;
+    None: that of the launch on this bus, else the warehouse that ships. `keys`: the operator's key
+    file; None: that of the launch on this bus, if it is the caller's."""
+    interface, _, _, host, port = where
     try:
         rows = _rows(pickup, dropoff, file)
+        scenario = scenario or scenario_of_launch(interface, host, port) or SHIPPED
         house = house_of(scenario)
         orders = [
-            TransportTask(_cell(house, row.pickup), _cell(house, row.dropoff)) for row in rows
+            TransportTask(_cell(house, row.pickup, scenario), _cell(house, row.dropoff, scenario))
+            for row in rows
         ]
-        interface, _, _, host, port = where
         keys = keys or own_keys(interface, host, port)
         known = asyncio.run(_order(orders, where, proofs_of(keys)))
     except (ScenarioError, AttachError, KeyFileError) as problem:
@@ -74,10 +78,13 @@ def house_of(name: str) -> Warehouse:
     return Warehouse(floor_of(load_warehouse(name)), Carrier(1.0, 0.0))
 
 
-def _cell(house: Warehouse, at: tuple[float, float]) -> int:
+def _cell(house: Warehouse, at: tuple[float, float], scenario: str) -> int:
     cell = house.cell(at)
     if cell is None:
-        raise ScenarioError(f"{at[0]},{at[1]}: no floor where a robot can stand; look at the map")
+        raise ScenarioError(
+            f"{at[0]:g},{at[1]:g}: no floor of {Path(scenario).name} where a robot can stand; "
+            "look at its map"
+        )
     return cell
 
 

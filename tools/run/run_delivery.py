@@ -13,7 +13,7 @@ from sim.fleet.virtual_clock import WallLoop
 from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
-from tools.common.bus_attach import CHANNEL
+from tools.common.bus_attach import CHANNEL, absolute
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
 from tools.common.run_folder import LAUNCH, RUNS, link
@@ -36,7 +36,7 @@ def haul(
     def make() -> DeliveryCommand:
         warehouse = load_warehouse(scenario).changed(robots, seed, keys, time_limit_s=limit_s)
         run = DeliveryRun(DeliverySetup(warehouse))
-        return LiveDeliveryCommand(run, port, seconds) if live else DeliveryCommand(run)
+        return LiveDeliveryCommand(run, scenario, port, seconds) if live else DeliveryCommand(run)
 
     return run_mission(make, to, as_json)
 
@@ -91,8 +91,10 @@ class DeliveryCommand(MissionCommand[DeliveryRun]):
 class LiveDeliveryCommand(DeliveryCommand):
     """In real time, on a bus that tools can attach to, until a person ends it."""
 
-    def __init__(self, run: DeliveryRun, port: int, seconds: float | None) -> None:
+    def __init__(self, run: DeliveryRun, scenario: str, port: int, seconds: float | None) -> None:
+        """`scenario`: its name or file, for tools on the bus."""
         super().__init__(run)
+        self.scenario = scenario
         self.run.forever = True
         self.port, self.seconds, self.interrupted = port, seconds, False
 
@@ -121,7 +123,7 @@ class LiveDeliveryCommand(DeliveryCommand):
         def attach(cluster: DeliveryFleet) -> None:
             recorder(cluster)
             hubs.append(Hub(cluster.segment, CHANNEL))
-            opening.append(loop.create_task(_open(hubs[0], self.port, console, folder)))
+            opening.append(loop.create_task(self._open(hubs[0], console, folder)))
             opening[0].add_done_callback(lambda t: self._end(False) if t.exception() else None)
 
         self.run.attach = attach
@@ -136,14 +138,16 @@ class LiveDeliveryCommand(DeliveryCommand):
                 await hub.stop()
             (folder / BUS).unlink(missing_ok=True)
 
-
-async def _open(hub: Hub, port: int, console: Console, out: Path) -> None:
-    await hub.start(HOST, port)
-    where = {"host": HOST, "port": hub.port, "channel": CHANNEL, **identity()}
-    (out / BUS).write_text(dumps(where))
-    RUNS.mkdir(parents=True, exist_ok=True)
-    link(RUNS / LAUNCH, out)
-    console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
+    async def _open(self, hub: Hub, console: Console, out: Path) -> None:
+        await hub.start(HOST, self.port)
+        where = {
+            "host": HOST, "port": hub.port, "channel": CHANNEL, **identity(),
+            "scenario": absolute(self.scenario),
+        }  # fmt: skip
+        (out / BUS).write_text(dumps(where))
+        RUNS.mkdir(parents=True, exist_ok=True)
+        link(RUNS / LAUNCH, out)
+        console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
 
 
 def draw_warehouse(

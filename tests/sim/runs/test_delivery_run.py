@@ -12,7 +12,8 @@ from agent.delivery.warehouse import Warehouse
 from agent.interface.config import ADDRESS_FIRST, S
 from crdt import Phase
 from protocol.frames.codec import decode_once
-from protocol.frames.delivery_frames import PlanRow, TaskOrder
+from protocol.frames.delivery_frames import PlanRow, TaskBookDigest, TaskOrder
+from protocol.frames.frame import Frame
 from sim.fleet.simulated_disk import MemoryJournal
 from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import DeliveryScenario, Outage, TaskRow
@@ -437,6 +438,29 @@ def test_a_transport_that_is_taken_back_too_late_is_delivered() -> None:
 
     outcome, _ = play(scenario(), watch)
     assert taken and outcome.finished and outcome.replicas_equal
+
+
+def test_a_device_without_keys_may_ask_which_tasks_there_are() -> None:
+    """`headland task list` of a fleet with keys waited 20 s for orders that nobody repeated."""
+    given = scenario(2, random_tasks=2)
+    fleet = given.fleet.model_copy(update={"keys": DRAWN})
+    given = given.model_copy(update={"fleet": fleet})
+    told: set[int] = set()
+
+    def hear(_: int, frame: Frame) -> None:
+        message = decode_once(frame)[1]
+        if isinstance(message, TaskOrder):
+            told.add(message.task)
+
+    def ask(cluster: DeliveryFleet) -> None:
+        if cluster.host.now_us() > 8 * S:  # the fleet is up
+            cluster.inject(TaskBookDigest(0, 0, 0))
+
+    run = DeliveryRun(DeliverySetup(given))
+    run.watch = ask
+    run.attach = lambda cluster: cluster.segment.taps.append(hear)
+    outcome = run.run()
+    assert told == {0, 1} and outcome.finished and outcome.replicas_equal
 
 
 def test_t13_in_a_fleet_with_keys_only_proven_orders_are_believed() -> None:
