@@ -149,6 +149,11 @@ class ExtendedTransport:
         """End our session to an address: its device is gone."""
         self._sending.pop(destination, None)
 
+    def close_all(self) -> None:
+        """End all sessions without a word: we have no address."""
+        self._sending.clear()
+        self._receiving.clear()
+
     def on_tick(self, now_us: int) -> list[LongOutgoing]:
         """Send packets that are due; end sessions that have timed out."""
         out: list[LongOutgoing] = []

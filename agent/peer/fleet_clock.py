@@ -73,7 +73,12 @@ class FleetClock(Part):
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
-        return {notices.AddressGained: self._joined, notices.TimeDoubted: self._doubted}
+        return {
+            notices.AddressGained: self._joined,
+            notices.AddressLost: self._away,
+            notices.BusLost: self._away,
+            notices.TimeDoubted: self._doubted,
+        }
 
     @property
     def due_at_us(self) -> int:
@@ -133,6 +138,11 @@ class FleetClock(Part):
             self.alone_at_us = ctx.now_us + alone_for_us(self.slot)
         return NOTHING
 
+    def _away(self, ctx: StepContext, notice: Any) -> Outputs:
+        """We cannot answer: a question that stays due would keep the robot's computer busy."""
+        self._pending.clear()
+        return NOTHING
+
     def _doubted(self, ctx: StepContext, notice: notices.TimeDoubted) -> Outputs:
         """A proof could not be verified: its sender may know a later time than we do."""
         if not self.time.known or self.asks_at_us != FOREVER:
@@ -146,6 +156,8 @@ class FleetClock(Part):
     def _hear_question(self, ctx: StepContext, header: Header, m: TimeQuestion) -> Outputs:
         keys = self.keys
         if keys is None or not self.time.known or keys.of_time(m.asker) is None:
+            return NOTHING
+        if not ctx.joined:
             return NOTHING
         rank = sum(slot < self.slot for slot in ctx.live)
         if rank >= ANSWERERS:

@@ -35,7 +35,7 @@ class Conflicts(Part):
     def __init__(self, safety: StopController, joining: NetworkJoin) -> None:
         self.safety, self.joining = safety, joining
         self._cause_of: dict[int, StopCause] = {}  # address of the other machine
-        self._said: deque[Pose | Heartbeat] = deque(maxlen=SAID_MAX)
+        self._said: deque[tuple[type, bytes]] = deque(maxlen=SAID_MAX)
         # since when another machine sends from our address
         self._doubled_first_at_us: int | None = None
         self._doubled_last_at_us = -GONE_US
@@ -83,7 +83,7 @@ class Conflicts(Part):
 
     def say(self, beat: Pose | Heartbeat) -> None:
         """Remember our own beacon or heartbeat as it is sent."""
-        self._said.append(beat)
+        self._said.append((type(beat), packed(beat)))
 
     def claims_our_name(self, address: int, now_us: int) -> Sequence[Effect]:
         """A claim of our NAME, or a MEMBER frame with our slot, from an address that is not ours."""
@@ -95,8 +95,7 @@ class Conflicts(Part):
         """A received frame with our own source address."""
         if not isinstance(message, Pose | Heartbeat):
             return ()
-        data = packed(message)
-        if any(type(said) is type(message) and packed(said) == data for said in self._said):
+        if (type(message), packed(message)) in self._said:
             return ()
         if self._doubled_first_at_us is None or now_us - self._doubled_last_at_us > GONE_US:
             self._doubled_first_at_us = now_us

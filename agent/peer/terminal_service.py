@@ -150,6 +150,8 @@ class TerminalService(Part):
 
     def _away(self, ctx: StepContext, notice: Any) -> Outputs:
         self.client.reset()
+        self.long.close_all()  # what stays due while we are away would keep the computer busy
+        self._steps.clear()
         return NOTHING
 
     # ---------------------------------------------------------------- what it shows

@@ -215,6 +215,14 @@ def test_halves_that_were_switched_on_apart_find_one_time() -> None:
     assert all(peer.allocation.owner_of(5) == 2 for peer in rig.peers.values())
 
 
+def test_a_question_and_a_stolen_address_keep_no_computer_busy(rig: KeyedRig) -> None:
+    """A robot owed an answer and lost its address; its timer was due at each turn, for ever."""
+    rig.forge(TimeQuestion(200, 12345), rig.address_of(2))
+    rig.forge(AddressClaimed(0), rig.address_of(0))
+    rig.run_for(500 * MS)
+    assert all(peer.due_at_us > rig.now_us for peer in rig.peers.values())
+
+
 def test_guessed_proofs_cost_little_and_prove_nothing(rig: KeyedRig) -> None:
     before, address = rig.witness_all(), rig.address_of(1)
     now = rig.peers[0].named.fleet_clock.time.at(rig.now_us)
