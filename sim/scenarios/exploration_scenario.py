@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from functools import cached_property
+from math import dist, hypot
 from pathlib import Path
 from typing import Literal
 
@@ -15,7 +16,7 @@ from agent.runtime.declared_values import XY, FieldTable, OrderTable, UnknownPla
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import Scenario, ScenarioError, load_kind
+from sim.scenarios.scenario import FleetTable, Scenario, ScenarioError, load_kind
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.world import World
@@ -32,6 +33,16 @@ class ArenaTable(UnknownPlaceTable):
     rays: int = Field(default=36, ge=4, le=720)
 
 
+class ArenaFleet(FleetTable):
+    """The robots of an arena, smaller and slower than those of a field."""
+
+    robots: int = Field(default=3, ge=1, le=108)
+    radius_m: float = Field(default=0.15, gt=0.05, le=5.0)
+    speed_m_s: float = Field(default=0.5, gt=0.05, le=12.7)
+    acceleration_m_s2: float = Field(default=1.0, gt=0.05, le=10.0)
+    silence: Literal["stop", "slow", "continue"] = "continue"
+
+
 class ExplorationScenario(Scenario):
     """A scenario file with `mission = "exploration"`."""
 
@@ -41,9 +52,15 @@ class ExplorationScenario(Scenario):
     order: list[OrderTable] = Field(default=[], max_length=ORDERS_MAX)
 
 
+class ExplorationFile(ExplorationScenario):
+    """A scenario file with `mission = "exploration"`, with the smaller robots of an arena as defaults."""
+
+    fleet: ArenaFleet = ArenaFleet()
+
+
 def load_arena(name: str) -> ExplorationScenario:
     """Load by file, or by the name of a shipped one."""
-    return load_kind(name, ExplorationScenario, ARENAS)
+    return load_kind(name, ExplorationFile, ARENAS)
 
 
 class ExplorationSetup(FleetSetup):
@@ -59,6 +76,7 @@ class ExplorationSetup(FleetSetup):
                 f"{scenario.name}: arena.starts: {len(table.starts)} places for "
                 f"{scenario.fleet.robots} robots"
             )
+        _check_starts(scenario)
         for number, order in enumerate(scenario.order):
             if not all(table.holds(*point) for point in order.points):
                 raise ScenarioError(
@@ -129,6 +147,29 @@ class ExplorationSetup(FleetSetup):
             scipy.ndimage.binary_dilation(home, iterations=reach + 2) & self.open
         )
         return found
+
+
+def _check_starts(scenario: ExplorationScenario) -> None:
+    """Raises ScenarioError where a robot would begin in a wall or in another robot."""
+    table, radius_m = scenario.arena, scenario.fleet.radius_m
+    half_w, half_h = table.width_m / 2 - radius_m, table.height_m / 2 - radius_m
+    starts = table.starts[: scenario.fleet.robots]
+    for number, (x, y) in enumerate(starts):
+        where = f"{scenario.name}: arena.starts: robot {number} at {x:g},{y:g}"
+        if abs(x) > half_w or abs(y) > half_h:
+            raise ScenarioError(
+                f"{where}: with its radius of {radius_m:g} m it is not inside of the arena, "
+                f"which reaches {table.width_m / 2:g} m east and west, {table.height_m / 2:g} m north and south"
+            )
+        for box in table.solid:
+            west, south, east, north = box
+            if hypot(max(west - x, x - east, 0), max(south - y, y - north, 0)) < radius_m:
+                raise ScenarioError(f"{where}: it touches the solid rectangle {list(box)}")
+        for other in range(number):
+            if dist(starts[other], (x, y)) < 2 * radius_m:
+                raise ScenarioError(
+                    f"{where}: it touches robot {other}; both have a radius of {radius_m:g} m"
+                )
 
 
 def _ring(box: Box) -> list[XY]:

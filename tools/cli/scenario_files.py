@@ -103,8 +103,10 @@ def check(names: list[str], as_json: bool) -> int:
             scenario = setup.scenario
             row |= {"ok": True, "robots": scenario.fleet.robots, "faults": len(scenario.fault)}
             if not as_json:
-                faults = f", {len(scenario.fault)} faults" if scenario.fault else ""
-                print(f"{name}: right: {row['kind']}, {scenario.fleet.robots} robots{faults}")
+                counts = [_count(scenario.fleet.robots, "robot")]
+                if scenario.fault:
+                    counts.append(_count(len(scenario.fault), "fault"))
+                print(f"{name}: right: {row['kind']}, {', '.join(counts)}")
         told.append(row)
     if as_json:
         print(dumps(told))
@@ -124,3 +126,7 @@ def setup_of(name: str) -> FleetSetup:
     return (
         setting_of(scenario) if isinstance(scenario, NavigationScenario) else FieldSetup(scenario)
     )
+
+
+def _count(number: int, what: str) -> str:
+    return f"{number} {what}" + "s" * (number != 1)

@@ -7,7 +7,7 @@ from typing import Any
 from pydantic import BaseModel
 
 from sim.scenarios.delivery_scenario import DeliveryFile
-from sim.scenarios.exploration_scenario import ExplorationScenario
+from sim.scenarios.exploration_scenario import ExplorationFile
 from sim.scenarios.navigation_scenario import NavigationScenario
 from sim.scenarios.scenario import Scenario
 
@@ -15,7 +15,7 @@ KINDS: tuple[type[Scenario], ...] = (
     Scenario,
     NavigationScenario,
     DeliveryFile,
-    ExplorationScenario,
+    ExplorationFile,
 )
 OWN = "folder"  # set by the reader, in no file
 # What a key means: by `table.key` where the same word means two things, else by the key.

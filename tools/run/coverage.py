@@ -149,6 +149,7 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
     """`headland run` of a .map or .mcpp: whole peers, without faults. Returns the exit code."""
     from sim.files.grid_map import GridFileError
     from sim.scenarios.scenario import ScenarioError
+    from tools.common.run_folder import FolderError, folder_for
     from tools.run.coverage_drive import driven, setting_of
     from tools.run.coverage_report import unreached
 
@@ -156,8 +157,8 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
         instance = _instance(map, robots, seed, (0, 0, 0.0), False)
         setting = setting_of(instance, seed, (), 0.0, "continue", 0.0)
         left = unreached(instance.walls, instance.starts)
-        return driven(setting, out, as_json, left, False)
-    except (GridFileError, ScenarioError, OSError) as error:
+        return driven(setting, folder_for(out, instance.name), as_json, left, False)
+    except (GridFileError, ScenarioError, FolderError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         return 2
 

@@ -16,7 +16,7 @@ from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
 from tools.common.result_table import fact_table
 from tools.run.coverage_report import closed_off
-from tools.run.run_mission import ProgressBar
+from tools.run.run_mission import ProgressBar, next_commands
 
 LIMIT_FACTOR = 4.0  # multiple of the least time of one robot alone, plus a minute
 SILENCE = ("stop", "slow", "continue")
@@ -109,6 +109,9 @@ def driven(
         print(dumps(report))
     else:
         _print(outcome)
+        if out is not None:
+            print(f"report.json, trace.jsonl and can.log are in {out}")
+            print(next_commands(out))
     closed = closed_off(cells_left, reachable_only)
     if closed:
         print(closed, file=sys.stderr)
@@ -117,6 +120,7 @@ def driven(
 
 def _print(outcome: CoverageOutcome) -> None:
     rows = {
+        "without a flaw": "yes" if outcome.success else "no",
         "makespan": f"{outcome.makespan_s:.1f} s = {outcome.makespan_s / STEP_S:.0f} steps",
         "over the lower bound": f"{outcome.ratio:.3f}",
         "uncovered": f"{outcome.uncovered}",
@@ -124,9 +128,9 @@ def _print(outcome: CoverageOutcome) -> None:
         "contacts, closest": f"{outcome.contacts}, {outcome.closest_m:.2f} m",
         "rounds of agreement": f"{outcome.rounds}",
         "sections done": f"{outcome.sections_done} of {outcome.sections}",
-        "replicas equal": f"{outcome.replicas_equal}",
+        "replicas": "equal" if outcome.replicas_equal else "differ",
         "bus load, worst stuffing": f"{outcome.bus_load_worst_case:.1%}",
         "frames": ", ".join(f"{n} {kind}" for kind, n in list(outcome.frames.items())[:5]),
-        "finished": f"{outcome.finished}",
+        "finished": "yes" if outcome.finished else "no",
     }
     Console().print(fact_table(f"{outcome.robots} peers on {outcome.map}", rows.items()))

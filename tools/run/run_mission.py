@@ -118,9 +118,9 @@ def run_mission(
 
 
 LOOKS = (
-    ("report {}", "one HTML page: tracks, sections, stops, bus load"),
-    ("map {}", "the run in a browser, to look through"),
-    ("inspect {}", "states, sections and who knew what"),
+    ("report {}", "one page: tracks, stops, bus load"),
+    ("map {}", "the run in a browser"),
+    ("inspect {}", "states, sections, who knew what"),
 )
 
 

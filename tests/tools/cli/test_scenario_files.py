@@ -5,6 +5,8 @@ from pathlib import Path
 
 import pytest
 
+from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
+from sim.scenarios.scenario import ScenarioError
 from sim.scenarios.scenario_kind import Kind, all_shipped, named
 from tests.tools.complaint import Complaints
 from tools.cli import scenario_files
@@ -68,3 +70,40 @@ def test_the_doctor_names_what_it_looked_at(capsys: pytest.CaptureFixture[str]) 
     found = {row["what"]: row["ok"] for row in told["findings"]}
     assert told["ready"] and found["Python"] and found["loopback"] and "headland[operator]" in found
     assert doctor(False) == 0 and "headland[operator]" in capsys.readouterr().out
+
+
+ARENA = """
+name = "mine"
+mission = "exploration"
+[arena]
+width_m = 6.0
+height_m = 4.0
+solid = [[-0.5, -0.5, 0.5, 0.5]]
+starts = {starts}
+[fleet]
+robots = 2
+"""
+
+
+@pytest.mark.parametrize(
+    ("starts", "told"),
+    [
+        ([[-2.0, 0.0], [0.6, 0.0]], "robot 1 at 0.6,0: it touches the solid rectangle"),
+        ([[-2.0, 0.0], [2.9, 0.0]], "robot 1 at 2.9,0: with its radius of 0.15 m it is not inside"),
+        ([[-2.0, 0.0], [-1.8, 0.0]], "robot 1 at -1.8,0: it touches robot 0"),
+        ([[-2.0, 0.0], [2.0, 0.0]], None),
+    ],
+)
+def test_a_start_in_a_wall_or_in_a_robot_is_told(
+    starts: list[list[float]], told: str | None, tmp_path: Path
+) -> None:
+    """The documented arena had robots of a field's size, which stood in each other and in the walls."""
+    (tmp_path / "mine.toml").write_text(ARENA.format(starts=starts))
+    scenario = load_arena(str(tmp_path / "mine.toml"))
+    assert scenario.fleet.radius_m == 0.15
+    if told is None:
+        assert len(ExplorationSetup(scenario).starts) == 2
+        return
+    with pytest.raises(ScenarioError, match=told) as found:
+        ExplorationSetup(scenario)
+    assert "\n" not in str(found.value)
