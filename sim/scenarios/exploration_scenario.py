@@ -159,7 +159,8 @@ def _check_starts(scenario: ExplorationScenario) -> None:
         if abs(x) > half_w or abs(y) > half_h:
             raise ScenarioError(
                 f"{where}: with its radius of {radius_m:g} m it is not inside of the arena, "
-                f"which reaches {table.width_m / 2:g} m east and west, {table.height_m / 2:g} m north and south"
+                f"which reaches {table.width_m / 2:g} m east and west, "
+                f"{table.height_m / 2:g} m north and south"
             )
         for box in table.solid:
             west, south, east, north = box
