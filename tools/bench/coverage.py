@@ -4,7 +4,6 @@ Instances come from the folder named by HEADLAND_DATA, else from `../shared/data
 `mcpp/instances/*.mcpp` and `fields/grids/*.map`. Where they are absent only random maps are measured.
 """
 
-import os
 from collections.abc import Iterator
 from pathlib import Path
 from statistics import fmean, median
@@ -24,9 +23,9 @@ from sim.runs.planned_coverage import Arrival, Death, work
 from sim.world.plan_judge import PlanScore, judge, lower_bound
 from tools.bench import coverage_fleet
 from tools.bench.figure import Figure
+from tools.bench.map_kinds import data_folder
 from tools.bench.voronoi_coverage import baseline
 
-ROOT = Path(__file__).parents[2]
 NAMED = ("floor_medium", "terrain_medium", "ht_chantry", "Shanghai2")
 FIELD_ROBOTS = 8
 TURN_COST = 0.5  # steps that a quarter turn costs in LS-MCPP
@@ -56,11 +55,6 @@ class PlannedRun(NamedTuple):
         """Collisions, swaps, steps into walls, and cells left: 0 for a plan that counts."""
         v = self.verdict
         return v.collisions + v.swaps + v.wall_entries + v.uncovered
-
-
-def data() -> Path:
-    """Folder of public maps: HEADLAND_DATA, else beside the repository. It need not exist."""
-    return Path(os.environ.get("HEADLAND_DATA", ROOT.parent / "shared" / "data"))
 
 
 def published(folder: Path) -> list[Instance]:
@@ -224,7 +218,7 @@ def planning(instances: list[Instance]) -> Iterator[Figure]:
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     """Makespans, turns, deaths and times of planning; with `quick` on fewer maps."""
     seeds = 1 if quick else 10
-    folder = data()
+    folder = data_folder()
     work(by_chance(1)[0])  # compiles
     runs, real = [run(i) for i in published(folder)], [run(i) for i in fields(folder)]
     chance = [run(instance) for instance in by_chance(seeds)]

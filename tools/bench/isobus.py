@@ -38,6 +38,15 @@ from sim.rigs.task_session_rig import task_session
 from sim.rigs.terminal_rig import killed_screens
 from tools.bench.cantools_judge import judge
 from tools.bench.figure import Figure
+from tools.bench.task_data import (
+    LIMIT_S,
+    QUICK_LIMIT_S,
+    READER,
+    ReaderAbsent,
+    exported,
+    kinds,
+    warnings_of,
+)
 from tools.common.child_process import module_command
 
 TOOL = 249  # an address
@@ -73,6 +82,35 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     with TemporaryDirectory() as folder:
         for kind in list(RUNS)[: 1 if quick else None]:
             yield _read_by_cantools(kind, Path(folder))
+        yield from _task_data(Path(folder) / "task data", quick)
+
+
+def _task_data(folder: Path, quick: bool) -> Iterator[Figure]:
+    """Task data of several makers, worked and written again."""
+    from importlib.metadata import version
+
+    written = []
+    for number, kind in enumerate(list(kinds(folder / "given"))[: 1 if quick else None]):
+        place = folder / f"{number}"
+        place.mkdir()
+        written.append(exported(kind, place, QUICK_LIMIT_S if quick else LIMIT_S))
+    wrong = [f"{one.kind}: {error}" for one in written for error in one.schema_errors]
+    scope = f"{len(written)} kinds: {'; '.join(one.kind for one in written)}"
+    yield Figure("errors of our task data by the schemas of V4.3", float(len(wrong)), "", "0", not wrong,
+                 f"models of isoxml {version('isoxml')}", f"{scope}. {'; '.join(wrong[:1])}")  # fmt: skip
+    if quick:
+        return  # npm takes most of a minute
+    try:
+        read = warnings_of([one.zipped for one in written], folder)
+    except ReaderAbsent as problem:
+        yield Figure(
+            "warnings of a reader of our task data", 0.0, "", "0", None, READER, f"{problem}"
+        )
+        return
+    said = [str(warning) for one in read for warning in one["warnings"]]
+    records = sum(one["records"] for one in read)
+    yield Figure("warnings of a reader of our task data", float(len(said)), "", "0", not said, READER,
+                 f"{scope}; {records} log records. {'; '.join(said[:1])}")  # fmt: skip
 
 
 def _joined(seed: int) -> tuple[Peer, int]:

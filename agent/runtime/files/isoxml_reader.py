@@ -218,16 +218,31 @@ def _parts(path: Path, name: str, polygons: list[Any]) -> Iterator[Polygon]:
     ]  # fmt: skip
     if alone and not outlined:
         raise FieldFileError(f"{path}: {name}: a boundary without an outline")
-    for boundary in outlined:
-        for part in _exteriors(path, name, boundary):
-            rest: BaseGeometry = part
-            try:
-                for obstacle in (*standing, *holes):
-                    rest = rest.difference(obstacle)
-            except GEOSException as problem:
-                raise FieldFileError(f"{path}: {name}: {problem}; repair the outline") from None
+    try:
+        for part in _nested([p for b in outlined for p in _exteriors(path, name, b)]):
+            rest = part
+            for obstacle in (*standing, *holes):
+                rest = rest.difference(obstacle)
             parts = getattr(rest, "geoms", [rest])
             yield from (p for p in parts if isinstance(p, Polygon) and not p.is_empty)
+    except GEOSException as problem:
+        raise FieldFileError(f"{path}: {name}: {problem}; repair the outline") from None
+
+
+def _nested(parts: list[Polygon]) -> list[BaseGeometry]:
+    """The parts of a field. An outline inside another one is a hole, as some terminals write it, and
+    one inside that hole is a part again. An outline that is there twice counts once.
+    """
+    order = sorted(range(len(parts)), key=lambda k: -parts[k].area)
+    found: dict[int, BaseGeometry] = {}
+    for k in order:
+        part = parts[k]
+        around = next((n for n, larger in found.items() if larger.covers(part)), None)
+        if around is None:
+            found[k] = part
+        elif not parts[around].equals(part):
+            found[around] = found[around].difference(part)
+    return [found[k] for k in sorted(found)]
 
 
 def _only_holes(polygon: Any) -> bool:

@@ -13,7 +13,7 @@ from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.isoxml_reader import read_isoxml
 
-DATA = Path(__file__).parents[4] / "shared/data/fields"
+DATA = Path(__file__).parents[5] / "shared/data/fields"
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data/fields is absent")
 HEAD = '<?xml version="1.0" encoding="utf-8"?>\n'
 SQUARE = ["52.0,5.0", "52.0,5.002", "52.002,5.002", "52.002,5.0"]
@@ -102,6 +102,16 @@ def test_a_field_in_two_parts_with_a_pond(tmp_path: Path) -> None:
     with pytest.raises(FieldFileError, match="2 fields; say which"):
         read_boundary(tmp_path)
     assert read_boundary(tmp_path, "Acre part 1").polygon.area > 25_000
+
+
+def test_an_outline_inside_another_is_a_hole_and_one_inside_that_a_part(tmp_path: Path) -> None:
+    """Issue 26: holes given as parts of their own. A repeated outline does not double the field."""
+    island = ["52.0006,5.0006", "52.0006,5.0009", "52.0009,5.0009", "52.0009,5.0006"]
+    write(tmp_path, task_data(partfield(polygon(line(HOLE)), polygon(line(SQUARE)))))
+    assert [len(rings) for rings in read_isoxml(tmp_path).values()] == [2]
+    parts = [polygon(line(ring)) for ring in (SQUARE, HOLE, island, SQUARE)]
+    write(tmp_path, task_data(partfield(*parts)))
+    assert [len(rings) for rings in read_isoxml(tmp_path).values()] == [2, 1]
 
 
 def test_the_encoding_mark_and_names_twice(tmp_path: Path) -> None:
