@@ -41,6 +41,8 @@ NAME_MAX = 32  # characters of a name in a DBC
 TOOL_ADDRESS: Final = 249  # preferred by the tools of operators
 ADDRESSES_MAX: Final = 32  # a DBC for more would have 20,000 frames
 CONVERTED = (".kcd", ".sym")
+# cantools reads ARXML and does not write it, and what canmatrix 1.3 writes cantools 45 refuses.
+UNWRITTEN = (".arxml", ".xml", ".cdd", ".xls", ".xlsx", ".ldf")
 
 
 class AddressesError(Exception):
@@ -84,6 +86,10 @@ def addresses_of(text: str) -> Sequence[int]:
 def dbc(out: Path | None, addresses: str | None = None) -> int:
     """Print the DBC, or write it to `out`. The exit code is 2 if that cannot be written."""
     try:
+        if out is not None and out.suffix.lower() in UNWRITTEN:
+            known = "cantools reads .arxml but does not write it; " if "arx" in out.suffix else ""
+            print(f"headland: {out}: {known}write .dbc, .kcd or .sym", file=sys.stderr)
+            return 2
         sym = out is not None and out.suffix.lower() == ".sym"
         text = to_dbc(addresses_of(addresses) if addresses else (), one_list=sym)
         if out is None:

@@ -262,6 +262,16 @@ def test_wrong_addresses_are_one_line(wrong: str, capsys: pytest.CaptureFixture[
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.parametrize("suffix", ["arxml", "XML", "xlsx"])
+def test_a_format_that_cannot_be_written_is_refused(
+    suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A DBC under another format's name would be a riddle for its reader."""
+    out = tmp_path / f"fleet.{suffix}"
+    assert dbc_command(out) == 2 and not out.exists()
+    assert "write .dbc, .kcd or .sym" in capsys.readouterr().err
+
+
 def test_no_dbc_extra_is_one_line(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
