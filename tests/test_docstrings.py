@@ -17,6 +17,7 @@ FLOORS = {
     "protocol/links": 100,
     "protocol/sync": 100,
     "agent/avoidance": 100,
+    "agent/claims": 100,
     "agent/coverage": 100,
     "agent/pathfinding": 100,
     "agent/delivery": 100,

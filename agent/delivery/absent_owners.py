@@ -1,18 +1,27 @@
-"""Whether an owner counts as gone: silent or stopped for longer than the lease.
+"""Whether an owner counts as gone: silent or stopped for longer than the lease, or it stands.
 
 A robot that is stopped, because it lost its memory or because a person stopped it, may stay so for
-hours. Tasks that it has not picked up yet are left to others; a parcel aboard stays with it.
+hours. So may one whose wheels do not turn. Tasks that it has not picked up yet are left to others; a
+parcel aboard stays with it.
 """
 
+from collections.abc import Sequence
+from functools import partial
+from typing import Final
+
+from agent.claims.standing_owners import STANDS, StandingOwners
 from agent.interface.config import LEASE_US
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 
+STAYS_M: Final = 1.0  # an owner that moves further than this does not stand
+
 
 class AbsentOwners:
-    """Since when each robot reports that it is stopped, and what follows for its tasks."""
+    """Since when each robot reports that it is stopped, or stands, and what follows for its tasks."""
 
     def __init__(self) -> None:
+        self._standing = StandingOwners(STAYS_M)
         self._stopped_at_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
 
     def observe(self, view: FleetView) -> None:
@@ -24,14 +33,27 @@ class AbsentOwners:
         }
         self._stopped_at_us = {slot: self._stopped_at_us.get(slot, view.now_us) for slot in stopped}
 
+    def watch(self, view: FleetView) -> None:
+        """Once each control period in which we may drive: which owners stand."""
+        self._standing.observe(view, partial(_units_done, view))
+
     def leaves(self, owner: int, task: int, view: FleetView) -> bool:
         """Whether others may take this task from its owner (a slot).
 
-        They may if the owner has been silent for `LEASE_US`, or if it has been stopped for
-        `LEASE_US` and has not picked the parcel up.
+        They may if the owner has been silent for `LEASE_US`. If it has not picked the parcel up, they
+        may also if it has been stopped for `LEASE_US`, or has stood for `STANDS_US`.
         """
         if owner not in view.live:
             return view.now_us - view.fell_silent_at_us.get(owner, -LEASE_US) >= LEASE_US
         picked_up = bool(view.progress.bits(task, 0) & 1)
         stopped_at_us = self._stopped_at_us.get(owner, view.now_us)
-        return not picked_up and view.now_us - stopped_at_us >= LEASE_US
+        gone = view.now_us - stopped_at_us >= LEASE_US or self._standing.stands(owner)
+        return not picked_up and gone
+
+    def why(self, owner: int) -> str:
+        """Why a task is taken from this owner, for the trace."""
+        return f"robot {owner} {STANDS}" if self._standing.stands(owner) else ""
+
+
+def _units_done(view: FleetView, sections: Sequence[int]) -> int:
+    return sum(view.progress.bits(section, 0).bit_count() for section in sections)

@@ -8,13 +8,14 @@ died is where that robot stands. The robot that takes the task over fetches it f
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from math import hypot
+from math import hypot, inf
 
 from agent.delivery.charging import ChargerState, Charging
 from agent.delivery.cost_matrix import FULL, Trip
 from agent.delivery.parcel_search import ParcelSearch
 from agent.delivery.reachability import Reachability
 from agent.delivery.task_allocation import Dispatched, TaskAllocation
+from agent.delivery.task_headway import TaskHeadway
 from agent.delivery.task_registry import TASKS_MAX, recalled_orders, stop_names
 from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import MS, S
@@ -37,6 +38,9 @@ IDLE_CHARGE = 0.5  # an idle robot charges below this
 HOME_US = 5 * S  # a robot idle for this long makes room
 # A robot within reach that gets no nearer by this much for this long handles the parcel from there.
 STALLED_US, NEARER_M = 1 * S, 0.05
+HELD_US = (
+    10 * S
+)  # a robot that a stop cause holds for longer takes no tasks; somebody who passes is gone
 MISSING_US = 3 * S  # after this time at a place without a parcel, the parcel counts as missing
 SHUN_US = 30 * S  # how long a dead bay, or a task whose parcel is not found, is left alone
 
@@ -76,6 +80,8 @@ class DeliveryMission(NavigationMission):
         self._told_aboard = -1  # the parcel whose pickup we have announced
         # Least distance within reach of the goal, and when.
         self._nearest: tuple[float, int] = (0.0, 0)
+        self.headway = TaskHeadway()
+        self._may_at_us = now_us  # when no stop cause held us
 
     @property
     def section_units(self) -> Mapping[int, int]:
@@ -95,8 +101,13 @@ class DeliveryMission(NavigationMission):
 
     def on_control_period(self, view: FleetView, state: State) -> None:
         self._load = view.here.load
+        if view.may_move:
+            self.dispatch.absence.watch(view)
         self.dispatch.left = round(view.here.battery * FULL)
-        able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING)
+        if view.may_move:
+            self._may_at_us = view.now_us
+        held = view.now_us - self._may_at_us > HELD_US
+        able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING) and not held
         self.dispatch.on_tick(view, able and not self._stranded(view))
         self.paths.work()
         super().on_control_period(view, state)
@@ -109,7 +120,7 @@ class DeliveryMission(NavigationMission):
             self.dispatch.cut = self.cut_off.sections
         charging = self.section is not None and self.section >= TASKS_MAX and self._handling_at_us
         busy = self.section is not None and not charging
-        still = self.cut_off.stands_still(at, busy, now_us)
+        still = self.cut_off.stands_still(at, busy, now_us) or self.headway.holds_back(at, now_us)
         return still or self._load in self.cut_off.sections
 
     def _goals(self, view: FleetView) -> dict[int, list[Point]]:
@@ -178,7 +189,7 @@ class DeliveryMission(NavigationMission):
         if owner is not None and owner != self.slot:
             if not self.dispatch.absence.leaves(owner, task, view) and self._load != task:
                 return None
-            return ClaimRequest(task, 0, takeover=True)
+            return ClaimRequest(task, 0, True, self.dispatch.absence.why(owner))
         return ClaimRequest(task, 0)
 
     def _waits(self, task: int, view: FleetView) -> bool:
@@ -288,6 +299,7 @@ class DeliveryMission(NavigationMission):
             return self._given_up(section, view)
         if self._short(section, view):
             self._through()
+            self.given_up_why = "charges first"
             return MotionRequest(0.0, 0.0, given_up=True)  # a parcel aboard stays aboard
         wish, arrived = self._drive(view)
         self._plan_ahead(section, view)
@@ -297,13 +309,30 @@ class DeliveryMission(NavigationMission):
         # Within reach it handles the parcel in a round as well, because the round ends some time.
         if not (arrived or self._beside(view)):
             self._handling_at_us = None
+            lost = self._without_headway(section, view)
+            if lost:
+                return self._given_up(section, view, lost)
             return wish._replace(near_end=self._near_end(section, view))
+        self.headway.handles()
         if self._handling_at_us is None:
             self._handling_at_us = view.now_us
             self.charging.begin(view.here.battery)
         if section >= TASKS_MAX:
             return self._at_bay(section, view)
         return self._handling(section, view)._replace(covered=wish.covered)
+
+    def _without_headway(self, section: int, view: FleetView) -> str:
+        """Why a section under way, whose parcel is not aboard, has to be given back; else empty."""
+        assert self.goal is not None
+        at, tracker = (view.here.x_m, view.here.y_m), self._tracker
+        bound = self.agreement.bound or tracker is None
+        left_m = inf if bound or tracker is None else tracker.total_m - tracker.along_m
+        self.headway.observe(at, self.goal, left_m, view.now_us)
+        if self._load == section or not self.headway.lost:
+            return ""
+        why = self.headway.lost
+        self.headway.gave_back(at, view.now_us)
+        return why
 
     def _hopeless(self, section: int) -> bool:
         """Whether a section cannot be reached, and its parcel is not aboard."""
@@ -386,7 +415,10 @@ class DeliveryMission(NavigationMission):
             return MotionRequest(0.0, 0.0)
         return self._given_up(task, view)
 
-    def _given_up(self, section: int, view: FleetView) -> MotionRequest:
+    def _given_up(
+        self, section: int, view: FleetView, why: str = "out of reach or missing"
+    ) -> MotionRequest:
+        self.given_up_why = why
         self._shun_ends_at_us[section] = view.now_us + SHUN_US
         self._through()
         return MotionRequest(0.0, 0.0, given_up=True)
@@ -398,6 +430,7 @@ class DeliveryMission(NavigationMission):
         if state is ChargerState.DEAD:  # leave the bay, it needs a repair
             bay = self.house.bay_of(section)
             self._shun_ends_at_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
+            self.given_up_why = "the bay does not charge"
         self._through()
         return MotionRequest(
             0.0, 0.0, finished=state is ChargerState.FULL, given_up=state is ChargerState.DEAD

@@ -11,6 +11,7 @@ from collections import Counter
 from collections.abc import Sequence
 from math import hypot
 
+from agent.claims.standing_owners import STANDS, StandingOwners
 from agent.exploration.exploration_task import (
     ORDERS_FIRST,
     ROBOTS_MAX,
@@ -28,7 +29,7 @@ from agent.exploration.frontier import (
     frontiers,
     wave_from,
 )
-from agent.exploration.frontier_path import TURN_ROUND, XY, FrontierPath
+from agent.exploration.frontier_path import STUCK_US, TURN_ROUND, XY, FrontierPath
 from agent.interface.config import LEASE_US, MS, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
@@ -44,6 +45,7 @@ CHECK_US = 500 * MS  # how often a robot checks that its target is still a front
 REASSIGN_US = 5 * S  # how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
 SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
+STAYS_M = 1.0  # a robot that moves further than this does not stand
 VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
 VIEW_MAX_M = 1.0
 
@@ -52,6 +54,8 @@ class ExplorationMission(Mission):
     """One robot's part in exploring: it maps, chooses frontiers, and carries out operators'
     orders.
     """
+
+    replans = True
 
     def __init__(
         self,
@@ -81,6 +85,7 @@ class ExplorationMission(Mission):
         self._shun_ends_at_us: dict[int, int] = {}
         self._choose_at_us = self._check_at_us = self._reassign_at_us = 0
         self._merged_at_us = 0
+        self.standing = StandingOwners(STAYS_M)
 
     @property
     def progress_percent(self) -> float:
@@ -90,6 +95,16 @@ class ExplorationMission(Mission):
     @property
     def remaining_path(self) -> Sequence[XY]:
         return self._way.rest
+
+    def on_control_period(self, view: FleetView, state: State) -> None:
+        """Each control period, in every state: which owners of frontiers stand."""
+        if view.may_move:
+            self.standing.observe(view, lambda sections: 0)  # a frontier has no units
+
+    def on_stalled(self, view: FleetView) -> None:
+        """Plan again from here, to the same station."""
+        if self._way.station is not None:
+            self._way.plan(view.here)
 
     # ---------------------------------------------------------------- seeing
 
@@ -132,13 +147,12 @@ class ExplorationMission(Mission):
         if best is None:
             return None
         self._aim(best, view)
-        held = view.allocation.phase_of(best.patch) is not Phase.FREE
-        return ClaimRequest(best.patch, self._bid(view), takeover=held)
+        return self._request(best.patch, view)
 
     def _order(self, view: FleetView) -> ClaimRequest | None:
-        """A claim of an order that no robot has, if we are the nearest free robot."""
+        """A claim of an order that no robot works, if we are the nearest free robot."""
         for section, order in self.orders.items():
-            if view.allocation.phase_of(section) is not Phase.FREE:
+            if not self._open(section, view) or view.allocation.owner_of(section) == view.slot:
                 continue
             x, y = order.points[0]
             mine_m = hypot(x - view.here.x_m, y - view.here.y_m)
@@ -149,8 +163,28 @@ class ExplorationMission(Mission):
             )
             if not nearer:
                 self._pursue(section, order, view)
-                return ClaimRequest(section, self._bid(view))
+                return self._request(section, view)
         return None
+
+    def _request(self, section: int, view: FleetView) -> ClaimRequest:
+        """A claim of what we have set out for; a takeover if another robot has it."""
+        owner = view.allocation.owner_of(section)
+        if owner is None:
+            return ClaimRequest(section, self._bid(view))
+        stands = self.standing.stands(owner)
+        self.standing.forget(owner)
+        why = f"robot {owner} {STANDS}" if stands else ""
+        return ClaimRequest(section, self._bid(view), takeover=True, why=why)
+
+    def _left(self, section: int, view: FleetView) -> bool:
+        """Whether the owner of a section is gone: silent for longer than the lease, or it stands."""
+        owner = view.allocation.owner_of(section)
+        if owner is None or owner == view.slot:
+            return owner is not None
+        silent_at_us = view.fell_silent_at_us.get(owner)
+        if silent_at_us is not None:
+            return view.now_us - silent_at_us >= LEASE_US
+        return self.standing.stands(owner)
 
     def _best(self, view: FleetView, current: int | None) -> Frontier | None:
         """The best frontier for us; None if there is none. `current`: the patch that we are on the
@@ -169,25 +203,18 @@ class ExplorationMission(Mission):
         return choosing.best(found, wave, rivals, current)
 
     def _open(self, patch: int, view: FleetView) -> bool:
-        """Whether a frontier is available: free, ours, or of a robot that is silent for longer than
-        the lease.
-        """
+        """Whether a frontier is available: free, ours, or of a robot that is gone or stands."""
         if view.now_us < self._shun_ends_at_us.get(patch, 0):
             return False
-        phase, owner = view.allocation.phase_of(patch), view.allocation.owner_of(patch)
-        if phase is Phase.DONE:
-            return False
-        if owner is None or owner == view.slot:
-            return True
-        silent_at_us = view.fell_silent_at_us.get(owner)
-        return silent_at_us is not None and view.now_us - silent_at_us >= LEASE_US
+        phase = view.allocation.phase_of(patch)
+        return phase is Phase.FREE or (phase is not Phase.DONE and self._left(patch, view))
 
     def _rivals(self, view: FleetView, passable: Grid, seen_by: Values) -> list[OtherExplorer]:
-        """Live robots, each with its ways and the cell that it has claimed."""
+        """Live robots that get on, each with its ways and the cell that it has claimed."""
         rivals = []
         for slot in sorted(view.live - {view.slot}):
             neighbour = view.neighbours.get(slot)
-            if neighbour is None or neighbour.pose.stopped:
+            if neighbour is None or neighbour.pose.stopped or self.standing.stands(slot):
                 continue
             at = self._way.cell((neighbour.pose.x_m, neighbour.pose.y_m))
             claimed = [s for s in view.allocation.assigned_sections(slot) if s < ORDERS_FIRST]
@@ -331,7 +358,9 @@ class ExplorationMission(Mission):
     def _check(self, view: FleetView) -> Status | None:
         """The status with which the current task must be released; None: keep it."""
         assert self.task is not None
+        self.given_up_why = "seen, or a better one found"
         if self._way.stuck(view.now_us):
+            self.given_up_why = f"no headway for {STUCK_US // S} s"
             self._shun_ends_at_us[self.task.section] = view.now_us + SHUNNED_US
             return Status.FAILED
         if (not self._way.rest and not self._way.arrived_at_us) or self._way.blocked:

@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from math import copysign, hypot, inf, sqrt
 from typing import Final
 
+from agent.claims.claim_headway import NO_HEADWAY, Headway
 from agent.field.displacement_detector import DisplacementDetector
 from agent.field.field_map import Field, Section
 from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
@@ -16,7 +17,6 @@ from agent.field.parking import Parking
 from agent.field.section_choice import SectionChooser
 from agent.field.section_partition import Point
 from agent.field.travel_times import TravelTimes
-from agent.field.work_headway import Headway
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
@@ -219,6 +219,7 @@ class FieldMission(Mission):
             self.headway.begin()
             self._go_round(view)
         elif self.headway.lost:
+            self.given_up_why = NO_HEADWAY
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
             self.abandon()
             return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
@@ -269,6 +270,7 @@ class FieldMission(Mission):
     def _leave_rest(self, wish: MotionRequest, covered: list[int]) -> MotionRequest:
         """Give the section back with the units that were missed."""
         self.abandon()
+        self.given_up_why = "the rest is far back"
         return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
 
     @property

@@ -10,11 +10,12 @@ from functools import partial
 from math import cos, hypot, sin
 from typing import Final
 
+from agent.claims.standing_owners import STANDS, StandingOwners
 from agent.field.field_map import Field
 from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot
 from agent.field.section_partition import Point, SectionJob, shares
 from agent.field.travel_times import Remainder, TravelTimes
-from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
+from agent.interface.config import LEASE_US, S
 from agent.interface.mission import ClaimRequest, FleetView
 from crdt import Phase
 
@@ -23,10 +24,8 @@ from crdt import Phase
 UNTAKEN_US: Final = 5 * S
 AGAIN_US: Final = 20 * S  # a section that we gave back is left to others first; doubled each time
 AGAIN_TIMES: Final = 5  # doublings at most, to ten minutes: 255 hand-overs last for two days
-STANDS_US: Final = 60 * S  # a live owner that stands still keeps its sections this long: 3 leases
 STAYS_M: Final = 4.0  # an owner that moves further than this does not stand still
 AGAIN_PLAN_US: Final = 1 * S  # a robot without a section plans again this often
-FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap does not count: we were not free to choose
 
 
 class SectionChooser:
@@ -47,9 +46,7 @@ class SectionChooser:
         self._left = -1, 0
         # Sections that we gave back: until when others have them, how often, and units done.
         self._gave: dict[int, tuple[int, int, int]] = {}
-        # Live owners: position, units done, and for how long they have stood there.
-        self._stands: dict[int, tuple[Point, int, int]] = {}
-        self._asked_at_us = 0
+        self.standing = StandingOwners(STAYS_M)
         self._entry = (
             -1,
             0,
@@ -65,7 +62,7 @@ class SectionChooser:
         """
         self._reserve(view)
         taken = {s for sections in self.reserved.values() for s in sections}
-        self._watch(view)
+        self.standing.observe(view, partial(_units_done, view))
         free = [
             job
             for job in self._jobs(view)
@@ -235,11 +232,12 @@ class SectionChooser:
                     return self._bid(view, self._job(view, section))
             for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
                 return self._bid(view, self._job(view, section))._replace(takeover=True)
-        for slot, (_, _, stood_for_us) in sorted(self._stands.items()):
+        for slot in self.standing.standing():
             for section in view.allocation.assigned_sections(slot):
-                if stood_for_us >= STANDS_US and not self._left_to_others(section, view):
-                    del self._stands[slot]
-                    return self._bid(view, self._job(view, section))._replace(takeover=True)
+                if not self._left_to_others(section, view):
+                    self.standing.forget(slot)
+                    bid = self._bid(view, self._job(view, section))
+                    return bid._replace(takeover=True, why=f"robot {slot} {STANDS}")
         return None
 
     def gave_back(self, section: int, units: int, now_us: int) -> None:
@@ -255,26 +253,6 @@ class SectionChooser:
         end_at_us, _, units = self._gave.get(section, (0, 0, 0))
         return view.now_us < end_at_us and view.progress.covered(section) <= units
 
-    def _watch(self, view: FleetView) -> None:
-        """Measure how long live owners have stood still without completing a unit.
-
-        Only time in which we were free to choose counts, because a fleet stop halts all robots.
-        """
-        passed_for_us, self._asked_at_us = view.now_us - self._asked_at_us, view.now_us
-        seen: dict[int, tuple[Point, int, int]] = {}
-        for slot in view.live - {view.slot}:
-            neighbour, owned = view.neighbours.get(slot), view.allocation.assigned_sections(slot)
-            if neighbour is None or not owned:
-                continue
-            at = neighbour.pose.x_m, neighbour.pose.y_m
-            units = sum(view.progress.covered(section) for section in owned)
-            was, had, stood_for_us = self._stands.get(slot, (at, units, 0))
-            if had != units or hypot(at[0] - was[0], at[1] - was[1]) > STAYS_M:
-                was, stood_for_us = at, 0
-            stood_for_us += passed_for_us if passed_for_us <= FORGET_US else 0
-            seen[slot] = was, units, stood_for_us
-        self._stands = seen
-
     def _job(self, view: FleetView, section: int) -> SectionJob:
         return SectionJob(section, 0.0, self.field.section(section).ends)
 
@@ -285,6 +263,10 @@ class SectionChooser:
         while bid < 31 and way_m > 1.25**bid:
             bid += 1
         return ClaimRequest(job.section, bid)
+
+
+def _units_done(view: FleetView, sections: Sequence[int]) -> int:
+    return sum(view.progress.covered(section) for section in sections)
 
 
 def _apart_m(a: Point, b: Point) -> float:

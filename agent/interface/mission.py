@@ -41,7 +41,8 @@ class ClaimRequest(NamedTuple):
 
     section: int
     bid: int  # 0 to 31, the private cost of reaching it; less is better
-    takeover: bool = False  # the owner is silent and its lease is over
+    takeover: bool = False  # the owner is silent and its lease is over, or it stands
+    why: str = ""  # of a takeover, for the trace
 
 
 class MotionRequest(NamedTuple):
@@ -86,6 +87,7 @@ class Mission(ABC):
     # asks for no more than the clearances do.
     position_accuracy_max_m = inf
     replans = False  # `on_stalled` finds another path; False: no watchdog looks for stalls
+    given_up_why = ""  # why the last section was given up, for the trace
 
     @property
     def at_work(self) -> bool:

@@ -70,6 +70,7 @@ class FollowedPath(NamedTuple):
 class NavigationMission(Mission):
     """One robot's part in driving through a building. Places are (x, y) metres."""
 
+    replans = True
     passes = True  # passing a goal counts as reaching it; missions that must stop there set False
 
     def __init__(
@@ -182,6 +183,13 @@ class NavigationMission(Mission):
     def abandon(self) -> None:
         self.goal, self._tracker = None, None
 
+    def on_stalled(self, view: FleetView) -> None:
+        """Plan again from here. A robot without others near does so by its own rule
+        (`_stalled_alone`), and in a round the joint plan is the path.
+        """
+        if not self.agreement.bound and self._near(view):
+            self._tracker = None
+
     def on_control_period(self, view: FleetView, state: State) -> None:
         """Each control period, in every state: our part in a round."""
         here = view.here
@@ -201,7 +209,8 @@ class NavigationMission(Mission):
             self._alone_at_us = view.now_us
         if view.now_us - self._alone_at_us > ACQUAINTED_US:
             self.hazards.observe(here, reach_m, around, view.now_us, dead)
-        stopped = state is State.EMERGENCY_STOP
+        # A robot that may not drive makes no way for others: they plan round it.
+        stopped = state is State.EMERGENCY_STOP or not view.may_move
         answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer
         self.agreement.on_tick(
             (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,

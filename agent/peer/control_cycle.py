@@ -166,5 +166,5 @@ class ControlCycle(Part):
             outputs += self.work.finish(section, view.now_us)
         elif wish.given_up:
             outputs += self.progress.flush(view.now_us)
-            outputs += self.work.release(section, view.now_us)
+            outputs += self.work.release(section, view.now_us, mission.given_up_why)
         return wish, outputs

@@ -90,12 +90,14 @@ class SectionWork(Part):
         if self.lifecycle.state not in (IDLE, WORKING) or not self.may_claim(request.section):
             return NOTHING
         key = self.claims.claim(request, now_us)
-        return NOTHING if key is None else self._announce(request.section, key, "claim", now_us)
+        if key is None:
+            return NOTHING
+        return self._announce(request.section, key, "claim", now_us, request.why)
 
-    def release(self, section: int, now_us: int) -> Outputs:
-        """Give a section back, unfinished."""
+    def release(self, section: int, now_us: int, why: str = "") -> Outputs:
+        """Give a section back, unfinished. `why`: for the trace."""
         key = self.claims.drop(section)
-        outputs = [] if key is None else [*self._announce(section, key, "release", now_us)]
+        outputs = [] if key is None else [*self._announce(section, key, "release", now_us, why)]
         return [*outputs, *self._idle_if_free("released")]
 
     def finish(self, section: int, now_us: int) -> Outputs:
@@ -143,7 +145,7 @@ class SectionWork(Part):
             outputs += self._idle_if_free(f"lost S{section}")
         return outputs
 
-    def _announce(self, section: int, key: int, what: str, now_us: int) -> Outputs:
+    def _announce(self, section: int, key: int, what: str, now_us: int, why: str = "") -> Outputs:
         """Announce an operation of our own: count it, persist it, then send it."""
         clock, slot = self.clock, self.claims.slot
         clock.increment(slot)
@@ -156,7 +158,7 @@ class SectionWork(Part):
             *(Persist(*r) for r in DurableRecords.operation(clock[slot], section, key)),
             Send(message),
             Trace("claim", f"S{section}", what.upper(), Phase(claim.phase).name,
-                  f"epoch {claim.epoch}"),
+                  f"epoch {claim.epoch}, {why}" if why else f"epoch {claim.epoch}"),
         ]  # fmt: skip
 
     def _idle_if_free(self, why: str) -> Outputs:

@@ -32,8 +32,8 @@ from protocol.frames.fleet_frames import NOWHERE_M
 AGE_MAX_US: Final = 2 * CONTROL_PERIOD_US
 STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
 STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
-FROZEN_M: Final = 0.1  # expected travel without a change of place, over two periods at least
-FOLLOWS: Final = 0.1  # share of the expected travel; a hung filter may still drift
+FROZEN_M: Final = 0.1  # expected displacement without a change of place, over two periods at least
+FOLLOWS: Final = 0.1  # share of the expected displacement; a hung filter may still drift
 TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not frozen with the place
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 ACCELERATION_SHARE: Final = 0.5
@@ -100,6 +100,9 @@ class Senses(Part):
         self._periods = 0  # observations since the anchor
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
+        # The displacement expected since then, (x, y) metres. Small commands to and fro, as of a robot
+        # that waits before another one, lead nowhere.
+        self._expected: tuple[float, float] = (0.0, 0.0)
         self._told_rad = 0.0  # sum of the turns commanded since the anchor
         self._unseen = NOTHING_UNSEEN  # when the place was frozen, until it changes
         self._accurate: Observation | None = None  # the last observation with an accurate place
@@ -287,23 +290,27 @@ class Senses(Part):
         away_m = 0.0
         if anchor is not None:
             away_m = hypot(here.x_m - anchor.x_m, here.y_m - anchor.y_m)
-        self._changed = away_m > max(STAYS_M, FOLLOWS * self._expected_m)
+        self._changed = away_m > max(STAYS_M, FOLLOWS * hypot(*self._expected))
         if anchor is None or self._changed:
             passed_for_us = sensed_at_us - self._anchor_at_us
             self._expected_m_s = away_m * S / passed_for_us if passed_for_us > 0 else 0.0
             self._anchor, self._anchor_at_us = here, sensed_at_us
             self._periods, self._expected_m, self._told_rad = 0, 0.0, 0.0
+            self._expected = (0.0, 0.0)
             return ""
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         # After the lifetime of the command it is void.
         passed_for_s = min(max(sensed_at_us - start_at_us, 0), ACTUATOR_TTL_US) / S
-        told_m_s = self._told_m_s(here, anchor)
+        (ux, uy), told_m_s = self._told(here, anchor)
         faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_for_s
         self._expected_m_s = min(told_m_s, faster_m_s)
-        self._expected_m += self._expected_m_s * passed_for_s
+        step_m = self._expected_m_s * passed_for_s
+        self._expected_m += step_m
+        self._expected = self._expected[0] + step_m * ux, self._expected[1] + step_m * uy
         self._told_rad += abs(self._drive.turn_rad_s) * passed_for_s
         self._periods += 1
-        if self._expected_m < FROZEN_M or self._periods < 2:
+        expected_m = hypot(*self._expected)
+        if expected_m < FROZEN_M or self._periods < 2:
             return ""
         # A body with the acceleration of its limits is faster than expected by this.
         self._unseen = Unseen(
@@ -311,17 +318,20 @@ class Senses(Part):
             self._expected_m_s / ACCELERATION_SHARE,
             self._told_rad,
         )
-        return f"told to drive {self._expected_m:.2f} m, moved {away_m * 1000:.0f} mm"
+        return f"told to drive {expected_m:.2f} m, moved {away_m * 1000:.0f} mm"
 
-    def _told_m_s(self, here: Observation, anchor: Observation) -> float:
-        """The commanded speed of the wheels.
+    def _told(self, here: Observation, anchor: Observation) -> tuple[tuple[float, float], float]:
+        """The commanded motion of the wheels: its direction, a unit vector or (0, 0), and its speed.
 
         A steered body drives along its heading only, so while it turns only that component counts."""
         vx_m_s, vy_m_s = self._drive.vx_m_s, self._drive.vy_m_s
         if abs(remainder(here.heading_rad - anchor.heading_rad, 2 * pi)) <= TURNED_RAD:
-            return hypot(vx_m_s, vy_m_s)
-        ahead_m_s = vx_m_s * cos(here.heading_rad) + vy_m_s * sin(here.heading_rad)
-        return max(ahead_m_s, 0.0)
+            speed_m_s = hypot(vx_m_s, vy_m_s)
+            if speed_m_s == 0.0:
+                return (0.0, 0.0), 0.0
+            return (vx_m_s / speed_m_s, vy_m_s / speed_m_s), speed_m_s
+        ahead = cos(here.heading_rad), sin(here.heading_rad)
+        return ahead, max(vx_m_s * ahead[0] + vy_m_s * ahead[1], 0.0)
 
     @property
     def _acceleration_m_s2(self) -> float:

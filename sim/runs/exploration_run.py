@@ -139,8 +139,8 @@ class ExplorationFleet(Cluster):
 
     @property
     def finished(self) -> bool:
-        """Whether no running robot has a task, or sees a frontier that it could reach."""
-        running = self.running
+        """Whether no robot that may drive has a task, or sees a frontier that it could reach."""
+        running = [robot for robot in self.running if robot.peer.safety.may_move]
         return bool(running) and all(
             robot.peer.mission is not None
             and self.missions[robot.slot].over

@@ -168,6 +168,21 @@ def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> No
         assert not robot.held
 
 
+@pytest.mark.parametrize(("to_m_s", "fro_m_s", "held"), [(0.02, -0.02, False), (0.02, 0.02, True)])
+def test_commands_to_and_fro_do_not_tell_that_the_place_is_frozen(
+    to_m_s: float, fro_m_s: float, held: bool
+) -> None:
+    """A carrier that waited before a broken-down one was told to creep to and fro by a millimetre. After
+    30 s the sum of these ways passed for travel that its place had not followed."""
+    robot = Robot()
+    for period in range(1_000):
+        robot.told = HALT
+        robot.period()
+        creep_m_s = to_m_s if period % 2 else fro_m_s
+        robot.peer.senses.drove(robot.told._replace(vx_m_s=creep_m_s, vy_m_s=0.0))
+    assert (StopCause.PLACE_FROZEN in robot.held) is held
+
+
 def test_item_3_a_beat_without_a_place_leaves_the_last_one_and_makes_it_uncertain() -> None:
     """The others keep its way clear as that of a silent one, and count it as alive."""
     peer = peer_in(State.WORKING, None)

@@ -1,7 +1,8 @@
 """Who wants to drive and gets nowhere plans again, says so, and gives back what it gets nowhere with."""
 
-from agent.field.section_choice import AGAIN_US, STANDS_US, SectionChooser
-from agent.field.work_headway import Headway
+from agent.claims.claim_headway import Headway
+from agent.claims.standing_owners import STANDS_US
+from agent.field.section_choice import AGAIN_US, SectionChooser
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView

@@ -5,21 +5,24 @@ from typing import Any
 
 import pytest
 
+from agent.claims.standing_owners import STANDS_US
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_allocation import round_tasks_max
 from agent.delivery.task_outcome import TaskPhase, outcome_of
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import ADDRESS_FIRST, S
+from agent.interface.effects import Effect, Trace
 from crdt import Phase
 from protocol.frames.codec import decode_once
 from protocol.frames.delivery_frames import PlanRow, TaskBookDigest, TaskOrder
 from protocol.frames.frame import Frame
 from sim.fleet.simulated_disk import MemoryJournal
+from sim.fleet.trace_recorder import Recorder
 from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import DeliveryScenario, Outage, TaskRow
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.fleet_setup import DRAWN
-from sim.scenarios.scenario import Crash, Heal, Loss, Partition, Restart
+from sim.scenarios.scenario import Crash, DeafWheels, Heal, Loss, Partition, Restart
 from tests.agent.planning import short_search
 from tools.inspect.inspector import Inspector
 from tools.run.run_delivery import UNREACHABLE, exit_code
@@ -52,9 +55,11 @@ def scenario(
     })  # fmt: skip
 
 
-def play(given: DeliveryScenario, watch: Any = None) -> tuple[DeliveryOutcome, DeliveryRun]:
+def play(
+    given: DeliveryScenario, watch: Any = None, recorder: Recorder | None = None
+) -> tuple[DeliveryOutcome, DeliveryRun]:
     run = DeliveryRun(DeliverySetup(given))
-    run.watch = watch
+    run.watch, run.recorder = watch, recorder
     outcome = run.run()
     print(outcome)
     assert outcome.flaws == NOTHING
@@ -197,6 +202,43 @@ def test_what_a_stopped_robot_has_not_picked_up_is_left_to_others() -> None:
     outcome, _ = play(scenario(), forgetful)
     assert forgetful.slot is not None
     assert outcome.finished
+
+
+class Claims(Recorder):
+    """Why sections were claimed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.claimed: list[str] = []
+
+    def __call__(self, slot: int, now_us: int, effect: Effect) -> None:
+        super().__call__(slot, now_us, effect)
+        if isinstance(effect, Trace) and effect.event == "CLAIM":
+            self.claimed.append(effect.why)
+
+
+def deaf(robot: int, at_s: float) -> DeafWheels:
+    return DeafWheels(at_s=at_s, kind="deaf_wheels", robot=robot, for_s=1_000.0)
+
+
+def test_i24_a_live_robot_that_stands_loses_the_task_that_it_has_not_picked_up() -> None:
+    """Its wheels get no command, so it stands. It is live, so no lease ends: its task lay for good."""
+    recorder = Claims()
+    outcome, _ = play(scenario(faults=[deaf(0, 30.0)]), recorder=recorder)
+    assert outcome.finished and outcome.delivered == 6
+    assert outcome.makespan_s < 30.0 + 1.5 * STANDS_US / S
+    assert [why for why in recorder.claimed if "robot 0 stands for 60 s" in why]
+
+
+@pytest.mark.parametrize("at_s", [20.0, 30.0])
+def test_i24_a_robot_that_broke_down_is_gone_round_and_its_plan_is_given_to_others(
+    at_s: float,
+) -> None:
+    """20 s: the task was in the itinerary of a robot that could not begin it, and stayed there. 30 s:
+    it said in 36 rounds that it would make way, which it could not, and the other gave up after 30 s."""
+    outcome, _ = play(scenario(faults=[deaf(1, at_s)]))
+    assert outcome.finished and outcome.delivered == 6
+    assert outcome.makespan_s < 90.0
 
 
 def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:

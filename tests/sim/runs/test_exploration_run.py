@@ -4,10 +4,22 @@ from functools import cache
 
 import pytest
 
+from agent.claims.standing_owners import STANDS_US
 from agent.exploration.exploration_task import ExplorationOrder, FleetFullError, TaskKind
+from agent.interface.config import S
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun, Sharing
 from sim.scenarios.exploration_scenario import load_arena
-from sim.scenarios.scenario import Crash, Heal, Join, Loss, Partition, Reset, Restart, ScenarioError
+from sim.scenarios.scenario import (
+    Crash,
+    DeafWheels,
+    Heal,
+    Join,
+    Loss,
+    Partition,
+    Reset,
+    Restart,
+    ScenarioError,
+)
 
 
 def play(robots: int, seed: int, *faults: object, name: str = "arena") -> ExplorationOutcome:
@@ -42,6 +54,13 @@ def test_a_robot_that_dies_is_not_missed_for_long() -> None:
     outcome = play(3, 2, Crash(at_s=5.0, kind="crash", robot=1))
     assert outcome.finished and outcome.contacts == 0 and outcome.maps_equal, outcome
     assert outcome.explored >= 0.97, outcome  # its body stands on some of it
+
+
+def test_i24_a_robot_that_stands_does_not_keep_its_frontier() -> None:
+    """Its wheels get no command. Its frontier stayed its own, and the others waited for it for good."""
+    outcome = play(3, 1, DeafWheels(at_s=9.0, kind="deaf_wheels", robot=1, for_s=1_000.0))
+    assert outcome.finished and outcome.explored > 0.99, outcome
+    assert outcome.time_s < 9.0 + 1.5 * STANDS_US / S
 
 
 @pytest.mark.parametrize("disk", ["kept", "lost"])

@@ -22,14 +22,16 @@ class Headway:
     ROUNDS: Final = 3
     LESS_M: Final = 1.0  # decrease of the remaining distance that counts as progress
 
-    def __init__(self) -> None:
+    def __init__(self, lost_after_for_us: int = NONE_US) -> None:
+        """`lost_after_for_us`: the limit, if this mission has another one."""
+        self.lost_after_for_us = lost_after_for_us
         self._left_m = float("inf")
         self._idle_for_us = self._asked_at_us = self._planned_for_us = self._rounds = 0
 
     @property
     def lost(self) -> bool:
         """Whether the section has to be released."""
-        return self._idle_for_us >= self.NONE_US
+        return self._idle_for_us >= self.lost_after_for_us
 
     def begin(self) -> None:
         """Work on another section begins."""
@@ -59,3 +61,6 @@ class Headway:
             return False
         self._planned_for_us = self._idle_for_us
         return True
+
+
+NO_HEADWAY: Final = f"no headway for {Headway.NONE_US // S} s"  # for the trace
