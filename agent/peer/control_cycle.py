@@ -97,7 +97,6 @@ class ControlCycle(Part):
         if off and wanted.tool_on:
             wanted = wanted._replace(tool_on=False)
         drive = self.safety.gate(wanted, now_us)
-        self.senses.drove(drive)
         if drive.tool_on is not self._down:
             self._down = drive.tool_on
             outputs.append(notices.ImplementLowered(drive.tool_on))
@@ -107,7 +106,9 @@ class ControlCycle(Part):
         """A command to the body: ours, or of a part that brakes between two control periods.
 
         The mission learns in the next period that the implement was up, so a stop waits for no mission.
+        The senses learn it too: a body that a brake stopped early has no frozen place.
         """
+        self.senses.drove(drive)
         self._raised = self._raised or not drive.tool_on
 
     def _watch(self, mission: Mission, view: FleetView) -> Outputs:

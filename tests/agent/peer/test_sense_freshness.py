@@ -13,7 +13,7 @@ from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
+from agent.peer.inputs import BusState, Heard, Hold, Sensed, Start, Timer
 from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US, Senses
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
@@ -137,6 +137,14 @@ def test_item_3_a_frozen_place_stops_a_robot_that_begins_to_drive() -> None:
     robot.periods(100)
     assert robot.held == {StopCause.PLACE_FROZEN}
     assert FROZEN_M < robot.x_m < 0.6, "and it does not try again by itself"
+
+
+def test_a_brake_between_two_periods_is_no_frozen_place() -> None:
+    robot = driving()
+    effects = robot.peer.step(Hold(), robot.now_us)
+    assert HALT in effects, "the command of this period is void at once"
+    robot.told, robot.v_m_s = HALT, 0.0
+    assert not robot.periods(5).held
 
 
 def test_item_3_a_place_that_changes_ends_it_and_so_does_an_operators_start() -> None:
