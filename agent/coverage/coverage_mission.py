@@ -44,6 +44,9 @@ WAIT_US = 1 * S  # wait there before the next try; both times are random, up to 
 STUCK_US = 4 * S  # after this a body in the way counts as an obstacle outside our plan
 TELL_US = 20 * MS  # by rank: one robot announces a dead robot's cells, and the others overhear it
 AHEAD = 60  # steps searched ahead for cells of a section: longer than there and back again
+# Between two cells for this long in a round: it cannot go on, and the cell behind it is taken. Going
+# back takes less than 2 s with its waits; the others call the next round after 5 s.
+STRANDED_US = 3 * S
 LEFT_US = 1 * S  # between searches for covered sections that no robot has marked as done
 # Not allowed to drive for this long: exceeds a protective stop or a sync (2 s each).
 HELD_US = 5 * S
@@ -75,6 +78,7 @@ class GridWork(Mission):
         self._strayed_at_us = 0  # since when we have not reached a cell that we may enter
         self._wait_ends_at_us = 0  # we stand until then
         self._cut_off_at_us = 0
+        self._stranded = False  # between two cells, until the one behind is free
         self._last = (0.0, 0.0)
 
     @property
@@ -87,7 +91,9 @@ class GridWork(Mission):
         rounds = self.agreement
         if rounds.phase is not AgreementPhase.GO or rounds.course is None or rounds.later:
             return False
-        return rounds.me == NONE or not rounds.course.reaches(self._step + 1)
+        if rounds.me == NONE:
+            return not rounds.stranded  # from between two cells it comes back, and calls a round
+        return not rounds.course.reaches(self._step + 1)
 
     # ---------------------------------------------------------------- each control period
 
@@ -109,19 +115,30 @@ class GridWork(Mission):
             self._tell_of_silent(view)
         self._at_once = gathering
         free = state in ABLE and now_us - self._asked_at_us < HELD_US
-        answer = AgreementReply.GRANT if free else AgreementReply.STOPPED
+        number = self._standing(view, free, gathering)
+        answer = AgreementReply.BUSY if self._stranded else AgreementReply.GRANT
+        if not free:
+            answer = AgreementReply.STOPPED
         crew = FleetSnapshot(view.live, view.fell_silent_at_us, view.progress)
-        rounds.on_tick(self._standing(view, free), answer, not self._told, crew, now_us)
+        rounds.on_tick(number, answer, not self._told, crew, now_us)
         self._note_holding(view)
         self._wish = self._drive(view)
         self._asked = False
 
-    def _standing(self, view: FleetView, free: bool) -> int:
-        """The cell that we are in the middle of; a robot that cannot move counts as in its cell."""
+    def _standing(self, view: FleetView, free: bool, gathering: bool) -> int:
+        """The cell that we are in the middle of; a robot that cannot move counts as in its cell.
+
+        A robot behind a wreck may stand between that cell and the one it left, which the next robot
+        has entered. It counts as in the nearer cell, and goes back when the other has gone.
+        """
         here = view.here
-        if not free:
-            return self.ground.at(here.x_m, here.y_m)
         near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
+        if self._from == self._to and near:
+            self._stranded = False
+        elif gathering and view.now_us - self.agreement.begun_at_us > STRANDED_US:
+            self._stranded = True
+        if not free or self._stranded:
+            return self.ground.at(here.x_m, here.y_m)
         return self._from if self._from == self._to and near else NONE
 
     def covered_units(self) -> CoveredUnits:

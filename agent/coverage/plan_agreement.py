@@ -187,6 +187,12 @@ class CoverageAgreement:
         """Whether an agreed plan is being driven and we have a part in it."""
         return self.phase is GO and self.me != NONE
 
+    @property
+    def stranded(self) -> bool:
+        """Whether the plan counts us as between two cells."""
+        own = self._used.get(self.slot)
+        return own is not None and own.answer is AgreementReply.BUSY
+
     def reached(self, robot: int) -> int:
         """The number of the step that a robot of the plan has announced, by its index in the plan;
         0: the start."""
@@ -308,8 +314,9 @@ class CoverageAgreement:
             return
         if not self._is_equal(places.values()):
             return  # the sync makes them equal
-        numbers = [place.number for place in places.values()]
-        if len(set(numbers)) < len(numbers):
+        movers = [p.number for p in places.values() if p.answer is AgreementReply.GRANT]
+        stand = {p.number for p in places.values() if p.answer is not AgreementReply.GRANT}
+        if len(set(movers)) < len(movers) or not stand.isdisjoint(movers):
             return  # one place is outdated; its robot will announce another
         self._used = places
         self._compute(crew, now_us)

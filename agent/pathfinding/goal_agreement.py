@@ -8,10 +8,11 @@ last command expired, and the others plan round it.
 
 from collections.abc import Iterable
 
-from agent.coverage.cell_map import CellMap
+from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.plan_agreement import CellPlace, CoverageAgreement, FleetSnapshot
-from agent.pathfinding.goal_course import GoalInputs, course_to_goals
+from agent.pathfinding.goal_course import GoalInputs, course_to_goals, neighbours
 from crdt.progress import Progress
+from protocol.frames.agreement_frames import AgreementReply
 
 
 class GoalAgreement(CoverageAgreement):
@@ -35,11 +36,19 @@ class GoalAgreement(CoverageAgreement):
         slots = tuple(sorted(movers))
         inputs = GoalInputs(
             slots, tuple(movers[s] for s in slots), tuple(self._used[s].digest for s in slots),
-            tuple(sorted(blocked)), self.round,
+            tuple(sorted(blocked)), self.round, self._beside_stranded(),
         )  # fmt: skip
         course = course_to_goals(self.ground, inputs)
         self._left_out = bool(course.left_out) or not course.solved
         self._adopt(course, inputs.digest(self.ground))
+
+    def _beside_stranded(self) -> tuple[int, ...]:
+        """The cells beside robots that stand between two cells: each must get one of them back."""
+        stranded = [p.number for p in self._used.values() if p.answer is AgreementReply.BUSY]
+        if not stranded:
+            return ()
+        near = neighbours(self.ground)[stranded]
+        return tuple(sorted(set(near[near != NONE].tolist())))
 
     def _remember(self) -> None:
         """A goal stays with its robot, so nothing is handed on."""

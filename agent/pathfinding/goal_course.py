@@ -2,7 +2,7 @@
 
 A goal may be out of reach: something stands there or in the only way, or another robot has the same
 goal. Such a robot gets another end: the nearest cell that is nobody's goal. So it leaves the way of
-others.
+others. Nor does a robot end beside one that stands between two cells, which needs one of them.
 """
 
 from collections import deque
@@ -40,6 +40,7 @@ class GoalInputs(NamedTuple):
     goals: tuple[int, ...]
     blocked: tuple[int, ...]
     salt: int
+    cleared: tuple[int, ...] = ()  # cells in which no robot is to end
 
     def digest(self, ground: CellMap) -> int:
         """32 bits of these inputs and of the map, for comparing them in one frame."""
@@ -50,13 +51,13 @@ def ends_of(near: NDArray[np.int32], inputs: GoalInputs) -> list[int]:
     """Where each robot is to end: at its goal, or near its place if its goal cannot be reached.
 
     `near`: (cells, 4), as `neighbours` gives it."""
-    taken = set(inputs.goals)
+    taken = {*inputs.goals, *inputs.cleared}
     ends: list[int] = []
     for place, goal in zip(inputs.places, inputs.goals, strict=True):
         free, queue, seen = NONE, deque([place]), {place}
         while queue:
             at = queue.popleft()
-            if at == goal and goal not in ends:
+            if at == goal and goal not in ends and goal not in inputs.cleared:
                 break
             if free == NONE and at not in taken:
                 free = at

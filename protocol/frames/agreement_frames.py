@@ -26,7 +26,8 @@ class AgreementReply(IntEnum):
 
     GRANT = 0
     STOPPED = 1  # refused: an emergency stop, a hold, a fault: it does not move
-    BUSY = 2  # refused: it is in the middle of something that must not move, a drop or a charge
+    BUSY = 2  # refused: it is in the middle of something that must not move, a drop or a charge;
+    # on a grid: it stands between two cells, and goes back when the robot behind it has gone
     # refused: it does not receive a member that others receive, so it cannot agree with all.
     DEAF = 3
 

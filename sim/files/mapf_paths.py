@@ -28,6 +28,42 @@ class PathError(Exception):
     """The visits of bodies are no plan: two were in one cell, or changed places."""
 
 
+def without_broken_moves(visits: Sequence[Visit]) -> list[Visit]:
+    """The visits, in their order, without those that a robot took back.
+
+    A robot follows another one closely. If that one is stopped between two cells, the follower is in
+    a cell that the other has not left for any other, and goes back. The rules of the problem have no
+    place for a body between cells. So such a move is left out, as if the follower had waited.
+    """
+    kept = list(visits)
+    while True:
+        broken = _broken_move(kept)
+        if broken is None:
+            return kept
+        del kept[broken]
+
+
+def _broken_move(visits: Sequence[Visit]) -> int | None:
+    """The index of the last visit of a cell that its robot left, or stays in, before the robot that
+    was there came to another one. None: there is none."""
+    own: dict[int, list[int]] = {}
+    for k, (_, robot, cell) in enumerate(visits):
+        row = own.setdefault(robot, [])
+        if not row or visits[row[-1]][2] != cell:
+            row.append(k)
+    following = {k: later for row in own.values() for k, later in pairwise([*row, len(visits)])}
+    inside: dict[int, list[int]] = {}  # cell -> its visits so far
+    for k in sorted(following):
+        inside.setdefault(visits[k][2], []).append(k)
+    found = [
+        other
+        for turns in inside.values()
+        for one, other in pairwise(turns)
+        if visits[one][1] != visits[other][1] and following[one] >= following[other]
+    ]
+    return max(found, default=None)
+
+
 def timed(visits: Sequence[Visit], robots: int) -> list[list[tuple[int, int]]]:
     """For each robot its (time, cell) in whole units of time, from the visits in their order.
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from agent.coverage.cell_map import NONE
 from agent.interface.config import S
 from agent.pathfinding.pathfinding_mission import GoalWork
-from sim.files.mapf_paths import PathError, timed, tracks
+from sim.files.mapf_paths import PathError, timed, tracks, without_broken_moves
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Record, Robot
 from sim.runs.coverage_run import QUIET_US, CoverageFleet
@@ -136,7 +136,7 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
         conflict = ""
         self.steps = []
         try:
-            found = tracks(timed(visits, len(setting.goals)))
+            found = tracks(timed(without_broken_moves(visits), len(setting.goals)))
             self.steps = [list(cells) for cells in zip(*found, strict=True)]
         except PathError as error:
             conflict = str(error)

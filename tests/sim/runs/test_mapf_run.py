@@ -58,6 +58,29 @@ def test_a_wreck_in_the_only_door_closes_off_goals_and_the_others_arrive() -> No
     assert outcome.unsolvable == 1 and outcome.arrived == 2, "robot 1 cannot come through"
 
 
+FILE_OF_FOUR = (
+    "............", [(0, 3), (0, 2), (0, 1), (0, 0)], [(0, 11), (0, 10), (0, 9), (0, 8)]
+)  # fmt: skip
+LOOP_OF_THREE = (
+    ".....\n.@@@.\n.@@@.\n.....", [(0, 3), (0, 2), (0, 1)], [(3, 3), (3, 4), (2, 4)]
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("at_s", [2.0, 2.2, 2.6, 3.56])
+@pytest.mark.parametrize("scene_of", [FILE_OF_FOUR, LOOP_OF_THREE], ids=["file", "loop"])
+def test_a_robot_stranded_between_two_cells_behind_a_wreck_goes_back(
+    scene_of: tuple[str, list[tuple[int, int]], list[tuple[int, int]]], at_s: float
+) -> None:
+    """The next robot has entered the cell that it left: no round of agreement ended, for good."""
+    rows, starts, goals = scene_of
+    height, width = rows.count("\n") + 1, rows.index("\n") if "\n" in rows else len(rows)
+    walls = parse_map(f"type octile\nheight {height}\nwidth {width}\nmap\n{rows}\n")
+    mapf = MapfInstance("narrow", walls, starts, goals)
+    run, outcome = play(mapf, Crash(at_s=at_s, kind="crash", robot=0))
+    assert outcome.success and outcome.simulated_s < 60.0, outcome
+    assert not judged(run, outcome, walls).faults
+
+
 def test_a_stop_on_the_way_halts_all_and_they_arrive_after_its_release() -> None:
     mapf = scene(10, 5, 4)
     stop, release = Estop(at_s=5.0, kind="estop", robot=2), Reset(at_s=15.0, kind="reset")
