@@ -281,7 +281,7 @@ def _live(
         server = make_server(recording, title, True, 1.0, panel)
         with (
             _metrics(served, scene) as (metrics, count),
-            _viewers(foxglove, scene) as feed,
+            _viewers(foxglove, scene, panel, server.token) as feed,
             _hearing(bus, recording, panel, [h for h in (count, feed and feed.hear) if h]),
         ):
             bodies = None if launch is None else launch.get("bodies")
@@ -327,14 +327,18 @@ def _metrics(
 
 
 @contextlib.contextmanager
-def _viewers(port: int | None, scene: Scene | None) -> Iterator["FoxgloveFeed | None"]:
-    """A feed for viewers; None: not asked for. Raises PortTaken."""
+def _viewers(
+    port: int | None, scene: Scene | None, panel: Panel, token: str
+) -> Iterator["FoxgloveFeed | None"]:
+    """A feed for viewers; None: not asked for. `token`: of the page, and of the services. Raises
+    PortTaken."""
     if port is None:
         yield None
         return
     from tools.livemap.foxglove_live import start_feed
+    from tools.livemap.foxglove_services import services_of
 
-    feed = start_feed(scene, port)
+    feed = start_feed(scene, port, services_of(panel, token))
     try:
         yield feed
     finally:

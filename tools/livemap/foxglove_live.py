@@ -1,20 +1,20 @@
 """`--foxglove`: a live fleet for Foxglove and Lichtblick, over their WebSocket protocol, by foxglove-sdk.
 
 What is published, topic by topic, is in docs/use/foxglove.md. A topic to which nobody subscribes costs
-nothing but a look whether somebody does. Viewers read only: nothing can be sent to the fleet from there.
+nothing but a look whether somebody does. What viewers may call: `tools/livemap/foxglove_services.py`.
 """
 
 import asyncio
 import time
 from base64 import b64decode
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from math import cos, sin
 from typing import Any, Final, get_type_hints
 
 import foxglove
 import numpy as np
 from foxglove import channels, messages
-from foxglove.websocket import ChannelView, Client, ServerListener
+from foxglove.websocket import Capability, ChannelView, Client, ServerListener, Service
 from pyproj import CRS, Transformer
 
 from agent.runtime.files.field_file import plane
@@ -49,9 +49,12 @@ RGB = tuple[float, float, float]
 class FoxgloveFeed(Watcher):
     """A fleet that is heard, published to whoever subscribes."""
 
-    def __init__(self, scene: Scene | None, port: int, epoch_s: float) -> None:
+    def __init__(
+        self, scene: Scene | None, port: int, epoch_s: float, services: Sequence[Service] = ()
+    ) -> None:
         """`scene`: what stands there; None: not known. `port`: of loopback, 0: any free one.
-        `epoch_s`: the time of day at zero of the clock of the frames. Raises PortTaken.
+        `epoch_s`: the time of day at zero of the clock of the frames. `services`: what viewers may
+        call. Raises PortTaken.
         """
         super().__init__(scene)
         self.scene, self.epoch_s = scene or {}, epoch_s
@@ -77,7 +80,8 @@ class FoxgloveFeed(Watcher):
         try:
             self._server = foxglove.start_server(
                 name="headland", host=LOOPBACK, port=port, context=context,
-                server_listener=_Newcomers(self._newcomer), capabilities=[],
+                server_listener=_Newcomers(self._newcomer), services=list(services),
+                capabilities=[Capability.Services] if services else [],
             )  # fmt: skip
         except (OSError, RuntimeError) as problem:
             raise PortTaken(f"--foxglove {port}: {problem}") from None
@@ -314,9 +318,9 @@ class FoxgloveFeed(Watcher):
         return messages.Timestamp(seconds, ns)
 
 
-def start_feed(scene: Scene | None, port: int) -> FoxgloveFeed:
+def start_feed(scene: Scene | None, port: int, services: Sequence[Service] = ()) -> FoxgloveFeed:
     """A feed whose frames come with the time of the running loop. Raises PortTaken."""
-    return FoxgloveFeed(scene, port, time.time() - asyncio.get_running_loop().time())
+    return FoxgloveFeed(scene, port, time.time() - asyncio.get_running_loop().time(), services)
 
 
 class _Newcomers(ServerListener):

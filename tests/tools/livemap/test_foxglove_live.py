@@ -32,6 +32,7 @@ from tools.livemap.foxglove_live import FoxgloveFeed
 from tools.livemap.foxglove_port import PortTaken, check_port
 
 PROTOCOL = "foxglove.sdk.v1"
+CALL = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
 MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 TRANSFORM, SCENE = "foxglove.FrameTransform", "foxglove.SceneUpdate"
 
@@ -44,7 +45,18 @@ class Viewer:
         self.channels: dict[int, dict[str, Any]] = {}  # by id, which is our subscription's, too
         self.seen: dict[str, list[Any]] = defaultdict(list)  # topic -> decoded messages
         self.log_ns: list[int] = []
+        self.services: dict[str, int] = {}  # name -> id
+        self.answers: list[Any] = []
         self._kinds: dict[str, Any] = {}
+
+    async def call(self, name: str, asked: dict[str, Any]) -> Any:
+        """The answer of a service; what is published until then is kept."""
+        await self.look(lambda _: name in self.services)
+        before = len(self.answers)
+        head = CALL.pack(2, self.services[name], before, len(b"json")) + b"json"
+        await self.connection.send(head + json.dumps(asked).encode())
+        await self.look(lambda _: len(self.answers) > before)
+        return self.answers[-1]
 
     async def look(self, enough: Any) -> None:
         """Until `enough(seen)`."""
@@ -58,11 +70,17 @@ class Viewer:
                     channel = self.channels[number]
                     decoded = self._decode(channel, data[MESSAGE.size :])
                     self.seen[channel["topic"]].append(decoded)
+                elif data[0] == 3:
+                    *_, length = CALL.unpack_from(data)
+                    assert data[CALL.size :][:length] == b"json"
+                    self.answers.append(json.loads(data[CALL.size + length :]))
                 if enough(self.seen):
                     return
         raise AssertionError("the server has gone")
 
     async def _told(self, told: dict[str, Any]) -> None:
+        if told["op"] == "advertiseServices":
+            self.services |= {service["name"]: service["id"] for service in told["services"]}
         if told["op"] != "advertise":
             return
         for channel in told["channels"]:
@@ -99,6 +117,7 @@ def moved(seen: dict[str, list[Any]]) -> bool:
         and all(seen[f"/robots/{k}/fix"] for k in range(3))
         and len(seen["/can/POSE"]) > 60
         and bool(seen["/fleet"])
+        and len(seen["/fleet"][-1]["robots"]) == 3
         and any("WORKING" in line.message for line in seen["/log"])
     )
 
@@ -136,6 +155,40 @@ def test_an_independent_viewer_sees_a_launch_work_and_stop(tmp_path: Path) -> No
         finally:
             launch.terminate()
             await launch.communicate()
+
+    asyncio.run(story())
+
+
+def test_a_viewer_of_a_map_stops_and_releases_a_fleet_with_the_key(tmp_path: Path) -> None:
+    async def story() -> None:
+        launch = await start(tmp_path, "launch", "small")
+        await said(launch, r"robot (2):")
+        words = ("--page-port", "0", "--foxglove", "0", "--json")
+        shown = await start(tmp_path, "map", *words)
+        try:
+            told = json.loads(await said(shown, r"(\{.*\})"))
+            key = told["map"].partition("#")[2]
+            async with connected(told["foxglove"]) as connection:
+                viewer = Viewer(connection)
+                await viewer.look(lambda seen: len(seen["/tf"]) > 60)
+                for wrong in ({}, {"key": "guessed"}, {"key": 5}):
+                    refused = await viewer.call("/emergency_stop", wrong)
+                    assert not refused["success"] and "key" in refused["message"], refused
+                answer = await viewer.call("/emergency_stop", {"key": key})
+                assert answer["success"], answer
+
+                def states() -> set[str]:
+                    robots = viewer.seen["/fleet"][-1]["robots"] if viewer.seen["/fleet"] else []
+                    return {robot["state"] for robot in robots}
+
+                await viewer.look(lambda seen: states() == {"EMERGENCY_STOP"})
+                answer = await viewer.call("/release", {"key": key})
+                assert answer["success"], answer  # beside a launch its keys are taken
+                await viewer.look(lambda seen: "EMERGENCY_STOP" not in states())
+        finally:
+            for process in (shown, launch):
+                process.terminate()
+                await process.communicate()
 
     asyncio.run(story())
 
