@@ -41,6 +41,7 @@ from protocol.frames.safety_frames import (
     HeldReset,
     OperatorCommand,
 )  # fmt: skip
+from protocol.operator_badges import Badge, BadgeBook
 
 Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, HeldReset, OperatorCommand, OperatorGoal)
 AnySigned = EmergencyStop | EmergencyReset | HeldReset | OperatorCommand | OperatorGoal
@@ -58,6 +59,7 @@ ASK_SPACING_US = 100_000
 NUMBER_LIFE_US = 1_000_000  # of a nonce: a proof that arrives later than this is void
 ANSWER_SPACING_US = 10_000  # minimum time between answers to one asker
 COUNTERS_TRIED = 256  # high bytes of a robot's counter that `wrote` tries: 65,536 signed frames
+MACS_MAX = 512
 _SIGNED: dict[type, FrameLayout[Any]] = {
     layout.kind: layout
     for layout in (EMERGENCY_STOP, EMERGENCY_RESET, HELD_RESET, OPERATOR_COMMAND, OPERATOR_GOAL)
@@ -68,27 +70,40 @@ class Keys(NamedTuple):
     """The secrets of a fleet, 16 bytes each. A device holds only those that it needs.
 
     `own`: the key of one robot, 32 bytes, which no other robot holds. `generation`: the number of the
-    first two, which are replaced while the fleet works (`protocol/rekeying.py`).
+    first two, which are replaced while the fleet works (`protocol/rekeying.py`). In a restricted key file
+    of an operator's device, `operator` is the secret of its badge (`protocol/operator_badges.py`), and
+    `held` the key by which it checks what robots say of their stops.
     """
 
     master: bytes | None
     operator: bytes | None
     own: bytes | None = None
     generation: int = 0
+    held: bytes | None = None
 
 
 class Keyring:
     """Signs for one sender and verifies frames of all senders.
 
-    `lot` is any value that no two starts of this sender share; nonces are derived from it.
+    `lot` is any value that no two starts of this sender share; nonces are derived from it. `badge`: of an
+    operator's device. `badges`: those that a robot hears.
     """
 
-    def __init__(self, keys: Keys, sender: int, lot: bytes, sent: int = 0) -> None:
-        self.sender, self.sent = sender, sent
+    def __init__(
+        self,
+        keys: Keys,
+        sender: int,
+        lot: bytes,
+        sent: int = 0,
+        badge: Badge | None = None,
+        badges: BadgeBook | None = None,
+    ) -> None:
+        self.sender, self.sent, self.badge = sender, sent, badge
+        self.badges = BadgeBook() if badges is None else badges
         self.heard: dict[int, int] = {}
-        self.accepted = self.bad = self.stale = self.ignored = self.unproven = 0
+        self.accepted = self.bad = self.stale = self.ignored = self.unproven = self.expired = 0
         self._keys, self._lot = keys, lot
-        self._macs: dict[int, CMAC] = {}
+        self._macs: dict[tuple[int, Badge | None], CMAC] = {}
         self._bad_at_us: dict[int, deque[int]] = {}
         self._asked: dict[int, bytes] = {}  # sender -> the nonce that its proof must cover
         self._asked_at_us = -ASK_SPACING_US
@@ -112,6 +127,7 @@ class Keyring:
         self._keys = keys
         self._macs.clear()
         self._bad_at_us.clear()
+        self.badges.forget()
         for operator in [sender for sender in self.heard if sender >= OPERATOR_FIRST]:
             del self.heard[operator]  # a new key counts from 0
             self._proven_at_us.pop(operator, None)
@@ -132,6 +148,8 @@ class Keyring:
         if sender >= OPERATOR_FIRST and not self._proven(sender, now_us):
             self.unproven += 1
             return False
+        if self._expired(sender, now_us):
+            return False
         last = self.heard.get(sender, 0)
         ahead = (message.freshness - last) & 0xFF
         if not 1 <= ahead <= WINDOW:
@@ -145,6 +163,7 @@ class Keyring:
         self.accepted += 1
         if sender >= OPERATOR_FIRST:
             self._proven_at_us[sender] = now_us
+            self.badges.prove(sender, now_us)
         return True
 
     def wrote(self, message: EmergencyStop, sender: int) -> bool:
@@ -198,7 +217,7 @@ class Keyring:
             self.stale += 1
             return False
         operator = sender >= OPERATOR_FIRST
-        if operator and self._locked_out(sender, now_us):
+        if operator and (self._locked_out(sender, now_us) or self._expired(sender, now_us)):
             return False
         if self._proof(sender, self.sender, number, answer.counter) != answer.tag:
             self._count_bad(sender, now_us)
@@ -210,6 +229,7 @@ class Keyring:
         self.heard[sender] = answer.counter
         if operator:
             self._proven_at_us[sender] = now_us
+            self.badges.prove(sender, now_us)
         else:
             # Forged frames in its name must not keep its stops from being accepted.
             self._bad_at_us.pop(sender, None)
@@ -232,8 +252,20 @@ class Keyring:
         self.bad += 1
         self._bad_at_us.setdefault(sender, deque(maxlen=BAD_MAX)).append(now_us)
 
+    def _expired(self, sender: int, now_us: int) -> bool:
+        badges = self.badges
+        if sender < OPERATOR_FIRST or badges.of(sender).valid(badges.day(now_us)):
+            return False
+        self.expired += 1
+        return True
+
     def _secret(self, sender: int) -> bytes | None:
-        return self._keys.operator if sender >= OPERATOR_FIRST else self._keys.master
+        if sender < OPERATOR_FIRST:
+            return self._keys.master
+        operators = self._keys.operator
+        if operators is None or sender == self.sender:
+            return operators
+        return self.badges.of(sender).secret(operators)
 
     def _holds(self, sender: int) -> bool:
         return self._secret(sender) is not None
@@ -252,11 +284,14 @@ class Keyring:
         return int.from_bytes(mac.finalize()[:3], "little")
 
     def _mac(self, sender: int) -> CMAC:
-        mac = self._macs.get(sender)
+        badge = self.badges.of(sender) if sender >= OPERATOR_FIRST else None
+        mac = self._macs.get((sender, badge))
         if mac is None:
+            if len(self._macs) >= MACS_MAX:  # somebody tells many badges
+                self._macs.clear()
             secret = self._secret(sender)
             assert secret is not None, "a sender whose secret is not held is not verified"
             info = b"headland sender" + bytes((sender,))
             key = HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=info).derive(secret)
-            mac = self._macs[sender] = CMAC(AES(key))
+            mac = self._macs[sender, badge] = CMAC(AES(key))
         return mac

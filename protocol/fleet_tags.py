@@ -21,6 +21,13 @@ from protocol.authentication import KEY_SIZE, Keys
 from protocol.frames.safety_frames import STOPS_HELD, StopsHeld
 from protocol.frames.segment_frames import FleetReset, FleetStop
 
+HELD_INFO = b"headland stops held"
+
+
+def held_key(operators: bytes) -> bytes:
+    """The key of `HeldTags`, for key files of devices that may release."""
+    return HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=HELD_INFO).derive(operators)
+
 
 class FleetTags:
     """Makes the tagged stops and resets that all segments accept, as far as its keys allow."""
@@ -50,7 +57,9 @@ class HeldTags:
     stops. Robots hold the operator's secret; an operator's device holds no other secret."""
 
     def __init__(self, keys: Keys) -> None:
-        self._held = _mac(keys.operator, b"headland stops held")
+        self._held = None if keys.held is None else CMAC(AES(keys.held))
+        if self._held is None:
+            self._held = _mac(keys.operator, HELD_INFO)
 
     def sign(self, held: StopsHeld, question: int) -> StopsHeld:
         """The frame with its tag, which answers `question`: the 48-bit nonce of the challenge.

@@ -35,9 +35,11 @@ from protocol.frames.trust_frames import (
     PROOF_TAG_BITS,
     WORD_BITS,
     FleetTimeTold,
+    OperatorBadge,
     Proof,
     TimeQuestion,
 )
+from protocol.operator_badges import Badge, BadgeBook
 from protocol.units import MS, S
 
 TICK_US: Final = 8 * MS  # a burst of sync has a proof every 17 ms
@@ -86,8 +88,9 @@ def word_of(message: Any) -> bytes:
 class ProofKeys:
     """The keys of all senders under the secrets that this device holds."""
 
-    def __init__(self, keys: Keys) -> None:
-        self.keys = keys
+    def __init__(self, keys: Keys, badges: BadgeBook | None = None) -> None:
+        """`badges`: those that a robot has heard; None in a device, which holds its own secret."""
+        self.keys, self.badges = keys, badges
 
     def rekey(self, keys: Keys) -> None:
         """Other secrets from now on."""
@@ -95,12 +98,20 @@ class ProofKeys:
 
     def of(self, sender: int) -> bytes | None:
         """The key of a sender for proofs; None if its secret is not held here."""
-        secret = self.keys.operator if sender >= OPERATOR_FIRST else self.keys.master
+        secret = self._secret(sender)
         return None if secret is None else _key(secret, b"headland proof" + bytes((sender,)))
+
+    def _secret(self, sender: int) -> bytes | None:
+        operators = self.keys.operator
+        if sender < OPERATOR_FIRST:
+            return self.keys.master
+        if operators is None or self.badges is None:
+            return operators
+        return self.badges.of(sender).secret(operators)
 
     def of_time(self, asker: int) -> bytes | None:
         """The key for telling the fleet's time. `asker`: the slot of a robot, or an operator device."""
-        secret = self.keys.operator if asker >= OPERATOR_FIRST else self.keys.master
+        secret = self._secret(asker)
         return None if secret is None else _key(secret, b"headland fleet time")
 
     def tag(self, sender: int, address: int, ticks: int, words: Words) -> int | None:
@@ -386,9 +397,10 @@ class TimeAnswers:
 class ToolProofs:
     """The proofs of an operator's device, which asks the robots for the fleet's time."""
 
-    def __init__(self, keys: Keys, device: int, lot: bytes) -> None:
-        """`device`: under whose key it signs, from `OPERATOR_FIRST`. `lot`: different at each start."""
-        self.device, self._lot = device, lot
+    def __init__(self, keys: Keys, device: int, lot: bytes, badge: Badge | None = None) -> None:
+        """`device`: under whose key it signs, from `OPERATOR_FIRST`. `lot`: different at each start.
+        `badge`: of a restricted key."""
+        self.device, self._lot, self._badge = device, lot, badge
         self._keys = ProofKeys(keys)
         self._time = FleetTime(0, 0)
         self._batch = ProofBatch(device, self._keys, self._time)
@@ -405,10 +417,14 @@ class ToolProofs:
                 self._time.learn(ticks, now_us)
                 self._learned_at_us = now_us
 
-    def after(self, message: Any, address: int, now_us: int) -> list[Proof | TimeQuestion]:
+    def after(
+        self, message: Any, address: int, now_us: int
+    ) -> list[OperatorBadge | Proof | TimeQuestion]:
         """What follows a frame that was sent from this address: its proof, and a question for the time
         if ours is not known or old. Without a time there is no proof; the caller repeats its frame."""
-        said: list[Proof | TimeQuestion] = []
+        said: list[OperatorBadge | Proof | TimeQuestion] = []
+        if self._badge is not None:
+            said.append(self._badge.told())
         self._batch.add(message, now_us)
         proof = self._batch.seal(address, now_us)
         if proof is not None:

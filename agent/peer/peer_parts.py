@@ -195,7 +195,7 @@ class PeerParts:
 
     def _make_trust(self, keyring: Keyring | None, now_us: int) -> None:
         """What proves frames in a fleet with keys, and does nothing in one without."""
-        keys = None if keyring is None else ProofKeys(keyring.keys)
+        keys = None if keyring is None else ProofKeys(keyring.keys, keyring.badges)
         lot = b"" if keyring is None else keyring.lot + bytes((keyring.sender,))
         start = 0 if keys is None else keys.number(b"start", lot, START_BITS)
         time, identity = FleetTime(start, now_us), self.identity

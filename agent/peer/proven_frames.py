@@ -15,7 +15,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from agent.interface.config import MS
-from agent.interface.effects import Effect, Send
+from agent.interface.effects import Effect, Send, Trace
 from agent.peer import notices
 from agent.peer.membership import Membership
 from agent.peer.network_join import NetworkJoin
@@ -57,6 +57,7 @@ from protocol.frames.work_frames import (
     TaskClaim,
     WorkProgress,
 )
+from protocol.operator_badges import Role
 
 # Every frame of a robot that changes what others know or do, except beacons and frames with tags.
 PROVEN_KINDS: Final[frozenset[type[Any]]] = frozenset({
@@ -184,9 +185,20 @@ class ProvenFrames(Part):
             for message in self.checker.held(source)
         )
 
+    def _may_order(self, device: int, now_us: int) -> bool:
+        """A proof was right, so the badge of this operator's device is its own."""
+        badges = None if self.checker is None else self.checker.keys.badges
+        assert badges is not None, "a robot with keys hears badges"
+        badges.prove(device, now_us)
+        return badges.allows(device, Role.TASK, now_us)
+
     def _believe(self, source: int, slot: int | None, proven: Proven, now_us: int) -> list[Any]:
         sender, messages = proven
         if sender >= OPERATOR_FIRST:
+            if not self._may_order(sender, now_us):
+                return [
+                    Trace("keys", "", "FORBIDDEN", "", f"device {sender} may order no transport")
+                ]
             return [notices.HeardAgain(source, m, now_us) for m in messages if type(m) is TaskOrder]
         if sender == self.slot:  # another machine has our identity and our key
             return [notices.HeardAgain(source, m, now_us) for m in messages if type(m) is Member]

@@ -78,7 +78,7 @@ from protocol.frames.safety_frames import (
 )
 from protocol.frames.task_frames import ProcessData, WorkingSetMaster
 from protocol.frames.terminal_frames import TerminalMessage, TerminalRequest
-from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
+from protocol.frames.trust_frames import FleetTimeTold, OperatorBadge, Proof, TimeQuestion
 from protocol.frames.work_frames import (
     Digests,
     StateSyncRequest,
@@ -106,6 +106,7 @@ ROUTES: Routes = {
     AllImplementsStop: MessageRoute(StopReception, ANYONE),
     Challenge: MessageRoute(StopReception, ANYONE),
     Freshness: MessageRoute(StopReception, ANYONE),
+    OperatorBadge: MessageRoute(StopReception, ANYONE),
     KeyPart: MessageRoute(KeyRenewal, ANYONE),
     KeySwitch: MessageRoute(KeyRenewal, ANYONE),
     KeysHeld: MessageRoute(KeyRenewal, ANYONE),

@@ -32,13 +32,22 @@ from protocol.frames.safety_frames import (
     HeldReset,
     OperatorCommand,
 )
+from protocol.frames.trust_frames import OperatorBadge
 
 NAME_PATIENCE_US: Final = 20 * MS  # a claim in transit may arrive after a beat of its sender
 # After this a device of ours may have taken the address of another maker's device, and we may have
 # missed its claim.
 CLAIM_OLD_US: Final = 10 * S
 SIGNS_OF_LIFE = (Pose, Heartbeat, Member)
-SIGNED = (EmergencyReset, HeldReset, OperatorCommand, OperatorGoal, Challenge, Freshness)
+SIGNED = (
+    EmergencyReset,
+    HeldReset,
+    OperatorCommand,
+    OperatorGoal,
+    Challenge,
+    Freshness,
+    OperatorBadge,
+)
 
 
 class SenderOrigins(Part):

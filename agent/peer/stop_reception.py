@@ -33,6 +33,7 @@ from protocol.frames.safety_frames import (
     Freshness,
     HeldReset,
 )
+from protocol.frames.trust_frames import OperatorBadge
 from protocol.frames.work_frames import STOPS, StateSyncRequest
 from protocol.name import Name
 
@@ -58,6 +59,7 @@ class StopReception(Part):
             AllImplementsStop: self._implements_stop,
             Challenge: self._challenge,
             Freshness: self._freshness,
+            OperatorBadge: self._badge,
         }
 
     @property
@@ -127,6 +129,10 @@ class StopReception(Part):
 
     def _challenge(self, ctx: StepContext, header: Header, m: Challenge) -> Outputs:
         return self.safety.authority.answer(header.source, m, ctx.now_us)
+
+    def _badge(self, ctx: StepContext, header: Header, m: OperatorBadge) -> Outputs:
+        self.safety.authority.hear_badge(m, ctx.now_us)
+        return NOTHING
 
     def _freshness(self, ctx: StepContext, header: Header, m: Freshness) -> Outputs:
         return self.safety.authority.prove(m, ctx.now_us)

@@ -49,6 +49,8 @@ class StopRelease(Part):
         if self.current is None:
             self.current = Release(self.safety, self.membership, call.operator, call.question)
             self.safety.authority.operator = call.operator
+            if call.operator is not None and call.operator.badge is not None:
+                self.safety.authority.hear_badge(call.operator.badge.told(), ctx.now_us)
         return self.current.say(ctx.now_us)
 
     def _end(self, ctx: StepContext, call: inputs.EndRelease) -> Outputs:

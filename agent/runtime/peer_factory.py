@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from random import Random
+from time import time
 from typing import NamedTuple
 
 from agent.interface.identity import Identity, SilencePolicy
@@ -19,7 +20,9 @@ from agent.segments.segment_area import Area
 from agent.segments.segment_parts import segments_of
 from protocol.authentication import Keyring, Keys
 from protocol.name import fleet_name
+from protocol.operator_badges import BadgeBook
 from protocol.sync.map_sync import MapSync
+from protocol.units import S
 
 NO_MEMORY: Mapping[str, bytes] = {}
 
@@ -76,12 +79,22 @@ def release() -> str:
         return ""
 
 
-def keyring_of(keys: Keys | None, sender: int, lot: bytes) -> Keyring | None:
+def keyring_of(
+    keys: Keys | None, sender: int, lot: bytes, unix_at_zero_s: int | None = None
+) -> Keyring | None:
     """The keyring of one robot; None for a fleet without keys.
 
     `lot`: any value that no two boots of this robot share, because it names the boot in questions
-    about freshness."""
-    return None if keys is None else Keyring(keys, sender, lot)
+    about freshness. `unix_at_zero_s`: the time of day, seconds since 1970, when `now_us` was 0; None:
+    unknown, so that no operator's key that expires is believed."""
+    if keys is None:
+        return None
+    return Keyring(keys, sender, lot, badges=BadgeBook(unix_at_zero_s))
+
+
+def unix_at_zero_s(now_us: int) -> int:
+    """The time of day of this computer when `now_us` was 0, seconds since 1970."""
+    return round(time()) - now_us // S
 
 
 def make_peer(

@@ -14,6 +14,7 @@ from protocol.fleet_tags import HeldTags
 from protocol.frames.operator_frames import OperatorGoal
 from protocol.frames.safety_frames import (
     Challenge,
+    Command,
     EmergencyReset,
     EmergencyStop,
     Freshness,
@@ -21,10 +22,37 @@ from protocol.frames.safety_frames import (
     OperatorCommand,
     StopsHeld,
 )  # fmt: skip
+from protocol.frames.trust_frames import OperatorBadge
+from protocol.operator_badges import Role
 
 # Two equal frames, each with its own tag, must arrive within this: 48 bits to guess instead of 24.
 AGREE_US = 2 * S
 ORDERS_MAX = 64  # orders that wait for their second frame
+
+
+# What each order needs: one of these roles. What makes a robot stand is for those who may stop or direct.
+NEEDS: dict[int, Role] = {
+    Command.MANUAL_RESET: Role.RELEASE,
+    Command.START: Role.RELEASE | Role.DIRECT,
+    Command.HOLD: Role.STOP | Role.DIRECT,
+    Command.WAIVE: Role.RELEASE,
+    Command.GO_HOME: Role.DIRECT,
+    Command.CONTINUE: Role.DIRECT,
+    Command.REPLAN: Role.DIRECT,
+    Command.WAIT: Role.STOP | Role.DIRECT,
+    Command.STOP: Role.STOP | Role.DIRECT,
+    Command.SET_GOAL: Role.DIRECT,
+}
+assert NEEDS.keys() == set(Command)
+
+
+def role_for(m: AnySigned) -> Role:
+    """The roles of which an operator needs one to say this."""
+    if isinstance(m, OperatorCommand):
+        return NEEDS[m.command]
+    if isinstance(m, OperatorGoal):
+        return Role.DIRECT
+    return Role.STOP if isinstance(m, EmergencyStop) else Role.RELEASE
 
 
 class CommandAuthority:
@@ -38,6 +66,7 @@ class CommandAuthority:
     def __init__(self, slot: int, keyring: Keyring | None) -> None:
         self.slot, self.keyring = slot, keyring
         self.refused = 0  # count of frames without authority
+        self.forbidden = 0  # of them, those of a genuine operator whose key has another role
         self.operator: Keyring | None = None  # keys of the person giving orders at this machine now
         secret = None if keyring is None else keyring.keys.operator
         self._held = HeldTags(keyring.keys) if keyring is not None and secret else None
@@ -73,9 +102,16 @@ class CommandAuthority:
             return True
         may = sender is not None and (isinstance(m, EmergencyStop) or sender >= OPERATOR_FIRST)
         if may and sender is not None and self.keyring.verify(m, sender, now_us):
-            return True
+            if sender < OPERATOR_FIRST or self.keyring.badges.allows(sender, role_for(m), now_us):
+                return True
+            self.forbidden += 1
         self.refused += 1
         return False
+
+    def hear_badge(self, m: OperatorBadge, now_us: int) -> None:
+        """What an operator's device says that its key allows; its tags prove it."""
+        if self.keyring is not None:
+            self.keyring.badges.hear(m, now_us)
 
     def agreed(
         self, m: EmergencyReset | HeldReset | OperatorCommand | OperatorGoal, now_us: int
@@ -111,10 +147,13 @@ class CommandAuthority:
         There are up to two: for the keys of this robot, and for those of an operator at
         this machine. `source`: bus address of the asker, to which the proof is sent.
         """
-        proofs = [
-            ring.answer(m, now_us) for ring in (self.keyring, self.operator) if ring is not None
-        ]
-        return [Send(proof, source) for proof in proofs if proof is not None]
+        said: list[Effect] = []
+        for ring in (self.keyring, self.operator):
+            proof = None if ring is None else ring.answer(m, now_us)
+            if ring is not None and proof is not None:
+                said += [] if ring.badge is None else [Send(ring.badge.told())]
+                said.append(Send(proof, source))
+        return said
 
     def prove(self, m: Freshness, now_us: int) -> Sequence[Effect]:
         """Take in another sender's answer to our challenge. A wrong or late proof is counted in

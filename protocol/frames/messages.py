@@ -72,7 +72,7 @@ from protocol.frames.safety_frames import (
 from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
 from protocol.frames.task_frames import ProcessData, WorkingSetMaster
 from protocol.frames.terminal_frames import TerminalMessage, TerminalRequest
-from protocol.frames.trust_frames import FleetTimeTold, Proof, TimeQuestion
+from protocol.frames.trust_frames import FleetTimeTold, OperatorBadge, Proof, TimeQuestion
 from protocol.frames.work_frames import (
     Digests,
     StateSyncRequest,
@@ -90,7 +90,7 @@ Message = (
     | MapPatch | MapDigests
     | TaskOrder | TaskBookDigest | TaskBid | Itinerary | PlanOffer | PlanRow
     | FleetStop | FleetReset | GatewayBeat | SegmentSummary
-    | Proof | TimeQuestion | FleetTimeTold
+    | Proof | TimeQuestion | FleetTimeTold | OperatorBadge
     | KeyPart | KeySwitch | KeysHeld
     | AddressClaimed | Request | Request2 | RepetitionRateRequest | Acknowledgment
     | TransportManagement | TransportData
@@ -111,6 +111,7 @@ GROUPS: tuple[FrameLayout[Any], ...] = (
     safety_frames.OPERATOR_COMMAND,
     safety_frames.CHALLENGE,
     safety_frames.FRESHNESS,
+    trust_frames.OPERATOR_BADGE,
     key_frames.KEY_SWITCH,
     safety_frames.ALL_IMPLEMENTS_STOP,
     fleet_frames.LEADER_ELECTION_VOTE,

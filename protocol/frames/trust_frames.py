@@ -6,12 +6,13 @@ same device has just sent. `protocol/frame_proofs.py` says what its tag covers.
 
 from typing import Final, NamedTuple
 
-from protocol.frames.layout import ANY_DEVICE, FrameLayout, integer
+from protocol.frames.layout import ANY_DEVICE, FrameLayout, integer, reserved
 
 MOMENT_BITS: Final = 12
 COUNT_BITS: Final = 4
 PROOF_TAG_BITS: Final = 40
 WORD_BITS: Final = 56  # of a fleet time, of a nonce, and of a tag of a fleet time
+ROLES_BITS: Final = 4
 TICKS, TAG = 0, 1  # values of `part` in FLEET_TIME
 
 
@@ -37,6 +38,30 @@ PROOF = FrameLayout(
         integer("moment", MOMENT_BITS, "low bits of the fleet's time, in ticks of 8 ms; never twice"),
         integer("tag", PROOF_TAG_BITS, "AES-CMAC over sender, address, time, and the frames in order "
                 "of group and data"),
+    ),
+)  # fmt: skip
+
+
+class OperatorBadge(NamedTuple):
+    """What the key of an operator's device allows, and until when.
+
+    An operator's device with a restricted key sends it before each FRESHNESS and PROOF. The tags of
+    what follows are right only if it is true. A fleet without keys does not send it.
+    """
+
+    device: int
+    roles: int
+    expires_day: int
+
+
+OPERATOR_BADGE = FrameLayout(
+    OperatorBadge, "OPERATOR_BADGE", pgn=0xFF3B, priority=2, sender=ANY_DEVICE,
+    fields=(
+        integer("device", 8, "number of the operator's device, 192 to 254", accepted=range(192, 255)),
+        integer("roles", ROLES_BITS, "1: stop, 2: release, 4: direct, 8: task; a sum of them"),
+        reserved(4),
+        integer("expires_day", 16, "first day on which it is void, from 1970-01-01; 0: never"),
+        reserved(32),
     ),
 )  # fmt: skip
 

@@ -63,14 +63,17 @@ def rotate(
     """
     from agent.runtime.files.key_file import (
         FLEET,
+        OPERATOR,
+        KeyFile,
         KeyFileError,
         counter_path,
+        create,
         fresh,
         read,
         robot_path,
         write,
     )
-    from agent.runtime.files.key_folder import owned
+    from agent.runtime.files.key_folder import owned, people_texts
     from protocol.rekeying import ALWAYS_S, NOBODY
 
     if running:
@@ -88,7 +91,13 @@ def rotate(
             if path.exists():
                 path.rename(path.with_name(f"{path.name}.{old.ids['fleet']}"))
         keys = fresh()._replace(generation=owner.generation + 1)  # above what robots remember
+        new_owner = KeyFile(operator, OPERATOR, keys, root=owner.root)
+        people = people_texts(folder, new_owner)
         write(fleet, operator, keys, owner.device, slots, owner.root)
+        for path, text in people.items():
+            path.unlink()
+            counter_path(path).unlink(missing_ok=True)
+            create(path, text)
     except KeyFileError as problem:
         _wrong(str(problem))
     except OSError as problem:
@@ -127,6 +136,69 @@ def revoke(
 
 
 @app.command()
+def operator(
+    person: Annotated[str, typer.Argument(help="For whom it is; shown with what was released.")],
+    roles: Annotated[
+        str, typer.Option(help="What it allows: some of stop, release, direct, task.")
+    ] = "stop",
+    days: Annotated[
+        int, typer.Option(min=0, max=3650, help="Days until it expires; 0: never.")
+    ] = 90,
+    device: Annotated[
+        int, typer.Option(min=0, max=254, help="Number of the device, from 192; 0: the next one.")
+    ] = 0,
+    folder: Annotated[Path, typer.Option(help="Folder of the owner's files.")] = Path("keys"),
+) -> None:
+    """Make a key file for one person, restricted to roles, which every robot checks at each act.
+
+    Give the person the file. Delete it and call 'headland keys rotate --running' to take the key away.
+    Example: headland keys operator Anna --roles stop,release --days 90
+    """
+    import time
+
+    from agent.runtime.files.key_file import (
+        DAY_MAX,
+        OPERATOR,
+        PERSON_MAX,
+        KeyFileError,
+        create,
+        operator_path,
+        operator_text,
+        read,
+    )
+    from agent.runtime.files.key_folder import owned
+    from protocol.authentication import OPERATOR_FIRST
+    from protocol.operator_badges import DAY_S, NEVER, Badge, Role
+
+    wanted, known = Role(0), ", ".join(str(role.name).lower() for role in Role)
+    for word in roles.split(","):
+        if word.strip().upper() not in Role.__members__:
+            _wrong(f"--roles {word!r}: use some of {known}")
+        wanted |= Role[word.strip().upper()]
+    try:
+        owner = owned(folder)
+        free = [
+            n for n in range(OPERATOR_FIRST, owner.device) if not operator_path(folder, n).exists()
+        ]
+        number = device or (free[0] if free else 0)
+        if not OPERATOR_FIRST <= number <= 254 or number == owner.device:
+            _wrong(f"--device {number}: use {OPERATOR_FIRST} to 254, but not {owner.device}")
+        day = NEVER if days == 0 else min(int(time.time()) // DAY_S + days, DAY_MAX)
+        path = operator_path(folder, number)
+        text = operator_text(
+            read(folder, OPERATOR), Badge(number, wanted, day), person[:PERSON_MAX]
+        )
+        create(path, text)
+    except FileExistsError:
+        _wrong(f"{folder}: device {number} has a file already: delete it and rotate the keys first")
+    except KeyFileError as problem:
+        _wrong(str(problem))
+    except OSError as problem:
+        _wrong(f"{folder}: {problem.strerror}")
+    _tell(path)
+
+
+@app.command()
 def show(
     file: Annotated[Path, typer.Argument(help="A key file, or the folder of both.")] = Path("keys"),
 ) -> None:
@@ -134,12 +206,13 @@ def show(
 
     Example: headland keys show keys
     """
-    for path in [file / FLEET_FILE, file / OPERATOR_FILE] if file.is_dir() else [file]:
+    people = sorted(file.glob("operator-*.json")) if file.is_dir() else []
+    for path in [file / FLEET_FILE, file / OPERATOR_FILE, *people] if file.is_dir() else [file]:
         _tell(path)
 
 
 def _tell(path: Path) -> None:
-    from agent.runtime.files.key_file import KeyFileError, counter, read
+    from agent.runtime.files.key_file import KeyFileError, counter, date_of, read, roles_named
 
     try:
         found = read(path)
@@ -147,6 +220,10 @@ def _tell(path: Path) -> None:
         device = ""
         if found.device is not None:
             device = f", device {found.device}, {counter(path)} frames reserved"
+        if found.badge is not None:
+            day = found.badge.expires_day
+            end = f", until {date_of(day)}" if day else ""
+            device += f", {found.person}: {roles_named(found.badge.roles)}{end}"
         print(f"{path}: {found.kind}: {ids}{device}")
     except KeyFileError as problem:
         _wrong(str(problem))

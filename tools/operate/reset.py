@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+import time
 from pathlib import Path
 
 from agent.interface.lifecycle import State
@@ -9,6 +10,7 @@ from agent.runtime.files.key_file import OPERATOR, RESERVE, KeyFileError, read
 from agent.safety.stop_controller import COUNT_TOLD_MAX
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
+from protocol.operator_badges import ALL_ROLES, DAY_S, Role
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.common.launch_keys import own_keys
@@ -47,7 +49,7 @@ async def _reset(
     interface: str, channel: str, bitrate: int, host: str, port: int, key: Path | None,
     start: bool, timeout_s: float, as_json: bool,
 ) -> int:  # fmt: skip
-    keyring = operator_keyring(key, timeout_s)
+    keyring = operator_keyring(key, timeout_s, Role.RELEASE)
     bus = attach(interface, channel, bitrate, host, port)
     try:
         operator = Operator(bus, keyring)
@@ -149,11 +151,17 @@ async def started(operator: Operator, timeout_s: float) -> None:
         operator.now_s = loop.time()
 
 
-def operator_keyring(key: Path | None, timeout_s: float) -> Keyring | None:
-    """With frames enough for this long; raises AttachError."""
+def operator_keyring(key: Path | None, timeout_s: float, role: Role = ALL_ROLES) -> Keyring | None:
+    """With frames enough for this long. `role`: one of these must be in the key's badge. Raises
+    AttachError."""
+    if key is None:
+        return None
     try:
-        blocks = 1 + round(timeout_s) // BLOCK_S
-        return None if key is None else read(key, OPERATOR).keyring(blocks * RESERVE)
+        file = read(key, OPERATOR)
+        why = file.may(role, int(time.time()) // DAY_S)
+        if why is not None:
+            raise AttachError(f"--keys {why}")
+        return file.keyring((1 + round(timeout_s) // BLOCK_S) * RESERVE)
     except KeyFileError as problem:
         raise AttachError(f"--keys {problem}") from None
 

@@ -2,13 +2,16 @@
 
 A robot's file has the fleet's secrets and a key of its own, by which only the owner can give it new ones
 (`protocol/rekeying.py`). The owner's file has the secret that all robots' own keys are made of.
-They are JSON that only the owner can read. An operator's counter must never go back, so it is
-stored beside its key file and reserved in blocks: one durable write covers many frames.
+The owner makes restricted files for other people; each has roles, and may expire
+(`protocol/operator_badges.py`). All are JSON that only the owner can read. An operator's counter must
+never go back: it is stored beside its key file and reserved in blocks, so one durable write covers many.
 """
 
 import json
 import os
+import stat
 from collections.abc import Iterable
+from datetime import date, timedelta
 from hashlib import sha256
 from pathlib import Path
 from secrets import token_bytes
@@ -17,6 +20,8 @@ from typing import Any, NamedTuple
 from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
+from protocol.fleet_tags import held_key
+from protocol.operator_badges import NEVER, Badge, Role
 from protocol.rekeying import GENERATION_MAX, OWN_SIZE, own_key
 
 FLEET, OPERATOR, ROBOT = "headland fleet keys", "headland operator key", "headland robot keys"
@@ -24,6 +29,9 @@ PANEL = 140  # sender of a stop panel that holds the fleet's keys
 DEVICE = 249  # the operator device if the file names no other
 DEVICE_MAX = 254
 RESERVE = 8192  # frames; a reset of a hundred machines that takes 5 s sends 6,000
+EPOCH = date(1970, 1, 1)
+DAY_MAX = 0xFFFF  # as OPERATOR_BADGE carries it: the year 2149
+PERSON_MAX = 60  # characters of a name
 NAMES = {FLEET: "fleet.json", OPERATOR: "operator.json"}  # in the folder of both
 
 
@@ -40,6 +48,8 @@ class KeyFile(NamedTuple):
     device: int | None = None  # for an operator's file
     slot: int | None = None  # for a robot's file
     root: bytes | None = None  # of the robots' own keys; the owner has it
+    badge: Badge | None = None  # of an operator's file that is restricted
+    person: str = ""  # for whom it was made
 
     @property
     def ids(self) -> dict[str, str]:
@@ -58,12 +68,56 @@ class KeyFile(NamedTuple):
         if self.kind != OPERATOR:
             return Keyring(self.keys, PANEL, lot)
         assert self.device is not None
-        return Keyring(self.keys, self.device, lot, reserve(self, frames))
+        return Keyring(self.keys, self.device, lot, reserve(self, frames), self.badge)
+
+    def may(self, role: Role, today: int) -> str | None:
+        """Why this file does not allow what needs one of these roles; None: it does. `today`: days
+        since 1970-01-01."""
+        if self.badge is None or (self.badge.roles & role and self.badge.valid(today)):
+            return None
+        if not self.badge.valid(today):
+            day = date_of(self.badge.expires_day)
+            return f"{self.path}: expired on {day}: ask the owner for a new one"
+        needed, held = roles_named(role), roles_named(self.badge.roles)
+        return f"{self.path}: it is for {held}, and this needs {needed}"
 
 
 def key_id(key: bytes) -> str:
     """Eight hexadecimal digits of a hash that identifies a key."""
     return sha256(b"headland key id" + key).hexdigest()[:8]
+
+
+def date_of(day: int) -> str:
+    """A day, counted from 1970-01-01, as year-month-day."""
+    return (EPOCH + timedelta(days=day)).isoformat()
+
+
+def roles_named(roles: Role) -> str:
+    """Roles as people write them: "stop, task"."""
+    return ", ".join(str(role.name).lower() for role in Role if role & roles)
+
+
+def operator_path(folder: Path, device: int) -> Path:
+    """The file of one person's device in the folder of a fleet's keys."""
+    return folder / f"operator-{device}.json"
+
+
+def operator_text(owner: KeyFile, badge: Badge, person: str) -> str:
+    """The content of a restricted operator's file. `owner`: the file of the fleet's owner."""
+    operators = owner.keys.operator
+    assert operators is not None and owner.root is not None, "only the owner makes files for others"
+    secret = badge.secret(operators)
+    document: dict[str, Any] = {
+        "kind": OPERATOR, "device": badge.device, "person": person,
+        "roles": [str(role.name).lower() for role in Role if role & badge.roles],
+        "expires": None if badge.expires_day == NEVER else date_of(badge.expires_day),
+        "generation": owner.keys.generation,
+        "operator_id": key_id(secret), "operator_key": secret.hex(),
+    }  # fmt: skip
+    if badge.roles & Role.RELEASE:
+        held = held_key(operators)
+        document |= {"held_id": key_id(held), "held_key": held.hex()}
+    return json.dumps(document, indent=1)
 
 
 def fresh() -> Keys:
@@ -130,7 +184,7 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
         path = path / NAMES[kind]
     try:
         document = read_json(path, KEY_BYTES_MAX)
-        mode = path.stat().st_mode
+        mode, above = path.stat().st_mode, path.absolute().parent.stat().st_mode
     except GivenFileError as problem:
         said = str(problem)
         why = "not a key file: not JSON" if said.startswith("not JSON") else said
@@ -139,6 +193,8 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
         raise KeyFileError(f"{path}: cannot be read: {problem.strerror}") from None
     if mode & 0o077:
         raise KeyFileError(f"{path}: others may read it: chmod 600 {path}, and consider new keys")
+    if above & 0o022 and not above & stat.S_ISVTX:
+        raise KeyFileError(f"{path}: others may replace it: chmod go-w {path.absolute().parent}")
     found = document.get("kind") if isinstance(document, dict) else None
     if found not in (FLEET, OPERATOR, ROBOT):
         raise KeyFileError(f"{path}: not a key file; make one with 'headland keys new'")
@@ -159,7 +215,27 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
     if not isinstance(device, int) or not OPERATOR_FIRST <= device <= DEVICE_MAX:
         raise KeyFileError(f"{path}: device: {device!r} is not {OPERATOR_FIRST} to {DEVICE_MAX}")
     root = _key(path, document, "root_id", "root_key") if "root_key" in document else None
-    return KeyFile(path, found, Keys(None, operator, generation=number), device, root=root)
+    held = _key(path, document, "held_id", "held_key") if "held_key" in document else None
+    keys, badge = Keys(None, operator, generation=number, held=held), _badge(path, document, device)
+    person = str(document.get("person", ""))[:PERSON_MAX]
+    return KeyFile(path, found, keys, device, root=root, badge=badge, person=person)
+
+
+def _badge(path: Path, document: dict[str, Any], device: int) -> Badge | None:
+    """What the file allows; None: all, for ever."""
+    if "roles" not in document:
+        return None
+    try:
+        roles = Role(0)
+        for name in document["roles"]:
+            roles |= Role[name.upper()]
+        expires = document.get("expires")
+        day = NEVER if expires is None else (date.fromisoformat(expires) - EPOCH).days
+    except (AttributeError, KeyError, TypeError, ValueError):
+        raise KeyFileError(f"{path}: roles or expires: damaged, or edited by hand") from None
+    if not roles or not 0 <= day <= DAY_MAX:
+        raise KeyFileError(f"{path}: roles or expires: damaged, or edited by hand")
+    return Badge(device, roles, day)
 
 
 def read_robot(path: Path, slot: int) -> KeyFile:

@@ -5,6 +5,7 @@ the robots have switched. So a tool that dies in between is simply called again:
 secret.
 """
 
+import contextlib
 import json
 import re
 from pathlib import Path
@@ -16,9 +17,11 @@ from agent.runtime.files.key_file import (
     FLEET,
     NAMES,
     OPERATOR,
+    KeyFile,
     KeyFileError,
     counter_path,
     create,
+    operator_text,
     read,
     robot_path,
     texts,
@@ -27,6 +30,7 @@ from protocol.authentication import KEY_SIZE
 from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY, Rekeying
 
 NEXT = "next.json"
+OF_PERSON = re.compile(r"operator-(\d{3})\.json")
 OF_ROBOT = re.compile(r"robot(\d{1,3})\.json")
 
 
@@ -79,15 +83,29 @@ class KeyFolder(NamedTuple):
         slots = self.slots - {done.revoked}
         fleet, operator = (self.folder / NAMES[kind] for kind in (FLEET, OPERATOR))
         made = texts(fleet, operator, done.keys, self.device, sorted(slots), self.root)
+        made |= people_texts(self.folder, KeyFile(operator, OPERATOR, done.keys, root=self.root))
         for path, text in made.items():
             new = path.with_name(path.name + ".new")
             new.unlink(missing_ok=True)
             create(new, text)
             new.replace(path)
-        counter_path(operator).unlink(missing_ok=True)
+        for path in made:
+            counter_path(path).unlink(missing_ok=True)
         if done.revoked != NOBODY:
             robot_path(self.folder, done.revoked).unlink(missing_ok=True)
         (self.folder / NEXT).unlink(missing_ok=True)
+
+
+def people_texts(folder: Path, owner: KeyFile) -> dict[Path, str]:
+    """The files of the people in this folder, under the owner's keys. What cannot be read is left out."""
+    made: dict[Path, str] = {}
+    for path in sorted(folder.iterdir()):
+        if OF_PERSON.fullmatch(path.name):
+            with contextlib.suppress(KeyFileError):
+                found = read(path, OPERATOR)
+                if found.badge is not None:
+                    made[path] = operator_text(owner, found.badge, found.person)
+    return made
 
 
 def owned(folder: Path) -> KeyFolder:

@@ -20,6 +20,7 @@ from agent.runtime.files.key_file import (
     read,
     write,
 )
+from protocol.operator_badges import Role
 from tests.tools import launching
 from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
@@ -209,3 +210,50 @@ def test_a_launch_has_keys_of_its_own_and_the_tools_of_its_user_take_them(tmp_pa
         assert report["authenticated"]
 
     asyncio.run(story())
+
+
+def test_a_key_for_one_person_has_roles_and_an_end(tmp_path: Path) -> None:
+    assert headland("keys", "new", "k", folder=tmp_path).returncode == 0
+    made = headland(
+        "keys", "operator", "Anna", "--roles", "stop,release", "--days", "9", "--folder", "k",
+        folder=tmp_path,
+    )  # fmt: skip
+    assert made.returncode == 0 and "Anna: stop, release, until " in made.stdout, made.stderr
+    path = tmp_path / "k" / "operator-192.json"
+    file, owner = read(path, OPERATOR), read(tmp_path / "k", OPERATOR)
+    assert file.badge is not None and file.root is None and file.keys.master is None
+    assert file.keys.operator != owner.keys.operator and file.keys.held is not None
+    day = file.badge.expires_day
+    assert file.may(Role.RELEASE, day - 1) is None and owner.may(Role.TASK, day) is None
+    assert "expired" in (file.may(Role.RELEASE, day) or "")
+    assert "it is for stop, release" in (file.may(Role.DIRECT, day - 1) or "")
+    wrong = headland("keys", "operator", "Ben", "--roles", "king", "--folder", "k", folder=tmp_path)
+    one_line(wrong, "king", "release")
+    again = headland("keys", "operator", "Ben", "--device", "192", "--folder", "k", folder=tmp_path)
+    one_line(again, "has a file already")
+
+    assert headland("keys", "rotate", "k", folder=tmp_path).returncode == 0
+    new = read(path, OPERATOR)
+    assert new.badge == file.badge and new.person == "Anna" and new.keys != file.keys
+
+
+def test_a_key_of_another_role_is_refused_by_the_tools_in_one_line(tmp_path: Path) -> None:
+    headland("keys", "new", "k", folder=tmp_path)
+    headland("keys", "operator", "WMS", "--roles", "task", "--folder", "k", folder=tmp_path)
+    headland("keys", "operator", "Anna", "--folder", "k", folder=tmp_path)
+    one_line(
+        headland("release", "--keys", "k/operator-192.json", folder=tmp_path), "it is for task"
+    )
+    one_line(
+        headland("task", "add", "1,2", "3,4", "--keys", "k/operator-193.json", folder=tmp_path),
+        "it is for stop",
+    )
+
+
+def test_a_key_file_that_others_may_replace_is_refused(tmp_path: Path) -> None:
+    fleet, _ = keys(tmp_path)
+    tmp_path.chmod(0o777)
+    with pytest.raises(KeyFileError, match="others may replace it"):
+        read(fleet)
+    tmp_path.chmod(0o700)
+    assert read(fleet)

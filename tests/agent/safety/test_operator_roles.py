@@ -1,0 +1,167 @@
+"""Roles and expiry of operators' keys, checked by a robot at each act."""
+
+from collections.abc import Sequence
+
+import pytest
+
+from agent.interface.config import S
+from agent.interface.effects import Effect, Send
+from agent.safety.command_authority import NEEDS, CommandAuthority, role_for
+from protocol.authentication import AnySigned, Keyring, Keys
+from protocol.frame_proofs import FleetTime, ProofChecker, ProofKeys, TimeAnswers, ToolProofs
+from protocol.frames.delivery_frames import TaskOrder
+from protocol.frames.operator_frames import OperatorGoal
+from protocol.frames.safety_frames import (
+    Challenge,
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    HeldReset,
+    OperatorCommand,
+)
+from protocol.frames.trust_frames import OperatorBadge, Proof, TimeQuestion
+from protocol.operator_badges import (
+    ALL_ROLES,
+    DAY_S,
+    NEVER,
+    PROVEN_FOR_US,
+    Badge,
+    BadgeBook,
+    Role,
+)
+
+FLEET = Keys(bytes(range(16)), bytes(range(16, 32)))
+assert FLEET.operator is not None
+ROBOT, DEVICE, TODAY = 3, 201, 20_000
+SAID: dict[str, AnySigned] = {
+    "stop": EmergencyStop(DEVICE, 1, 1, 0),
+    "reset": EmergencyReset(1, 1, 1, DEVICE),
+    "held reset": HeldReset(77, DEVICE),
+    "goal": OperatorGoal(5, DEVICE, 300, False),
+    **{each.name: OperatorCommand(each, 255, DEVICE) for each in Command},
+}
+
+
+def authority(day: int | None = TODAY) -> CommandAuthority:
+    unix_at_zero_s = None if day is None else day * DAY_S
+    return CommandAuthority(ROBOT, Keyring(FLEET, ROBOT, b"boot", badges=BadgeBook(unix_at_zero_s)))
+
+
+def device(badge: Badge, sent: int = 0) -> Keyring:
+    assert FLEET.operator is not None
+    own = Keys(None, badge.secret(FLEET.operator))
+    return Keyring(own, badge.device, b"session", sent, badge)
+
+
+def introduce(robot: CommandAuthority, person: Keyring, now_us: int = 0) -> None:
+    """The robot challenges, and the device tells its badge and proves its counter."""
+    (question,) = sent(robot.ask(person.sender, now_us))
+    assert isinstance(question, Challenge) and person.badge is not None
+    proof = person.answer(question, now_us)
+    assert proof is not None
+    robot.hear_badge(person.badge.told(), now_us)
+    robot.prove(proof, now_us)
+
+
+def sent(effects: Sequence[Effect]) -> list[object]:
+    return [effect.message for effect in effects if isinstance(effect, Send)]
+
+
+def signed(person: Keyring, message: AnySigned) -> AnySigned:
+    return person.sign(message)  # type: ignore[type-var]
+
+
+@pytest.mark.parametrize("what", SAID)
+@pytest.mark.parametrize("role", Role)
+def test_each_act_needs_its_role(what: str, role: Role) -> None:
+    robot, person, message = authority(), device(Badge(DEVICE, role, TODAY + 1)), SAID[what]
+    introduce(robot, person)
+    may = bool(role_for(message) & role)
+    assert robot.believes(signed(person, message), DEVICE, 1000) is may
+    assert robot.forbidden == (not may)
+
+
+def test_what_makes_a_fleet_move_again_is_not_for_those_who_may_only_stop_or_order() -> None:
+    for command in (Command.MANUAL_RESET, Command.WAIVE):
+        assert NEEDS[command] == Role.RELEASE
+    assert not NEEDS[Command.START] & (Role.STOP | Role.TASK)
+
+
+def test_more_roles_cannot_be_claimed() -> None:
+    robot, person = authority(), device(Badge(DEVICE, Role.STOP, TODAY + 1))
+    liar = person
+    liar.badge = Badge(DEVICE, ALL_ROLES, NEVER)
+    introduce(robot, liar)
+    assert not robot.believes(signed(liar, SAID["reset"]), DEVICE, 1000)
+    assert robot.keyring is not None and robot.keyring.bad
+
+
+@pytest.mark.parametrize("day", [TODAY, TODAY + 1, None])
+def test_a_key_that_expired_or_whose_day_is_unknown_releases_nothing(day: int | None) -> None:
+    robot, person = authority(day), device(Badge(DEVICE, ALL_ROLES, TODAY))
+    introduce(robot, person)
+    assert not robot.believes(signed(person, SAID["reset"]), DEVICE, 1000)
+    assert robot.keyring is not None and robot.keyring.expired
+
+
+def test_a_key_expires_while_it_is_used() -> None:
+    robot, person = authority(TODAY), device(Badge(DEVICE, ALL_ROLES, TODAY + 1))
+    introduce(robot, person, DAY_S * S - 2 * S)
+    assert robot.believes(signed(person, SAID["reset"]), DEVICE, DAY_S * S - S)
+    assert not robot.believes(signed(person, SAID["reset"]), DEVICE, DAY_S * S)
+
+
+def test_the_owner_needs_no_badge_and_no_date() -> None:
+    robot, owner = authority(None), Keyring(Keys(None, FLEET.operator), 249, b"session")
+    (question,) = sent(robot.ask(249, 0))
+    assert isinstance(question, Challenge)
+    proof = owner.answer(question, 0)
+    assert proof is not None
+    robot.prove(proof, 0)
+    assert robot.believes(owner.sign(EmergencyReset(1, 1, 1, 249)), 249, 1000)
+
+
+def test_a_badge_in_a_persons_name_ends_no_session_and_the_next_challenge_repairs_it() -> None:
+    robot, person = authority(), device(Badge(DEVICE, Role.RELEASE, TODAY + 1))
+    introduce(robot, person)
+    robot.hear_badge(OperatorBadge(DEVICE, int(Role.TASK), 1), 1000)
+    assert robot.believes(signed(person, SAID["reset"]), DEVICE, 2000)
+    later_us = 3 * PROVEN_FOR_US
+    robot.hear_badge(OperatorBadge(DEVICE, int(Role.TASK), 0), later_us)
+    assert not robot.believes(signed(person, SAID["reset"]), DEVICE, later_us)
+    introduce(robot, person, later_us + S)
+    assert robot.believes(signed(person, SAID["reset"]), DEVICE, later_us + S)
+
+
+def test_a_flood_of_badges_costs_little_memory() -> None:
+    robot = authority()
+    assert robot.keyring is not None
+    for number in range(20_000):
+        told = OperatorBadge(192 + number % 63, number % 16, number % 65_536)
+        robot.hear_badge(told, number)
+        signature = EmergencyReset(1, 1, 1, told.device, number & 0xFF, number)
+        robot.believes(signature, told.device, number)
+    assert len(vars(robot.keyring.badges)["_of"]) <= 63
+    assert len(vars(robot.keyring)["_macs"]) <= 512
+
+
+@pytest.mark.parametrize("roles", [Role.TASK, Role.STOP | Role.RELEASE])
+def test_a_transport_order_is_proven_by_a_key_of_its_badge(roles: Role) -> None:
+    badge = Badge(DEVICE, roles, TODAY + 1)
+    assert FLEET.operator is not None
+    tool = ToolProofs(Keys(None, badge.secret(FLEET.operator)), DEVICE, b"lot", badge)
+    book, time = BadgeBook(TODAY * DAY_S), FleetTime(123_456, 0)
+    time.known = True
+    keys = ProofKeys(FLEET, book)
+    robot, order = ProofChecker(keys, time), TaskOrder(7, 1, 2)
+    for message in tool.after(order, 250, 0):
+        if isinstance(message, OperatorBadge):
+            book.hear(message, 0)
+        if isinstance(message, TimeQuestion):
+            for half in TimeAnswers(keys).halves(message, time.at(0)):
+                tool.hear(1, half, 0)
+    robot.hold(250, order, 1000)
+    proof = next(m for m in tool.after(order, 250, 1000) if isinstance(m, Proof))
+    found = robot.verify(250, proof, 1000)
+    assert found is not None and found.messages == (order,)
+    assert book.allows(DEVICE, Role.TASK, 1000) is bool(roles & Role.TASK)
