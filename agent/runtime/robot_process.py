@@ -32,6 +32,7 @@ from protocol.authentication import Keys
 from protocol.links.bus import open_bus
 from protocol.links.socketcand_link import SocketcandLink
 
+TELL_AFTER_S = 2.0  # a person is told of a wait that is longer
 GOODBYE_S = 0.2  # for the farewell frame to leave
 WRONG = 2  # exit code of an error that a person has to mend; one line says what it is
 
@@ -56,8 +57,10 @@ def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
         raise RobotError(f"robot {slot}: its journal cannot be opened: {problem}") from None
 
 
-async def opened_bus(table: RobotBusTable, slot: int) -> Bus:
-    """The bus; one behind a socketcand server reconnects by itself. Raises RobotError."""
+async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None = None) -> Bus:
+    """The bus; one behind a socketcand server reconnects by itself. Raises RobotError.
+
+    `answer_for_s`: until when the server has to answer; None: it is waited for, and a line says so."""
     options = table.options
     try:
         if table.interface != "socketcand":
@@ -69,8 +72,33 @@ async def opened_bus(table: RobotBusTable, slot: int) -> Bus:
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         where = f"{table.interface} {table.channel}"
         raise RobotError(f"robot {slot}: bus: cannot open {where}: {reason}") from None
-    await link.up()
+    absent = f"no socketcand server answers at {host}:{port}"
+    try:
+        try:
+            async with asyncio.timeout(TELL_AFTER_S if answer_for_s is None else answer_for_s):
+                await link.up()
+        except TimeoutError:
+            if answer_for_s is not None:
+                raise RobotError(f"robot {slot}: bus: {absent}") from None
+            print(f"robot {slot}: waits for its bus, {absent}; Ctrl-C ends it", file=sys.stderr)
+            await link.up()
+    except (RobotError, asyncio.CancelledError):
+        link.close()
+        raise
     return link
+
+
+async def _bus_before(end: asyncio.Event, robot: RobotFile) -> Bus | None:
+    """The bus; None where the robot is ended while it waits for it. Raises RobotError."""
+    opening = asyncio.create_task(opened_bus(robot.bus, robot.robot.slot))
+    ending = asyncio.create_task(end.wait())
+    await asyncio.wait({opening, ending}, return_when=asyncio.FIRST_COMPLETED)
+    ending.cancel()
+    if opening.done():
+        return await opening
+    opening.cancel()
+    await asyncio.wait({opening})
+    return None
 
 
 def origin_of(robot: RobotFile) -> tuple[float, float] | None:
@@ -120,7 +148,9 @@ async def run_robot(
     try:
         body = await opened_body(robot, dry=dry)
         try:
-            bus = await opened_bus(robot.bus, slot)
+            bus = await _bus_before(end, robot)
+            if bus is None:
+                return
             try:
                 now_us, lot = PeerRunner.now_us(), secrets.token_bytes(16)
                 work = work_of(robot, now_us, recalled)

@@ -154,13 +154,18 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
     from tools.run.coverage_report import unreached
 
     try:
-        instance = _instance(map, robots, seed, (0, 0, 0.0), False)
+        instance = instance_of(map, robots, seed)
         setting = setting_of(instance, seed, (), 0.0, "continue", 0.0)
         left = unreached(instance.walls, instance.starts)
         return driven(setting, folder_for(out, instance.name), as_json, left, False)
     except (GridFileError, ScenarioError, FolderError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         return 2
+
+
+def instance_of(map: Path, robots: int, seed: int) -> "Instance":
+    """A map and where so many robots start on it. Raises GridFileError and OSError."""
+    return _instance(map, robots, seed, (0, 0, 0.0), False)
 
 
 def _instance(

@@ -7,30 +7,32 @@
 It is the run of `headland run`, with the same trace hash. Nothing is written unless it is asked for.
 """
 
-from collections.abc import Mapping, Sequence
+import re
+from contextlib import nullcontext
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from rich.console import Console
 
-from sim.fleet.outcome import FieldOutcome
+from agent.interface.config import S
+from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import Cluster
 from sim.record.recorder_script import watch
 from sim.record.recording import Recording
 from sim.record.scene_builder import scene_of
-from sim.runs.field_run import FieldRun
-from sim.runs.navigation_run import NavigationOutcome, NavigationRun
-from sim.scenarios.delivery_scenario import is_warehouse
-from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
-from sim.scenarios.navigation_setup import NavigationSetup
-from sim.scenarios.scenario import Scenario, ScenarioError
+from sim.runs.coverage_run import CoverageRun
+from sim.scenarios.own_mission_setup import MissionMaker
 from tools.report.chapter import Chapter, chapters
 from tools.report.command import write
 from tools.report.page import table_of
 from tools.report.run_data import RunEvidence
+from tools.run.played_robot import PlayedRobot
+from tools.run.run_mission import ProgressBar
+from tools.run.run_plots import PLOTS
+from tools.run.scenario_run import Faults, run_of
 
 
 class Picture:
@@ -47,14 +49,20 @@ class Picture:
         Path(path).write_bytes(self.png)
 
 
+def column_name(title: str) -> str:
+    """The title of a column as a name: "RMSE, m" is `rmse_m`."""
+    return re.sub(r"\W+", "_", title).strip("_").lower()
+
+
 class Run:
     """What came of a scenario. Every field of its outcome is an attribute: `run.coverage`."""
 
     def __init__(
-        self, outcome: FieldOutcome | NavigationOutcome, recording: Recording,
-        tracks: dict[int, NDArray[np.float64]], faults: list[dict[str, Any]],
+        self, outcome: Any, recording: Recording, tracks: dict[int, NDArray[np.float64]],
+        faults: list[dict[str, Any]],
     ) -> None:  # fmt: skip
-        """`tracks`: where each robot truly was, (n, 3): seconds, metres east, metres north."""
+        """`outcome`: of the mission. `tracks`: where each robot truly was, (n, 3): seconds, metres
+        east, metres north."""
         self.outcome, self.recording, self.tracks = outcome, recording, tracks
         self.figures = {
             **outcome.to_dict(), "faults": faults, "log_hash": recording.digest.hex
@@ -68,6 +76,15 @@ class Run:
         except KeyError:
             known = ", ".join([*self.figures, *self.chapters])
             raise AttributeError(f"a run has no {name}; it has {known}") from None
+
+    def __dir__(self) -> list[str]:
+        """Also the figures, so that a notebook completes them."""
+        return sorted({*super().__dir__(), *self.figures})
+
+    @property
+    def robots(self) -> list[PlayedRobot]:
+        """Each robot, by its slot."""
+        return [PlayedRobot(self, slot) for slot in sorted(self.tracks)]
 
     @cached_property
     def chapters(self) -> dict[str, Chapter]:
@@ -97,29 +114,26 @@ class Run:
         return [dict(zip(values[0], row, strict=True)) for row in values[1]]
 
     def frame(self, chapter: str) -> Any:
-        """All values of a chapter as a pandas DataFrame. Raises ImportError without pandas."""
+        """All values of a chapter as a pandas DataFrame; numbers have their unit in the name of the
+        column, as `rmse_m`. Raises ImportError without pandas."""
         import pandas
 
-        return pandas.DataFrame(self.table(chapter))
+        frame = pandas.DataFrame(self.table(chapter))
+        return frame.rename(columns={name: column_name(name) for name in frame})
 
-    def plot(self, ax: Any = None) -> Any:
-        """Draw the outline and where each robot truly was, metres; returns the axes.
+    def plot(self, what: str = "tracks", ax: Any = None) -> Any:
+        """Draw on axes of matplotlib, and return them.
 
-        `ax`: axes of matplotlib; None: new ones.
+        `what`: tracks (where each robot truly was), sections, states, load, errors. `ax`: None: new axes.
+        Raises ValueError for another word.
         """
+        if what not in PLOTS:
+            raise ValueError(f"no plot {what!r}: choose one of {', '.join(PLOTS)}")
         if ax is None:
             from matplotlib import pyplot
 
             ax = pyplot.subplots()[1]
-        for ring in (self.recording.scene or {}).get("rings") or []:
-            closed = [*ring, ring[0]]
-            ax.plot([x for x, _ in closed], [y for _, y in closed], color="black", linewidth=1)
-        for slot, track in sorted(self.tracks.items()):
-            ax.plot(track[:, 1], track[:, 2], linewidth=0.8, label=f"robot {slot}")
-        ax.set_aspect("equal")
-        ax.set_xlabel("m east")
-        ax.set_ylabel("m north")
-        ax.legend(fontsize="small")
+        PLOTS[what](self, ax)
         return ax
 
     def picture(self, chapter: str = "tracks") -> Picture:
@@ -137,6 +151,8 @@ class Run:
         return out
 
     def _chapter(self, name: str) -> Chapter:
+        if name == "errors" and name not in self.chapters:
+            name = "planned"  # it says why there are none
         if name not in self.chapters:
             raise ValueError(f"no chapter {name}: choose one of {', '.join(self.chapters)}")
         return self.chapters[name]
@@ -158,47 +174,49 @@ def play(
     scenario: str = "oxted",
     robots: int | None = None,
     seed: int | None = None,
-    faults: Sequence[Mapping[str, Any]] | None = None,
+    faults: Faults | None = None,
     time_limit_s: float | None = None,
     drive: str | None = None,
+    mission: MissionMaker | None = None,
+    progress: bool | None = None,
 ) -> Run:
-    """Run a field or a building to its end, in virtual time. ScenarioError where it cannot be.
+    """Run a scenario to its end, in virtual time. ScenarioError where it cannot be.
 
-    `scenario`: a file, or one that ships. `faults`: tables as in a scenario file, instead of its own.
+    `scenario`: one that ships (`headland list`), or a file: .toml, a field, or a grid .map. `faults`:
+    tables as in a scenario file, instead of its own. `mission`: what the robots of a field do instead of
+    working its swaths, made for each with a `Site`. `progress`: a bar; None: where a person sees it.
     """
-    if is_warehouse(scenario):
-        raise ScenarioError(f"{scenario}: a warehouse: headland run {scenario}")
-    changed = load_mission(scenario).changed(
-        robots, seed, None, None, drive, faults, time_limit_s
-    )  # fmt: skip
+    run = run_of(scenario, robots, seed, faults, time_limit_s, drive, mission)
     recording = Recording()
+    recording.scene = None if isinstance(run, CoverageRun) else scene_of(run.setting)
+
+    sampled: dict[int, list[tuple[float, float, float]]] = {}  # bodies on a grid keep no track
 
     def attach(cluster: Cluster) -> None:
         cluster.segment.taps.append(recording.write)
         watch(cluster, [recording])
+        if isinstance(run, CoverageRun):
+            cluster.host.spawn(_sample(cluster, sampled))
 
-    run = _errands(changed, recording, attach) if isinstance(changed, NavigationScenario) else None
-    return run or _field(changed, recording, attach)
-
-
-def _field(scenario: Scenario, recording: Recording, attach: Any) -> Run:
-    setting = FieldSetup(scenario)
-    recording.scene = scene_of(setting)
-    expedition = FieldRun(setting, attach=attach)
-    outcome = expedition.run()
+    run.attach = attach
+    console = Console(stderr=True)
+    seen = console.is_terminal or console.is_jupyter if progress is None else progress
+    with ProgressBar(console, run.setting.scenario.name, run, "done") if seen else nullcontext():
+        outcome = run.run()
     recording.close()
-    tracks = {
-        slot: np.array([(t_us / 1e6, x, y) for t_us, x, y, _ in track])
-        for slot, track in expedition.tracks.items()
+    cluster = run.cluster
+    assert cluster is not None
+    tracks = {slot: np.array(points) for slot, points in sampled.items()} or {
+        slot: body.track.to_array()[:, :3] * (1e-6, 1.0, 1.0)
+        for slot, body in cluster.world.robots.items()
     }
-    return Run(outcome, recording, tracks, expedition.told_faults)
+    return Run(outcome, recording, tracks, run.told_faults)
 
 
-def _errands(scenario: NavigationScenario, recording: Recording, attach: Any) -> Run:
-    setting: NavigationSetup = setting_of(scenario)
-    recording.scene = scene_of(setting)
-    outing = NavigationRun(setting, attach=attach)
-    outcome = outing.run()
-    recording.close()
-    tracks = {slot: rows[:, :3] * (1e-6, 1.0, 1.0) for slot, rows in outing.tracks.items()}
-    return Run(outcome, recording, tracks, [])
+def _sample(cluster: Cluster, to: dict[int, list[tuple[float, float, float]]]) -> Script[None]:
+    """Where each body is, twice a second."""
+    while True:
+        now_us = cluster.host.now_us()
+        for slot, body in cluster.world.robots.items():
+            to.setdefault(slot, []).append((now_us / S, *body.position))
+        yield now_us + S // 2

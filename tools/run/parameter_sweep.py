@@ -19,7 +19,7 @@ SHOWN = (
 
 def sweep(
     scenario: str = "small",
-    robots: Iterable[int] = (4,),
+    robots: Iterable[int | None] = (4,),
     seeds: Iterable[int] = (1,),
     *,
     progress: bool = True,
@@ -27,7 +27,8 @@ def sweep(
 ) -> Any:
     """Every number of robots with every seed: a pandas DataFrame with the figures of each run.
 
-    `changes` are passed to `play`: `faults`, `time_limit_s`, `drive`. `progress`: show how far it is.
+    `changes` are passed to `play`: `faults`, `time_limit_s`, `drive`, `mission`. `progress`: show how far
+    it is. `robots`: None: as many as the scenario has.
     Raises ScenarioError, and ImportError without pandas.
     """
     import pandas
@@ -35,9 +36,9 @@ def sweep(
     pairs = list(product(robots, seeds))
     rows = []
     for count, seed in track(pairs, description=scenario, disable=not progress, transient=True):
-        run = play(scenario, robots=count, seed=seed, **changes)
+        run = play(scenario, robots=count, seed=seed, progress=False, **changes)
         plain = {k: v for k, v in run.figures.items() if isinstance(v, (bool, int, float, str))}
-        rows.append({"robots": count, "seed": seed} | plain)
+        rows.append({"robots": len(run.tracks), "seed": seed} | plain)
     frame = pandas.DataFrame(rows)
     first = ["robots", "seed", *(name for name in SHOWN if name in frame)]
     return frame[[*first, *(name for name in frame if name not in first)]]

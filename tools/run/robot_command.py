@@ -29,6 +29,7 @@ BLIND = (
     "fences and members it keeps clear of"
 )
 INTERRUPTED = 130
+ANSWER_FOR_S = 3.0  # a bus server answers within milliseconds
 FIRST_PLACE_FOR_US = 3 * S  # a body that is open senses within this
 
 
@@ -148,7 +149,7 @@ def _journal(declared: RobotFile) -> Finding:
 async def _bus(declared: RobotFile) -> Finding:
     where = f"{declared.bus.interface} {declared.bus.channel}"
     try:
-        bus = await opened_bus(declared.bus, declared.robot.slot)
+        bus = await opened_bus(declared.bus, declared.robot.slot, answer_for_s=ANSWER_FOR_S)
     except RobotError as problem:
         return Finding("bus", False, str(problem))
     bus.close()

@@ -6,6 +6,7 @@ import runpy
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -17,6 +18,15 @@ from tools.run.run_field import run as run_command
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
 PNG = b"\x89PNG"
+DEPOT = """
+name = "depot"
+mission = "delivery"
+[warehouse]
+map = "floor.map"
+random_tasks = 2
+[fleet]
+robots = 2
+"""
 
 
 def test_ten_lines_are_ten_and_run(
@@ -76,7 +86,10 @@ def test_errands_in_a_building() -> None:
     ("words", "why"),
     [
         ({"scenario": "nowhere"}, "no such file"),
-        ({"scenario": "warehouse"}, "headland run warehouse"),
+        ({"scenario": "warehouse", "drive": "ackermann"}, "of the robots of a field"),
+        ({"scenario": "ring", "mission": object}, "needs a field"),
+        ({"scenario": "small", "mission": lambda site: None}, "made a NoneType, not a Mission"),
+        ({"scenario": "none.map", "robots": 2}, "none.map"),
         ({"scenario": "small", "faults": [{"kind": "estop", "at_s": 1, "robot": 9}]}, "robot 9"),
         ({"scenario": "small", "faults": [{"kind": "flood", "at_s": 1}]}, "fault"),
         ({"scenario": "small", "time_limit_s": -1.0}, "time_limit_s"),
@@ -119,3 +132,67 @@ def test_a_sweep_has_a_row_for_each_run() -> None:
     assert len(stops) == len(alone.table("sections"))
     axes = alone.plot()
     assert len(axes.lines) == 2 + 3 and axes.get_xlabel() == "m east"
+
+
+FLOOR = "type octile\nheight 3\nwidth 6\nmap\n......\n..@@..\n......\n"
+SMALL: dict[str, dict[str, Any]] = {
+    "small": {"robots": 2}, "corridor": {"robots": 2, "seed": 2}, "depot.toml": {},
+    "arena": {"robots": 3, "time_limit_s": 20.0}, "floor.map": {"robots": 2},
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("scenario", SMALL)
+def test_every_mission_is_played_and_drawn(
+    scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("pandas", reason="the extra frames is not installed")
+    from matplotlib import pyplot
+
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "floor.map").write_text(FLOOR)
+    (tmp_path / "depot.toml").write_text(DEPOT)
+    run = hl.play(scenario, **SMALL[scenario])
+    assert run.finished or "time_limit_s" in SMALL[scenario]
+    assert len(run.robots) == run.figures["robots"]
+    for robot in run.robots:
+        assert list(robot.track) == ["t_s", "x_m", "y_m"] and len(robot.track) > 2
+        assert robot.driven_m > 1.0, robot
+    for chapter in ("sections", "load", "states"):
+        frame = run.frame(chapter)
+        assert len(frame) and all(name.isidentifier() for name in frame)
+    for what in ("tracks", "sections", "states", "load"):
+        _, ax = pyplot.subplots()
+        assert run.plot(what, ax=ax) is ax and (ax.lines or ax.patches), what
+        pyplot.close()
+    assert {"robots", "plot", "trace_hash"} <= {*dir(run)}
+    with pytest.raises(ValueError, match="choose one of tracks"):
+        run.plot("gantt")
+
+
+def test_units_are_in_the_names_of_columns() -> None:
+    pytest.importorskip("pandas", reason="the extra frames is not installed")
+    planned = hl.play("small", robots=2).frame("planned")
+    assert {"rmse_m", "implement_down_m", "worst_m"} <= {*planned}
+    assert planned["rmse_m"].dtype == float
+
+
+def test_a_mission_of_ones_own_is_a_fleet_s() -> None:
+    example = runpy.run_path(str(EXAMPLES / "posts.py"))
+    fleet = hl.Fleet("small", robots=3, mission=example["SoilSamples"])
+    run = fleet.play(seed=2)
+    assert run.success and run.sections == len(example["POSTS"])
+    assert sorted(s for robot in run.robots for s in robot.sections) == [f"S{k}" for k in range(6)]
+    for number, (x_m, y_m) in enumerate(example["POSTS"]):
+        owner = next(robot for robot in run.robots if f"S{number}" in robot.sections)
+        near = owner.track[(owner.track.x_m - x_m) ** 2 + (owner.track.y_m - y_m) ** 2 < 0.09]
+        assert near.t_s.max() - near.t_s.min() > 2.5, "it truly stood at the post"
+
+
+@pytest.mark.slow
+def test_a_fleet_sweeps_its_seeds() -> None:
+    pytest.importorskip("pandas", reason="the extra frames is not installed")
+    example = runpy.run_path(str(EXAMPLES / "posts.py"))
+    frame = hl.Fleet("small", robots=3, mission=example["SoilSamples"]).sweep(
+        range(1, 9), progress=False
+    )
+    assert len(frame) == 8 and frame["finished"].all() and not frame["contacts"].any()

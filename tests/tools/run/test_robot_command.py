@@ -2,6 +2,7 @@
 
 import json
 import signal
+import socket
 import subprocess
 import sys
 from collections.abc import Iterator
@@ -122,3 +123,23 @@ def test_a_plugin_of_another_package_is_found(folder: Path) -> None:
     (metadata / "entry_points.txt").write_text("[headland.body]\nrover = rover_of_others:Rover\n")
     code, out, _ = end(begin(folder, "fleet.toml", "--slot", "1", "--body", "rover", "--check"))
     assert code == 0 and "body    rover" in out, out
+
+
+def test_check_ends_where_no_bus_server_answers(folder: Path) -> None:
+    """It waited for ever, and said nothing."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))  # and nobody listens there
+        port = taken.getsockname()[1]
+        options = f'options = {{ host = "127.0.0.1", port = {port} }}'
+        bus = f'interface = "socketcand"\nchannel = "can0"\n{options}'
+        told = FILE.replace('interface = "virtual"\nchannel = "try"', bus)
+        (folder / "fleet.toml").write_text(told)
+        code, out, _ = end(begin(folder, "fleet.toml", "--slot", "2", "--check"))
+        assert code == 2 and f"no socketcand server answers at 127.0.0.1:{port}" in out
+        robot = begin(folder, "fleet.toml", "--slot", "2", "--first-boot")
+        assert robot.stderr is not None
+        lines = iter(robot.stderr.readline, "")
+        told = next(line for line in lines if "waits for its bus" in line)
+        assert str(port) in told and "Ctrl-C" in told
+        robot.send_signal(signal.SIGINT)
+        assert end(robot)[0] in (0, 130)
