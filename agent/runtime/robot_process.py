@@ -20,6 +20,7 @@ from agent.runtime.end_signals import on_end
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
+from agent.runtime.files.release_log import ReleaseLog, key_of, path_of
 from agent.runtime.gc_tuning import freeze_gc
 from agent.runtime.peer_factory import identity_of, keyring_of, make_peer, unix_at_zero_s
 from agent.runtime.peer_runner import PeerRunner
@@ -165,7 +166,10 @@ async def run_robot(
                     keyring=keyring_of(keys, slot, lot.hex().encode(), unix_at_zero_s(now_us)),
                     area=Area(segment, work.sections) if segment else None,
                 )  # fmt: skip
-                await _take_part(PeerRunner(peer, bus, body, journal), body, end, started)
+                memory = robot.folder / robot.robot.journal
+                kept = ReleaseLog(path_of(memory, slot), slot, key_of(keys, slot))
+                runner = PeerRunner(peer, bus, body, journal, kept.keep)
+                await _take_part(runner, body, end, started)
             finally:
                 bus.close()
         finally:

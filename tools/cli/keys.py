@@ -151,7 +151,7 @@ def operator(
 ) -> None:
     """Make a key file for one person, restricted to roles, which every robot checks at each act.
 
-    Give the person the file. Delete it and call 'headland keys rotate --running' to take the key away.
+    Give the person the file. To take the key away, delete it and call 'headland keys rotate --running'.
     Example: headland keys operator Anna --roles stop,release --days 90
     """
     import time
@@ -196,6 +196,62 @@ def operator(
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
     _tell(path)
+
+
+@app.command("log")
+def log_command(
+    folder: Annotated[
+        Path, typer.Argument(help="Folder of a launch, or of robots' memories.")
+    ] = Path("runs/launch"),
+    keys: Annotated[
+        Path | None, typer.Option(help="The owner's folder (none: the launch's own).")
+    ] = None,
+    verify: Annotated[
+        bool, typer.Option("--verify", help="Exit code 1 if a log was changed, or no key is there.")
+    ] = False,
+    json: Json = False,
+) -> None:
+    """Say who released what, as each robot has written it down and signed it.
+
+    Example: headland keys log runs/launch --verify
+    """
+    from datetime import UTC, datetime
+
+    from agent.runtime.files.given_file import GivenFileError
+    from agent.runtime.files.key_file import KeyFileError
+    from sim.files.strict_json import dumps
+    from tools.common.release_records import release_records
+
+    try:
+        found = release_records(folder, keys)
+    except (GivenFileError, KeyFileError) as problem:
+        _wrong(str(problem))
+    except OSError as problem:
+        _wrong(f"{folder}: {problem.strerror}")
+    releases = sorted((r for one in found.logs for r in one.releases), key=lambda r: r.at_unix_s)
+    failed = bool(found.broken) or not found.root
+    if json:
+        print(dumps({
+            "releases": [r._asdict() | {"who": found.who(r.device)} for r in releases],
+            "broken": {str(robot): why for robot, why in found.broken.items()},
+            "lacking": {str(robot): sorted(what) for robot, what in found.lacking.items()},
+            "signed": found.root, "logs": len(found.logs),
+        }))  # fmt: skip
+    else:
+        for release in releases:
+            at = datetime.fromtimestamp(release.at_unix_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
+            print(
+                f"{at} UTC  robot {release.robot}  {release.what}  by {found.who(release.device)}"
+            )
+        for robot, why in found.broken.items():
+            print(f"robot {robot}: CHANGED: {why}")
+        for robot, what in found.lacking.items():
+            print(
+                f"robot {robot}: no line about {', '.join(sorted(what))}: was it off, or is the end cut?"
+            )
+        checked = "tags and hashes" if found.root else "hashes; the owner's key is not there"
+        print(f"{len(found.logs)} logs, {len(releases)} releases; checked: {checked}")
+    raise SystemExit(1 if verify and failed else 0)
 
 
 @app.command()

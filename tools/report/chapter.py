@@ -1,11 +1,13 @@
 """The chapters of a report: a picture, a short table, all values as CSV; or why there is none."""
 
 from collections.abc import Iterator, Sequence
+from datetime import UTC, datetime
 from math import isfinite
 from statistics import median
 from typing import Any, NamedTuple
 
 from sim.record.scene import Scene
+from tools.common.release_records import records_or_none
 from tools.report import figures as drawing
 from tools.report.run_data import RunEvidence
 from tools.report.timeline import SILENT, History, Stop, TimelineEvent
@@ -46,6 +48,7 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
     bitrate = (scene or {}).get("bitrate", history.load.bitrate)
     yield _events(evidence, faults, history)
     yield _stops(history)
+    yield from _releases(evidence)
     yield _tracks(scene, history)
     yield from _planned(scene, followed(recording.intents, evidence.zero_at_us))
     yield _sections(history, marks)
@@ -224,6 +227,26 @@ def _stops(history: History) -> Chapter:
     columns = ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s")
     return Chapter("stops", "Stops", about, drawing.png_of(drawing.latencies(history.pressed)),
                    (head, table), (columns, rows))  # fmt: skip
+
+
+def _releases(evidence: RunEvidence) -> Iterator[Chapter]:
+    source = evidence.source
+    records = records_or_none(source if source.is_dir() else source.parent)
+    if records is None:
+        return
+    about = (
+        "What each robot has cleared, and under whose key, as it wrote it down. "
+        + ("Hashes and tags were checked." if records.root else "Hashes were checked; no key is here.")
+    )  # fmt: skip
+    about += "".join(f" Robot {r}: CHANGED: {why}." for r, why in records.broken.items())
+    rows = [
+        (datetime.fromtimestamp(r.at_unix_s, UTC).isoformat(timespec="milliseconds"), r.robot, r.what,
+         records.who(r.device))
+        for one in records.logs for r in one.releases
+    ]  # fmt: skip
+    rows.sort()
+    head = ("at, UTC", "robot", "what", "by")
+    yield Chapter("releases", "Releases", about, None, (head, rows[:ROWS_MAX]), (head, rows))
 
 
 def _last(stop: Stop, times_s: dict[int, float]) -> str:

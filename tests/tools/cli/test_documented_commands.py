@@ -50,6 +50,7 @@ PARSED = {
     "headland ros2": "needs ROS 2; tests/tools/ros2",
     "headland run": "a minute each; run by tests of its mission",
     "keys rotate keys --running": "needs a launch; tests/tools/cli/test_keys.py",
+    "keys log": "needs the files of a launch; tests/agent/runtime/test_release_log.py",
     "keys operator": "needs the files of an owner; tests/tools/cli/test_keys.py",
     "keys revoke": "needs a launch; tests/tools/cli/test_keys.py",
     "headland launch": "runs in real time; the tutorial's is run here",

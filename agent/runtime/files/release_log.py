@@ -1,0 +1,158 @@
+"""The release log of one robot: which stops were cleared, when, and under whose key.
+
+A line is appended when the robot has cleared a stop, and never changed. Each names the hash of the line
+before it, and has an HMAC-SHA256 under a key that only this robot and the owner of the fleet can make. So
+the owner finds a line that was changed, added, moved or taken out. The last lines can be cut off without
+a trace in one log; the logs of the other robots show that. A fleet without keys has the hashes alone.
+"""
+
+import hmac
+import json
+import logging
+import os
+import re
+import time
+from collections.abc import Sequence
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final, NamedTuple
+
+from agent.interface.effects import Effect, Trace
+from agent.runtime.files.given_file import GivenFileError, read_text
+from protocol.authentication import Keys
+
+log = logging.getLogger(__name__)
+
+START: Final = "0" * 64  # what the first line names as the hash before it
+LOG_BYTES_MAX: Final = 64 * 1024 * 1024  # 200,000 releases
+LINE_BYTES_MAX: Final = 4096  # read back at a start, to go on after the last line
+BY: Final = re.compile(r"^(?P<what>.*) by (?P<who>\d+)$")
+NAME: Final = re.compile(r"robot(\d{1,3})\.releases\.jsonl")
+
+
+class Release(NamedTuple):
+    """One line: a stop that one robot has cleared."""
+
+    number: int  # from 1
+    at_unix_s: float  # by the computer of the robot
+    robot: int
+    what: str  # as the robot traced it
+    device: int | None  # under whose key; None: it is not said
+    before: str  # hash of the line before, 64 hexadecimal digits
+    tag: str  # HMAC-SHA256, 64 hexadecimal digits; empty without keys
+
+
+class ReadLog(NamedTuple):
+    """A log that was read, and what is wrong with it."""
+
+    robot: int
+    releases: Sequence[Release]
+    broken: str  # empty: its chain and its tags are right
+    signed: bool  # the tags were checked
+
+
+def path_of(folder: Path, slot: int) -> Path:
+    """The log of a robot in the folder of its durable memory."""
+    return folder / f"robot{slot}.releases.jsonl"
+
+
+def key_of(keys: Keys | None, slot: int) -> bytes | None:
+    """The key of a robot's log. `keys`: its own; None in a fleet without keys."""
+    if keys is None:
+        return None
+    secret = keys.own or keys.master
+    assert secret is not None, "a robot holds the fleet's secret"
+    return own_log_key(secret, slot)
+
+
+def own_log_key(own: bytes, slot: int) -> bytes:
+    """The key of a log from the robot's own key, which the owner can make, too."""
+    return hmac.digest(own, b"headland release log" + bytes((slot,)), "sha256")
+
+
+class ReleaseLog:
+    """Appends the releases of one robot."""
+
+    def __init__(self, path: Path, slot: int, key: bytes | None) -> None:
+        self.path, self.slot, self._key = path, slot, key
+        self._number, self._before = _end_of(path)
+        torn = path.exists() and not self._number
+        self._first = b"\n" if torn else b""  # a line whose writing was cut off ends here
+
+    def keep(self, now_us: int, effect: Effect) -> None:
+        """Called with each effect of the robot. A disk that fails is logged, and the robot goes on: it
+        has released already."""
+        if not isinstance(effect, Trace) or effect.event != "CLEARED":
+            return
+        said = BY.match(effect.why)
+        what, device = (said["what"], int(said["who"])) if said else (effect.why, None)
+        self._number += 1
+        at_s = round(time.time(), 3)
+        plain = Release(self._number, at_s, self.slot, what, device, self._before, "")
+        line = _line(plain._replace(tag=_tag(plain, self._key)))
+        try:
+            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            with os.fdopen(handle, "ab") as file:
+                file.write(self._first + line)
+                file.flush()
+                os.fsync(handle)
+        except OSError as problem:
+            log.error("robot %d: the release log failed: %s", self.slot, problem)
+            return
+        self._before, self._first = sha256(line).hexdigest(), b""
+
+
+def read_log(path: Path, key: bytes | None) -> ReadLog:
+    """Read a log and check it. `key`: None checks the chain alone. Raises GivenFileError, OSError."""
+    found = NAME.fullmatch(path.name)
+    robot = int(found[1]) if found else -1
+    releases: list[Release] = []
+    before, broken = START, ""
+    for number, text in enumerate(read_text(path, LOG_BYTES_MAX).splitlines(), 1):
+        try:
+            release = Release(**json.loads(text))
+            line = _line(release)
+        except (TypeError, ValueError):
+            broken = broken or f"line {number} cannot be read"
+            continue
+        releases.append(release)
+        if line.decode() != text + "\n" or release.before != before or release.number != number:
+            broken = broken or f"line {number} does not follow the line before it"
+        elif release.robot != robot:
+            broken = broken or f"line {number} is of robot {release.robot}"
+        elif key is not None and not hmac.compare_digest(release.tag, _tag(release, key)):
+            broken = broken or f"line {number} was not written with the key of robot {robot}"
+        before = sha256(line).hexdigest()
+    return ReadLog(robot, releases, broken, key is not None)
+
+
+def lacking(logs: Sequence[ReadLog]) -> dict[int, set[str]]:
+    """Releases by a person's key that some robots have and others lack: lines may be cut off, or the
+    robot was off or did not know the stop. By robot."""
+    said = {one.robot: {r.what for r in one.releases if r.device is not None} for one in logs}
+    everything = set().union(*said.values()) if said else set()
+    return {robot: everything - had for robot, had in said.items() if everything - had}
+
+
+def _line(release: Release) -> bytes:
+    return json.dumps(release._asdict(), sort_keys=True).encode() + b"\n"
+
+
+def _tag(release: Release, key: bytes | None) -> str:
+    if key is None:
+        return ""
+    return hmac.digest(key, _line(release._replace(tag="")), "sha256").hex()
+
+
+def _end_of(path: Path) -> tuple[int, str]:
+    """Number and hash of the last line; of none if there is no log. What cannot be read ends the chain:
+    the next line names the hash of nothing, and a check says so."""
+    try:
+        size = path.stat().st_size
+        with path.open("rb") as file:
+            file.seek(max(0, size - LINE_BYTES_MAX))
+            last: bytes = file.read().splitlines(keepends=True)[-1]
+        document: dict[str, Any] = json.loads(last)
+        return int(document["number"]), sha256(last).hexdigest()
+    except (OSError, IndexError, KeyError, TypeError, ValueError, GivenFileError):
+        return 0, START

@@ -1,0 +1,138 @@
+"""The signed log of releases: what was changed, added, moved or taken out is found."""
+
+import json
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from agent.interface.effects import HALT, Trace
+from agent.runtime.files.key_file import OPERATOR, fresh, read, read_robot, write
+from agent.runtime.files.release_log import (
+    ReadLog,
+    ReleaseLog,
+    key_of,
+    lacking,
+    own_log_key,
+    path_of,
+    read_log,
+)
+from protocol.rekeying import own_key
+from tools.common.release_records import release_records
+
+ROBOT = 1
+Lines = list[str]
+
+
+def cleared(detail: str) -> Trace:
+    return Trace("safety", "", "CLEARED", "", detail)
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    keys = tmp_path / "keys"
+    keys.mkdir(mode=0o700)
+    write(keys / "fleet.json", keys / "operator.json", fresh(), 249, range(3))
+    return tmp_path
+
+
+def written(folder: Path, robot: int = ROBOT, releases: int = 4) -> Path:
+    key = key_of(read_robot(folder / "keys", robot).keys, robot)
+    log = ReleaseLog(path_of(folder, robot), robot, key)
+    log.keep(0, HALT)
+    for number in range(releases):
+        log.keep(number, cleared(f"dot 7.1.{number} by 249"))
+    return log.path
+
+
+def checked(folder: Path, path: Path) -> ReadLog:
+    root = read(folder / "keys", OPERATOR).root
+    assert root is not None
+    return read_log(path, own_log_key(own_key(root, ROBOT), ROBOT))
+
+
+def test_a_log_is_whole_and_goes_on_after_a_restart(folder: Path) -> None:
+    path = written(folder)
+    written(folder)
+    log = checked(folder, path)
+    assert not log.broken and log.signed and [r.number for r in log.releases] == list(range(1, 9))
+    assert log.releases[0].what == "dot 7.1.0" and log.releases[0].device == 249
+    assert path.stat().st_mode & 0o077 == 0
+
+
+def changed(lines: Lines) -> Lines:
+    return [lines[0], lines[1].replace("249", "201"), *lines[2:]]
+
+
+def rewritten(lines: Lines) -> Lines:
+    """Somebody without the key computes all hashes again."""
+    line = json.loads(lines[3])
+    return [*lines[:3], json.dumps(line | {"what": "dot 0.0.0"}, sort_keys=True)]
+
+
+CHANGES: tuple[Callable[[Lines], Lines], ...] = (
+    changed,
+    rewritten,
+    lambda lines: lines[1:],
+    lambda lines: [lines[0], *lines[2:]],
+    lambda lines: [lines[1], lines[0], *lines[2:]],
+    lambda lines: [*lines, lines[-1]],
+    lambda lines: [*lines, "no JSON"],
+    lambda lines: [lines[0], "{}", *lines[2:]],
+)
+
+
+@pytest.mark.parametrize("change", CHANGES)
+def test_a_change_is_found(folder: Path, change: Callable[[Lines], Lines]) -> None:
+    path = written(folder)
+    path.write_text("\n".join(change(path.read_text().splitlines())) + "\n")
+    assert checked(folder, path).broken
+
+
+def test_a_log_that_another_robot_wrote_is_found(folder: Path) -> None:
+    written(folder, robot=2).rename(path_of(folder, ROBOT))
+    assert checked(folder, path_of(folder, ROBOT)).broken
+
+
+def test_an_end_that_was_cut_off_shows_in_the_logs_of_the_others(folder: Path) -> None:
+    for robot in range(3):
+        written(folder, robot)
+    path = path_of(folder, ROBOT)
+    path.write_text("\n".join(path.read_text().splitlines()[:2]) + "\n")
+    records = release_records(folder)
+    assert records.root and not records.broken
+    assert lacking(records.logs) == {ROBOT: {"dot 7.1.2", "dot 7.1.3"}}
+
+
+def test_a_log_whose_end_is_damaged_goes_on_and_says_so(folder: Path) -> None:
+    path = written(folder)
+    path.write_bytes(path.read_bytes()[:-20])
+    written(folder)
+    assert checked(folder, path).broken
+
+
+def headland(folder: Path, *words: str) -> "subprocess.CompletedProcess[str]":
+    return subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", "keys", "log", *words],
+        cwd=folder, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+
+
+def test_the_command_names_people_and_fails_where_a_log_was_changed(folder: Path) -> None:
+    made = subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", "keys", "operator", "Anna", "--device", "201",
+         "--roles", "release", "--folder", "keys"],
+        cwd=folder, capture_output=True, text=True, check=False, timeout=120,
+    )  # fmt: skip
+    assert made.returncode == 0, made.stderr
+    key = key_of(read_robot(folder / "keys", ROBOT).keys, ROBOT)
+    log = ReleaseLog(path_of(folder, ROBOT), ROBOT, key)
+    log.keep(0, cleared("dot 7.1.1 by 201"))
+    whole = headland(folder, ".", "--verify")
+    assert whole.returncode == 0 and "dot 7.1.1  by Anna (201)" in whole.stdout, whole
+    assert json.loads(headland(folder, ".", "--json").stdout)["signed"]
+    log.path.write_text(log.path.read_text().replace("201", "202"))
+    spoilt = headland(folder, ".", "--verify")
+    assert spoilt.returncode == 1 and "robot 1: CHANGED" in spoilt.stdout
