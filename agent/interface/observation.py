@@ -36,7 +36,8 @@ class Observation(NamedTuple):
     heading_rad: float  # counter-clockwise from east
     vx_m_s: float
     vy_m_s: float
-    # One per ray, counter-clockwise from the heading; inf: nothing.
+    # One per ray, counter-clockwise from the heading; inf: nothing. Empty: no range sensors, or no
+    # scan that is new enough.
     ranges_m: tuple[float, ...] = ()
     battery: float = 1.0  # share of a full charge
     bodies: tuple[tuple[float, float], ...] = ()  # others in sight, metres east and north of us

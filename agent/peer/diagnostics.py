@@ -37,6 +37,7 @@ FAILURE_MODES: Final = {
     StopCause.BACKBONE_CREEP: 9,
     StopCause.UNHEARD: 9,
     StopCause.SENSES_OLD: 9,
+    StopCause.SCAN_LOST: 9,
     StopCause.BUS_OFF: 19,  # received network data in error
     StopCause.ERROR_PASSIVE: 19,
     StopCause.PLACE_FROZEN: 7,  # mechanical system does not respond

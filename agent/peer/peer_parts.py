@@ -43,6 +43,7 @@ from agent.peer.peer_lifecycle import PeerLifecycle
 from agent.peer.pgn_responder import PgnResponder
 from agent.peer.progress_announcements import ProgressAnnouncements
 from agent.peer.proven_frames import ProvenFrames
+from agent.peer.range_freshness import RangeSensing
 from agent.peer.section_claims import SectionClaims
 from agent.peer.section_work import SectionWork
 from agent.peer.self_check import SelfCheck
@@ -149,6 +150,7 @@ class PeerParts:
         drives = mission is not None and motion is not None
         needed_m = inf if mission is None else mission.position_accuracy_max_m
         self.senses = Senses(self.safety, motion, drives, needed_m)
+        self.ranges = RangeSensing(self.safety, self.senses)
         self.check = SelfCheck(self.safety, self.joining, self.membership, beat, now_us)
         self.knowledge = SelfKnowledge(self.safety, self.senses, self.check)
         question = None if motion is None else motion.obstacle_question()
@@ -189,8 +191,8 @@ class PeerParts:
             self.membership, self.joining,
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
-            self.senses, self.directive, self.control, self.progress_told, self.voice, self.release,
-            self.departure, self.diagnostics, self.tasks, self.terminal, self.proven,
+            self.senses, self.ranges, self.directive, self.control, self.progress_told, self.voice,
+            self.release, self.departure, self.diagnostics, self.tasks, self.terminal, self.proven,
         ]  # fmt: skip
 
     def _make_trust(self, keyring: Keyring | None, now_us: int) -> None:

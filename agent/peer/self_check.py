@@ -169,15 +169,10 @@ class SelfCheck(Part):
         return "" if now_us - start_at_us <= limit_for_us else f"no member of {others} hears us"
 
     def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> Outputs:
-        safety = self.safety
-        if there == safety.holds(cause):
-            return []
-        if there:
-            safety.raise_cause(cause, now_us, why)
-            return [HALT, Trace("safety", "", cause.name, "PROTECTIVE", why)]
-        safety.clear_cause(cause, now_us)
-        gone = Trace("safety", "PROTECTIVE", cause.name, "", "gone")
-        return [notices.ReceivedAgain(), gone] if cause is StopCause.UNHEARD else [gone]
+        outputs = self.safety.hold_while(cause, there, why, now_us)
+        if outputs and not there and cause is StopCause.UNHEARD:
+            return [notices.ReceivedAgain(), *outputs]
+        return outputs
 
 
 def _first(start_at_us: int | None, now_us: int) -> int:

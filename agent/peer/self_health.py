@@ -92,6 +92,7 @@ OF_CAUSE: Final[Mapping[StopCause, tuple[float, HealthSource]]] = {
     StopCause.SENSES_OLD: (HOLDS, HealthSource.SENSES),  # lower while they are old; see `_senses`
     StopCause.PLACE_FROZEN: (FAILED, HealthSource.SENSES),  # the sensed place is wrong
     StopCause.PLACE_LOST: (FAILED, HealthSource.SENSES),
+    StopCause.SCAN_LOST: (FAILED, HealthSource.SENSES),
     StopCause.LATE_TICK: (DEGRADED, HealthSource.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({

@@ -16,7 +16,7 @@ from math import cos, degrees, hypot, isfinite, pi, radians, remainder, sin
 from typing import Any, Final, NamedTuple
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, SPEED_MAX_M_S, S
-from agent.interface.effects import HALT, Drive, Effect, Trace
+from agent.interface.effects import HALT, Drive, Effect
 from agent.interface.motion_controller import BodyLimits, MotionController
 from agent.interface.observation import Observation
 from agent.peer import inputs, notices
@@ -158,7 +158,7 @@ class Senses(Part):
             self._late_at_us = now_us
         safety = self.safety
         steady = safety.holds(StopCause.SENSES_OLD) and now_us - self._late_at_us < STEADY_US
-        effects = self._set(StopCause.SENSES_OLD, bool(old) or steady, old, now_us)
+        effects = self.safety.hold_while(StopCause.SENSES_OLD, bool(old) or steady, old, now_us)
         self._changed = False
         frozen = ""
         if (
@@ -170,7 +170,7 @@ class Senses(Part):
             frozen = self._frozen(self._sensed_at_us)
             self._compared_at_us = self._sensed_at_us
         if frozen or self._changed:
-            effects += self._set(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
+            effects += self.safety.hold_while(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
         if not (safety.holds(StopCause.PLACE_FROZEN) and not self._changed):
             effects += self._believe(now_us, bool(old))
         doubted = safety.holds(StopCause.PLACE_FROZEN) or safety.holds(StopCause.PLACE_LOST)
@@ -198,7 +198,7 @@ class Senses(Part):
         elif not self.safety.holds(StopCause.PLACE_LOST):
             return []
         back = not wrong and now_us - self._lost_at_us >= STEADY_US
-        return self._set(StopCause.PLACE_LOST, not back, wrong, now_us)
+        return self.safety.hold_while(StopCause.PLACE_LOST, not back, wrong, now_us)
 
     def _inaccurate(self, here: Observation) -> str:
         """Why the place is too inaccurate to drive by; empty if it is not."""
@@ -346,13 +346,3 @@ class Senses(Part):
         """The limits of the body; if they are not known, those of the fastest body."""
         limits = None if self.motion is None else self.motion.body_limits
         return FASTEST if limits is None else limits
-
-    def _set(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
-        safety = self.safety
-        if there == safety.holds(cause):
-            return []
-        if there:
-            safety.raise_cause(cause, now_us, why)
-            return [HALT, Trace("safety", "", cause.name, "PROTECTIVE", why)]
-        safety.clear_cause(cause, now_us)
-        return [Trace("safety", "PROTECTIVE", cause.name, "", "gone")]

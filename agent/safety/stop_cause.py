@@ -29,6 +29,9 @@ class ClearCondition(Enum):
     BY_POLICY = "the silent member is heard again and the membership is stable for 2 s; or as the policy says"
     WHEN_GONE = "the cause is gone"
     WHEN_IN_TIME = "it is sensed in time for 1 s; look at the receiver, its cable and its driver"
+    WHEN_SCANNED = (
+        "scans arrive and change for 1 s; look at the range sensors, their cable and their driver"
+    )
     BY_MOVE_OR_START = (
         "the place changes, or an operator's start after a look at receiver and wheels"
     )
@@ -128,6 +131,12 @@ class StopCause(Enum):
         ClearCondition.BY_RETURN_OR_START,
         "the sensed place is inaccurate, or jumped further than the wheels can drive",
         "look at the receiver and its corrections; if the new place is right, headland order ROBOT start",
+    )
+    SCAN_LOST = _Rule(
+        Severity.PROTECTIVE,
+        ClearCondition.WHEN_SCANNED,
+        "no scan of the range sensors arrives, or always the same one",
+        "look at the range sensors of this robot, their cable and their driver",
     )
     ADDRESS_LOST = _Rule(
         Severity.PROTECTIVE,

@@ -189,6 +189,19 @@ class StopController:
         self._causes.pop(cause, None)
         self._expires_at_us.pop(cause, None)
 
+    def hold_while(self, cause: StopCause, there: bool, why: str, now_us: int) -> list[Effect]:
+        """Raise a protective cause or end it, so that it is active while it is `there`.
+
+        `why`: what it is about, for people. Empty if nothing changes.
+        """
+        if there == self.holds(cause):
+            return []
+        if there:
+            self.raise_cause(cause, now_us, why)
+            return [HALT, Trace("safety", "", cause.name, "PROTECTIVE", why)]
+        self.clear_cause(cause, now_us)
+        return [Trace("safety", "PROTECTIVE", cause.name, "", "gone")]
+
     # ---------------------------------------------------------------- stops
 
     def press(self, reason: Reason, now_us: int, free: Collection[int] = ()) -> Sequence[Effect]:

@@ -168,6 +168,7 @@ class StandsBy(IntEnum):
     PLACE_FROZEN = 21
     PLACE_LOST = 22
     WORK_OFF = 23
+    SCAN_LOST = 24
 
 
 class Standstill(NamedTuple):

@@ -181,6 +181,23 @@ def _late(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]
     return [kinds.Late(at_s=at_s, kind="late", robot=robot, by_s=by_s, for_s=for_s)]
 
 
+def _no_rays(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.choice((0.05, 0.3, 2.0, 8.0)), end_at_s - at_s)
+    return [kinds.NoRays(at_s=at_s, kind="no_rays", robot=robot, for_s=for_s)]
+
+
+def _stuck_rays(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.choice((0.3, 2.0, 8.0)), end_at_s - at_s)
+    return [kinds.StuckRays(at_s=at_s, kind="stuck_rays", robot=robot, for_s=for_s)]
+
+
+def _noisy_rays(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.uniform(1.0, 10.0), end_at_s - at_s)
+    spread_m, missing = rng.choice((0.01, 0.05, 0.2)), rng.choice((0.0, 0.05, 0.3))
+    return [kinds.NoisyRays(at_s=at_s, kind="noisy_rays", robot=robot, spread_m=spread_m,
+                            missing=missing, for_s=for_s)]  # fmt: skip
+
+
 def _disk_full(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     robot, for_s = rng.randrange(robots), min(rng.uniform(0.5, 8.0), end_at_s - at_s)
     return [kinds.DiskFull(at_s=at_s, kind="disk_full", robot=robot, for_s=for_s)]
@@ -316,6 +333,9 @@ DRAWS: dict[str, Draw] = {
     "deaf_wheels": _deaf_wheels,
     "slipping": _slipping,
     "late": _late,
+    "no_rays": _no_rays,
+    "stuck_rays": _stuck_rays,
+    "noisy_rays": _noisy_rays,
     "disk_full": _disk_full,
     "estop": _press,
     "reset": _release,

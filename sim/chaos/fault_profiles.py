@@ -53,9 +53,13 @@ BODIES = (
     "deaf_wheels",
     "slipping",
     "late",
+    "no_rays",
+    "stuck_rays",
+    "noisy_rays",
 )
 # Drawn in their own profile only: the seeds of the others stay what they were.
-SENSES = ("jumped", "drifting", "deaf_wheels", "slipping")
+RAYS = ("no_rays", "stuck_rays", "noisy_rays")
+SENSES = ("jumped", "drifting", "deaf_wheels", "slipping", *RAYS)
 ATTACKS = ("forger", "thief")
 TRAFFIC = ("person", "vehicle")
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
@@ -113,6 +117,11 @@ PROFILES = {
                                        "drifting": 2.0, "slipping": 2.0,
                                        "estop": 0.5, "loss": 0.5, "freeze": 0.5},
                       "receivers that fall silent, hang, jump, drift and are late; wheels that slip"),
+    # A robot with a stuck scan does not see what comes into its way: no boxes and no people. One that
+    # restarts without a scan has no range sensors, and says so: no crashes.
+    "rays": Profile((2, 4), (2, 8), {"no_rays": 3.0, "stuck_rays": 3.0, "noisy_rays": 3.0,
+                                     "estop": 0.5, "loss": 0.5, "freeze": 0.5, "blind": 0.5},
+                    "range sensors that fall silent, hang and are noisy"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,

@@ -20,6 +20,7 @@ from agent.peer.frame_origin import Origin, Origins
 from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
 from agent.peer.progress_announcements import ProgressAnnouncements
+from agent.peer.range_freshness import RangeSensing
 from agent.peer.section_claims import SectionClaims
 from agent.peer.self_check import NEVER_US, SelfCheck
 from agent.peer.sense_freshness import Senses
@@ -297,6 +298,9 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "frozen-place-believed": Mutant(
         "a place that does not change is not noticed", Senses, "_frozen", _constant(""), "body"
+    ),
+    "scans-not-missed": Mutant(
+        "a scan that does not arrive is not noticed", RangeSensing, "_wrong", _constant(""), "rays"
     ),
     "older-claim-wins": Mutant(
         "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"

@@ -198,7 +198,7 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
             case kinds.Jumped(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._place_jumps, robot, at_us + round(for_s * S)))
-            case kinds.Blind(robot=robot, for_s=for_s):
+            case kinds.Blind(robot=robot, for_s=for_s) | kinds.NoRays(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))

@@ -159,6 +159,14 @@ class FaultPlan:
                 return self._slip(robot, slip, for_s)
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s):
                 cluster.receivers[robot].late(now_us + round(for_s * S), round(by_s * S))
+            case kinds.NoRays(robot=robot, for_s=for_s):
+                cluster.receivers[robot].scanner.dead(now_us + round(for_s * S))
+            case kinds.StuckRays(robot=robot, for_s=for_s):
+                cluster.receivers[robot].scanner.stuck(now_us + round(for_s * S))
+            case kinds.NoisyRays(robot=robot, spread_m=spread_m, missing=missing, for_s=for_s):
+                noise = Random(f"{self.cluster.host.now_us()} rays of {robot}")
+                end_at_us = now_us + round(for_s * S)
+                cluster.receivers[robot].scanner.noisy(end_at_us, noise, spread_m, missing)
             case kinds.DiskFull(robot=robot, for_s=for_s):
                 return self._disk_full(robot, for_s)
             case kinds.Drift(robot=robot, ppm=ppm):

@@ -5,7 +5,8 @@ is over, even if the robot's process restarts meanwhile, because it is a fault o
 """
 
 from collections import deque
-from math import hypot
+from math import hypot, inf
+from random import Random
 
 from agent.interface.config import S
 from agent.interface.effects import GatedDrive
@@ -14,6 +15,48 @@ from agent.interface.ports import Body
 from sim.fleet.scheduler import Host
 
 HISTORY_MAX = 4_000  # delayed observations: 200 s of control periods
+
+
+class Scanner:
+    """The faults of one robot's range sensors, in microseconds of the world.
+
+    Of two faults of one kind that overlap, the later end holds, and the newer noise.
+    """
+
+    def __init__(self) -> None:
+        self._dead_ends_at_us = self._stuck_ends_at_us = self._noisy_ends_at_us = -1
+        self._noise: tuple[Random, float, float] = (Random(0), 0.0, 0.0)
+        self._scan: tuple[float, ...] = ()  # what arrived last
+
+    def dead(self, end_at_us: int) -> None:
+        """No scan arrives."""
+        self._dead_ends_at_us = max(self._dead_ends_at_us, end_at_us)
+
+    def stuck(self, end_at_us: int) -> None:
+        """The last scan arrives again and again."""
+        self._stuck_ends_at_us = max(self._stuck_ends_at_us, end_at_us)
+
+    def noisy(self, end_at_us: int, rng: Random, spread_m: float, missing: float) -> None:
+        """Each range is wrong by a normal error of `spread_m`; a share `missing` has no echo."""
+        self._noisy_ends_at_us = max(self._noisy_ends_at_us, end_at_us)
+        self._noise = rng, spread_m, missing
+
+    def tells(self, seen: Observation, world_now_us: int) -> Observation:
+        """The observation with the scan that arrives."""
+        if world_now_us < self._dead_ends_at_us:
+            return seen._replace(ranges_m=())
+        if world_now_us < self._stuck_ends_at_us and self._scan:
+            return seen._replace(ranges_m=self._scan)
+        if world_now_us < self._noisy_ends_at_us:
+            rng, spread_m, missing = self._noise
+            seen = seen._replace(
+                ranges_m=tuple(
+                    inf if rng.random() < missing else max(0.0, range_m + rng.gauss(0.0, spread_m))
+                    for range_m in seen.ranges_m
+                )
+            )
+        self._scan = seen.ranges_m
+        return seen
 
 
 class Receiver:
@@ -28,6 +71,7 @@ class Receiver:
         self._jump_ends_at_us = self._deaf_ends_at_us = -1
         self._drift_begins_at_us = self._drift_ends_at_us = -1
         self._drift_m_s = (0.0, 0.0)
+        self.scanner = Scanner()
         self._late_for_us = 0  # delay
         self._jump = (0.0, 0.0, 0.0)  # metres east and north, radians
         self._place: Observation | None = None  # what the filter repeats when it hangs
@@ -76,6 +120,7 @@ class Receiver:
 
         It passes the filter, which may hang, then the antenna's driver, then the buffer.
         """
+        seen = self.scanner.tells(seen, world_now_us)
         if world_now_us < self._frozen_ends_at_us and self._place is not None:
             seen = self._place._replace(sensed_at_us=world_now_us)
         if world_now_us < self._jump_ends_at_us:

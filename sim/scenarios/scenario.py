@@ -367,6 +367,32 @@ class Late(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class NoRays(_Fault):
+    """No scan of its range sensors reaches a robot."""
+
+    kind: Literal["no_rays"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class StuckRays(_Fault):
+    """The same old scan reaches a robot again and again, as from a driver that hangs."""
+
+    kind: Literal["stuck_rays"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
+class NoisyRays(_Fault):
+    """The scans of a robot are wrong by chance, and some echoes are missing: dust, rain, sun."""
+
+    kind: Literal["noisy_rays"]
+    robot: Slot
+    spread_m: float = Field(gt=0.0, le=1.0)  # standard deviation of each range
+    missing: float = Field(default=0.0, ge=0.0, le=1.0)  # share of the echoes
+    for_s: float = Field(gt=0.0)
+
+
 class DiskFull(_Fault):
     """The disk of a robot accepts no write; then it is switched on with another one."""
 
@@ -406,6 +432,7 @@ Fault = Annotated[
     | BusOff | Estop | Reset | Order | Box | Person | PassingVehicle | Pushed | Join | Babble
     | Clone | Drift
     | ClockJump | CrashWorking | Blind | Frozen | Jumped | Drifting | DeafWheels | Slipping | Late
+    | NoRays | StuckRays | NoisyRays
     | DiskFull
     | Buttons | UsedStop | Foreign | Twin | Nonsense | Forger,
     Field(discriminator="kind"),

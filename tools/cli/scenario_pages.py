@@ -109,6 +109,8 @@ MEANING = {
     "robot": "its number, from 0",
     "for_s": "how long",
     "by_s": "by how much",
+    "spread_m": "standard deviation of each range",
+    "missing": "share of the echoes that are missing",
     "rate": "probability",
     "islands": "lists of robots that hear only each other",
     "sender": "who is not heard",

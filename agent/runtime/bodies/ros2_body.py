@@ -24,7 +24,7 @@ import time
 from math import atan2, cos, inf, isfinite, pi, sin, sqrt
 from typing import TYPE_CHECKING, Any, Final
 
-from agent.interface.config import ACTUATOR_TTL_US, MS
+from agent.interface.config import ACTUATOR_TTL_US, MS, SCAN_AGE_MAX_US
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain
@@ -78,7 +78,7 @@ class Ros2Body(RobotBody):
         self.wheels: WheelDrive | None = None
         self.node: Ros2Node | None = None
         self._seen: Observation | None = None  # replaced as a whole, by the thread of the node
-        self._ranges_m: tuple[float, ...] = ()
+        self._scan: tuple[int, tuple[float, ...]] = (0, ())  # when it was true, and the ranges
         self._told: tuple[GatedDrive, float] = (HALT, 0.0)  # and when, on the monotonic clock
 
     def declare(self, machine: DeclaredMachine) -> None:
@@ -110,7 +110,7 @@ class Ros2Body(RobotBody):
         node.node.create_timer(CHECK_S, self._expire)
         loop = asyncio.get_running_loop()
         ends_at_s = loop.time() + FIRST_S
-        while self._seen is None or (scan and not self._ranges_m):
+        while self._seen is None or (scan and not self._scan[1]):
             if loop.time() > ends_at_s:
                 self.close()
                 missing = f"{self.namespace}/{odom if self._seen is None else scan}"
@@ -162,12 +162,15 @@ class Ros2Body(RobotBody):
                 angle = message.angle_min + number * message.angle_increment
                 sector = round(angle / (2 * pi) * self.rays) % self.rays
                 nearest[sector] = min(nearest[sector], range_m)
-        self._ranges_m = tuple(nearest)
+        at_us = time.monotonic_ns() // 1000 - self._age_us(message.header.stamp)
+        self._scan = at_us, tuple(nearest)
 
     def sense(self, now_us: int) -> Observation | None:
-        """The newest odometry, with the time of its stamp."""
-        seen = self._seen
-        return None if seen is None else seen._replace(ranges_m=self._ranges_m)
+        """The newest odometry, with the time of its stamp, and the newest scan unless it is old."""
+        seen, (scanned_at_us, ranges_m) = self._seen, self._scan
+        if time.monotonic_ns() // 1000 - scanned_at_us > SCAN_AGE_MAX_US:
+            ranges_m = ()
+        return None if seen is None else seen._replace(ranges_m=ranges_m)
 
     # ---------------------------------------------------------------- what the robot is told
 

@@ -1,10 +1,13 @@
 """Faults of a position receiver, alone and together."""
 
+from math import inf
+from random import Random
+
 import pytest
 
 from agent.interface.effects import Drive
 from agent.interface.observation import Observation
-from sim.fleet.sensor_faults import Receiver
+from sim.fleet.sensor_faults import Receiver, Scanner
 from sim.world.drive_trains import STEP_US, Chassis
 from sim.world.world import World
 
@@ -63,6 +66,22 @@ def test_a_place_that_drifts_says_how_far_it_is_wrong() -> None:
     assert arrived is not None and arrived[:2] == pytest.approx((1.3, -0.4))
     assert arrived.position_accuracy_m == pytest.approx(0.5)
     assert arrivals(receiver, 2_000_000, 2_050_000) == [(2.0, 0)]
+
+
+def test_scans_are_absent_hang_and_are_noisy() -> None:
+    def scan(scanner: Scanner, t_us: int) -> tuple[float, ...]:
+        return scanner.tells(seen(t_us)._replace(ranges_m=(t_us / 1e6, inf)), t_us).ranges_m
+
+    scanner = Scanner()
+    assert scan(scanner, 1_000_000) == (1.0, inf)
+    scanner.stuck(3_000_000)
+    scanner.dead(2_000_000)
+    assert scan(scanner, 1_900_000) == ()
+    assert scan(scanner, 2_500_000) == (1.0, inf) and scan(scanner, 3_000_000) == (3.0, inf)
+    scanner.noisy(5_000_000, Random(1), 0.1, 0.5)
+    noisy = [scan(scanner, 4_000_000)[0] for _ in range(1_000)]
+    assert 400 < noisy.count(inf) < 600 and len(set(noisy)) > 400 and min(noisy) > 3.0
+    assert scan(scanner, 5_000_000) == (5.0, inf)
 
 
 def test_wheels_that_are_deaf_get_no_command() -> None:
