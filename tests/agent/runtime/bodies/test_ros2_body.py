@@ -105,6 +105,24 @@ async def test_a_laser_scan_is_one_ray_for_each_sector_from_the_front_on(robot: 
 
 
 @pytest.mark.asyncio
+@pytest.mark.parametrize("robot", [(DriveTrain.MECANUM, 0.0, True)], indirect=True)
+async def test_a_scanner_that_dies_gives_no_scan_and_the_place_goes_on(robot: Robot) -> None:
+    """The body repeated the last scan for ever, and its robot drove on blind."""
+
+    def scan() -> tuple[float, ...]:
+        seen = robot.body.sense(now_us())
+        return () if seen is None else seen.ranges_m
+
+    assert len(scan()) == 8
+    publisher, robot.machine._scan = robot.machine._scan, None
+    await robot.until(lambda: not scan())
+    placed = robot.body.sense(now_us())
+    assert placed is not None and now_us() - placed.sensed_at_us < 2_000_000
+    robot.machine._scan = publisher
+    await robot.until(lambda: len(scan()) == 8)
+
+
+@pytest.mark.asyncio
 async def test_a_robot_without_odometry_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(ros2_body, "FIRST_S", 0.2)
     body = Ros2Body(1, namespace="/nobody", domain=1 + randbelow(100))
