@@ -12,8 +12,15 @@ from tools.bench.figure import Figure
 # Name of the door -> its module. Doors are measured in this order.
 DOORS = {
     "VDA 5050": "tools.bench.vda5050.figures",
+    "ROS 2": "tools.bench.ros2_door",
+    "Foxglove": "tools.bench.foxglove_door",
+    "Prometheus": "tools.bench.prometheus_door",
     "MAPF": "tools.bench.mapf",
 }
+
+
+# The bound of a stop on the bus is in `headland bench stop`; a door may add this.
+ADDED_MS = 100.0
 
 
 class CounterpartAbsent(Exception):

@@ -6,14 +6,13 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from tools.bench.figure import Figure
+from tools.bench.systems import ADDED_MS
 from tools.bench.vda5050 import masters_orders, own_vehicles, stop_latency
 from tools.bench.vda5050.counterparts import PACKAGE, node_folder
 
 AGAINST = f"{PACKAGE}, mosquitto, official schemas of 2.1"
 ORDERS, ORDERS_QUICK = 50, 4
 VEHICLES, VEHICLES_QUICK = 20, 2
-# The bound of a stop on the bus is in `headland bench stop`; a door may add this.
-ADDED_MS = 100.0
 
 
 def figures(quick: bool) -> Iterator[Figure]:

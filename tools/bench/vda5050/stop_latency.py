@@ -11,21 +11,14 @@ from asyncio.subprocess import PIPE, STDOUT, Process
 from pathlib import Path
 from typing import NamedTuple
 
-from protocol.frames.codec import decode
-from protocol.frames.fleet_frames import Pose
-from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyStop, Reason
+from tools.bench.stopped_beats import BUS_BOUND_MS, REPEAT_S, TIMEOUT_S, Beats
 from tools.bench.vda5050.counterparts import WAIT_S, Mosquitto, drain, end, said, start
 from tools.bench.vda5050.masters_orders import ROBOTS, SCENARIO, serve
 from tools.common.bus_attach import CHANNEL, attach
 from tools.operate.operator_device import Operator
 
 PRESSES = 10
-# From a press until no command to move is in force: the silence limit of 300 ms and 20 ms.
-BUS_BOUND_MS = 320.0  # docs/how/safety_case.md, S1
-LOOK_S = 0.01
-REPEAT_S = 0.005  # as a stop panel repeats its press
-TIMEOUT_S = 10.0
 
 
 class StopLatency(NamedTuple):
@@ -37,26 +30,6 @@ class StopLatency(NamedTuple):
     bus_bound_ms: float = BUS_BOUND_MS
 
 
-class _Beats:
-    """Which robots say that they are stopped."""
-
-    def __init__(self) -> None:
-        self.stopped: dict[int, bool] = {}  # by source address
-        self.all_at_s: float | None = None  # when all said so
-
-    def hear(self, frame: Frame) -> None:
-        source, message = decode(frame)
-        if isinstance(message, Pose):
-            self.stopped[source] = message.stopped
-            if self.all_at_s is None and len(self.stopped) == ROBOTS and all(self.stopped.values()):
-                self.all_at_s = asyncio.get_running_loop().time()
-
-    async def until(self, stopped: bool) -> None:
-        async with asyncio.timeout(TIMEOUT_S):
-            while set(self.stopped.values()) != {stopped} or len(self.stopped) < ROBOTS:
-                await asyncio.sleep(LOOK_S)
-
-
 async def trial(folder: Path, node: Path) -> StopLatency:
     """`PRESSES` of each side, with a release between them."""
     (folder / "yard.toml").write_text(SCENARIO.replace("handle_s", "random_tasks = 40\nhandle_s"))
@@ -65,7 +38,7 @@ async def trial(folder: Path, node: Path) -> StopLatency:
     launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", "--no-keys")
     gateway: Process | None = None
     master: Process | None = None
-    beats = _Beats()
+    beats = Beats(ROBOTS)
     took: dict[str, list[float]] = {"master": [], "bus": []}
     try:
         port = await said(launch, r"socketcand \S+:(\d+)")

@@ -1,0 +1,195 @@
+"""The door to Foxglove: what an independent viewer of everything is sent, what that costs, and its stop.
+
+The viewer is the package `websockets` and the description of the protocol
+(https://github.com/foxglove/ws-protocol); nothing of the SDK that serves is in it.
+"""
+
+import asyncio
+import json
+import os
+import struct
+from asyncio.subprocess import Process
+from collections import Counter
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, NamedTuple
+
+from tools.bench.figure import Figure
+from tools.bench.stopped_beats import BUS_BOUND_MS, Beats
+from tools.bench.systems import ADDED_MS, CounterpartAbsent
+from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
+from tools.common.bus_attach import CHANNEL, attach
+from tools.operate.operator_device import Operator
+
+ROBOTS, ROBOTS_QUICK = 20, 2
+LOOK_S, LOOK_QUICK_S = 30.0, 5.0
+PRESSES, PRESSES_QUICK = 10, 1
+RATE_MIN_HZ, CPU_MAX = 20.0, 0.05
+ROUNDING_HZ = 0.05  # of a count over the time that was looked
+MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
+CALL = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
+PROTOCOL = "foxglove.sdk.v1"
+STOP = "/emergency_stop"
+
+
+class Watched(NamedTuple):
+    """What a viewer of everything was sent, and the processes' CPU meanwhile."""
+
+    transforms_hz: float  # mean of all robots
+    poses_hz: float  # the same of the places on the bus
+    messages: int
+    cpu: float  # of the map, as a share of the robots'
+    idle_cpu: float  # the same without a viewer
+    door_ms: list[float]  # from the call of the service to the last robot
+    bus_ms: list[float]
+
+
+class Viewer:
+    """Subscribes to every topic, counts what comes, and calls services."""
+
+    def __init__(self, connection: Any) -> None:
+        self.connection = connection
+        self.topics: dict[int, str] = {}
+        self.services: dict[str, int] = {}
+        self.counts: Counter[str] = Counter()
+
+    async def read(self) -> None:
+        """Until the connection ends."""
+        async for data in self.connection:
+            if isinstance(data, str):
+                await self._told(json.loads(data))
+            elif data[0] == 1:
+                _, number, _ = MESSAGE.unpack_from(data)
+                self.counts[self.topics[number]] += 1
+
+    async def _told(self, told: dict[str, Any]) -> None:
+        if told["op"] == "advertiseServices":
+            self.services |= {service["name"]: service["id"] for service in told["services"]}
+        if told["op"] == "advertise":
+            self.topics |= {channel["id"]: channel["topic"] for channel in told["channels"]}
+            wanted = [{"id": c["id"], "channelId": c["id"]} for c in told["channels"]]
+            await self.connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    async def call(self, service: str, asked: dict[str, Any]) -> None:
+        """Ask; the answer is not waited for."""
+        head = CALL.pack(2, self.services[service], 1, len(b"json")) + b"json"
+        await self.connection.send(head + json.dumps(asked).encode())
+
+
+def figures(quick: bool) -> Iterator[Figure]:
+    """Rate, CPU and stops. Raises CounterpartAbsent."""
+    for package in ("foxglove", "websockets"):
+        if find_spec(package) is None:
+            raise CounterpartAbsent(f"{package} is not installed: pip install 'headland[foxglove]'")
+    robots, look_s = (ROBOTS_QUICK, LOOK_QUICK_S) if quick else (ROBOTS, LOOK_S)
+    with TemporaryDirectory(prefix="headland-foxglove-") as folder:
+        told = asyncio.run(trial(Path(folder), robots, look_s, PRESSES_QUICK if quick else PRESSES))
+    scope = (
+        f"{robots} robots as processes, `headland map --foxglove` subscribed to everything for "
+        f"{look_s:.0f} s, {told.messages} messages; {told.poses_hz:.2f} places a second on the bus"
+    )
+    rate_hz = told.transforms_hz
+    yield Figure(
+        "Foxglove: transforms of each robot", rate_hz, "Hz", f">= {RATE_MIN_HZ:g}",
+        rate_hz >= RATE_MIN_HZ - ROUNDING_HZ, "websockets and the published protocol", scope,
+    )  # fmt: skip
+    added = told.cpu - told.idle_cpu
+    yield Figure(
+        "Foxglove: CPU that a viewer of everything adds to the map", added, "of the robots' CPU",
+        f"<= {CPU_MAX:g}", None if quick else added <= CPU_MAX, "",
+        f"{told.cpu:.3f} with it, {told.idle_cpu:.3f} without; {scope}",
+    )  # fmt: skip
+    limit_ms = BUS_BOUND_MS + ADDED_MS
+    for side, times in (("by the service", told.door_ms), ("on the bus", told.bus_ms)):
+        yield Figure(
+            f"Foxglove: stop {side}, last robot latched", max(times), "ms", f"<= {limit_ms:g}",
+            max(times) <= limit_ms, "",
+            f"longest of {len(times)}, to the beat that says it; bound of the bus "
+            f"{BUS_BOUND_MS:g} ms; {robots} robots",
+        )  # fmt: skip
+
+
+async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watched:
+    """A launch, a map beside it, and a viewer."""
+    from websockets.asyncio.client import connect
+    from websockets.typing import Subprotocol
+
+    words = ("--robots", str(robots), "--fresh", "--no-keys")
+    launch = await start(folder, "launch", "small", *words)
+    shown: Process | None = None
+    beats, reading = Beats(robots), []
+    try:
+        port = await said(launch, r"socketcand \S+:(\d+)")
+        pids = [int(await said(launch, rf"robot {k}: process (\d+)")) for k in range(robots)]
+        reading.append(asyncio.create_task(drain(launch)))
+        bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", int(port))
+        bus.subscribe(beats.hear)
+        operator = Operator(bus, None)
+        await operator.device.held()
+        shown = await start(folder, "map", "--page-port", "0", "--foxglove", "0", "--json")
+        told = json.loads(await said(shown, r"(\{.*\})"))
+        reading.append(asyncio.create_task(drain(shown)))
+        async with asyncio.timeout(WAIT_S):
+            while len(beats.stopped) < robots:
+                await asyncio.sleep(0.1)
+        await beats.until(False)
+        async with connect(
+            told["foxglove"], subprotocols=[Subprotocol(PROTOCOL)], max_size=None, close_timeout=0.3
+        ) as connection:
+            viewer = Viewer(connection)
+            reading.append(asyncio.create_task(viewer.read()))
+            async with asyncio.timeout(WAIT_S):
+                while not (viewer.counts["/tf"] and STOP in viewer.services):
+                    await asyncio.sleep(0.1)
+            watched = await _watch(viewer, beats, shown.pid, pids, look_s)
+            ask = {"key": told["map"].partition("#")[2]}
+            times: tuple[list[float], list[float]] = ([], [])
+            loop = asyncio.get_running_loop()
+            for _ in range(presses):
+                for took in times:
+                    beats.all_at_s = None
+                    if took is times[0]:
+                        begun_at_s = loop.time()
+                        await viewer.call(STOP, ask)
+                        took.append(await beats.since(begun_at_s))
+                    else:
+                        took.append(await beats.pressed(operator))
+                    await _release(folder, port)
+                    await beats.until(False)
+        alone = await _watch(Viewer(None), beats, shown.pid, pids, look_s)
+        bus.close()
+    finally:
+        for task in reading:
+            task.cancel()
+        await end(shown)
+        await end(launch)
+    return watched._replace(idle_cpu=alone.cpu, door_ms=times[0], bus_ms=times[1])
+
+
+async def _watch(
+    viewer: Viewer, beats: Beats, shown: int, pids: list[int], look_s: float
+) -> Watched:
+    loop = asyncio.get_running_loop()
+    viewer.counts.clear()
+    begun_s, placed = loop.time(), beats.placed
+    map_s, robots_s = _cpu_s(shown), sum(map(_cpu_s, pids))
+    await asyncio.sleep(look_s)
+    each_s = (loop.time() - begun_s) * len(pids)
+    return Watched(
+        viewer.counts["/tf"] / each_s, (beats.placed - placed) / each_s, viewer.counts.total(),
+        (_cpu_s(shown) - map_s) / (sum(map(_cpu_s, pids)) - robots_s), 0.0, [], [],
+    )  # fmt: skip
+
+
+def _cpu_s(pid: int) -> float:
+    """User and system time of a process and its threads."""
+    words = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+    return (int(words[11]) + int(words[12])) / os.sysconf("SC_CLK_TCK")
+
+
+async def _release(folder: Path, port: str) -> None:
+    process = await start(folder, "release", "--start", "--port", port)
+    async with asyncio.timeout(WAIT_S):
+        await process.communicate()

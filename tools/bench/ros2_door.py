@@ -1,0 +1,136 @@
+"""The door to ROS 2: two rclpy robots worked through a field, and stops from an rclpy node."""
+
+import asyncio
+import os
+from asyncio.subprocess import Process
+from collections.abc import Iterator
+from importlib.util import find_spec
+from pathlib import Path
+from secrets import randbelow
+from tempfile import TemporaryDirectory
+from typing import Any
+
+from sim.fleet.outcome import COVERAGE_MIN
+from tools.bench.figure import Figure
+from tools.bench.ros2_field import LIMIT_S, worked_field
+from tools.bench.stopped_beats import BUS_BOUND_MS, READY_S, Beats
+from tools.bench.systems import ADDED_MS, CounterpartAbsent
+from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
+from tools.common.bus_attach import CHANNEL, attach
+from tools.operate.operator_device import Operator
+
+AGAINST = "rclpy (Jazzy) and rmw_fastrtps"
+ROBOTS = 2
+PRESSES, PRESSES_QUICK = 10, 1
+TOPIC = "/headland/emergency_stop"
+
+
+def figures(quick: bool) -> Iterator[Figure]:
+    """Stops from both sides, and the field. Raises CounterpartAbsent."""
+    if find_spec("rclpy") is None:
+        raise CounterpartAbsent("rclpy is not installed: pip install 'headland[ros2]'")
+    presses = PRESSES_QUICK if quick else PRESSES
+    with TemporaryDirectory(prefix="headland-ros2-") as folder:
+        door_ms, bus_ms = asyncio.run(stops(Path(folder), presses))
+    limit_ms = BUS_BOUND_MS + ADDED_MS
+    for side, times in ((f"on {TOPIC}", door_ms), ("on the bus", bus_ms)):
+        yield Figure(
+            f"ROS 2: stop {side}, last robot latched", max(times), "ms", f"<= {limit_ms:g}",
+            max(times) <= limit_ms, AGAINST,
+            f"longest of {len(times)}, to the beat that says it; bound of the bus "
+            f"{BUS_BOUND_MS:g} ms; {ROBOTS} robots as processes",
+        )  # fmt: skip
+    if quick:  # the field takes minutes in real time
+        return
+    told = worked_field()
+    yield Figure(
+        "ROS 2: field worked by two rclpy robots", told.reached, "share", f">= {COVERAGE_MIN:g}",
+        told.reached >= COVERAGE_MIN, AGAINST,
+        f"by their traces, in {told.for_s:.0f} of at most {LIMIT_S:.0f} s; "
+        f"{told.velocities} velocities received",
+    )  # fmt: skip
+
+
+async def stops(folder: Path, presses: int) -> tuple[list[float], list[float]]:
+    """Milliseconds from each press of a node, and of a device on the bus, to the last robot."""
+    os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    domain = 1 + randbelow(100)
+    launch = await start(folder, "launch", "small", "--robots", str(ROBOTS), "--fresh", "--no-keys")
+    door: Process | None = None
+    node: _Presser | None = None
+    beats, reading = Beats(ROBOTS), []
+    times: tuple[list[float], list[float]] = ([], [])
+    try:
+        port = await said(launch, r"socketcand \S+:(\d+)")
+        await said(launch, rf"(robot {ROBOTS - 1}: process)")
+        reading.append(asyncio.create_task(drain(launch)))
+        bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", int(port))
+        bus.subscribe(beats.hear)
+        operator = Operator(bus, None)
+        await operator.device.held()
+        door = await start(folder, "ros2", "--domain", str(domain))
+        await said(door, "(node /)")
+        reading.append(asyncio.create_task(drain(door)))
+        node = _Presser(domain)
+        async with asyncio.timeout(READY_S):
+            while not node.linked():
+                await asyncio.sleep(0.1)
+        await beats.until(False)
+        loop = asyncio.get_running_loop()
+        for _ in range(presses):
+            for took in times:
+                beats.all_at_s = None
+                if took is times[0]:
+                    begun_at_s = loop.time()
+                    node.press()
+                    took.append(await beats.since(begun_at_s))
+                else:
+                    took.append(await beats.pressed(operator))
+                await _release(folder, port)
+                await beats.until(False)
+        bus.close()
+    finally:
+        for task in reading:
+            task.cancel()
+        if node is not None:
+            node.close()
+        await end(door)
+        await end(launch)
+    return times
+
+
+class _Presser:
+    """A node of this bench, with a context of its own."""
+
+    def __init__(self, domain: int) -> None:
+        import rclpy
+        from rclpy.context import Context
+        from rclpy.node import Node
+        from std_msgs.msg import Bool
+
+        self.context = Context()
+        rclpy.init(args=[], context=self.context, domain_id=domain)
+        self.node: Any = Node("presser", context=self.context)
+        self.publisher: Any = self.node.create_publisher(Bool, TOPIC, 10)
+        self.pressed: Any = Bool(data=True)
+
+    def linked(self) -> bool:
+        """Whether somebody subscribes."""
+        return bool(self.publisher.get_subscription_count())
+
+    def press(self) -> None:
+        """Publish a stop."""
+        self.publisher.publish(self.pressed)
+
+    def close(self) -> None:
+        """Leave the graph."""
+        from rclpy.utilities import try_shutdown
+
+        self.node.destroy_node()
+        try_shutdown(context=self.context)
+
+
+async def _release(folder: Path, port: str) -> None:
+    process = await start(folder, "release", "--start", "--port", port)
+    async with asyncio.timeout(WAIT_S):
+        await process.communicate()
