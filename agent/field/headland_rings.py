@@ -16,7 +16,7 @@ from typing import Final
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, MultiPolygon, Polygon
+from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
@@ -30,7 +30,14 @@ CUT_STEP_M: Final = 1.0  # step of the search for a straight place for a cut
 # degrees for reversing, and no robot's course is exact.
 TIP_RAD: Final = radians(160.0)
 TIP_M: Final = 0.1  # corners within this length are driven as one
+ARC_RAD: Final = 0.3  # a smaller turn belongs to an arc
+ARC_SHARE: Final = (
+    5  # points of an arc are passed within this part of the slack; the side uses it up
+)
 JOIN_M: Final = 2.0  # from the line to the side across a tip
+LOOP_SHARE: Final = (
+    1.02  # of the slack: the axis of a part that is bent by millimetres is outside of it
+)
 NO_TURN_M: Final = 1e-6  # points nearer than this are one
 
 
@@ -127,12 +134,44 @@ def swinging(ring: LineString, slack_m: float) -> LineString:
     longest = max(range(count), key=lambda k: dist(points[k - 1], points[k]))
     points = points[longest:] + points[:longest]  # no tip lies across the closing point
     result: list[XY] = []
-    at = 0
-    for first, last in _tips(points):
-        tip, after = points[first : last + 1], points[(last + 1) % count]
-        result += [*points[at:first], *_across(points[first - 1], tip, after, slack_m)]
-        at = last + 1
+    at, tips = 0, list(_tips(points))
+    for number, (first, last) in enumerate(tips):
+        tip = points[first : last + 1]
+        end = tips[number + 1][0] if number + 1 < len(tips) else count
+        before, passed = _join([*points[at:first], tip[0]][::-1], points[at - 1], slack_m)
+        after, skipped = _join([tip[-1], *points[last + 1 : end]], points[end % count], slack_m)
+        side = _across(points[first - 1], tip, points[(last + 1) % count], slack_m)
+        result += [*points[at : first - passed], before, *side, after]
+        at = last + 1 + skipped
     return LineString([*result, *points[at:], *(result or points)[:1]]) if at else ring
+
+
+def _join(way: Sequence[XY], beyond: XY, slack_m: float) -> tuple[XY, int]:
+    """Where the line is joined to the side across a tip, and how many points of it are passed.
+
+    `way`: from the tip on, its first point included. `beyond`: the point after them. The line is joined
+    `JOIN_M` from the tip, or in the middle of a side that ends in a corner before that. Points of an arc
+    are passed as long as none is further than `slack_m` from the straight way.
+    """
+    run_m, last = 0.0, way[0]
+    for k, (here, ahead) in enumerate(itertools.pairwise([*way, beyond])):
+        side_m = dist(here, ahead)
+        on = [*way, beyond][k + 2] if k + 2 < len(way) + 1 else None
+        gentle = on is not None and abs(_turn(here, ahead, on)) <= ARC_RAD
+        share = min(1.0, (JOIN_M - run_m) / side_m)
+        if not gentle:
+            share = min(share, 0.5)
+        to = here[0] + (ahead[0] - here[0]) * share, here[1] + (ahead[1] - here[1]) * share
+        straight = LineString([way[0], to])
+        if k and any(
+            straight.distance(Point(each)) > slack_m / ARC_SHARE for each in way[1 : k + 1]
+        ):
+            return last, k
+        if share < 1.0 or not gentle:
+            return to, k
+        run_m += side_m
+        last = to
+    raise AssertionError("the last side ends in no arc")
 
 
 def _loop(ring: LineString, slack_m: float) -> LineString | None:
@@ -151,7 +190,7 @@ def _loop(ring: LineString, slack_m: float) -> LineString | None:
     ]
     box = LineString([*corners, corners[0]])
     # The axis of a bent part lies outside of it.
-    near = Polygon(ring).buffer(slack_m + NO_TURN_M, quad_segs=64)
+    near = Polygon(ring).buffer(slack_m * LOOP_SHARE, quad_segs=64)
     return box if box.difference(near).length < slack_m else None
 
 
@@ -189,7 +228,7 @@ def _turned_back(points: Sequence[XY], first: int) -> int | None:
 
 
 def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY]:
-    """The points that replace those of a tip: from the line to a side across it and back."""
+    """The two ends of the side that replaces the points of a tip."""
     into, out = _unit(before, tip[0]), _unit(tip[-1], after)
     ux, uy = _unit(out, into)
     turned_rad = sum(
@@ -199,16 +238,9 @@ def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY
     on_m = max(x * ux + y * uy for x, y in tip)
     aside = [x * nx + y * ny for x, y in tip]
     aside_m = (min(aside) + max(aside)) / 2
-    side = [
+    return [
         (on_m * ux + at_m * nx, on_m * uy + at_m * ny)
         for at_m in (aside_m - slack_m, aside_m + slack_m)
-    ]
-    before_m = min(JOIN_M, dist(before, tip[0]) / 2)
-    after_m = min(JOIN_M, dist(tip[-1], after) / 2)
-    return [
-        (tip[0][0] - into[0] * before_m, tip[0][1] - into[1] * before_m),
-        *side,
-        (tip[-1][0] + out[0] * after_m, tip[-1][1] + out[1] * after_m),
     ]
 
 
