@@ -1,11 +1,12 @@
-"""A mission of one's own in forty lines: a sample of soil at each of six posts of a field."""
+"""A mission of one's own: a sample of soil at each of six posts of a field."""
 
 from collections.abc import Mapping
 from math import hypot
 
 import headland as hl
 
-POSTS = [(-25, -15), (0, -15), (25, -15), (25, 15), (0, 15), (-25, 15)]  # metres east and north
+# Metres east and north of the middle of the field.
+POSTS = [(-25, -15), (0, -15), (25, -15), (25, 15), (0, 15), (-25, 15)]
 DIG_US = 3_000_000
 
 
@@ -36,11 +37,12 @@ class SoilSamples(hl.Mission):
         """The post is ours: plan the way there."""
         here, vehicle = (view.here.x_m, view.here.y_m), self.site.vehicle
         way = list(self.site.route.path(here, POSTS[section]))
-        self.tracker = hl.PathTracker(way, vehicle.speed_m_s, vehicle.acceleration_m_s2 / 2)
+        braking_m_s2 = vehicle.acceleration_m_s2 / 2
+        self.tracker = hl.PathTracker(way, vehicle.speed_m_s, braking_m_s2)
         self.digging_since_us = None
 
     def work(self, view: hl.FleetView) -> hl.MotionRequest:
-        """Asked twenty times a second: drive there, dig for three seconds, and say that it is done."""
+        """Twenty times a second: drive, dig for three seconds, be done."""
         here = (view.here.x_m, view.here.y_m)
         if self.tracker is None:  # it was switched off since
             return hl.STILL._replace(given_up=True)
@@ -55,6 +57,7 @@ class SoilSamples(hl.Mission):
 
 if __name__ == "__main__":
     run = hl.Fleet("small", robots=3, mission=SoilSamples).play(seed=1)
-    print(f"finished: {run.finished}, {run.simulated_s:.0f} s, {run.contacts} contacts")
+    print(f"finished: {run.finished} after {run.simulated_s:.0f} s")
+    print(f"contacts: {run.contacts}")
     for robot in run.robots:
         print(robot)

@@ -34,6 +34,12 @@ RUN = (
 )  # fmt: skip
 # Why a command is only parsed, by what it contains; the first that fits.
 PARSED = {
+    "floor.map": "run by tests/tools/cli/test_tutorials.py",
+    "house.toml": "run by test_tutorials.py",
+    "depot.toml": "run by test_tutorials.py",
+    "story.toml": "run by test_tutorials.py",
+    "--port 29536": "run by test_tutorials.py",
+    "rescue": "run by test_tutorials.py",
     "-i socketcan": "needs a real interface",
     "-i zenoh": "needs a router",
     "--cluster": "needs a Dask scheduler",
@@ -49,6 +55,7 @@ PARSED = {
     "headland mapf": "minutes on the maps shown; tests/tools/run/test_mapf.py",
     "headland ros2": "needs ROS 2; tests/tools/ros2",
     "headland run": "a minute each; run by tests of its mission",
+    "keys rotate --running": "needs a launch; tests/tools/cli/test_keys.py",
     "keys rotate keys --running": "needs a launch; tests/tools/cli/test_keys.py",
     "keys log": "needs the files of a launch; tests/agent/runtime/test_release_log.py",
     "keys operator": "needs the files of an owner; tests/tools/cli/test_keys.py",
