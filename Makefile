@@ -4,6 +4,7 @@
 # make slow   the slow tests: real launches, long runs, documented commands as they stand
 # make check  format, style and types only      make bench  every figure our documents claim, quickly
 # make coverage  lines and branches that the tests of replicated state, frames and safety run, with floors
+# make lock   requirements.lock: all packages with their hashes, for `pip install --require-hashes`
 # make site   the documents as a site in build/site
 # make clean  removes what the others made
 PYTHON ?= python3
@@ -12,7 +13,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept: the tests start hundreds of processes, and a quarter of a robot's start was compiling it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo fast test slow check coverage kernels bench site setup clean
+.PHONY: demo fast test slow check coverage kernels bench site setup lock clean
 .DEFAULT_GOAL := demo
 
 setup: $(VENV)/installed
@@ -33,6 +34,13 @@ $(VENV)/installed: pyproject.toml
 	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps pyrvo || \
 	  echo "pyrvo is not to be had here: the comparison with RVO2 will be skipped"
 	@touch $@
+
+# uv resolves for all platforms at once; it is not needed for anything else.
+lock:
+	@$(PYTHON) -m venv build/lock && build/lock/bin/python -m pip install --quiet uv
+	@build/lock/bin/uv pip compile --quiet pyproject.toml --all-extras --generate-hashes --universal \
+	  --python-version 3.11 --no-header --no-emit-index-url -o requirements.lock
+	@sed -i "1i # Made by 'make lock': every package that '.[dev]' installs, with the hashes of its files." requirements.lock
 
 demo: setup
 	$(BIN)/headland run --map

@@ -15,6 +15,7 @@ from importlib.util import spec_from_file_location
 from pathlib import Path
 from types import ModuleType
 
+from tools.common.compiled_caches import beside_sources
 from tools.common.fingerprint import ROOT, fingerprint
 
 FOLDER = ROOT / "build" / "core"
@@ -54,7 +55,12 @@ def use(folder: Path | None = None) -> bool:
         return False
     if any(isinstance(finder, Finder) for finder in sys.meta_path):
         return True
-    finder = Finder(folder or place())
+    folder = folder or place()
+    writable = beside_sources(folder) if folder.is_dir() else None
+    if writable is not None:
+        print(f"headland: others can write {writable}: no compiled core is used", file=sys.stderr)
+        return False
+    finder = Finder(folder)
     if not finder.files or any(name in sys.modules for name in finder.files):
         return False
     sys.meta_path.insert(0, finder)

@@ -22,6 +22,7 @@ from tools.cli.panels import (
     show_version,
 )
 from tools.common import extras
+from tools.common.compiled_caches import guard
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
@@ -463,6 +464,7 @@ app.add_typer(tasks.app, name="task", cls=Panels, rich_help_panel=OPERATE)
 def main() -> None:
     """Whatever a person can cause is one line; the exit code is that of the command."""
     gc.set_threshold(GC_YOUNG)
+    guard()
     try:
         raise SystemExit(app(prog_name="headland", standalone_mode=False))
     except (KeyboardInterrupt, typer.Abort):
