@@ -44,6 +44,9 @@ CHOOSE_US = 250 * MS  # a robot without a target searches for one this often
 CHECK_US = 500 * MS  # how often a robot checks that its target is still a frontier
 REASSIGN_US = 5 * S  # how often another target may be taken instead
 LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36 rays is swept twice
+# An order that a nearer robot does not take for this long is ours: it may have tried in vain. A claim
+# takes 0.25 s, and robots may have different views of the fleet for 2 s.
+UNTAKEN_US = 5 * S
 SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
 STAYS_M = 1.0  # a robot that moves further than this does not stand
 VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
@@ -83,6 +86,7 @@ class ExplorationMission(Mission):
         self._way = FrontierPath(chart, limits)
         self._legs: list[XY] = []  # places of an order still to visit
         self._shun_ends_at_us: dict[int, int] = {}
+        self._untaken_at_us: dict[int, int] = {}  # orders: since when no robot has them
         self._choose_at_us = self._check_at_us = self._reassign_at_us = 0
         self._merged_at_us = 0
         self.standing = StandingOwners(STAYS_M)
@@ -153,7 +157,9 @@ class ExplorationMission(Mission):
         """A claim of an order that no robot works, if we are the nearest free robot."""
         for section, order in self.orders.items():
             if not self._open(section, view) or view.allocation.owner_of(section) == view.slot:
+                self._untaken_at_us.pop(section, None)
                 continue
+            untaken_at_us = self._untaken_at_us.setdefault(section, view.now_us)
             x, y = order.points[0]
             mine_m = hypot(x - view.here.x_m, y - view.here.y_m)
             nearer = any(
@@ -161,7 +167,7 @@ class ExplorationMission(Mission):
                 for slot, n in view.neighbours.items()
                 if slot in view.live and n.pose.state == State.IDLE
             )
-            if not nearer:
+            if not nearer or view.now_us - untaken_at_us >= UNTAKEN_US:
                 self._pursue(section, order, view)
                 return self._request(section, view)
         return None
