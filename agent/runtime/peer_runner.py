@@ -15,6 +15,7 @@ from agent.interface.effects import Drive, Effect, Persist, Send, Trace
 from agent.interface.ports import Body, Bus, Confirming, Journal
 from agent.peer.inputs import BusState, DiskFailed, Input, Leave, Received, Sensed, Timer
 from agent.peer.peer import Peer
+from protocol.frames.agreement_frames import AgreementMessage
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import LeaderElectionVote, Pose
 from protocol.frames.frame import Frame
@@ -25,7 +26,9 @@ from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgre
 
 log = logging.getLogger(__name__)
 
-BEAT_PGN = GROUP_OF[Pose].pgn
+# Frames whose only deadlines are those of any sign of life; most frames of a large fleet are these. A
+# mission says what it has to say with the next beat.
+QUIET_PGNS = frozenset(GROUP_OF[kind].pgn for kind in (Pose, AgreementMessage))
 # What these messages say is on the disk before it is said, and still known after a restart.
 ON_DISK_FIRST = (TaskClaim, StateSyncResponse, WorkProgress, LeaderElectionVote)
 TIMER = Timer()
@@ -172,7 +175,7 @@ class PeerRunner:
         effects = self.peer.step(Received(frame), self.clock())
         if effects:
             self.perform(effects)
-        elif frame.identifier >> 8 & 0x3FFFF == BEAT_PGN:
+        elif frame.identifier >> 8 & 0x3FFFF in QUIET_PGNS:
             return False  # nine frames in ten; it had no effects, so the deadline is unchanged
         if self.peer.due_at_us < self._armed_at_us:
             self._nudge()

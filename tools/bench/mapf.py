@@ -1,7 +1,7 @@
 """Whole peers on MAPF instances: success, sum of costs and collisions, by lost frames and crashes.
 
 The sum of costs is compared with that of the shortest paths, which no solver can beat. A hundred peers on
-one instance take four minutes of CPU, so the whole bench takes hours; `--quick` has smaller maps.
+one instance take three minutes of CPU, so the whole bench takes hours; `--quick` has smaller maps.
 """
 
 from collections.abc import Iterator
