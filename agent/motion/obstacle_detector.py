@@ -34,6 +34,11 @@ WATCH_M: Final = 8.0  # points are kept up to this distance
 CHAIN_M: Final = 1.5  # echoes this close together are one thing
 GRAIN_M: Final = 0.25  # side of a ground cell
 BEYOND_M: Final = 0.4  # a ray that reaches this much further than a point has passed it
+# A ray that ends this near to a fence shows that nothing else is on its way, and that a point behind the
+# fence was noise. No ray reaches `BEYOND_M` further than a point in the strip before a fence.
+AT_FENCE_M: Final = 0.2
+NEARER_M: Final = 0.1  # such a ray ends at least this much before the point or behind it
+assert AT_FENCE_M < FENCE_TOLERANCE_M, "what such a ray has passed is not the fence"
 FORGET_US: Final = 300 * S  # a point that was not observed again for this long is dropped
 
 
@@ -197,10 +202,21 @@ class ObstacleDetector:
             dx_m, dy_m = x_m - here.x_m, y_m - here.y_m
             distance_m = hypot(dx_m, dy_m)
             turn = (atan2(dy_m, dx_m) - here.heading_rad) / step_rad
-            beside = (here.ranges_m[floor(turn) % count], here.ranges_m[ceil(turn) % count])
-            passed = distance_m < WATCH_M and min(beside) > distance_m + BEYOND_M
+            beside = floor(turn) % count, ceil(turn) % count
+            passed = distance_m < WATCH_M and all(self._passes(here, k, distance_m) for k in beside)
             if passed or now_us - seen_at_us > FORGET_US:
                 del self.points[grain]
+
+    def _passes(self, here: Observation, ray: int, distance_m: float) -> bool:
+        """Whether a ray shows that nothing is at this distance in its direction."""
+        range_m = here.ranges_m[ray]
+        if range_m > distance_m + BEYOND_M:
+            return True
+        if abs(range_m - distance_m) <= NEARER_M or self.fences.size == 0:
+            return False
+        angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
+        x_m, y_m = here.x_m + range_m * cos(angle_rad), here.y_m + range_m * sin(angle_rad)
+        return gap_m(x_m, y_m, self.fences) <= AT_FENCE_M
 
     def _explain(self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int) -> None:
         """Drop points that belong to a robot which has joined since they were seen."""

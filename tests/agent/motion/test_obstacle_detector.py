@@ -3,6 +3,7 @@
 from math import cos, hypot, inf, pi, sin
 
 import numpy as np
+import pytest
 
 from agent.interface.config import S
 from agent.interface.lifecycle import State
@@ -44,3 +45,20 @@ def test_what_stands_beside_a_robot_stays_in_mind() -> None:
     beside = Neighbour(Pose(BODY[0], 2.5, 0.0, 0.0, State.IDLE, False, 0), 0)
     assert detector.observe(here, AHEAD, {1: beside}, 0) is not None
     assert detector.observe(here, AHEAD, {1: beside}, 1 * S) is not None
+
+
+@pytest.mark.parametrize("off_m", [-0.6, -0.3, 0.3, 0.6])
+def test_noise_at_a_fence_is_forgotten_when_the_scan_is_right_again(off_m: float) -> None:
+    """Found by `headland chaos`, profile rays, seed 1025: echoes that noise had put before a fence or
+    behind it stayed for 300 s, and the robot asked about an obstacle that was never there (L5)."""
+    fence = np.array([(2.0, -20.0, 2.0, 20.0)])
+    turns = [2 * pi * k / RAYS for k in range(RAYS)]
+    true = [2.0 / cos(turn) if cos(turn) > 0.2 else inf for turn in turns]
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, ranges_m=tuple(true))
+    noisy = here._replace(ranges_m=(true[0] + off_m, *true[1:]))
+    detector = ObstacleDetector(RADIUS_M, 1.5, fence, StoppingZone(RADIUS_M, 1.5))
+    assert detector.observe(noisy, AHEAD, {}, 0) is not None
+    assert detector.observe(here, AHEAD, {}, 50_000) is None and not detector.points
+    thing = here._replace(ranges_m=(1.4, 1.4, *true[2:-1], 1.4))  # what is there stays
+    assert detector.observe(thing, AHEAD, {}, 100_000) is not None
+    assert detector.observe(thing, AHEAD, {}, 150_000) is not None
