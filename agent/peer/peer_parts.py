@@ -48,6 +48,7 @@ from agent.peer.section_claims import SectionClaims
 from agent.peer.section_work import SectionWork
 from agent.peer.self_check import SelfCheck
 from agent.peer.self_health import SelfKnowledge
+from agent.peer.sender_limits import SenderLimits
 from agent.peer.sender_origins import SenderOrigins
 from agent.peer.sense_freshness import Senses
 from agent.peer.slot_discovery import SlotDiscovery
@@ -142,7 +143,7 @@ class PeerParts:
             lambda: self.votes.leader == slot,
         )
         self.state_sync = StateSync(
-            self.sync, self.admission, self.joining, beat.heartbeat_period_us
+            self.sync, self.admission, self.joining, beat.heartbeat_period_us, SenderLimits(now_us)
         )
         self.map_exchange = MapExchange(chart, self.joining)
 

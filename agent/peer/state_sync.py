@@ -14,7 +14,9 @@ from agent.peer import notices
 from agent.peer.durable_records import DurableRecords
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.sender_limits import SenderLimits
 from agent.peer.work_admission import Admission
+from crdt.claim_register import epoch_of
 from protocol.frames.work_frames import (
     STOPS,
     Digests,
@@ -40,9 +42,10 @@ class StateSync(Part):
         admission: Admission,
         joining: NetworkJoin,
         heartbeat_period_us: int,
+        limits: SenderLimits,
     ) -> None:
         self.sync, self.admission, self.joining = sync, admission, joining
-        self.heartbeat_period_us = heartbeat_period_us
+        self.heartbeat_period_us, self.limits = heartbeat_period_us, limits
         self.proven = False  # in a fleet with keys it is known which member says what
         self._told_at_us = -TELL_SPACING_US  # when a device that is no member was last answered
 
@@ -102,12 +105,27 @@ class StateSync(Part):
             if excess is not None:
                 return [Trace("trust", "", "REFUSED", str(slot), excess)]
         outputs: list[Any] = []
+        too_much = self._too_much(slot, m, ctx.now_us) if self.proven else None
+        if too_much is not None:
+            outputs.append(Trace("trust", "", "SUSPECTED", str(slot), too_much))
         changed = self.sync.on_message(slot, m, ctx.now_us)
         if changed:
             outputs.append(notices.SectionsMerged(frozenset(changed), slot))
         if isinstance(m, TOLD_OF):
             outputs.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
         return outputs
+
+    def _too_much(self, slot: int, m: Any, now_us: int) -> str | None:
+        """What is more than this member can honestly say, before it is merged."""
+        replica = self.sync.replica
+        if isinstance(m, WorkProgress) and replica.allocation.owner_of(m.section) == slot:
+            new = m.bits & ~replica.progress.bits(m.section, m.block)
+            return self.limits.progress(slot, new.bit_count(), now_us)
+        if isinstance(m, TaskClaim):
+            key = replica.allocation.key(m.section)
+            known = 0 if key is None else epoch_of(key)
+            return self.limits.claim(slot, m.epoch, known, now_us)
+        return None
 
     def _members(self, ctx: StepContext, notice: notices.MembershipChanged) -> Outputs:
         self.sync.live(notice.live, ctx.now_us)

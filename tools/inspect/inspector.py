@@ -13,11 +13,12 @@ from typing import Any
 from agent.delivery.task_registry import TASKS_MAX, stop_names
 from agent.interface.lifecycle import State
 from agent.peer.leader_election import OPERATOR_GATEWAY
+from agent.peer.sender_limits import SenderLimits
 from agent.peer.told_causes import ToldCauses
 from agent.safety.standard_stop import HOLD_US
 from agent.safety.stop_cause import StopCause
 from crdt import FieldAllocationCRDT, Phase, Progress
-from crdt.claim_register import pack
+from crdt.claim_register import epoch_of, pack
 from protocol.frames.codec import UNKNOWN, Malformed, decode
 from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
 from protocol.frames.fleet_frames import (
@@ -124,12 +125,15 @@ class Inspector:
         self.now_s = 0.0
         self.causality = Causality()
         self.load = BusLoad()
+        self.limits: SenderLimits | None = None  # from the first frame on
 
     def hear(self, t_s: float, frame: Frame) -> None:
         """Take one frame, at `t_s` of a clock that never goes back. Frames of other makers and
         malformed ones are only counted."""
         self.first_s = t_s if self.first_s is None else self.first_s
         self.now_s = t_s
+        if self.limits is None:
+            self.limits = SenderLimits(round(t_s * 1e6))
         self.bits += bits_of(len(frame.data))
         self.load.hear(t_s, len(frame.data))
         if self.makers.refuse(frame):
@@ -166,7 +170,23 @@ class Inspector:
         robot = self.robots[slot]
         robot.last_s = t_s
         robot.frames[kind] += 1
+        self._suspect(slot, message, round(t_s * 1e6))
         self._robot(t_s, robot, kind, message)
+
+    def _suspect(self, slot: int, message: Any, now_us: int) -> None:
+        """Count what is more than this robot can honestly say, before it is taken in."""
+        assert self.limits is not None
+        if isinstance(message, WorkProgress) and self.allocation.owner_of(message.section) == slot:
+            new = message.bits & ~self.progress.bits(message.section, message.block)
+            self.limits.progress(slot, new.bit_count(), now_us)
+        elif isinstance(message, TaskClaim):
+            known = self.allocation.key(message.section)
+            epoch = 0 if known is None else epoch_of(known)
+            self.limits.claim(slot, message.epoch, epoch, now_us)
+        elif isinstance(message, EmergencyStop):
+            new = self.stops.get(message[:3]) == self.now_s
+            if new and message.slot == slot and not message.echo:
+                self.limits.stop(slot, now_us)
 
     def hear_other(self) -> None:
         """Count a frame that no robot reads: an 11-bit identifier, a remote or an error frame."""
@@ -307,6 +327,7 @@ class Inspector:
             "other_makers": {group_name(pgn): n for pgn, n in self.makers.refused.most_common()},
             "other_frames": self.others,
             "beyond_the_field": self.beyond,
+            "suspects": [] if self.limits is None else self.limits.named,
             "latched": [".".join(map(str, dot)) for dot in self.latched],
             "leader": self.leader,
             "keyed": self.keyed,

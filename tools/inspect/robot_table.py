@@ -70,6 +70,8 @@ def show(seen: dict[str, Any], console: Console | None = None) -> None:
     console.print(f"bus load at worst-case stuffing: {seen['bus_load_worst_case']:.1%}")
     if seen["keyed"] is False:
         console.print(f"[bold red]{NO_KEYS}")
+    for suspect in seen["suspects"]:
+        console.print(f"[bold red]{suspect}: broken, or its key is stolen: headland keys revoke")
     if seen["latched"]:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
     for key, whose in (
