@@ -37,6 +37,12 @@ REST_M: Final = (
 )
 SOON_M: Final = 6.0  # nearer than this to its work, a robot announces its implement
 WAITING_M: Final = 0.1  # this far before its first unit, a robot that drifts sideways waits
+# Further off a way without work, a robot heads for the next corner, if it is in sight. Back to the line
+# it would meet those again that pushed it off.
+AIM_M: Final = 0.1
+# Nearer than this to the corner, it goes back to the line: turns between rows are shorter, and end
+# where the next row begins only if they are driven on their line.
+AIM_LEAST_M: Final = 6.0
 
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
 
@@ -362,6 +368,11 @@ class FieldMission(Mission):
         """
         assert self.tracker is not None
         steers = self.turns_on_the_spot and bool(self.leg.units)
+        if self.tracker.gap_m > AIM_M and self.turns_on_the_spot and not self.leg.units:
+            place = here.x_m, here.y_m
+            corner = self.tracker.next_corner
+            if _distance(place, corner) > AIM_LEAST_M and self.blockage.way.straight(place, corner):
+                return self.tracker.towards_corner(*place)
         moving = (here.vx_m_s, here.vy_m_s) if steers else None
         vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m, moving)
         left_m = LEAD_M - self._along_m(here) if self._on_lead_in else 0.0

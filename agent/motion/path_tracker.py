@@ -95,6 +95,21 @@ class PathTracker:
         """The points that we have not passed yet, (x, y) metres."""
         return self.points[self.piece + 1 :]
 
+    @property
+    def next_corner(self) -> Point:
+        """The end of the segment we are on, (x, y) metres."""
+        return self.points[min(self.piece + 1, len(self.points) - 1)]
+
+    def towards_corner(self, x_m: float, y_m: float) -> Point:
+        """The velocity straight to the end of our segment, (x, y) metres a second; `locate` first."""
+        x_end, y_end = self.next_corner
+        dx_m, dy_m = x_end - x_m, y_end - y_m
+        distance_m = hypot(dx_m, dy_m)
+        if distance_m < POINT_M or self.piece >= len(self._pieces):
+            return self._towards(x_m, y_m, self.points[-1])
+        speed_m_s = self._speed(distance_m)
+        return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
+
     def velocity(self, x_m: float, y_m: float, moving: Point | None = None) -> Point:
         """The wanted velocity here, (x, y) metres a second; call `locate` first.
 

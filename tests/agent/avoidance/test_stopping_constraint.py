@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.avoidance.orca import OrcaSolver
-from agent.avoidance.stopping_constraint import HARDEST_M_S2
+from agent.avoidance.stopping_constraint import HARDEST_M_S2, within_grip
 
 NO_FENCES = np.zeros((0, 4))
 RADIUS_M, SPEED_M_S, BRAKING_M_S2, DT_S, STEP_S = 0.35, 1.0, 2.0, 0.05, 0.01
@@ -115,3 +115,26 @@ def test_it_stops_no_further_away_than_it_must(gap_m: float) -> None:
     robots = [Robot(0.0, 0.0, 0.0, True), Robot(2 * RADIUS_M + gap_m, 0.0, 0.0, True)]
     closest_m = play(Random(1), robots, [(9.0, 0.0), robots[1].at], 0.0, 0.0)
     assert 0.0 < closest_m < MARGIN_M + 0.05
+
+
+@pytest.mark.parametrize("drift_m_s", [0.05, 0.15, 0.25])
+def test_a_robot_that_brakes_before_another_one_does_not_drift_into_a_fence(
+    drift_m_s: float,
+) -> None:
+    """In `curitiba` a robot braked before a working one for two seconds, straight along its velocity.
+    That led aslant into the fence beside it, which it touched by a millimetre."""
+    braking_m_s2, fence_m = 1.5, 0.2  # to the fence: what the avoidance keeps beside the body
+    change_m_s = braking_m_s2 * DT_S
+    fence = (0.0, 0.0, 1.0, 0.0)  # no motion to the south: (-py, px) for p = (0, -1)
+    stop = (0.0, 0.0, 0.0, 1.0)  # no motion to the east
+    lines = np.array([fence, stop], dtype=np.float32)
+    x_m, y_m, vx, vy = 0.0, 0.0, np.float32(2.4), np.float32(-drift_m_s)
+    while vx > change_m_s:
+        before = vx
+        vx, vy = within_grip(
+            np.float32(-1.0), np.float32(2.0), vx, vy, np.float32(change_m_s), lines, 1, 2
+        )
+        assert before - vx > 0.93 * change_m_s, "braking comes first"
+        x_m, y_m = x_m + float(vx) * DT_S, y_m + float(vy) * DT_S
+    assert y_m > -fence_m / 2
+    assert x_m < 1.05 * 2.4**2 / (2 * braking_m_s2)
