@@ -122,7 +122,10 @@ def _stop_lines(work: Buffer, near: Longs, count: Number, lines: Lines, hard: Nu
 def _choose(
     work: Buffer, lines: Lines, hard: Number, spare: Lines, near: Longs, squares: Singles
 ) -> tuple[Real, Real]:
-    """Half-planes of the neighbours after the `hard` ones, and the velocity of them all."""
+    """Half-planes of the neighbours after the `hard` ones, and the velocity of them all.
+
+    The `hard` ones are of fences; a robot that brakes before another one is kept off them.
+    """
     count, first = _nearest(work, near, squares), hard
     if work[STOPPING] > 0.0:
         hard = _stop_lines(work, near, count, lines, hard)

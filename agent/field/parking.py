@@ -27,6 +27,7 @@ from agent.interface.mission import FleetView
 from agent.motion.deadlock_yield import APART_M as PAST_M
 from agent.motion.deadlock_yield import NEAR_M
 from agent.motion.implement_clearance import LEAD_M
+from crdt.progress import BLOCK_UNITS
 
 Point = tuple[float, float]
 
@@ -59,6 +60,8 @@ class Parking:
         self._look_period_us = LOOK_US
         self.spot: Point | None = None  # where to go; None: stay
 
+        # For each section: its covered units when it was looked at, and points on the lines left.
+        self._left: dict[int, tuple[tuple[int, ...], NDArray[np.float64]]] = {}
         self._looked_at_us: int | None = None
         # For each robot that works near us, by slot: its position, and since when it is there.
         self._beside: dict[int, tuple[float, float, int]] = {}
@@ -80,7 +83,7 @@ class Parking:
         ):
             return
         self._looked_at_us, self._look_period_us = view.now_us, LOOK_US
-        open_lines = _samples(self._units(view, done=False))
+        open_lines = self._open_lines(view)
         here = (view.here.x_m, view.here.y_m)
         self._watch(view)
         if self.spot is not None and self._free(self.spot, open_lines, view):
@@ -104,6 +107,22 @@ class Parking:
             got_on = hypot(pose.x_m - x_m, pose.y_m - y_m) > STRAY_M
             seen[slot] = (pose.x_m, pose.y_m, view.now_us) if got_on else (x_m, y_m, start_at_us)
         self._beside = seen
+
+    def _open_lines(self, view: FleetView) -> NDArray[np.float64]:
+        """Points on the lines of all units that are left, (n, 2) metres; in the order of sections."""
+        progress, lines = view.progress, self._left
+        for section in self.field.sections:
+            blocks = range((section.units - 1) // BLOCK_UNITS + 1)
+            done = tuple([progress.bits(section.id, block) for block in blocks])
+            kept = lines.get(section.id)
+            if kept is None or kept[0] != done:
+                left = [
+                    line
+                    for unit, line in enumerate(section.unit_lines)
+                    if not progress.has(section.id, unit)
+                ]
+                lines[section.id] = done, _samples(left)
+        return np.concatenate([lines[section.id][1] for section in self.field.sections])
 
     def _units(self, view: FleetView, done: bool) -> Iterable[Polyline]:
         for section in self.field.sections:

@@ -24,6 +24,7 @@ Point = tuple[float, float]
 Whole = NDArray[np.int64]
 Floats = NDArray[np.float64]
 
+LEADS_KEPT = 512  # places: two for each of 108 robots, and those of sections that were begun
 UNJOINED = 2.0  # a way that is not found takes this many times the straight one
 
 
@@ -60,6 +61,7 @@ class TravelTimes:
         self.field, self.route = field, route
         self.speed_m_s, self.corners = speed_m_s, tuple(corners)
         self.acceleration_m_s2, self.deceleration_m_s2 = acceleration_m_s2, deceleration_m_s2
+        self._leads: dict[Point, Whole] = {}  # of the newest places (`lead_for_ms`)
         self.plans: dict[
             bytes, Solution
         ] = {}  # of the newest problems (`agent/field/fleet_plan.py`)
@@ -156,7 +158,18 @@ class TravelTimes:
         return ways_for_ms
 
     def lead_for_ms(self, start: Point) -> Whole:
-        """(2 sections,): from a place, (x, y) metres, to each end."""
+        """(2 sections,): from a place, (x, y) metres, to each end; not to be changed.
+
+        Kept for the newest places: peers of one process ask for the same ones, and each asks again.
+        """
+        found = self._leads.get(start)
+        if found is None:
+            if len(self._leads) >= LEADS_KEPT:
+                self._leads.clear()
+            found = self._leads[start] = self._lead_for_ms(start)
+        return found
+
+    def _lead_for_ms(self, start: Point) -> Whole:
         direct_for_ms = self._straight_for_ms(self.route.opened(start))
         seen = np.flatnonzero(np.isfinite(direct_for_ms))
         if seen.size == 0:

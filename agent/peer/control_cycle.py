@@ -118,11 +118,14 @@ class ControlCycle(Part):
             return NOTHING
         if self.obstacle.passing:
             return NOTHING  # it creeps round a confirmed obstacle and asks again by itself
-        near_m = NEAR_M + 2 * getattr(getattr(self.motion, "limits", None), "radius_m", 0.0)
-        crowded = any(
-            hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < near_m
-            for n in view.neighbours.values()
-        )
+
+        def crowded() -> bool:
+            near_m = NEAR_M + 2 * getattr(getattr(self.motion, "limits", None), "radius_m", 0.0)
+            return any(
+                hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < near_m
+                for n in view.neighbours.values()
+            )
+
         wants_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
         advice = self.stall.look((here.x_m, here.y_m), wants_m_s, crowded, view.now_us)
         if advice is None:

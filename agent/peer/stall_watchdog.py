@@ -6,6 +6,7 @@ does not turn), it must not stand still unnoticed for ever. The same watchdog se
 report.
 """
 
+from collections.abc import Callable
 from enum import IntEnum
 from math import hypot
 from typing import Final
@@ -38,11 +39,13 @@ class Stall:
         self._anchor: Point = (0.0, 0.0)
         self._anchor_at_us = self._asked_at_us = 0
 
-    def look(self, at: Point, wants_m_s: float, crowded: bool, now_us: int) -> Advice | None:
+    def look(
+        self, at: Point, wants_m_s: float, crowded: Callable[[], bool], now_us: int
+    ) -> Advice | None:
         """What to do now; None if the robot is not stalled.
 
         Call it in each control period in which the robot may drive. `at`: its position, (x, y)
-        metres. `crowded`: another robot is near.
+        metres. `crowded`: whether another robot is near; asked only if the robot did not move.
         """
         lapsed = now_us - self._asked_at_us > FORGET_US
         self._asked_at_us = now_us
@@ -52,7 +55,10 @@ class Stall:
             if moved_m > GOT_ON_M:
                 self.plans = 0
             return None
-        if now_us - self._anchor_at_us < (CROWDED_US if crowded else ALONE_US):
+        stood_for_us = now_us - self._anchor_at_us
+        if stood_for_us < min(ALONE_US, CROWDED_US):
+            return None
+        if stood_for_us < (CROWDED_US if crowded() else ALONE_US):
             return None
         self._anchor_at_us = now_us
         self.seen += self.plans == 0

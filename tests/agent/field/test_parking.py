@@ -91,3 +91,17 @@ def test_who_rests_leaves_where_one_that_works_does_not_get_on() -> None:
     for now_us, look in ((0, seen), (LOOK_US, moved), (STUCK_US, moved)):
         other.observe(look._replace(now_us=now_us))
     assert other.spot is None, "it gets on"
+
+
+def test_a_line_that_was_worked_meanwhile_is_open_no_longer() -> None:
+    """Points on the lines are kept until a unit of their section is covered."""
+    parking, at = Parking(FIELD, RADIUS_M), FIELD.sections[0].swaths[0][0]
+    seen = view(at, {FIELD.sections[0].id}, {})
+    parking.observe(seen)
+    assert parking.spot is not None
+    for section in FIELD.sections:
+        for unit in range(section.units):
+            seen.progress.cover(section.id, unit)
+    parking.forget()
+    parking.observe(seen._replace(now_us=LOOK_US))
+    assert parking.spot is None, "nothing is left to work, so it may stay where it is"

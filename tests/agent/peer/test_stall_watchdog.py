@@ -20,7 +20,7 @@ def advice(stall: Stall, wants_m_s: float, crowded: bool, moves_m_s: float = 0.0
     return [
         now_us
         for now_us in range(0, PERIODS * CONTROL_PERIOD_US, CONTROL_PERIOD_US)
-        if stall.look((moves_m_s * now_us / S, 0.0), wants_m_s, crowded, now_us) is not None
+        if stall.look((moves_m_s * now_us / S, 0.0), wants_m_s, lambda: crowded, now_us) is not None
     ]
 
 
@@ -28,7 +28,7 @@ def test_m16_nobody_stands_alone_with_a_wish_for_ten_seconds_without_a_plan_and_
     assert advice(Stall(), 0.2, crowded=False)[0] == ALONE_US <= 10 * S
     stall, words = Stall(), list[tuple[int, Advice]]()
     for now_us in range(0, 20 * S, CONTROL_PERIOD_US):
-        word = stall.look((0.0, 0.0), 0.2, False, now_us)
+        word = stall.look((0.0, 0.0), 0.2, lambda: False, now_us)
         words += [] if word is None else [(now_us, word)]
     assert (TOLD_AFTER * ALONE_US, Advice.TELL) in words
     assert TOLD_AFTER * ALONE_US <= 10 * S
