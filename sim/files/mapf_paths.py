@@ -44,14 +44,20 @@ def without_broken_moves(visits: Sequence[Visit]) -> list[Visit]:
 
 
 def _broken_move(visits: Sequence[Visit]) -> int | None:
-    """The index of the last visit of a cell that its robot left, or stays in, before the robot that
-    was there came to another one. None: there is none."""
+    """The index of the last visit of a cell that its robot left for the one it came from, before the
+    robot that was there came to another one. None: there is none."""
     own: dict[int, list[int]] = {}
     for k, (_, robot, cell) in enumerate(visits):
         row = own.setdefault(robot, [])
         if not row or visits[row[-1]][2] != cell:
             row.append(k)
     following = {k: later for row in own.values() for k, later in pairwise([*row, len(visits)])}
+    back = {
+        k
+        for row in own.values()
+        for before, k, later in zip(row, row[1:], row[2:], strict=False)
+        if visits[before][2] == visits[later][2]
+    }
     inside: dict[int, list[int]] = {}  # cell -> its visits so far
     for k in sorted(following):
         inside.setdefault(visits[k][2], []).append(k)
@@ -59,8 +65,9 @@ def _broken_move(visits: Sequence[Visit]) -> int | None:
         other
         for turns in inside.values()
         for one, other in pairwise(turns)
-        if visits[one][1] != visits[other][1] and following[one] >= following[other]
-    ]
+        if other in back and visits[one][1] != visits[other][1]
+        and following[one] >= following[other]
+    ]  # fmt: skip
     return max(found, default=None)
 
 

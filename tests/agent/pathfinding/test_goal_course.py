@@ -33,6 +33,14 @@ def test_of_two_with_one_goal_the_lower_slot_gets_it() -> None:
     assert course.ends[0] == c != course.ends[1] and course.left_out == {2}
 
 
+def test_no_robot_ends_beside_one_that_stands_between_two_cells() -> None:
+    ground = hall(1, 6)
+    cells = [ground.number((0, column)) for column in range(6)]
+    inputs = GoalInputs((0,), (cells[3],), (cells[3],), (cells[4],), 0, (cells[3], cells[5]))
+    course = course_to_goals(ground, inputs)
+    assert course.ends == [cells[2]] and course.left_out == {0}, "it makes room, and comes back"
+
+
 def test_a_goal_off_the_map_makes_no_plan_and_no_exception() -> None:
     ground = hall()
     one = GoalAgreement(0, ground, 3)

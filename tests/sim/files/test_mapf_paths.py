@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.files.mapf_paths import PathError, timed, tracks
+from sim.files.mapf_paths import PathError, timed, tracks, without_broken_moves
 
 
 def test_who_follows_closely_is_in_the_next_cell_when_the_first_has_gone() -> None:
@@ -23,6 +23,19 @@ def test_a_ring_that_turns_is_a_plan() -> None:
 def test_a_cell_where_another_stayed_is_a_conflict() -> None:
     with pytest.raises(PathError, match="robot 1 came to cell 2, where robot 0 stayed"):
         timed([(0.0, 0, 2), (0.0, 1, 1), (1.0, 1, 2)], 2)
+
+
+def test_a_move_that_was_taken_back_is_left_out_and_a_real_conflict_is_not() -> None:
+    starts = [(0.0, 0, 2), (0.0, 1, 1)]
+    back = [*starts, (1.0, 1, 2), (5.0, 1, 1), (6.0, 0, 3)]
+    assert without_broken_moves(back) == [*starts, (5.0, 1, 1), (6.0, 0, 3)]
+    assert tracks(timed(without_broken_moves(back), 2))[1] == [1] * 7
+    gone = [*starts, (1.0, 0, 3), (1.0, 1, 2), (5.0, 1, 1)]
+    assert without_broken_moves(gone) == gone, "the cell was free"
+    for stays in ([(1.0, 1, 2)], [(1.0, 1, 2), (2.0, 1, 4)]):
+        assert without_broken_moves([*starts, *stays]) == [*starts, *stays]
+        with pytest.raises(PathError):
+            timed(without_broken_moves([*starts, *stays]), 2)
 
 
 def test_nothing_happens_earlier_than_it_did() -> None:
