@@ -19,7 +19,7 @@ import pytest
 from tests.tools.launching import ENVIRONMENT, ROOT
 
 TUTORIALS = ROOT / "docs" / "use" / "tutorials"
-WAIT_S = 300.0  # for one command, on a busy machine
+WAIT_S = 600.0  # for one command, on a busy machine
 STAYS = {  # commands that run until they are ended, and what they say when they are ready
     "headland launch": r"(?:\d:\w+ *)+$", "headland hub": r"socketcand", "headland robot": r"is up",
 }  # fmt: skip
@@ -107,7 +107,7 @@ def test_a_tutorial_works_as_it_stands(name: str, tmp_path: Path) -> None:
                     typed += 1
     finally:
         terminals.end()
-    assert typed >= 4, "a block was not found"
+    assert typed >= 2, "a block was not found"
 
 
 @pytest.mark.parametrize("page", sorted(TUTORIALS.glob("*.md")), ids=lambda page: page.stem)
