@@ -35,13 +35,14 @@ from tools.common.child_process import module_command
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
 from tools.common.run_recorder import RunRecorder
-from tools.inspect.inspector import NO_KEYS, SILENT_S, Inspector
+from tools.inspect.inspector import NO_KEYS, Inspector
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress
 from tools.language.places import Places
 from tools.run.fleet_folder import TRUTH, FleetFolder, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.run.launch_setup import AnySetting, robot_document
+from tools.run.launch_status import LaunchStatus
 
 if TYPE_CHECKING:
     from tools.inspect.prometheus_metrics import MetricsServer
@@ -51,7 +52,6 @@ HOST = "127.0.0.1"
 LOOK_S = 0.5
 # Largest error of a thinned true track, that of RTK GNSS: one point in 2 s of driving.
 STRAIGHT_M = 0.02
-TELL_S = 5.0  # a status line this often
 QUIET_LOOKS = 6  # checks in a row at which all is done before the launch ends
 MAP_NICE = 5  # niceness of the map's process; robots go first
 GRACE_S = 3.0  # between asking a robot to leave and killing it
@@ -294,24 +294,22 @@ class Launch:
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
         loop = asyncio.get_running_loop()
-        begun_s = told_s = loop.time()
-        quiet = 0
-        while not end.is_set() and (self.endless or quiet < QUIET_LOOKS):
-            if seconds is not None and loop.time() - begun_s >= seconds:
-                break
-            with contextlib.suppress(TimeoutError):
-                async with asyncio.timeout(LOOK_S):
-                    await end.wait()
-            self._notice_deaths()
-            self._keep_truth()
-            if len(self.gone) == len(self.processes):
-                self.console.print("every robot process has ended")
-                break
-            done, all_of_it, _ = self._progress()
-            quiet = quiet + 1 if done == all_of_it else 0
-            if loop.time() - told_s >= TELL_S:
-                told_s = loop.time()
-                self._tell(told_s - begun_s)
+        begun_s, quiet = loop.time(), 0
+        with LaunchStatus(self.console, self.inspector, self.setting.keys is not None) as status:
+            while not end.is_set() and (self.endless or quiet < QUIET_LOOKS):
+                if seconds is not None and loop.time() - begun_s >= seconds:
+                    break
+                with contextlib.suppress(TimeoutError):
+                    async with asyncio.timeout(LOOK_S):
+                        await end.wait()
+                self._notice_deaths()
+                self._keep_truth()
+                if len(self.gone) == len(self.processes):
+                    self.console.print("every robot process has ended")
+                    break
+                done, all_of_it, what = self._progress()
+                quiet = quiet + 1 if done == all_of_it else 0
+                status.tell(loop.time() - begun_s, done, all_of_it, what)
         return quiet >= QUIET_LOOKS
 
     def _keep_truth(self) -> None:
@@ -339,15 +337,6 @@ class Launch:
                 f"its STOP stops no robot[/red]; again: headland map {self.out}"
             )
             self.map = None
-
-    def _tell(self, elapsed_s: float) -> None:
-        states = " ".join(
-            f"{slot}:{seen.state if self.inspector.now_s - seen.last_s < SILENT_S else 'silent'}"
-            for slot, seen in sorted(self.inspector.robots.items())
-        )
-        done, all_of_it, what = self._progress()
-        bare = "  [bold red]NO KEYS[/bold red]" if self.setting.keys is None else ""
-        self.console.print(f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}{bare}")
 
     async def _end_all(self) -> None:
         everybody = [*self.processes.values(), *([self.map] if self.map is not None else [])]

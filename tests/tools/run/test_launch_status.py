@@ -1,0 +1,49 @@
+"""What a launch tells while it runs: at a terminal one line, elsewhere lines, and events once each."""
+
+from io import StringIO
+
+from rich.console import Console
+
+from agent.interface.lifecycle import State
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Heartbeat, Member
+from protocol.frames.network_frames import AddressClaimed
+from protocol.name import fleet_name
+from tools.inspect.inspector import Inspector
+from tools.run.launch_status import LaunchStatus
+
+
+def heard(inspector: Inspector, t_s: float, state: State) -> None:
+    stopped = state is State.EMERGENCY_STOP
+    for message in (
+        AddressClaimed(fleet_name("told", 1).pack()),
+        Member(1, 0, 1),
+        Heartbeat(1, state, stopped, False, True, False, 1.0, 0, 0),
+    ):
+        inspector.hear(t_s, encode(message, 141, 255))
+
+
+def told(terminal: bool) -> str:
+    inspector = Inspector()
+    console = Console(file=StringIO(), force_terminal=terminal, width=100, color_system=None)
+    with LaunchStatus(console, inspector, has_keys=True) as status:
+        stop = State.EMERGENCY_STOP
+        story = [State.IDLE, State.WORKING, stop, stop, State.IDLE, State.IDLE]
+        for second, state in enumerate(story):
+            heard(inspector, float(second), state)
+            status.tell(float(second), second, 9, "sections")
+    return console.file.getvalue()  # type: ignore[attr-defined,no-any-return]
+
+
+def test_in_a_pipe_the_line_comes_every_five_seconds_and_events_once() -> None:
+    lines = told(terminal=False).splitlines()
+    assert [line for line in lines if "sections" in line] == ["     5 s  5/9 sections  1:IDLE"]
+    assert sum("EMERGENCY STOP: robots 1 stand" in line for line in lines) == 1
+    assert lines.count("the stop is released") == 1
+
+
+def test_at_a_terminal_one_line_renews_itself() -> None:
+    text = told(terminal=True)
+    assert "5/9 sections" in text or "robots start" in text
+    assert "EMERGENCY STOP: robots 1 stand" in text and "the stop is released" in text
+    assert "\n     5 s" not in text
