@@ -31,8 +31,11 @@ def figures(quick: bool) -> Iterator[Figure]:
     """The figures of all doors."""
     prefix = __name__.removesuffix("tools.bench.systems")  # in a wheel: `headland.`
     for name, module in DOORS.items():
-        measured: Callable[[bool], Iterator[Figure]] = import_module(prefix + module).figures
         try:
+            measured: Callable[[bool], Iterator[Figure]] = import_module(prefix + module).figures
             yield from measured(quick)
         except CounterpartAbsent as absent:
             yield Figure(f"{name}: not measured", 0.0, "", "", None, "", str(absent))
+        except ModuleNotFoundError as absent:
+            why = f"{absent.name} is not installed"
+            yield Figure(f"{name}: not measured", 0.0, "", "", None, "", why)

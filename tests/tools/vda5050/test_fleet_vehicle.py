@@ -32,6 +32,8 @@ from tools.vda5050.fleet_vehicle import UNHEARD, FleetVehicle, HeardRobot
 from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
 from tools.vda5050.transport_rules import OrderRefused, transport_of
 
+pytest.importorskip("vda5050.validation", reason="pip install vda5050-sdk: it has the schemas")
+
 HOUSE = Warehouse(Floor.drawn("......\n......\n......\n", 1.0, 0.4), Carrier(1.0, 0.0))
 HEADER = {
     "headerId": 1, "timestamp": "2024-01-01T00:00:00.000Z", "version": "2.0.0",

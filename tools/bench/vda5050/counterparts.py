@@ -171,7 +171,7 @@ class Witness:
         are told."""
         self.broker, self.sender, self.as_vehicle = broker, sender, as_vehicle
         self.counts: Counter[str] = Counter()  # messages by topic
-        self.flaws: Counter[str] = Counter()
+        self._heard: dict[tuple[str, str], int] = {}  # kind and text -> how often
         self._running = asyncio.create_task(self._run())
 
     async def _run(self) -> None:
@@ -188,13 +188,22 @@ class Witness:
         _, _, manufacturer, _, kind = topic.split("/")
         if self.sender != manufacturer:
             return
-        message = json.loads(payload)
         orders = kind in (Topic.ORDER, Topic.INSTANT_ACTIONS)
         if orders is self.as_vehicle:
             return  # the other side's
         self.counts[kind] += 1
-        for flaw in flaws(Topic(kind), message):
-            self.flaws[f"{kind}: {flaw}"] += 1
+        text = payload.decode()
+        self._heard[kind, text] = self._heard.get((kind, text), 0) + 1
+
+    @property
+    def flaws(self) -> Counter[str]:
+        """What is not valid, by kind. It takes time, so ask when the trial is over. Raises
+        CounterpartAbsent."""
+        found: Counter[str] = Counter()
+        for (kind, text), times in self._heard.items():
+            for flaw in flaws(Topic(kind), json.loads(text)):
+                found[f"{kind}: {flaw}"] += times
+        return found
 
     async def close(self) -> None:
         self._running.cancel()

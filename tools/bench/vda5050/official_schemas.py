@@ -7,20 +7,21 @@ kept here.
 import json
 from functools import cache
 from importlib.resources import files
+from importlib.util import find_spec
 from typing import Any
 
-import jsonschema
-import pytest
-
 from agent.runtime.vda5050.messages import Topic
-
-sdk = pytest.importorskip(
-    "vda5050.validation", reason="pip install vda5050-sdk: it has the schemas"
-)
+from tools.bench.systems import CounterpartAbsent
 
 
 @cache
-def schema_of(topic: Topic) -> jsonschema.Draft202012Validator:
+def schema_of(topic: Topic) -> Any:
+    """The validator of a topic. Raises CounterpartAbsent."""
+    for package in ("jsonschema", "vda5050"):
+        if find_spec(package) is None:
+            raise CounterpartAbsent("pip install jsonschema vda5050-sdk: it has the schemas")
+    import jsonschema
+
     text = files("vda5050.validation").joinpath("schemas", f"{topic}.json").read_text()
     return jsonschema.Draft202012Validator(
         json.loads(text), format_checker=jsonschema.FormatChecker()

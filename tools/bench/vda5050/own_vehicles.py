@@ -10,7 +10,6 @@ import json
 from asyncio.subprocess import PIPE, STDOUT, Process
 from collections import Counter
 from contextlib import suppress
-from itertools import combinations
 from math import hypot
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -204,6 +203,7 @@ class _Distances(Witness):
         at = json.loads(payload).get("agvPosition")
         if at is None:
             return
-        self.places[serial] = at["x"], at["y"]
-        gaps = [hypot(a[0] - b[0], a[1] - b[1]) for a, b in combinations(self.places.values(), 2)]
+        x_m, y_m = self.places[serial] = at["x"], at["y"]
+        others = (place for name, place in self.places.items() if name != serial)
+        gaps = [hypot(x_m - a_m, y_m - b_m) for a_m, b_m in others]
         self.closest_m = min([self.closest_m, *gaps])
