@@ -6,6 +6,8 @@
 # make coverage  lines and branches that the tests of replicated state, frames and safety run, with floors
 # make lock   requirements.lock: all packages with their hashes, for `pip install --require-hashes`
 # make site   the documents as a site in build/site
+# make lowest  the tools and the fast tests with the oldest packages that pyproject.toml allows
+# make release VERSION=0.5.0  changelog, version, wheel, commit and tag; nothing is pushed
 # make clean  removes what the others made
 PYTHON ?= python3
 VENV := .venv
@@ -13,7 +15,7 @@ BIN := $(VENV)/bin
 # Bytecode is kept: the tests start hundreds of processes, and a quarter of a robot's start was compiling it.
 unexport PYTHONDONTWRITEBYTECODE
 
-.PHONY: demo fast test slow check coverage kernels bench site setup lock clean
+.PHONY: demo fast test slow check coverage kernels bench site setup lock lowest release clean
 .DEFAULT_GOAL := demo
 
 setup: $(VENV)/installed
@@ -79,6 +81,16 @@ site: setup
 	$(BIN)/python -m tools.cli.doc_pages docs
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --strict --quiet
 	@echo "the site is in build/site/index.html"
+
+LOWEST := build/lowest
+lowest:
+	@$(PYTHON) -m venv $(LOWEST) && $(LOWEST)/bin/python -m pip install --quiet uv
+	@$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[sim,operator]' \
+	  pytest pytest-asyncio pytest-xdist hypothesis
+	$(LOWEST)/bin/python -m pytest -n 2 -m "not slow and not fleet and not process" tests/crdt tests/protocol tests/agent tests/tools/cli
+
+release: setup
+	$(BIN)/python -m tools.build.release $(VERSION)
 
 clean:
 	rm -rf $(VENV) runs build *.egg-info .mypy_cache .ruff_cache .pytest_cache .hypothesis
