@@ -85,8 +85,8 @@ site: setup
 LOWEST := build/lowest
 lowest:
 	@$(PYTHON) -m venv $(LOWEST) && $(LOWEST)/bin/python -m pip install --quiet uv
-	@$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[sim,operator]' \
-	  pytest pytest-asyncio pytest-xdist hypothesis
+	@$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python --resolution lowest-direct -e '.[sim,operator]'
+	@$(LOWEST)/bin/uv pip install --quiet --python $(LOWEST)/bin/python pytest pytest-asyncio pytest-xdist hypothesis
 	$(LOWEST)/bin/python -m pytest -n 2 -m "not slow and not fleet and not process" tests/crdt tests/protocol tests/agent tests/tools/cli
 
 release: setup
