@@ -33,7 +33,8 @@ STOPS_KEY, COUNTER_KEY, HOLD_KEY = "stops", "stop_counter", "hold"
 FAR_KEY = "far_stops"
 FREE, HELD, LATCHED = b"\0", b"\1", b"\2"  # in HOLD_KEY: a restart resets and starts nothing
 CREEP_M_S = 0.5  # highest speed under a SLOW cause
-UNAUTHENTICATED_HOLD_US = 1 * S  # a stop without a valid tag holds this long after its last frame
+# A stop without a valid tag holds this long after its last frame: a simple panel sends it once a second.
+UNAUTHENTICATED_HOLD_US = 1_500 * MS
 # Repeat for 2 s; then the heartbeats' stopped bit carries the latch.
 # Stop after 1 s if no member is known: we may have just booted.
 REPEATS_MAX, REPEATS_ALONE = 400, 200
@@ -43,7 +44,7 @@ AGAIN_US = 100 * MS
 AGAIN_MAX = 3  # further dots for one press; after these, that member cannot receive us at all
 TOLD_MAX = 4  # stops sent per reply (2 ms of bus), rotating through the set
 ANSWER_SPACING_US = 100 * MS  # minimum spacing of replies to members that report "not stopped"
-SPENT_HOLD_US = 1_500 * MS  # hold after its last frame; a simple panel sends its stop once a second
+SPENT_HOLD_US = UNAUTHENTICATED_HOLD_US  # hold after its last frame
 SPENT_FORGET_US = 3 * S  # a panel that sends its stop once a second is still pressed within this
 RENEWALS_MAX = 8  # further dots for one press because robots report its dot as already used
 COUNT_TOLD_MAX = 255  # largest count in STOPS_HELD

@@ -123,7 +123,10 @@ def buttons(cluster: Cluster, fault: kinds.Buttons, rng: Random, lot: int) -> Sc
 
 def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[None]:
     """An operator's device clears the next names of a panel in advance; then that panel is
-    pressed."""
+    pressed.
+
+    The panel holds no key. A fleet with keys stands while it sends, and is free by itself afterwards."""
+    keyed = cluster.setting.keyring(OPERATOR, "used stop") is not None
     incarnation = rng.randrange(256)
     for counter in range(fault.names):
         cluster.inject(EmergencyReset(PANEL, incarnation, counter, OPERATOR))
@@ -139,7 +142,7 @@ def used_stop(cluster: Cluster, fault: kinds.UsedStop, rng: Random) -> Script[No
             bus.submit(word)
             now_us += period_us
             yield now_us
-            if now_us >= latched_at_us and not latched:
+            if now_us >= latched_at_us and not latched and not keyed:
                 latched, bound = True, cluster.stops.obey(level)
                 # What robots press instead may have been cleared before this time.
                 if bound and cluster.stops.cleared_at_us < press_at_us:

@@ -5,9 +5,11 @@ from typing import Any
 
 import pytest
 
+from agent.interface.config import MS
 from agent.interface.effects import Send
 from agent.interface.lifecycle import State
 from agent.runtime.files.key_file import fresh, write
+from agent.safety import stop_controller
 from protocol.authentication import Signed
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.network_frames import AddressClaimed
@@ -18,11 +20,15 @@ from protocol.frames.safety_frames import (
     Freshness,
     OperatorCommand,
 )  # fmt: skip
+from sim.chaos.fault_profiles import with_faults
+from sim.chaos.verdict import Verdict, judge
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.scenario import Crash, Estop, Reset, Restart, load
+from sim.scenarios.fleet_setup import DRAWN
+from sim.scenarios.protocol_setup import drill
+from sim.scenarios.scenario import Crash, Estop, Reset, Restart, UsedStop, load
 from tests.chaos.at_work import Done, Story, at_work
 from tests.chaos.broad import broad
 
@@ -156,3 +162,25 @@ def test_proofs_nobody_asked_for_are_refused(keys: Path) -> None:
         assert not any(isinstance(e, Send) and isinstance(e.message, Freshness) for _, e in seen)
 
     play(keys, story)
+
+
+def panel_without_a_key(seed: int, every_s: float) -> Verdict:
+    """A panel of a fleet without keys is pressed in a fleet with keys, after its names were cleared."""
+    fault = UsedStop(at_s=7.0 + seed / 7, kind="used_stop", names=4, for_s=4.0, every_s=every_s)
+    return judge(with_faults(drill(4, seed, "sprint", keys=DRAWN), [fault]))
+
+
+@pytest.mark.parametrize("every_s", [0.005, 1.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_a_panel_without_a_key_holds_a_fleet_with_keys_while_it_sends(
+    seed: int, every_s: float
+) -> None:
+    assert not panel_without_a_key(seed, every_s).broken, f"panel_without_a_key({seed}, {every_s})"
+
+
+def test_the_judge_finds_a_robot_that_does_not_stand_until_the_next_unsigned_stop(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(stop_controller, "UNAUTHENTICATED_HOLD_US", 500 * MS)
+    found = panel_without_a_key(1, 1.0).broken
+    assert "S1" in {each.rule for each in found}

@@ -1,6 +1,7 @@
 """A press whose name was cleared before, a press without an address, and a release of many stops."""
 
 from collections.abc import Iterable
+from random import Random
 
 import pytest
 
@@ -16,6 +17,7 @@ from crdt.stops import ACTIVE_MAX, StopDot
 from protocol.authentication import Keyring, Keys
 from protocol.fleet_tags import HeldTags
 from protocol.frames.safety_frames import (
+    Challenge,
     EmergencyReset,
     EmergencyStop,
     HeldReset,
@@ -192,3 +194,31 @@ def test_t11_a_reset_of_what_is_not_held_is_kept_for_no_later_time() -> None:
     safety.receive_held_reset(HeldReset(later.held_stops.digest, OPERATOR), 0)
     safety.receive_stop(PRESS, None, S)
     assert safety.stops.latched
+
+
+def test_t16_a_stop_whose_questions_are_starved_brakes_at_once_and_latches_in_the_end() -> None:
+    """The panel answers each asker once in 10 ms, and an attacker asks in the robot's name at the rate
+    of a full bus. The robot had lost the panel's counter. One of its questions gets through."""
+    safety = StopController(0, 1, SilencePolicy.STOP, Keyring(KEYS, 0, b"robot"), {}, 0)
+    panel = Keyring(Keys(KEYS.master, None), PANEL, b"panel", 500)  # out of the robot's window
+    rng, question, asked = Random(16), None, 0
+    for turn in range(60_000):
+        now_us = turn * 640  # a frame
+        if turn % 100 == 0:  # the panel repeats its stop
+            stop = panel.sign(EmergencyStop(*DOT, Reason.PERSON_IN_FIELD))
+            sent = [
+                e.message for e in safety.receive_stop(stop, None, now_us) if isinstance(e, Send)
+            ]
+            question = next((m for m in sent if isinstance(m, Challenge)), None)
+            due = turn + rng.randrange(1, 90)
+            assert not safety.may_move, "it stands from the first frame on"
+        if question is not None and turn == due:
+            asked += 1
+            proof = panel.answer(question, now_us)
+            if proof is not None:
+                safety.authority.prove(proof, now_us)
+        else:
+            panel.answer(Challenge(PANEL, 0, turn), now_us)
+        if safety.stops.latched:
+            break
+    assert safety.stops.latched and asked > 1, "seed 16"
