@@ -18,7 +18,7 @@ from agent.peer.network_join import NetworkJoin
 from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.peer.unknown_stop_sources import AnyStop, Doubts
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US, StopController
+from agent.safety.stop_controller import StopController
 from protocol.frames.codec import Malformed
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.identifier import NULL_ADDRESS
@@ -38,6 +38,7 @@ NAME_PATIENCE_US: Final = 20 * MS  # a claim in transit may arrive after a beat 
 # After this a device of ours may have taken the address of another maker's device, and we may have
 # missed its claim.
 CLAIM_OLD_US: Final = 10 * S
+DOUBTED_HOLD_US: Final = 1 * S  # a stop of an unknown sender, while its name is asked for
 SIGNS_OF_LIFE = (Pose, Heartbeat, Member)
 SIGNED = (
     EmergencyReset,
@@ -139,7 +140,7 @@ class SenderOrigins(Part):
         self.origins.count(origin, message)
         end_at_us = self.doubts.hold(source, message, now_us)
         why = f"a stop from address {source}, which no device has claimed"
-        held_for_us = max(UNAUTHENTICATED_HOLD_US, end_at_us - now_us)
+        held_for_us = max(DOUBTED_HOLD_US, end_at_us - now_us)
         self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_for_us)
         return [HALT]
 

@@ -11,8 +11,8 @@ from agent.peer.inputs import Heard, Received
 from agent.peer.member_discovery import MEMBER_PGN
 from agent.peer.network_join import CLAIM_PGN
 from agent.peer.peer import Peer
+from agent.peer.sender_origins import DOUBTED_HOLD_US
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import UNAUTHENTICATED_HOLD_US
 from crdt import Phase
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
@@ -112,9 +112,8 @@ def test_a2_a_stop_from_an_unknown_address_holds_and_asks_until_its_name_is_know
         assert held_by(peer) == {StopCause.UNAUTHENTICATED_STOP}, "said once, it holds all the same"
     assert asked(effects, CLAIM_PGN) == [AT] * 5, "again and again, not faster"
     claims(peer, FOREIGN, now_us=2 * S + 900 * MS)
-    for later_us in range(900 * MS, UNAUTHENTICATED_HOLD_US + 1, 50 * MS):
-        turn(peer, 2 * S + later_us)
-    turn(peer, 2 * S + UNAUTHENTICATED_HOLD_US + MS)
+    turn(peer, 2 * S + DOUBTED_HOLD_US)
+    turn(peer, 2 * S + DOUBTED_HOLD_US + MS)
     assert not held_by(peer) and not peer.safety.latched, "it was no stop"
 
 
