@@ -69,9 +69,9 @@ class Badge(NamedTuple):
 class BadgeBook:
     """The badges that one robot has heard, and the day that its computer knows."""
 
-    def __init__(self, unix_at_zero_s: int | None = None) -> None:
-        """`unix_at_zero_s`: the time of day, seconds since 1970, when `now_us` was 0; None: unknown."""
-        self._unix_at_zero_s = unix_at_zero_s
+    def __init__(self, clock_zero_at_s: int | None = None) -> None:
+        """`clock_zero_at_s`: the time of day, seconds since 1970, when `now_us` was 0; None: unknown."""
+        self._clock_zero_at_s = clock_zero_at_s
         self._of: dict[int, Badge] = {}
         self._proven_at_us: dict[int, int] = {}
 
@@ -102,6 +102,6 @@ class BadgeBook:
 
     def day(self, now_us: int) -> int | None:
         """Days since 1970-01-01 UTC; None: this computer does not know the date."""
-        if self._unix_at_zero_s is None:
+        if self._clock_zero_at_s is None:
             return None
-        return (self._unix_at_zero_s + now_us // S) // DAY_S
+        return (self._clock_zero_at_s + now_us // S) // DAY_S

@@ -1,9 +1,9 @@
 """Questions of a newcomer, each with the file whose name alone must answer it.
 
 The list was written before the modules were moved. A change that renames a file changes its row: ask
-somebody who has not read the code whether the new name answers the question. On 2026-11-23 a newcomer
-with nothing but the file names gave 37 of 43 answers. Three of the six files that were not found have
-been renamed since.
+somebody who has not read the code whether the new name answers the question. With nothing but the
+file names, newcomers gave 37 of 43 answers on 2026-11-23 and 40 of 46 on 2026-11-25. Each time some of
+the files that were not found have been renamed.
 """
 
 from pathlib import Path
@@ -14,7 +14,7 @@ ROOT = Path(__file__).parents[1]
 QUESTIONS = {
     "Why does this robot stand, and what clears each cause?": "agent/safety/stop_cause.py",
     "Where is the last word before the wheels are told to drive?": "agent/safety/stop_controller.py",
-    "Who may press a stop or release it, and how is that checked?": "agent/safety/command_authority.py",
+    "Who may press a stop or release it?": "agent/safety/command_authentication.py",
     "Which states does a robot have, and which events change them?": "agent/interface/lifecycle.py",
     "Where do all limits of the core stand, with their reasons?": "agent/interface/config.py",
     "What must a new mission implement?": "agent/interface/mission.py",
@@ -49,7 +49,7 @@ QUESTIONS = {
     "How are long messages sent in frames of eight bytes?": "protocol/transport.py",
     "How are replicas made equal after a partition?": "protocol/sync/synchronizer.py",
     "Which claim of a section wins when two robots claimed it?": "crdt/claim_register.py",
-    "How does the simulated wire arbitrate?": "sim/can/can_segment.py",
+    "How does the simulated wire arbitrate?": "sim/can/can_wire.py",
     "Which steps does pymunk make?": "sim/world/pymunk_engine.py",
     "Which faults can chaos play?": "sim/fleet/fault_injector.py",
     "Who judges what robots covered?": "sim/world/coverage_truth.py",

@@ -14,9 +14,9 @@ from shapely import affinity
 from shapely.geometry import LineString, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
+from agent.field.corner_cuts import cut_at_corners
 from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
 from agent.field.headland_rings import parts, pieces, rings, swinging
-from agent.field.ring_corners import cut_at_corners
 
 SWEEP_DEG = 10.0  # step of the angles that are tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle

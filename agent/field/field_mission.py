@@ -15,7 +15,7 @@ from agent.field.field_map import Field, Section
 from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
 from agent.field.parking import Parking
 from agent.field.section_choice import SectionChooser
-from agent.field.section_partition import Point
+from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest

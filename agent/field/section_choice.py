@@ -1,6 +1,6 @@
 """Chooses the next section of a robot: one of its own share, or one that no robot takes.
 
-All robots compute the same partition (`agent/field/section_partition.py`). Here is what this robot
+All robots compute the same partition (`agent/field/section_shares.py`). Here is what this robot
 knows about the others: where each will be free, which sections silent robots left, and which
 sections were left to another robot and not taken.
 """
@@ -13,7 +13,7 @@ from typing import Final
 from agent.claims.standing_owners import STANDS, StandingOwners
 from agent.field.field_map import Field
 from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot
-from agent.field.section_partition import Point, SectionJob, shares
+from agent.field.section_shares import Point, SectionJob, shares
 from agent.field.travel_times import Remainder, TravelTimes
 from agent.interface.config import LEASE_US, S
 from agent.interface.mission import ClaimRequest, FleetView

@@ -9,7 +9,7 @@ from math import cos, hypot, pi, sin
 
 from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
-from agent.field.section_partition import Point
+from agent.field.section_shares import Point
 from agent.field.work_leg import WorkLeg
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State

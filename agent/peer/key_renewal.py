@@ -13,7 +13,7 @@ from agent.interface.config import S
 from agent.interface.effects import Persist, Send, Trace
 from agent.peer import notices
 from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
-from agent.safety.command_authority import CommandAuthority
+from agent.safety.command_authentication import CommandAuthority
 from protocol.authentication import KEY_SIZE, Keys
 from protocol.frames.key_frames import KeyPart, KeysHeld, KeySwitch
 from protocol.rekeying import ALWAYS_S, NOBODY, PartsOf, Rekeying

@@ -44,7 +44,7 @@ from agent.peer.inputs import (
 from agent.peer.journal_recovery import remembers
 from agent.peer.peer import Peer
 from agent.peer.self_health import readings
-from agent.runtime.peer_factory import identity_of, keyring_of, make_peer, unix_at_zero_s
+from agent.runtime.peer_factory import clock_zero_at_s, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.section_names import SectionNames
 from agent.safety.stop_cause import Severity, about, sentence
@@ -166,7 +166,7 @@ class FleetCoordinationEngine:
             self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one
         self.first_boot = self.journal is None
         now_us, lot = PeerRunner.now_us(), token_bytes(KEY_SIZE)
-        keyring = keyring_of(self.keys, self.slot, lot, unix_at_zero_s(now_us))
+        keyring = keyring_of(self.keys, self.slot, lot, clock_zero_at_s(now_us))
         peer = make_peer(identity, self._rng, now_us, recalled, keyring=keyring)
         self._runner = PeerRunner(peer, self.bus, None, self.journal, self._effect)
         self._task = asyncio.create_task(self._runner.run(), name=f"peer {self.tractor_id}")

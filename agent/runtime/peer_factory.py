@@ -80,19 +80,19 @@ def release() -> str:
 
 
 def keyring_of(
-    keys: Keys | None, sender: int, lot: bytes, unix_at_zero_s: int | None = None
+    keys: Keys | None, sender: int, lot: bytes, clock_zero_at_s: int | None = None
 ) -> Keyring | None:
     """The keyring of one robot; None for a fleet without keys.
 
     `lot`: any value that no two boots of this robot share, because it names the boot in questions
-    about freshness. `unix_at_zero_s`: the time of day, seconds since 1970, when `now_us` was 0; None:
+    about freshness. `clock_zero_at_s`: the time of day, seconds since 1970, when `now_us` was 0; None:
     unknown, so that no operator's key that expires is believed."""
     if keys is None:
         return None
-    return Keyring(keys, sender, lot, badges=BadgeBook(unix_at_zero_s))
+    return Keyring(keys, sender, lot, badges=BadgeBook(clock_zero_at_s))
 
 
-def unix_at_zero_s(now_us: int) -> int:
+def clock_zero_at_s(now_us: int) -> int:
     """The time of day of this computer when `now_us` was 0, seconds since 1970."""
     return round(time()) - now_us // S
 

@@ -22,7 +22,7 @@ from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
 from agent.runtime.files.release_log import ReleaseLog, key_of, path_of
 from agent.runtime.gc_tuning import freeze_gc
-from agent.runtime.peer_factory import identity_of, keyring_of, make_peer, unix_at_zero_s
+from agent.runtime.peer_factory import clock_zero_at_s, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody
 from agent.runtime.robot_file import RobotBusTable, RobotError, RobotFile
@@ -163,7 +163,7 @@ async def run_robot(
                 segment = robot.robot.segment
                 peer = make_peer(
                     identity, Random(lot), PeerRunner.now_us(), recalled, work.parts,
-                    keyring=keyring_of(keys, slot, lot.hex().encode(), unix_at_zero_s(now_us)),
+                    keyring=keyring_of(keys, slot, lot.hex().encode(), clock_zero_at_s(now_us)),
                     area=Area(segment, work.sections) if segment else None,
                 )  # fmt: skip
                 memory = robot.folder / robot.robot.journal

@@ -11,7 +11,7 @@ from math import hypot
 from agent.interface.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.interface.effects import HALT, Drive, Effect, GatedDrive, Persist, Send, Trace
 from agent.interface.identity import SilencePolicy
-from agent.safety.command_authority import CommandAuthority
+from agent.safety.command_authentication import CommandAuthority
 from agent.safety.standard_stop import STOPS, OwnButton, ShortcutButtons
 from agent.safety.stop_cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Severity, StopCause
 from crdt.stops import RemoteStopDot, RemoteStopSet, StopDot, StopSet, held_digest, next_in_rotation

@@ -24,7 +24,7 @@ from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.messages import Message as AnyMessage
-from sim.can.can_segment import PASSIVE, Wire
+from sim.can.can_wire import PASSIVE, Wire
 from sim.can.other_frame import OtherFrame
 
 # Frames kept for a program that does not read; beyond this the newest are dropped.

@@ -8,7 +8,7 @@ stop it. Judged from the state of the links alone; no robot is asked.
 from collections.abc import Mapping
 
 from agent.interface.config import S
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 
 # An address (0.25 s, ten times as much if it is contested), and the frames that identify a member.
 MET_US = 3 * S

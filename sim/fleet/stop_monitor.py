@@ -9,7 +9,7 @@ from enum import IntEnum
 
 from agent.interface.config import MS, STOP_SPACING_US, beat_of
 from protocol.frames.safety_frames import EVERYBODY, Command, EmergencyReset, OperatorCommand
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 from sim.world.checkers import MotionAfterStopChecker, Violation
 from sim.world.protocol_world import CommandChecker, ProtocolWorld
 from sim.world.world import World

@@ -28,7 +28,7 @@ from protocol.controller_health import Health
 from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
 from protocol.name import fleet_name
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 
 STEP_US: Final = 50 * MS  # of the tractors, and between two places of a receiver
 RECEIVER: Final = 28  # address of a receiver (ISO 11783-1: GNSS)

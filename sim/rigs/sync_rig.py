@@ -19,7 +19,7 @@ from protocol.frames.work_frames import (
     WorkProgress,
 )
 from protocol.sync.synchronizer import Said, Synchronizer
-from sim.can.can_segment import Delivery, Wire
+from sim.can.can_wire import Delivery, Wire
 
 ADDRESS = 128
 

@@ -18,7 +18,7 @@ from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import StateSyncResponse
-from sim.can.can_segment import ERROR_US, Delivery, Wire
+from sim.can.can_wire import ERROR_US, Delivery, Wire
 from sim.can.frame_timing import BIT_US, worst_bits
 
 ADDRESS = 128

@@ -26,7 +26,7 @@ ROOT = Path(__file__).parents[2]
 ATTACKS = (
     "tests/agent/peer/test_trust_attacks.py", "tests/agent/peer/test_member_conflicts.py",
     "tests/agent/peer/test_work_admission.py", "tests/agent/safety/test_spent_stops.py",
-    "tests/agent/safety/test_command_authority.py", "tests/protocol/test_address.py",
+    "tests/agent/safety/test_command_authentication.py", "tests/protocol/test_address.py",
 )  # fmt: skip
 PRESS_ROBOTS, PRESS_AT_S = 20, 12.0
 PRESSES, QUICK_PRESSES = 20, 2

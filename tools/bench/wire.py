@@ -18,7 +18,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF, Message
 from protocol.frames.safety_frames import AllImplementsStop, EmergencyStop
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 from sim.can.frame_timing import BIT_US, worst_bits
 from sim.can.simulated_bus import FieldBus, forget
 from sim.fleet.virtual_clock import run_virtual

@@ -33,7 +33,7 @@ GROUP = {
     "transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
-    "field.section_partition field.tractor_mission field.travel_times field.work_leg "
+    "field.section_shares field.tractor_mission field.travel_times field.work_leg "
     "interface.effects motion.deadlock_yield motion.holonomic_motion motion.obstacle_detector "
     "motion.obstacle_stop motion.path_tracker motion.right_of_way motion.stopping_zone "
     "motion.tractor_motion peer.announcements peer.control_cycle peer.departure "
@@ -46,9 +46,9 @@ GROUP = {
     "peer.range_freshness peer.section_claims peer.section_work peer.self_check peer.self_health "
     "peer.sender_origins peer.sense_freshness peer.slot_discovery peer.state_sync peer.stop_reception "
     "peer.stop_release peer.task_reporting peer.terminal_service peer.unknown_stop_sources "
-    "peer.work_admission runtime.peer_runner safety.command_authority safety.standard_stop "
+    "peer.work_admission runtime.peer_runner safety.command_authentication safety.standard_stop "
     "safety.stop_controller segments.fleet_stops segments.remote_segments segments.segment_area",
-    "sim": "can.can_segment can.frame_counter can.frame_timing can.simulated_bus "
+    "sim": "can.can_wire can.frame_counter can.frame_timing can.simulated_bus "
     "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
     "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "
     "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder world.checkers world.ground_truth "

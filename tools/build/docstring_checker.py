@@ -42,7 +42,7 @@ SOURCED = tuple(
     agent/runtime/files/isoxml_reader.py
     agent/paths/any_angle_planner.py agent/paths/corner_graph.py agent/paths/dubins.py
     agent/paths/hybrid_a_star.py agent/paths/nav_mesh.py agent/paths/theta_star.py
-    sim/can/frame_timing.py sim/can/can_segment.py
+    sim/can/frame_timing.py sim/can/can_wire.py
     sim/runs/isoxml_writer.py sim/runs/isoxml_time_log.py sim/chaos/shrink.py""",
     )
 )

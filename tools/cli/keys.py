@@ -228,7 +228,9 @@ def log_command(
         _wrong(str(problem))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
-    releases = sorted((r for one in found.logs for r in one.releases), key=lambda r: r.at_unix_s)
+    releases = sorted(
+        (r for one in found.logs for r in one.releases), key=lambda r: r.released_at_s
+    )
     failed = bool(found.broken) or not found.root
     if json:
         print(dumps({
@@ -239,7 +241,7 @@ def log_command(
         }))  # fmt: skip
     else:
         for release in releases:
-            at = datetime.fromtimestamp(release.at_unix_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
+            at = datetime.fromtimestamp(release.released_at_s, UTC).strftime("%Y-%m-%d %H:%M:%S")
             print(
                 f"{at} UTC  robot {release.robot}  {release.what}  by {found.who(release.device)}"
             )

@@ -240,7 +240,7 @@ def _releases(evidence: RunEvidence) -> Iterator[Chapter]:
     )  # fmt: skip
     about += "".join(f" Robot {r}: CHANGED: {why}." for r, why in records.broken.items())
     rows = [
-        (datetime.fromtimestamp(r.at_unix_s, UTC).isoformat(timespec="milliseconds"), r.robot, r.what,
+        (datetime.fromtimestamp(r.released_at_s, UTC).isoformat(timespec="milliseconds"), r.robot, r.what,
          records.who(r.device))
         for one in records.logs for r in one.releases
     ]  # fmt: skip

@@ -27,7 +27,7 @@ from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import Boundary, read_boundary
 from agent.runtime.files.key_file import FLEET, KeyFileError
 from agent.runtime.files.key_file import read as read_keys
-from agent.runtime.peer_factory import keyring_of, make_peer, release, unix_at_zero_s
+from agent.runtime.peer_factory import clock_zero_at_s, keyring_of, make_peer, release
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import SqliteJournal
 from crdt import FieldAllocationCRDT
@@ -161,7 +161,7 @@ async def _serve(
         now_us, lot = PeerRunner.now_us(), secrets.token_bytes(16)
         peer = make_peer(
             _identity(boundary, slot, machines, first_boot), Random(lot), now_us, recalled,
-            keyring=keyring_of(keys, slot, lot.hex().encode(), unix_at_zero_s(now_us)),
+            keyring=keyring_of(keys, slot, lot.hex().encode(), clock_zero_at_s(now_us)),
         )  # fmt: skip
         runner = PeerRunner(peer, fleet_bus, None, journal)
         clock = ReceiverClock(round(LATENCY_MS * MS))

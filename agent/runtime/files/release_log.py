@@ -30,11 +30,11 @@ BY: Final = re.compile(r"^(?P<what>.*) by (?P<who>\d+)$")
 NAME: Final = re.compile(r"robot(\d{1,3})\.releases\.jsonl")
 
 
-class Release(NamedTuple):
+class LoggedRelease(NamedTuple):
     """One line: a stop that one robot has cleared."""
 
     number: int  # from 1
-    at_unix_s: float  # by the computer of the robot
+    released_at_s: float  # by the computer of the robot
     robot: int
     what: str  # as the robot traced it
     device: int | None  # under whose key; None: it is not said
@@ -46,7 +46,7 @@ class ReadLog(NamedTuple):
     """A log that was read, and what is wrong with it."""
 
     robot: int
-    releases: Sequence[Release]
+    releases: Sequence[LoggedRelease]
     broken: str  # empty: its chain and its tags are right
     signed: bool  # the tags were checked
 
@@ -88,7 +88,7 @@ class ReleaseLog:
         what, device = (said["what"], int(said["who"])) if said else (effect.why, None)
         self._number += 1
         at_s = round(time.time(), 3)
-        plain = Release(self._number, at_s, self.slot, what, device, self._before, "")
+        plain = LoggedRelease(self._number, at_s, self.slot, what, device, self._before, "")
         line = _line(plain._replace(tag=_tag(plain, self._key)))
         try:
             handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
@@ -106,11 +106,11 @@ def read_log(path: Path, key: bytes | None) -> ReadLog:
     """Read a log and check it. `key`: None checks the chain alone. Raises GivenFileError, OSError."""
     found = NAME.fullmatch(path.name)
     robot = int(found[1]) if found else -1
-    releases: list[Release] = []
+    releases: list[LoggedRelease] = []
     before, broken = START, ""
     for number, text in enumerate(read_text(path, LOG_BYTES_MAX).splitlines(), 1):
         try:
-            release = Release(**json.loads(text))
+            release = LoggedRelease(**json.loads(text))
             line = _line(release)
         except (TypeError, ValueError):
             broken = broken or f"line {number} cannot be read"
@@ -134,11 +134,11 @@ def lacking(logs: Sequence[ReadLog]) -> dict[int, set[str]]:
     return {robot: everything - had for robot, had in said.items() if everything - had}
 
 
-def _line(release: Release) -> bytes:
+def _line(release: LoggedRelease) -> bytes:
     return json.dumps(release._asdict(), sort_keys=True).encode() + b"\n"
 
 
-def _tag(release: Release, key: bytes | None) -> str:
+def _tag(release: LoggedRelease, key: bytes | None) -> str:
     if key is None:
         return ""
     return hmac.digest(key, _line(release._replace(tag="")), "sha256").hex()

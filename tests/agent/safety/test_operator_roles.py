@@ -6,7 +6,7 @@ import pytest
 
 from agent.interface.config import S
 from agent.interface.effects import Effect, Send
-from agent.safety.command_authority import NEEDS, CommandAuthority, role_for
+from agent.safety.command_authentication import NEEDS, CommandAuthority, role_for
 from protocol.authentication import AnySigned, Keyring, Keys
 from protocol.frame_proofs import FleetTime, ProofChecker, ProofKeys, TimeAnswers, ToolProofs
 from protocol.frames.delivery_frames import TaskOrder
@@ -43,8 +43,10 @@ SAID: dict[str, AnySigned] = {
 
 
 def authority(day: int | None = TODAY) -> CommandAuthority:
-    unix_at_zero_s = None if day is None else day * DAY_S
-    return CommandAuthority(ROBOT, Keyring(FLEET, ROBOT, b"boot", badges=BadgeBook(unix_at_zero_s)))
+    clock_zero_at_s = None if day is None else day * DAY_S
+    return CommandAuthority(
+        ROBOT, Keyring(FLEET, ROBOT, b"boot", badges=BadgeBook(clock_zero_at_s))
+    )
 
 
 def device(badge: Badge, sent: int = 0) -> Keyring:

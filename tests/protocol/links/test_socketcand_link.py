@@ -7,7 +7,7 @@ from random import Random
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 from protocol.links.socketcand_link import DEAD_S, UNSENT_MAX, SocketcandLink
-from sim.can.can_segment import QUEUE_MAX
+from sim.can.can_wire import QUEUE_MAX
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_server import Hub
 

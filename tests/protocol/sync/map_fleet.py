@@ -11,7 +11,7 @@ from crdt.sighting import LEVELS, TIME_MAX, MergeOrder
 from protocol.frames.codec import decode_once, encode
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.sync.map_sync import MapSync
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 
 ADDRESS = 128
 

@@ -5,7 +5,7 @@ from random import Random
 import pytest
 
 from protocol.frames.frame import Frame
-from sim.can.can_segment import QUEUE_MAX, Delivery, Wire
+from sim.can.can_wire import QUEUE_MAX, Delivery, Wire
 
 LOWEST = Frame(0x0000004D, bytes(8))  # nothing outranks it but an identifier below
 

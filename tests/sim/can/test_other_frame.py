@@ -5,7 +5,7 @@ from random import Random
 import pytest
 
 from protocol.frames.frame import Frame
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 from sim.can.frame_timing import frame_bits
 from sim.can.other_frame import OtherFrame
 from sim.can.simulated_bus import FieldBus, forget, segment

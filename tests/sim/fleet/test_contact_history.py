@@ -1,7 +1,7 @@
 """Who has met whom, told by links and power alone."""
 
 from agent.interface.config import S
-from sim.can.can_segment import Wire
+from sim.can.can_wire import Wire
 from sim.fleet.contact_history import MET_US, ContactHistory
 
 

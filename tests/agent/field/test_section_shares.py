@@ -3,7 +3,7 @@
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.field.section_partition import SectionJob, cut, shares
+from agent.field.section_shares import SectionJob, cut, shares
 
 jobs_of = st.lists(st.floats(0.1, 50), min_size=0, max_size=60).map(
     lambda works: [

@@ -4,9 +4,9 @@ import pytest
 from shapely.geometry import LineString, box
 from shapely.ops import unary_union
 
+from agent.field.corner_cuts import cut_at_corners
 from agent.field.field_division import divide
 from agent.field.field_map import Polyline
-from agent.field.ring_corners import cut_at_corners
 from agent.motion.tractor_tracker import smooth_way
 
 FIELD = box(0, 0, 80, 60)

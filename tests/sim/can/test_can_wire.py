@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from protocol.frames.frame import Frame
-from sim.can.can_segment import QUEUE_MAX, RECOVERY_US, Delivery, Wire
+from sim.can.can_wire import QUEUE_MAX, RECOVERY_US, Delivery, Wire
 from sim.can.frame_timing import CRC_BITS, HEAD_BITS, TAIL_BITS, frame_bits, worst_bits
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from agent.safety.command_authority import AGREE_US, CommandAuthority
+from agent.safety.command_authentication import AGREE_US, CommandAuthority
 from protocol.authentication import Keyring, Keys
 from protocol.frames.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
 from tools.bench import forgery
