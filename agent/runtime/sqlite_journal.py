@@ -113,8 +113,6 @@ class SqliteJournal:
         accessed.
         """
         self.path = path
-        if _header_forbids_writing(path):  # it could be read, but no stop could be written
-            raise UnreadableError(f"{path}: its header forbids writing")
         self.mark = Mark(path.with_name(path.name + MARK_SUFFIX))
         self._number: int | None = None  # of the newest write; None: not read yet
         try:
@@ -132,8 +130,15 @@ class SqliteJournal:
             self._database.execute(
                 "CREATE TABLE IF NOT EXISTS record (key TEXT PRIMARY KEY, value BLOB NOT NULL)"
             )
+            # A journal that can be read and not written cannot keep a stop.
+            self._database.execute("BEGIN")
+            self._database.execute("INSERT OR REPLACE INTO record VALUES ('', x'')")
+            self._database.execute("ROLLBACK")
         except PROBLEMS as problem:
             self._database.close()
+            # Only now, because a header that a power cut has torn is whole in the log.
+            if _header_forbids_writing(path):
+                raise UnreadableError(f"{path}: its header forbids writing") from None
             raise self._error(problem) from None
 
     @classmethod

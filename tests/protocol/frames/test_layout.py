@@ -97,6 +97,7 @@ def test_a_value_that_does_not_fit_is_an_error_of_ours(layout: FrameLayout[Any])
 
 
 GOOD = {
+    "OPERATOR_BADGE": 192,
     "DM22": 1,
     "FLEET_STOP": 1,
     "FLEET_RESET": 1,

@@ -102,7 +102,8 @@ NAMED = {
     "agent.runtime.bodies.replay_body:ReplayBody", "agent.runtime.bodies.ros2_body:Ros2Body",
     "agent.runtime.bodies.vda5050_body:Vda5050Body", "agent.runtime.bodies.isobus_body:IsobusBody",
     "tools.bench.vda5050.figures", "tools.bench.mapf", "tools.bench.systems",
-    "tools.bench.vda5050.many_robots",
+    "tools.bench.vda5050.many_robots", "tools.bench.ros2_door", "tools.bench.foxglove_door",
+    "tools.bench.prometheus_door",
 }  # fmt: skip
 
 
