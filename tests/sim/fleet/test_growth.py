@@ -81,7 +81,7 @@ def _peers(cluster: Cluster) -> list[Peer]:
 def test_f_nothing_in_a_peer_grows_with_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replica, "HISTORY_MAX", 32)  # memories of the newest are full early
     monkeypatch.setattr(letters, "LINES_MAX", 8)
-    monkeypatch.setattr(travel_times, "LEADS_KEPT", 8)
+    monkeypatch.setattr(travel_times, "LEADS_KEPT", 1)
     clusters: list[Cluster] = []
     found: list[tuple[list[Counter[str]], int]] = []
 
