@@ -18,7 +18,9 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 from sim.fleet.scheduler import Script
 from sim.world.world import World
 
+STANDS_M_S = 0.05  # slower is standing
 CLEAR_M = 0.6  # from body to body, at which one that yields stands: an arm's length
+ENTRY_M = 3.0  # from body to body: a robot that drives stops from 2.5 m/s in less
 PATIENCE_US = 5 * S  # for which a person waits before a robot that stands, before it turns round
 TURNS_MAX = 1  # one way back; after that the route is blocked at both ends
 LEAVE_M = (
@@ -45,7 +47,8 @@ def walk(
     world: World, now_us: Callable[[], int], shape: Shape, route: list[XY], speed_m_s: float,
     yields: bool,
 ) -> Script[None]:  # fmt: skip
-    """Appear at the first point of the route, follow it, and vanish at its end.
+    """Appear at the first point of the route, follow it, and vanish at its end. It does not appear
+    right before a robot that drives, which no robot could stop for: it waits until that has passed.
 
     One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from. If it
     has to turn more often than `TURNS_MAX`, it leaves by a straight way between the robots.
@@ -53,6 +56,8 @@ def walk(
     gone_m, long_m = 0.0, _length_m(route)
     onward, turns, stood_at_us = 1, 0, None
     place, heading_rad = _on(route, 0.0)
+    while _driven_past(world, place, shape):
+        yield now_us() + CONTROL_PERIOD_US
     number = _put(world, place, shape, heading_rad)
     while 0.0 <= gone_m < long_m:
         at_us = now_us()
@@ -109,6 +114,14 @@ def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:
             return place, atan2(end[1] - begin[1], end[0] - begin[0])
         gone_m -= leg_m
     raise AssertionError("a route has a leg")
+
+
+def _driven_past(world: World, place: XY, shape: Shape) -> bool:
+    return any(
+        dist(place, body.position) < shape.reach_m + body.radius_m + ENTRY_M
+        and body.speed_m_s > STANDS_M_S
+        for body in world.robots.values()
+    )
 
 
 def _put(world: World, place: XY, shape: Shape, heading_rad: float) -> int:
