@@ -45,7 +45,7 @@ def test_every_peer_computes_the_same_plan() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_small_plans_cost_no_more_than_an_optimal_solver_of_another_package(seed: int) -> None:
-    pymapf = pytest.importorskip("pymapf")
+    pymapf = pytest.importorskip("pymapf", reason="the extra mapf is not installed")
     ground, starts, goals, walls = drawn(7, 4, seed, 0.1)
     agents = [
         pymapf.Agent(str(k), ground.cell(a), ground.cell(b))

@@ -33,7 +33,7 @@ def test_all_arrive_and_two_validators_find_no_conflict(seed: int, loss: float) 
     verdict = judged(run, outcome, mapf.walls)
     assert not verdict.faults and verdict.arrived == 8, (seed, verdict)
     assert abs(verdict.sum_of_costs - outcome.sum_of_costs) <= 8, "a path file rounds to units"
-    pymapf = pytest.importorskip("pymapf")
+    pymapf = pytest.importorskip("pymapf", reason="the extra mapf is not installed")
     rows = path_file(run, outcome).partition("solution=\n")[2].splitlines()
     steps = [re.findall(r"\((\d+),(\d+)\)", row) for row in rows]
     paths = {str(k): [tuple(map(int, step[k])) for step in steps] for k in range(8)}

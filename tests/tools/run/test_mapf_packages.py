@@ -6,8 +6,8 @@ import pytest
 from sim.files.grid_map import random_walls
 from sim.files.mapf_scenario import drawn_scenario
 
-pymapf = pytest.importorskip("pymapf")
-pettingzoo_test = pytest.importorskip("pettingzoo.test")
+pymapf = pytest.importorskip("pymapf", reason="the extra mapf is not installed")
+pettingzoo_test = pytest.importorskip("pettingzoo.test", reason="the extra mapf is not installed")
 
 
 @pytest.mark.parametrize("seed", range(5))
