@@ -17,12 +17,14 @@ from foxglove import channels, messages
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener, Service
 from pyproj import CRS, Transformer
 
+from agent.interface.lifecycle import State
 from agent.runtime.files.field_file import plane
 from crdt import Phase
 from protocol.frames.codec import UNKNOWN, Malformed, decode
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUPS, Message
+from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, HeldReset
 from sim.files.palette import rgb_of
 from sim.record.scene import Scene
 from tools.inspect.inspector import SILENT_S, Seen
@@ -35,6 +37,9 @@ TEXT_PX = 14.0
 FIX_S = 0.2  # between two fixes of a robot: a map panel does not need each pose
 SOON_S = 0.05  # after the first of several topics that one viewer subscribes to
 TELL_S = 1.0  # between two looks at what changes slowly
+# Messages kept for a viewer that reads slowly; the oldest are dropped. A full bus (1900 frames a second)
+# fills the 1024 of the SDK in half a second, and a line of the log that is dropped never comes again.
+BACKLOG_MESSAGES = 16_384
 GREY = (0.5, 0.5, 0.5)
 COLOURS = {
     Phase.FREE: (0.55, 0.55, 0.55), Phase.CLAIMED: (0.9, 0.75, 0.2), Phase.STARTED: (0.2, 0.55, 0.9),
@@ -44,6 +49,7 @@ RED: Final = (0.9, 0.1, 0.1)
 # Of a grid, by the value of a cell; alpha 0: unknown ground is not drawn.
 NOTHING, OPEN, SOLID = (0, 0, 0, 0), (220, 220, 220, 255), (60, 60, 60, 255)
 RGB = tuple[float, float, float]
+Dot = tuple[int, int, int]  # of a stop: slot, incarnation, counter
 
 
 class FoxgloveFeed(Watcher):
@@ -77,10 +83,13 @@ class FoxgloveFeed(Watcher):
         self._drawn: dict[str, object] = {}  # entity -> what was last published of it
         self._to_degrees = _to_degrees(self.scene)
         self._again: asyncio.TimerHandle | None = None
+        self._log_asked = False  # by a viewer that has not been told yet what holds now
+        self._latched: set[Dot] = set()  # that the log has told
         try:
             self._server = foxglove.start_server(
                 name="headland", host=LOOPBACK, port=port, context=context,
                 server_listener=_Newcomers(self._newcomer), services=list(services),
+                message_backlog_size=BACKLOG_MESSAGES,
                 capabilities=[Capability.Services] if services else [],
             )  # fmt: skip
         except (OSError, RuntimeError) as problem:
@@ -103,6 +112,8 @@ class FoxgloveFeed(Watcher):
         source, message = decode(frame)
         if message is UNKNOWN or isinstance(message, Malformed):
             return
+        if isinstance(message, EmergencyStop | EmergencyReset | HeldReset):
+            self._tell_stops(t_s)
         channel = self._kinds.get(type(message))
         if channel is not None and channel.has_sinks():
             told = {"source": source, "robot": self.slot_of.get(source, -1)}
@@ -126,9 +137,8 @@ class FoxgloveFeed(Watcher):
         before = robot.state
         super()._state(t_s, robot, state, kind)
         if robot.state != before:
-            stopped = robot.state == "EMERGENCY_STOP"
-            level = messages.LogLevel.Warning if stopped else messages.LogLevel.Info
-            self._say(t_s, f"robot {robot.slot}", level, f"{before} -> {robot.state}")
+            text = f"{before} -> {robot.state}"
+            self._say(t_s, f"robot {robot.slot}", _level_of(robot.state), text)
             self._draw_robot(t_s, robot)
 
     def _place(self, t_s: float, robot: Seen) -> None:
@@ -178,30 +188,46 @@ class FoxgloveFeed(Watcher):
 
     def _newcomer(self, topic: str) -> None:
         """Somebody subscribed, in a thread of the server: tell again what is told on a change only."""
-        if topic in (self._scene.topic(), self._grid.topic()):
-            self._loop.call_soon_threadsafe(self._tell_soon)
+        if topic in (self._scene.topic(), self._grid.topic(), self._log.topic()):
+            self._loop.call_soon_threadsafe(self._tell_soon, topic == self._log.topic())
 
-    def _tell_soon(self) -> None:
-        """Once for a viewer that subscribes to both."""
-        if self._again is None or self._again.when() < self._loop.time():
+    def _tell_soon(self, log_asked: bool) -> None:
+        """Once for a viewer that subscribes to all of them."""
+        self._log_asked = self._log_asked or log_asked
+        if self._again is None:
             self._again = self._loop.call_later(SOON_S, self._tell_again)
 
     def _tell_again(self) -> None:
+        self._again = None
+        now_s = self._loop.time()
+        if self._log_asked:
+            self._log_asked = False
+            self._tell_what_holds(now_s)
         self._drawn.clear()
-        self._tell(self._loop.time(), again=True)
+        self._tell(now_s, again=True)
+
+    def _tell_what_holds(self, now_s: float) -> None:
+        """States and stops of now, for a viewer that was not there when they came."""
+        for slot, robot in sorted(self.robots.items()):
+            if not robot.left:
+                text = f"is {robot.state}"
+                self._say(now_s, f"robot {slot}", _level_of(robot.state), text)
+        for dot in sorted(self._latched):
+            self._say(now_s, "fleet", messages.LogLevel.Error, f"{_stop_named(dot)} holds")
+
+    def _tell_stops(self, t_s: float) -> None:
+        """What a frame has changed: at once, because a stop and its reset may be close together."""
+        latched = set(self.latched)
+        for dot in sorted(latched - self._latched):
+            self._say(t_s, "fleet", messages.LogLevel.Error, _stop_named(dot))
+        if self._latched and not latched:
+            self._say(t_s, "fleet", messages.LogLevel.Info, "all stops are cleared")
+        self._latched = latched
 
     async def _keep_telling(self) -> None:
-        latched: set[object] = set()
         while True:
             await asyncio.sleep(TELL_S)
-            now_s = self._loop.time()
-            for dot in set(self.latched) - latched:
-                text = f"emergency stop {'.'.join(map(str, dot))}"
-                self._say(now_s, "fleet", messages.LogLevel.Error, text)
-            if latched and not self.latched:
-                self._say(now_s, "fleet", messages.LogLevel.Info, "all stops are cleared")
-            latched = set(self.latched)
-            self._tell(now_s, again=False)
+            self._tell(self._loop.time(), again=False)
 
     def _tell(self, now_s: float, again: bool) -> None:
         if self._scene.has_sinks():
@@ -360,6 +386,15 @@ def _plain(message: Any) -> dict[str, Any]:
         name: value.hex() if isinstance(value, bytes) else value
         for name, value in message._asdict().items()
     }
+
+
+def _level_of(state: str) -> messages.LogLevel:
+    stopped = state == State.EMERGENCY_STOP.name
+    return messages.LogLevel.Warning if stopped else messages.LogLevel.Info
+
+
+def _stop_named(dot: Dot) -> str:
+    return f"emergency stop {'.'.join(map(str, dot))}"
 
 
 def _frame_of(slot: int) -> str:
