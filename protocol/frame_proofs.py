@@ -88,6 +88,8 @@ def word_of(message: Any) -> bytes:
 class ProofKeys:
     """The keys of all senders under the secrets that this device holds."""
 
+    BACKBONE_TAG: Final = 8  # bytes of a tag of the backbone, where there is room
+
     def __init__(self, keys: Keys, badges: BadgeBook | None = None) -> None:
         """`badges`: those that a robot has heard; None in a device, which holds its own secret."""
         self.keys, self.badges = keys, badges
@@ -134,6 +136,14 @@ class ProofKeys:
             + ticks.to_bytes(word, "little")
         )  # fmt: skip
         return int.from_bytes(_sum(key, content)[:word], "little")
+
+    def backbone_tag(self, message: bytes) -> bytes:
+        """The tag of one message between gateways, `BACKBONE_TAG` bytes."""
+        secret = self.keys.master
+        assert secret is not None, "a gateway with keys holds the fleet's secret"
+        mac = _running(_key(secret, b"headland backbone")).copy()
+        mac.update(message)
+        return mac.finalize()[: self.BACKBONE_TAG]
 
     def number(self, purpose: bytes, lot: bytes, bits: int) -> int:
         """A number that nobody else can foresee, from a value that no two boots share."""

@@ -170,7 +170,7 @@ class Peer:
         if self._carried and slot is None and kind is not AddressClaimed:
             number = gateway_slot(source)
             if number is not None:
-                return self._from_gateway(source, number, destination, message, now_us)
+                return self._from_gateway(source, number, destination, message, now_us, proven)
         if kind in self._held and not proven and source != self.joining.address:
             held = self.proven.hold(source, slot, message, now_us)
             if held is not None:
@@ -225,6 +225,7 @@ class Peer:
         destination: int,
         message: Message | Malformed,
         now_us: int,
+        proven: bool,
     ) -> Outputs:
         """A gateway is not a member: its silence stops no robot, and it claims no section."""
         kind = type(message)
@@ -238,6 +239,9 @@ class Peer:
                 return refused
             if senders is not GATEWAY and kind not in self._carried:
                 return NOTHING
+            held = None if proven else self.proven.hold_carried(source, message, now_us)
+            if held is not None:
+                return held
         header = Header(source, number, destination, True)
         return route.handler(self.context(now_us), header, message)
 

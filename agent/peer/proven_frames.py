@@ -48,6 +48,7 @@ from protocol.frames.fleet_frames import (
     VectorSlice,
 )
 from protocol.frames.map_frames import MapDigests, MapPatch
+from protocol.frames.segment_frames import GatewayBeat, SegmentSummary
 from protocol.frames.trust_frames import Proof
 from protocol.frames.work_frames import (
     STOPS,
@@ -65,6 +66,11 @@ PROVEN_KINDS: Final[frozenset[type[Any]]] = frozenset({
     TaskClaim, WorkProgress, StateSyncRequest, StateSyncResponse, Digests,
     MapPatch, MapDigests, AgreementMessage, SilentPosition,
     TaskOrder, TaskBookDigest, TaskBid, Itinerary, PlanOffer, PlanRow,
+})  # fmt: skip
+# What a gateway brings from other segments, and says of them (`agent/segments/gateway_proofs.py`).
+GATEWAY_KINDS: Final[frozenset[type[Any]]] = frozenset({
+    TaskClaim, WorkProgress, StateSyncRequest, StateSyncResponse, MapPatch, MapDigests,
+    GatewayBeat, SegmentSummary,
 })  # fmt: skip
 NOTHING_HELD: Final[frozenset[type[Any]]] = frozenset()
 SOON_US: Final = 20 * MS  # less than the pause after which another robot continues a sync
@@ -161,10 +167,27 @@ class ProvenFrames(Part):
             outputs += self._believe(source, slot, proven, now_us)
         return outputs
 
+    def hold_carried(self, source: int, message: Any, now_us: int) -> Outputs | None:
+        """Keep a frame of a gateway until the gateway has proven it; None if it needs no proof."""
+        if self.checker is None or type(message) not in GATEWAY_KINDS:
+            return None
+        if type(message) is StateSyncRequest and message.scope == STOPS:
+            return None
+        outputs: list[Any] = []
+        for proven in self.checker.hold(source, message, now_us):
+            outputs += _carried(source, proven, now_us)
+        return outputs
+
     def _verify(self, ctx: StepContext, header: Header, m: Proof) -> Outputs:
         checker, source, now_us = self.checker, header.source, ctx.now_us
         if checker is None or source == self.joining.address:
             return NOTHING
+        if header.from_gateway:
+            if m.sender != header.slot:
+                checker.bad += 1
+                return NOTHING
+            carried = checker.verify(source, m, now_us)
+            return NOTHING if carried is None else _carried(source, carried, now_us)
         if not self._may_speak(source, header.slot, m.sender):
             checker.bad += 1
             return [] if header.slot is not None else [notices.StrangerHeard(source)]
@@ -235,3 +258,8 @@ class ProvenFrames(Part):
         if self._batch is not None:
             self._batch.clear()
         return NOTHING
+
+
+def _carried(source: int, proven: Proven, now_us: int) -> list[Any]:
+    """What a gateway has proven. It is no member, so this is no sign of life."""
+    return [notices.HeardAgain(source, message, now_us) for message in proven.messages]

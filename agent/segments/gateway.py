@@ -1,11 +1,12 @@
 """A gateway between a segment and the rest of the fleet: facts in, effects out, like a peer.
 
-It is not a member: its silence stops no robot, it claims nothing, and it holds no secret. It
-forwards stops first and always, whether it leads or not (`agent/segments/stop_relay.py`). Only the
+It is not a member: its silence stops no robot, and it claims nothing. It forwards stops first and
+always, whether it leads or not, and needs no secret for them (`agent/segments/stop_relay.py`). In a
+fleet with keys it passes on only work that it can prove (`agent/segments/gateway_proofs.py`). Only the
 leading gateway forwards work at the border (`agent/segments/work_relay.py`). All heartbeats of the
 segment become one summary. Frames of gateways are never forwarded, messages of the own segment are
 dropped, and everything is idempotent. So loops end where they begin. All its traffic except stops
-is limited to `SHARE` of the bus.
+and proofs is limited to `SHARE` of the bus.
 """
 
 from collections import Counter
@@ -17,6 +18,7 @@ from agent.interface.effects import Effect, Send
 from agent.peer.frame_origin import PROPRIETARY, Origin, Origins
 from agent.peer.member_discovery import CLAIM_PGN
 from agent.segments.gateway_election import GatewayElection
+from agent.segments.gateway_proofs import TAGGED, GatewayProofs
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area
 from agent.segments.segment_reachability import SegmentReachability
@@ -24,6 +26,7 @@ from agent.segments.stop_relay import LIVE_US, StopRelay
 from agent.segments.token_bucket import TokenBucket
 from agent.segments.work_relay import FLUSH_US, WorkRelay
 from protocol import backbone_messages as backbone
+from protocol.authentication import Keys
 from protocol.backbone_messages import BackboneHeader, BackboneKind, Body, Summary
 from protocol.frames.codec import Malformed, decode_once, destination_of
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
@@ -78,10 +81,12 @@ class Gateway:
     """
 
     def __init__(
-        self, area: Area, name: Name, boot: int, now_us: int, chart: MapRelay | None = None
-    ) -> None:
+        self, area: Area, name: Name, boot: int, now_us: int, chart: MapRelay | None = None,
+        keys: Keys | None = None,
+    ) -> None:  # fmt: skip
         """`area`: the sections that concern this segment. `name`: the gateway's NAME on the bus.
-        `boot`: 32 bits, different at each start. `chart`: the map, if segments share one.
+        `boot`: 32 bits, different at each start. `chart`: the map, if segments share one. `keys`: of the
+        fleet's file; None: a fleet without keys, or a gateway that carries only stops and resets.
         """
         self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
         self.candidacy = GatewayElection(boot, name.hash16, now_us)
@@ -95,6 +100,9 @@ class Gateway:
         self.counts: Counter[str] = Counter()
         self._limit = TokenBucket(SHARE, BURST_US, now_us)
         self._slot_of: dict[int, int] = {}  # address -> slot, from MEMBER frames
+        self._name_at: dict[
+            int, int
+        ] = {}  # address -> the NAME that claimed it, in a fleet with keys
         self._heard_at_us: dict[int, int] = {}  # slot -> last sign of life
         self._live: frozenset[int] = frozenset()
         self._look_at_us = self._flush_at_us = self._summary_at_us = self._rotate_at_us = now_us
@@ -103,6 +111,7 @@ class Gateway:
         self._stops_differ: Counter[int] = Counter()
         self._sequence = self._turn = 0
         self._announced: int | None = None  # the address that we have announced
+        self.proofs = None if keys is None else GatewayProofs(keys, self.boot, now_us)
         self.origins = Origins(name)  # frames of other makers are not forwarded
 
     @property
@@ -145,7 +154,14 @@ class Gateway:
             )
         if number is not None:
             self.candidacy.on_message(number, message, now_us)
-        self._on_message(source, number, message, now_us)
+        if self.proofs is None:
+            self._on_message(source, number, message, now_us)
+            return ()
+        believed = self.proofs.hear(source, self._slot_of.get(source), message, now_us)
+        if believed is None:
+            self._on_message(source, number, message, now_us)
+        for _, proven in believed or ():
+            self._on_message(source, number, proven, now_us)
         return ()
 
     def _on_network_message(
@@ -154,6 +170,12 @@ class Gateway:
         """Track devices by NAME."""
         if isinstance(message, AddressClaimed):
             self.origins.claimed(source, message.name)
+            if self.proofs is not None and self._name_at.get(source) != message.name:
+                self._name_at[source] = (
+                    message.name
+                )  # another device: its slot is to be proven again
+                self._slot_of.pop(source, None)
+                self.proofs.checker.forget(source)
             return ()
         here = self._announced is not None and destination in (GLOBAL_ADDRESS, self._announced)
         if here and message.pgn == CLAIM_PGN:
@@ -194,11 +216,17 @@ class Gateway:
         """A message of the backbone. One that cannot be read, or that is not news, is counted and
         has no effect.
         """
+        vouched = True
+        if self.proofs is not None:
+            data, vouched = self.proofs.opened(data)
         message = backbone.unpack(data)
         if message is None:
             self.counts["malformed message"] += 1
             return ()
         header, body = message
+        if not vouched and header.kind in TAGGED:
+            self.counts["unproven message"] += 1
+            return ()
         if not self.reach.accepts(header, now_us):
             return ()
         self.counts[BackboneKind(header.kind).name] += 1
@@ -253,6 +281,8 @@ class Gateway:
             sync_at_us = self.sync.due_at_us
             if sync_at_us is not None:
                 times.append(sync_at_us)
+            if self.proofs is not None:
+                times.append(self.proofs.due_at_us)
             if self._tell_at_us is not None:
                 times.append(self._tell_at_us)
             if self.leads:
@@ -270,6 +300,12 @@ class Gateway:
 
     def on_tick(self, now_us: int) -> Sequence[Out]:
         """Everything that is due now; call it at `due_at_us`."""
+        effects, number = self._due(now_us), self.candidacy.number
+        if self.proofs is None or number is None or self.candidacy.address is None:
+            return effects
+        return self.proofs.cover(effects, number, self.candidacy.address, now_us)
+
+    def _due(self, now_us: int) -> Sequence[Out]:
         candidacy = self.candidacy
         effects: list[Out] = [
             *candidacy.on_tick(len(self.reach.reached(now_us)), self.reach.ever, now_us)
@@ -386,7 +422,10 @@ class Gateway:
             kind, self.segment, self.candidacy.term, 0 if number is None else number, self.boot,
             self._sequence,
         )  # fmt: skip
-        return [Publish(kind, backbone.pack(header, body), target)]
+        data = backbone.pack(header, body)
+        if self.proofs is not None and kind in TAGGED:
+            data = self.proofs.sealed(data)
+        return [Publish(kind, data, target)]
 
     def _send(self, message: Message) -> Send:
         return Send(message, source=self.candidacy.address)

@@ -19,6 +19,7 @@ from protocol.fleet_tags import FleetTags
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.segment_frames import FleetReset, FleetStop, GatewayBeat, SegmentSummary
+from protocol.frames.trust_frames import Proof, TimeQuestion
 from protocol.frames.work_frames import (
     StateSyncRequest,
     StateSyncResponse,
@@ -35,6 +36,7 @@ SEGMENT_ROUTES: Routes = {
 # What a gateway brings from other segments, as if one of its robots were a member here.
 CARRIED = frozenset((
     TaskClaim, WorkProgress, StateSyncRequest, StateSyncResponse, MapPatch, MapDigests, FleetReset,
+    Proof, TimeQuestion,
 ))  # fmt: skip
 
 

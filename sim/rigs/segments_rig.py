@@ -69,13 +69,18 @@ class SegmentFleet:
         keys: Keys | None = None,
         policy: SilencePolicy = SilencePolicy.CONTINUE,
         geometry: Geometry | None = None,
+        gateways_with_keys: bool = True,
     ) -> None:
-        """`geometry`: of the map that all segments make, if they make one."""
+        """`geometry`: of the map that all segments make, if they make one. `gateways_with_keys`: of a
+        fleet with keys; without, they carry stops and resets alone."""
         self.segments, self.robots, self.seed = range(1, segments + 1), robots, seed
         self.swarm = EventLoop()
         self.backbone = SimulatedBackbone(self.swarm, seed)
         self.rng = Random(f"{seed}/segments")
         self.keys, self.policy, self.geometry = keys, policy, geometry
+        self.gateway_keys = None if keys is None else Keys(keys.master, None)
+        if not gateways_with_keys:
+            self.gateway_keys = None
         self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
         self.wires: dict[int, Segment] = {}
         self.shells: dict[tuple[int, int], PeerRunner] = {}
@@ -144,7 +149,7 @@ class SegmentFleet:
         if self.geometry is not None:
             chart = MapRelay(number, self.geometry, MergeOrder.DECAYED, swarm.now_us())
         shell = GatewayRunner(
-            Gateway(self.areas[number], name, boot, swarm.now_us(), chart),
+            Gateway(self.areas[number], name, boot, swarm.now_us(), chart, self.gateway_keys),
             CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
             self.backbone.attach(number),
             swarm.now_us,

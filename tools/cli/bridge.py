@@ -1,7 +1,8 @@
 """`headland bridge`: a gateway between a bus and the rest of the fleet, over Eclipse Zenoh.
 
 Start two or more on a segment: one leads, all carry stops, and another leads when that one dies. A
-gateway on a socketcand bus is back by itself when the server of that bus is.
+gateway on a socketcand bus is back by itself when the server of that bus is. In a fleet with keys it
+needs the fleet's file to pass on work, and reads it again when it has changed.
 """
 
 import asyncio
@@ -14,11 +15,14 @@ from typing import TYPE_CHECKING, Any
 from agent.interface.ports import Bus
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
+from agent.runtime.files.key_file import FLEET, NAMES, KeyFileError
+from agent.runtime.files.key_file import read as read_keys
 from agent.runtime.gateway_runner import GatewayRunner
 from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
+from protocol.authentication import Keys
 from protocol.backbone_messages import BackboneKind
 from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
@@ -117,9 +121,47 @@ async def open_bus_of(
     return attach(interface, channel, bitrate, host, port)
 
 
+class GatewayKeys:
+    """The fleet's file of a gateway, which the owner replaces when the fleet gets other keys."""
+
+    def __init__(self, path: Path) -> None:
+        """`path`: the file, or the folder that has it. Raises AttachError."""
+        self.path = path / NAMES[FLEET] if path.is_dir() else path
+        self._written_at_ns = self._written()
+        self.keys = self._read()
+
+    def renewed(self) -> Keys | None:
+        """Other keys than the last, if the file has changed. A file that is wrong, or half written, is
+        read at the next look."""
+        written_at_ns = self._written()
+        if written_at_ns == self._written_at_ns:
+            return None
+        try:
+            keys = self._read()
+        except AttachError:
+            return None
+        self._written_at_ns = written_at_ns
+        if keys == self.keys:
+            return None
+        self.keys = keys
+        return keys
+
+    def _written(self) -> int:
+        try:
+            return self.path.stat().st_mtime_ns
+        except OSError:
+            return 0
+
+    def _read(self) -> Keys:
+        try:
+            return Keys(read_keys(self.path, FLEET).keys.master, None)
+        except KeyFileError as problem:
+            raise AttachError(f"--keys {problem}") from None
+
+
 async def carry(
     area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str,
-    served: MetricsAddress | None = None,
+    served: MetricsAddress | None = None, keys: GatewayKeys | None = None,
 ) -> None:  # fmt: skip
     """Until a signal, or for the given time."""
     loop = asyncio.get_running_loop()
@@ -133,7 +175,8 @@ async def carry(
 
     boot = secrets.randbits(32)
     name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
-    gateway = Gateway(area, name, boot, now_us(), read_map(area.segment, arena, now_us()))
+    chart = read_map(area.segment, arena, now_us())
+    gateway = Gateway(area, name, boot, now_us(), chart, None if keys is None else keys.keys)
 
     def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
         return loop.call_at(t_us / 1e6, call)
@@ -148,6 +191,9 @@ async def carry(
     shell.start()
     shown: object = None
     while not end.is_set():
+        renewed = None if keys is None else keys.renewed()
+        if renewed is not None and gateway.proofs is not None:
+            gateway.proofs.rekey(renewed)
         status = told()
         news = (status["number"], status["leads"], status["reached"], status["bus"])
         if news != shown:
@@ -185,6 +231,7 @@ def bridge(
     segment: int, interface: str, channel: str, bitrate: int, host: str, port: int, fleet: str,
     connect: list[str], listen: list[str], mode: str, config: Path | None, area: Path | None,
     seconds: float | None, as_json: bool, arena: str = "", metrics: str | None = None,
+    keys: Path | None = None,
 ) -> int:  # fmt: skip
     """The exit code of `headland bridge`: 0 after `seconds` or Ctrl-C, 2 where bus, backbone or
     area are wrong."""
@@ -193,12 +240,12 @@ def bridge(
         if not connect and not listen and config is None:
             raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")
         served = None if metrics is None else metrics_address(metrics)
-        place = read_area(segment, area)
+        place, own = read_area(segment, area), None if keys is None else GatewayKeys(keys)
         link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
         key = f"headland/{fleet}/{segment}/bus"
         bus = await open_bus_of(interface, channel, bitrate, host, port, link, key)
         backbone = ZenohBackbone(link, fleet, segment)
-        await carry(place, bus, backbone, as_json, seconds, arena, served)
+        await carry(place, bus, backbone, as_json, seconds, arena, served, own)
 
     try:
         asyncio.run(run())

@@ -295,6 +295,9 @@ def bridge(
     fleet: Annotated[str, typer.Option(help="Fleets of other names do not meet.")] = "fleet",
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     metrics: Metrics = None,
+    keys: Annotated[
+        Path | None, typer.Option(help="The fleet's file or folder: without it work is not believed.")
+    ] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Join a bus to the rest of the fleet. Stops pass first and always; start two for each bus.
@@ -305,7 +308,7 @@ def bridge(
 
     raise SystemExit(
         command(segment, interface, channel, bitrate, host, port, fleet, zenoh or [], listen or [],
-                mode, config, area, seconds, json, arena, metrics)
+                mode, config, area, seconds, json, arena, metrics, keys)
     )  # fmt: skip
 
 
