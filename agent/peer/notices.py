@@ -16,6 +16,10 @@ class BootRemembered(NamedTuple):
     """The identity of this boot is about to be written for the first time."""
 
 
+class ClockWentBack(NamedTuple):
+    """Our clock shows less than before, so how long ago anything was is not known."""
+
+
 class AddressGained(NamedTuple):
     """We have an address, and our announcement is among the outputs before this one."""
 

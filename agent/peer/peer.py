@@ -87,6 +87,7 @@ class Peer:
         self.departure, self.proven = parts.departure, parts.proven
         self._carried, self._overhears = segments.carried, segments.overhears
         self._slot_of = parts.membership.slot_of
+        self.reached_at_us = 0  # the time of the newest step
         self._held = parts.proven.kinds  # messages that must be proven; none without keys
         self._routes = bound(self.parts, {**ROUTES, **segments.routes})
         self._listeners: dict[type[Any], list[Listener]] = {}
@@ -109,6 +110,9 @@ class Peer:
         kind = type(fact)
         outputs: Outputs = NOTHING
         effects: list[Effect] = []
+        if now_us < self.reached_at_us:
+            self._deliver(notices.ClockWentBack(), effects, now_us)
+        self.reached_at_us = now_us
         if kind is Received:
             outputs = self._received(fact.frame, now_us)  # type: ignore[union-attr]
         elif kind is Timer:

@@ -7,7 +7,8 @@ at full speed are enough to detect it, and a tenth of a metre from standstill. S
 the same as a frozen place, so the robot stops in this case as well.
 
 A place is lost when its accuracy is worse than the clearances allow, or when it changes by more than the
-wheels can drive in that time. The robot then stands. It goes on when the place is accurate and has jumped
+wheels can drive in that time. After a step back of its own clock that time is not known, and only the
+way to standstill counts. The robot then stands. It goes on when the place is accurate and has jumped
 back for `STEADY_US`, or when an operator says by a start of this robot that the new place is right.
 """
 
@@ -106,6 +107,7 @@ class Senses(Part):
         self._told_rad = 0.0  # sum of the turns commanded since the anchor
         self._unseen = NOTHING_UNSEEN  # when the place was frozen, until it changes
         self._accurate: Observation | None = None  # the last observation with an accurate place
+        self._gap = False  # how long ago the last accurate place was is not known
         self._turn_rad_s = 0.0  # between the last two accurate places
         self._offset = Offset()
         self._lost_at_us = 0  # when the place was last wrong
@@ -116,13 +118,23 @@ class Senses(Part):
 
     @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
-        return {inputs.Sensed: self._take, notices.ControlDue: self._period}
+        return {
+            inputs.Sensed: self._take,
+            notices.ControlDue: self._period,
+            notices.ClockWentBack: self._went_back,
+        }
 
     def _take(self, fact: inputs.Sensed, now_us: int) -> Outputs:
         """The current observation, or None."""
         if fact.observation is not None:
             self.here = fact.observation
             self._sensed_at_us = fact.observation.sensed_at_us
+        return NOTHING
+
+    def _went_back(self, notice: notices.ClockWentBack, now_us: int) -> Outputs:
+        """The robot did nothing until its clock showed again what it had shown. Its body drove on
+        until the last command expired, and braked."""
+        self._gap = True
         return NOTHING
 
     def age_us(self, now_us: int) -> int | None:
@@ -220,13 +232,14 @@ class Senses(Part):
         """
         before, self._accurate = self._accurate, here
         unseen, self._unseen = self._unseen, NOTHING_UNSEEN
+        gap, self._gap = self._gap, False
         if before is None:
             return ""
         passed_for_us = max(here.sensed_at_us - before.sensed_at_us, 0)
         passed_for_s = passed_for_us / S
         dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
         turned_rad = remainder(here.heading_rad - before.heading_rad, 2 * pi)
-        in_time = passed_for_us <= AGE_MAX_US and unseen is NOTHING_UNSEEN
+        in_time = passed_for_us <= AGE_MAX_US and unseen is NOTHING_UNSEEN and not gap
         if in_time:
             way_m, turn_rad_s = FASTER * self.limits.speed_m_s * passed_for_s, TURN_RAD_S
             possible = hypot(dx_m, dy_m) <= JUMP_M + way_m

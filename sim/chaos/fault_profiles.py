@@ -219,6 +219,8 @@ def calm(span: Span) -> list[Fault]:
     ]
 
 
+# After one of these a robot may receive nothing while its clock goes back.
+LONELY = (kinds.Partition, kinds.OneWay, kinds.BusOff, kinds.Crash, kinds.CrashWorking)
 SENSELESS = (kinds.Blind, kinds.Frozen, kinds.Late, kinds.Freeze)
 VOUCHED_S = 3.0  # after the fleet's start
 
@@ -228,12 +230,15 @@ def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     it.
 
     A jump while a robot senses nothing, along its way, cannot be told from its braking; then the
-    return to the true place is the jump that it notices. So is a push while it senses nothing.
+    return to the true place is the jump that it notices. So is a push while it senses nothing. A clock
+    that goes back is noticed by the times of frames: without any, the robot seems to jump.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     robots = {each.robot for each in drawn if isinstance(each, kinds.Jumped)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
+    if any(isinstance(each, LONELY) for each in drawn):
+        robots |= {f.robot for f in drawn if isinstance(f, kinds.ClockJump) and f.by_s < 0.0}
     at_s = span.start_at_s + VOUCHED_S
     return [
         kinds.Order(at_s=at_s, kind="order", robot=slot, order="start") for slot in sorted(robots)

@@ -96,22 +96,25 @@ class BatchedRunner(PeerRunner):
             membership.last_sign_at_us,
             membership.neighbours,
         )
+        # After a step back of our clock the peer is told by the first of them.
+        back = local is not None and local(beacons[0][2]) < peer.reached_at_us
         for beacon in beacons:
             source, message, bus_at_us, seen = beacon
             slot = slot_of.get(source)
             if local is not None and seen is not None:
                 seen = Neighbour(seen.pose, local(seen.heard_at_us))
-            if seen is not None and slot in signs:
+            if seen is not None and slot in signs and not back:
                 neighbours[slot] = seen  # this counts as a sign of life too
                 if seen.pose.heard == own:
                     membership.reflected_at_us = seen.heard_at_us
             else:
                 t_us = bus_at_us if local is None else local(bus_at_us)
                 beats = type(message) is Heartbeat and not proven and not safety.latched
-                if slot in signs and type(message) is Heartbeat and beats:
+                if slot in signs and type(message) is Heartbeat and beats and not back:
                     signs[slot] = t_us
                     reports.heard(slot, message)
                     sync.heard_digest(slot, message.digest, t_us)
                 else:
                     effects += peer.step(Heard(source, message), t_us)
+                    back = False
         return effects

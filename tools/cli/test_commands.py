@@ -8,6 +8,11 @@ import typer
 from tools.cli.panels import DEVELOP
 from tools.common.options import Cluster, Json
 
+# The names of `sim.chaos.fault_profiles.PROFILES`, whose import takes a second; a test compares them.
+PROFILES = (
+    "all, bus, crash, stop, body, senses, rays, protocol, press, devices, strangers, claims, split, "
+    "flood, traffic, forged, forged_field or stolen."
+)
 app = typer.Typer()
 
 
@@ -16,10 +21,7 @@ def chaos(
     seeds: Annotated[
         str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
     ] = "0:20",
-    profile: Annotated[
-        str,
-        typer.Option(help="all, bus, crash, stop, body, protocol, press, claims, split or flood."),
-    ] = "all",
+    profile: Annotated[str, typer.Option(help=PROFILES)] = "all",
     jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for results and reproductions.")] = Path(

@@ -19,6 +19,8 @@ from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, POSE, Pose
+from protocol.frames.network_frames import AddressClaimed
+from protocol.name import tool_name
 from tests.agent.lone_peer import held_by, introduce, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
@@ -296,6 +298,31 @@ def test_a_place_that_comes_back_after_a_gap_must_be_where_the_body_can_have_sto
         robot.x_m += moved_m  # towed, or a receiver that comes back with a wrong place
         robot.periods(40)
         assert robot.held == held
+
+
+@pytest.mark.parametrize("by_us", [300 * MS, 1 * S, 60 * S])
+@pytest.mark.parametrize("jumps", [False, True])
+def test_i24_what_a_robot_drives_while_its_clock_goes_back_is_no_jump_of_its_place(
+    by_us: int, jumps: bool
+) -> None:
+    """Found by `headland chaos`, profile all, seeds 4000001 and 5000025: it acts only when its clock
+    shows again what it had shown, and its body has braked by then. A place far away is still a jump.
+    """
+    robot = driving()
+    claim = AddressClaimed(tool_name(200).pack())
+    robot.peer.step(Heard(200, claim), robot.now_us + 10 * MS - by_us)
+    step_m_s, coasting_us = ACCELERATION_M_S2 * CONTROL_PERIOD_US / S, 0
+    while robot.v_m_s > 0.0 and coasting_us < by_us:
+        coasting_us += CONTROL_PERIOD_US
+        if coasting_us > ACTUATOR_TTL_US:
+            robot.v_m_s = max(robot.v_m_s - step_m_s, 0.0)
+        robot.x_m += robot.v_m_s * CONTROL_PERIOD_US / S
+    if jumps:
+        robot.spoilt = SPOILT["jumped"]
+    robot.period()
+    assert robot.held == ({StopCause.PLACE_LOST} if jumps else set())
+    robot.periods(2)
+    assert robot.held == ({StopCause.PLACE_LOST} if jumps else set())
 
 
 @pytest.mark.parametrize("wave_m", [0.0, 0.05, 0.14])

@@ -1,18 +1,25 @@
 """The report is what its results say, and a regenerated one is the committed one."""
 
 import json
+import logging
+import re
 from pathlib import Path
 from typing import Any
 
 import pytest
 from rich.console import Console
 
-from sim.chaos.verdict import Verdict
+from sim.chaos.fault_profiles import PROFILES, with_faults
+from sim.chaos.scenario_judge import RUNNER_LOG
+from sim.chaos.verdict import Verdict, judge
+from sim.scenarios.protocol_setup import drill
+from sim.scenarios.scenario import DiskFull
 from tools.chaos import chaos as campaign
 from tools.chaos.chaos import chaos
 from tools.chaos.chaos_report import ReportError, judged_hours, report
 from tools.chaos.fuzz import fuzz
 from tools.chaos.planted_bug_hunt import RESULTS, hunt_all
+from tools.cli.test_commands import PROFILES as PROFILE_NAMES
 
 DOCS = Path(__file__).parents[3] / "docs" / "measured"
 
@@ -86,3 +93,24 @@ def test_what_was_shown_so_far_is_kept_in_a_row(tmp_path: Path, monkeypatch: Any
     assert [verdict.seed for verdict in verdicts] == [*seeds]
     assert all(row == [*seeds][: len(row)] for row, _ in kept)
     assert kept[-1] == ([*seeds], cpu_s) and cpu_s > 0.0
+
+
+def test_i24_help_and_documents_name_every_profile() -> None:
+    told = re.split(r", | or ", PROFILE_NAMES.removesuffix("."))
+    assert told == [*dict.fromkeys(told)] and set(told) == set(PROFILES)
+    table = (DOCS.parent / "how" / "chaos.md").read_text()
+    assert [name for name in PROFILES if f"\n| `{name}` | " not in table] == []
+
+
+def test_i24_an_injected_fault_of_a_disk_is_not_printed(capfd: pytest.CaptureFixture[str]) -> None:
+    full = DiskFull(at_s=5.0, kind="disk_full", robot=0, for_s=2.0)
+    seen: list[str] = []
+    handler = logging.Handler()
+    handler.emit = lambda record: seen.append(record.getMessage())  # type: ignore[method-assign]
+    RUNNER_LOG.addHandler(handler)
+    try:
+        assert judge(with_faults(drill(2, 1, "sprint"), [full])).faults == {"disk_full": 1}
+        assert not seen and not capfd.readouterr().err
+        assert not RUNNER_LOG.disabled, "a robot outside a campaign logs it"
+    finally:
+        RUNNER_LOG.removeHandler(handler)
