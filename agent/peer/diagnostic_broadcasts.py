@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
-from agent.peer.diagnostics import active_faults, fault_of
+from agent.peer.diagnostics import active_faults, fault_of, root_causes
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder, acknowledged
 from agent.safety.stop_cause import StopCause
@@ -73,7 +73,7 @@ class DiagnosticBroadcasts(Part):
         return outputs
 
     def _same(self) -> bool:
-        return self._told == tuple(cause for cause, _ in self.safety.causes)
+        return self._told == root_causes(self.safety.causes)
 
     def _faults(self, ctx: StepContext) -> Sequence[Effect]:
         period_us = FAULTS_PERIOD_US if self._same() else FAULTS_GAP_US
@@ -83,7 +83,7 @@ class DiagnosticBroadcasts(Part):
         if not ctx.joined:  # looked at again after that time
             return ()
         causes = self.safety.causes
-        self._told = tuple(cause for cause, _ in causes)
+        self._told = root_causes(causes)
         return self.letters.sends(DM1.pgn, active_faults(causes), GLOBAL_ADDRESS, ctx.now_us)
 
     def _beat(self, ctx: StepContext) -> Sequence[Effect]:
@@ -124,7 +124,7 @@ class DiagnosticBroadcasts(Part):
             control, refusal = ClearControl.PREVIOUS_KEPT, ClearRefusal.NOT_PREVIOUS
         else:
             control, refusal = ClearControl.ACTIVE_KEPT, ClearRefusal.NOT_ACTIVE
-            if fault in (fault_of(cause) for cause, _ in self.safety.causes):
+            if fault in (fault_of(cause) for cause in root_causes(self.safety.causes)):
                 refusal = ClearRefusal.ACCESS_DENIED  # only its own condition ends it
         if fault not in (fault_of(cause) for cause in StopCause):
             refusal = ClearRefusal.UNKNOWN_FAULT

@@ -1,6 +1,7 @@
 """What a robot tells diagnostic tools of itself: identification of ISO 11783-12, faults of SAE J1939-73.
 
-A fault is a cause for which the robot stands or creeps now, the same as in STANDSTILL.
+A fault is a cause for which the robot stands or creeps now, the same as in STANDSTILL. A cause that only
+follows from another one is no fault of its own (`CONSEQUENCES`).
 """
 
 from collections.abc import Sequence
@@ -47,6 +48,13 @@ FAILURE_MODES: Final = {
     StopCause.DISK_ERROR: 12,  # bad intelligent device
     StopCause.BOOT_UNCONFIRMED: 12,
 }
+# A cause -> the causes from which it follows. Every reset takes the start away, so a latched robot has
+# to be started anyway. The fault is then the latch alone: one frame a second instead of three.
+CONSEQUENCES: Final = {
+    StopCause.NOT_STARTED: frozenset({
+        StopCause.STOP_DOT, StopCause.BOOT_UNCONFIRMED, StopCause.DISK_ERROR,
+    }),
+}  # fmt: skip
 
 
 def texts(identity: Identity) -> dict[int, str]:
@@ -65,6 +73,14 @@ def fault_of(cause: StopCause) -> tuple[int, int]:
     return SPN_FIRST + cause.number, FAILURE_MODES.get(cause, CONDITION_EXISTS)
 
 
+def root_causes(causes: Sequence[tuple[StopCause, str]]) -> tuple[StopCause, ...]:
+    """The active causes without those that only follow from another active one, in their order."""
+    active = {cause for cause, _ in causes}
+    return tuple(
+        cause for cause, _ in causes if active.isdisjoint(CONSEQUENCES.get(cause, frozenset()))
+    )
+
+
 def fault_table() -> str:
     """The Markdown table of all faults for the documents."""
     rows = sorted((*fault_of(cause), cause.name) for cause in StopCause)
@@ -74,7 +90,7 @@ def fault_table() -> str:
 
 def active_faults(causes: Sequence[tuple[StopCause, str]]) -> ActiveFaults | bytes:
     """DM1: a frame for at most one fault, else the data of a longer message."""
-    faults = [fault_of(cause) for cause, _ in causes]
+    faults = [fault_of(cause) for cause in root_causes(causes)]
     if not faults:
         return ActiveFaults(*NO_FAULT)
     if len(faults) == 1:

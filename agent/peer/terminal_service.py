@@ -2,16 +2,17 @@
 
 Every robot hears the terminal, so that it can take over at once. A robot shows the screen only while it
 is the leader of its term, and takes it down when it is not; after a pause of its own process it waits
-until the votes are in again. STOP is an emergency stop at this robot. RELEASE is refused in a fleet with
-keys, because the operator's are not on the terminal.
+until the votes are in again. STOP is an emergency stop at this robot. In a fleet with keys RELEASE only
+asks for a release: the operator's keys are not on the terminal, and a code that is typed there could be
+read by everybody on the bus. A person with a key confirms it by `headland release`.
 """
 
 from collections import deque
 from collections.abc import Callable, Mapping, Sequence
 from random import Random
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
-from agent.interface.config import MS
+from agent.interface.config import MS, S
 from agent.interface.effects import Send, Trace
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
@@ -27,6 +28,7 @@ from agent.safety.stop_cause import Severity, cause_of
 from agent.safety.stop_controller import StopController
 from protocol.extended_transport import LONG_SIZE_MIN, ExtendedTransport
 from protocol.frames.network_frames import ExtendedTransportData, ExtendedTransportManagement
+from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand, Reason
 from protocol.frames.task_frames import WorkingSetMaster
 from protocol.frames.terminal_frames import ECU_TO_VT, TerminalMessage, TerminalRequest
@@ -48,7 +50,13 @@ PAUSED_US: Final = 250 * MS  # shorter than the silence after which others elect
 DOUBTS_US: Final = 1500 * MS  # until a later term is heard, if there is one
 QUESTION_BITS: Final = 48
 RELEASE_GAP_US: Final = 100 * MS  # between the steps of a release
-NEEDS_KEYS: Final = "RELEASE needs the operator's keys"
+ASK_FOR_US: Final = 120 * S  # time for a person with a key to come and look
+ASK_EVERY_US: Final = 500 * MS  # `headland release` listens for 0.7 s before it begins
+# Alarms of the screen, at most 48 characters.
+CONFIRM: Final = "RELEASE asked; key holder: headland release"
+NOT_CONFIRMED: Final = "RELEASE was not confirmed within 2 minutes"
+NEW_STOP: Final = "RELEASE is void: there is another stop"
+NOTHING_HELD: Final = "RELEASE: no robot is latched"
 
 
 class TerminalService(Part):
@@ -81,6 +89,7 @@ class TerminalService(Part):
         self._turn_at_us: int | None = None  # of our newest turn
         self._doubts_end_at_us = 0  # after a pause of our own: another robot may lead by now
         self._steps: deque[tuple[int, list[Any]]] = deque()  # of a release, with their times
+        self._asked: _AskedRelease | None = None  # waits for a person with a key
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
@@ -97,6 +106,8 @@ class TerminalService(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = self._steps[0][0] if self._steps else FOREVER
+        if self._asked is not None:
+            due_at_us = min(due_at_us, self._asked.tell_at_us)
         for each in (self.client.due_at_us, self.long.due_at_us):
             if each is not None and each < due_at_us:
                 due_at_us = each
@@ -121,6 +132,8 @@ class TerminalService(Part):
             return outputs
         if self._steps and now_us >= self._steps[0][0]:
             outputs += self._steps.popleft()[1]
+        if self._asked is not None and now_us >= self._asked.tell_at_us:
+            outputs += self._ask(ctx, self._asked)
         for message, destination in self.long.on_tick(now_us):
             outputs.append(Send(message, destination))
         outputs += self._told(ctx, self.client.on_timer(now_us))
@@ -152,6 +165,7 @@ class TerminalService(Part):
         self.client.reset()
         self.long.close_all()  # what stays due while we are away would keep the computer busy
         self._steps.clear()
+        self._end_asked()
         return NOTHING
 
     # ---------------------------------------------------------------- what it shows
@@ -228,9 +242,7 @@ class TerminalService(Part):
             self.client.show(self._screen(ctx), ctx.now_us)
             return [told]
         if self.safety.keyed:
-            self._alarms.say(NEEDS_KEYS)
-            self.client.show(self._screen(ctx), ctx.now_us)
-            return [told._replace(target="REFUSED")]
+            return [*self._begin_asking(ctx), told._replace(target="ASKED")]
         # Each robot clears its stops, is then reset, and this one last: a reset gives up its address.
         release = inputs.ReleaseStops(None, self._rng.getrandbits(QUESTION_BITS))
         reset = Send(OperatorCommand(Command.MANUAL_RESET, EVERYBODY, KEYLESS_OPERATOR))
@@ -240,6 +252,62 @@ class TerminalService(Part):
             (at_us + 3 * RELEASE_GAP_US, [inputs.EndRelease(), inputs.ManualReset()]),
         ))  # fmt: skip
         return [release, told]
+
+    # ---------------------------------------------------------------- a release that is asked for
+
+    def _begin_asking(self, ctx: StepContext) -> list[Any]:
+        """RELEASE in a fleet with keys: say so on the bus until a person with a key confirms it."""
+        if not self._latched:
+            self._say(ctx, NOTHING_HELD)
+            return []
+        held = self.safety.held_stops
+        self._asked = _AskedRelease(ctx.now_us + ASK_FOR_US, ctx.now_us, held.stops, held.digest)
+        self._say(ctx, CONFIRM)
+        return self._ask(ctx, self._asked)
+
+    def _ask(self, ctx: StepContext, asked: "_AskedRelease") -> list[Any]:
+        held = self.safety.held_stops
+        if not ctx.joined or not self.client.serves or not self._latched:
+            self._end_asked()
+            return []
+        if held.stops >= asked.stops and held.digest != asked.digest:  # not one that was cleared
+            self._asked = None
+            self._say(ctx, NEW_STOP)
+            return []
+        if ctx.now_us >= asked.ends_at_us:
+            self._asked = None
+            self._say(ctx, NOT_CONFIRMED)
+            return []
+        self._asked = asked._replace(tell_at_us=ctx.now_us + ASK_EVERY_US)
+        x_m, y_m = (0.0, 0.0) if ctx.here is None else (ctx.here.x_m, ctx.here.y_m)
+        return [Send(OperatorReport(ctx.slot, 0, ReportKind.RELEASE_ASKED, x_m, y_m))]
+
+    def _end_asked(self) -> None:
+        if self._asked is not None:
+            self._asked = None
+            self._alarms.say("")
+
+    def _say(self, ctx: StepContext, text: str) -> None:
+        self._alarms.say(text)
+        self.client.show(self._screen(ctx), ctx.now_us)
+
+    @property
+    def _latched(self) -> bool:
+        """Whether this robot or another one that is heard is latched."""
+        return self.safety.latched or any(
+            seen.pose.stopped
+            for slot, seen in self.membership.neighbours.items()
+            if slot in self.membership.live
+        )
+
+
+class _AskedRelease(NamedTuple):
+    """A release that was asked for at the terminal."""
+
+    ends_at_us: int
+    tell_at_us: int  # when it is said again
+    stops: int  # that held this robot then, and their digest
+    digest: int
 
 
 class _Alarms:

@@ -27,13 +27,15 @@ class ReportKind(IntEnum):
     REFUSED = 7  # the order cannot be obeyed now
     WORKING = 8  # back from where it was sent to
     STALLED = 9  # it wants to drive, gets nowhere, and plans again
+    RELEASE_ASKED = 10  # at the virtual terminal that it serves: a key holder has to confirm it
 
 
 class OperatorReport(NamedTuple):
     """A robot's question to its operators, or what it does about their answer.
 
     A robot sends the question once a second until it is answered or the obstacle has left, and one
-    report for each change after that. Operator tools display it; robots ignore it.
+    report for each change after that. RELEASE_ASKED is sent twice a second, at its own place, until the
+    release is confirmed or given up. Operator tools display it; robots ignore it.
     """
 
     slot: int

@@ -5,6 +5,7 @@ robot drives circles and lowers its implement for a minute of each five quarters
 is the work record that the values are held against.
 """
 
+from collections.abc import Sequence
 from math import cos, hypot, sin
 from random import Random
 from struct import pack, unpack
@@ -19,13 +20,17 @@ from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequ
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.inputs import BusState, Received, Sensed, Timer
+from agent.peer.diagnostics import root_causes
+from agent.peer.inputs import BusState, Press, Received, Sensed, Timer
 from agent.runtime.peer_factory import MissionParts, make_peer
+from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.codec import encode
+from protocol.frames.diagnostic_frames import ActiveFaults
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.network_frames import TransportData, TransportManagement
+from protocol.frames.safety_frames import Reason
 from protocol.frames.task_frames import ProcessData
 from protocol.name import fleet_name
 from sim.can.frame_timing import frame_bits
@@ -78,6 +83,14 @@ class SessionRecord(NamedTuple):
     load: float  # of the bus by one session, both ways; the status for all is not counted
 
 
+class StandingLoad(NamedTuple):
+    """Shares of the bus that one robot takes while it stands, both ways."""
+
+    session: float  # with its task controller, which asked for the values of `TRIGGERS`
+    faults: float  # DM1 with its transport frames
+    told: int  # faults in each DM1
+
+
 class RecordedServer:
     """The task controller: it answers with its table, and keeps the values that it is told."""
 
@@ -119,6 +132,64 @@ class RecordedServer:
         return [(0xCB00, answer), *((0xCB00, bytes.fromhex(text)) for text in TRIGGERS)]
 
 
+def standing_load(causes: Sequence[StopCause], seed: int = 1, for_s: int = 60) -> StandingLoad:
+    """What a robot sends for a task controller and for diagnostic tools while it stands, by frames.
+
+    It is pressed 10 s after it was switched on and was never started. `causes`: those that hold it
+    beside that, as silent members do. Counted from the twentieth second on, for `for_s` seconds.
+    """
+    identity = Identity(
+        0, frozenset({0}), fleet_name("stands", 0), 1, first_boot=True, diagnostics=True,
+        implement_width_mm=WIDTH_MM,
+    )  # fmt: skip
+    peer, server = make_peer(identity, Random(seed), 0, {}), RecordedServer(4)
+    queue, now_us, sent, session, faults = list[tuple[int, bytes]](), 0, 0, 0, 0
+    since_at_us, status_at_us, end_at_us = 20 * S, 0, (20 + for_s) * S
+    pressed = False
+
+    def perform(effects: object) -> None:
+        nonlocal sent, session, faults
+        assert isinstance(effects, list | tuple)
+        for effect in effects:
+            if not isinstance(effect, Send):
+                continue
+            sent += 1
+            frame = encode(effect.message, peer.address or 0, effect.destination)
+            if effect.destination == SERVER:
+                queue.extend(server.hears(effect.message, now_us))
+            if now_us < since_at_us:
+                continue
+            if effect.destination == SERVER:
+                session += frame_bits(*frame)
+            elif isinstance(effect.message, ActiveFaults | TransportManagement | TransportData):
+                faults += frame_bits(*frame)
+
+    while now_us < end_at_us:
+        now_us = max(min(max(peer.due_at_us, now_us + MS), status_at_us), now_us)
+        if now_us >= status_at_us:
+            status_at_us += 2 * S
+            perform(peer.step(Received(_from_server(0xCB00, STATUS, GLOBAL_ADDRESS)), now_us))
+        perform(peer.step(BusState(Health.ACTIVE, True, sent), now_us))
+        if not pressed and now_us >= 10 * S:
+            pressed = True
+            perform(peer.step(Press(Reason.OPERATOR_INTERVENTION), now_us))
+            for cause in causes:
+                peer.safety.raise_cause(cause, now_us)
+        perform(peer.step(Timer(), now_us))
+        while queue and peer.address is not None:
+            frame = _from_server(*queue.pop(0), peer.address)
+            session += frame_bits(*frame) if now_us >= since_at_us else 0
+            perform(peer.step(Received(frame), now_us))
+    assert server.activated_at_us is not None and server.told > 0, "no session"
+    told = len(root_causes(peer.safety.causes))
+    bits = for_s * BITS_A_SECOND
+    return StandingLoad(session / bits, faults / bits, told)
+
+
+def _from_server(pgn: int, data: bytes, destination: int) -> Frame:
+    return Frame(0x0C000000 | pgn << 8 | destination << 8 | SERVER, data)
+
+
 def task_session(version: int, hours: float, seed: int = 1) -> SessionRecord:
     """One robot and one task controller for so many hours of virtual time."""
     identity = Identity(
@@ -147,7 +218,7 @@ def task_session(version: int, hours: float, seed: int = 1) -> SessionRecord:
 
     def say(pgn: int, data: bytes, destination: int) -> None:
         nonlocal bits
-        frame = Frame(0x0C000000 | pgn << 8 | destination << 8 | SERVER, data)
+        frame = _from_server(pgn, data, destination)
         bits += frame_bits(*frame) if destination != GLOBAL_ADDRESS else 0
         perform(peer.step(Received(frame), now_us))
 

@@ -14,8 +14,9 @@ from agent.interface.config import MS, S
 from agent.interface.effects import Persist, Send
 from agent.interface.identity import Identity, SilencePolicy
 from agent.peer.inputs import BusState, Received, Timer
-from agent.runtime.peer_factory import make_peer
+from agent.runtime.peer_factory import keyring_of, make_peer
 from agent.safety.stop_cause import StopCause
+from protocol.authentication import KEY_SIZE, Keys
 from protocol.controller_health import Health
 from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
@@ -271,8 +272,8 @@ def _texts(pool: bytes) -> Iterator[tuple[int, bytes]]:
 class RobotNode:
     """A robot on the bus that can be killed and started again with its memory."""
 
-    def __init__(self, slot: int, robots: int, seed: int) -> None:
-        self.slot, self.robots, self.seed = slot, robots, seed
+    def __init__(self, slot: int, robots: int, seed: int, keys: Keys | None = None) -> None:
+        self.slot, self.robots, self.seed, self.keys = slot, robots, seed, keys
         self.memory: dict[str, bytes] = {}
         self.boots, self.alive = 0, True
         self.stopped_at_us: int | None = None
@@ -286,7 +287,8 @@ class RobotNode:
             SilencePolicy.CONTINUE, started=True, first_boot=self.boots == 1, diagnostics=True,
         )  # fmt: skip
         rng = Random(f"{self.seed}/{self.slot}/{self.boots}")
-        self.peer = make_peer(identity, rng, now_us, dict(self.memory))
+        keyring = keyring_of(self.keys, self.slot, rng.randbytes(KEY_SIZE))
+        self.peer = make_peer(identity, rng, now_us, dict(self.memory), keyring=keyring)
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
         """Take a frame, if it has power."""
@@ -334,10 +336,12 @@ class KilledScreens(NamedTuple):
 class ScreenFleet:
     """A bus with a terminal and robots, in virtual time."""
 
-    def __init__(self, robots: int, seed: int) -> None:
+    def __init__(self, robots: int, seed: int, keyed: bool = False) -> None:
+        rng = Random(f"keys of screens/{seed}")
+        self.keys = Keys(rng.randbytes(KEY_SIZE), rng.randbytes(KEY_SIZE)) if keyed else None
         self.bus, self.now_us = RigBus(seed, MS), 0
         self.terminal = Terminal()
-        self.robots = [RobotNode(slot, robots, seed) for slot in range(robots)]
+        self.robots = [RobotNode(slot, robots, seed, self.keys) for slot in range(robots)]
         self.bus.attach(self.terminal)
         for robot in self.robots:
             self.bus.attach(robot)
@@ -386,12 +390,17 @@ def _of_terminal(identifier: int) -> bool:
     return identifier & 0xFF == TERMINAL or (addressed and identifier >> 8 & 0xFF == TERMINAL)
 
 
-def killed_screens(kills: int, robots: int = 4, seed: int = 1) -> KilledScreens:
-    """Kill the robot that shows the screen, and start it again 1.5 s after the next screen is there."""
+def killed_screens(
+    kills: int, robots: int = 4, seed: int = 1, load_for_s: int = 10
+) -> KilledScreens:
+    """Kill the robot that shows the screen, and start it again 1.5 s after the next screen is there.
+
+    `load_for_s`: seconds before the first kill in which the load of the screen is counted.
+    """
     fleet, rng = ScreenFleet(robots, seed), Random(seed)
     fleet.run(6 * S)
     carried, from_at_us = len(fleet.bus.carried), fleet.now_us
-    fleet.run(10 * S)
+    fleet.run(load_for_s * S)
     screen = [frame for frame in fleet.bus.carried[carried:] if _of_terminal(frame.identifier)]
     load = sum(frame_bits(*f) for f in screen) * S / (fleet.now_us - from_at_us) / 250_000
     worst_for_s = stop_for_ms = 0.0

@@ -364,7 +364,9 @@ def export(
 def dbc(
     out: Annotated[
         Path | None,
-        typer.Argument(help="Where to write, as .dbc, .kcd or .sym; none: to the terminal."),
+        typer.Argument(
+            help="Where to write, as .dbc, .arxml, .kcd or .sym; none: to the terminal."
+        ),
     ] = None,
     addresses: Annotated[
         str | None,

@@ -50,6 +50,8 @@ BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent this long is forgot
 TRANSITIONS_MAX = 64  # newest transitions kept of a robot; no person reads a longer list
 NO_KEYS = "NO KEYS: any device on the bus can stop and release this fleet"
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
+ASKED_S = 2.0  # a release that is asked for is said twice a second
+NEVER_S = float("-inf")
 
 
 @dataclass
@@ -81,6 +83,7 @@ class Seen:
     keyed: bool | None = None  # whether its fleet has keys, as it says; None: it has not said
     held: bool = False  # something keeps it from moving
     causes: ToldCauses = field(default_factory=ToldCauses)  # why it stands, as it tells it
+    release_asked_s: float = NEVER_S  # when it last said that a release is asked for at a terminal
     question: int = 0  # number of what it asks its operators; 0: nothing
     # Place to which an operator has sent it, until it is there.
     goal: tuple[float, float] | None = None
@@ -250,7 +253,7 @@ class Inspector:
             case Itinerary():
                 _itinerary(robot, message)
             case OperatorReport():
-                _operator_report(robot, message)
+                _operator_report(t_s, robot, message)
 
     def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
         name = State(state).name
@@ -386,7 +389,9 @@ class Inspector:
             "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
             "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed,
             "stopped": robot.stopped, "health": round(robot.health, 3),
-            "started": robot.started, "question": robot.question, "goal": robot.goal,
+            "started": robot.started,
+            "release_asked": self.now_s - robot.release_asked_s < ASKED_S,
+            "question": robot.question, "goal": robot.goal,
             "stands": self.stands(robot),
             "incarnation": robot.incarnation, "digest": f"{robot.digest:06x}",
             "replica": self.replica_of(robot),
@@ -410,10 +415,13 @@ def _itinerary(robot: Seen, m: Itinerary) -> None:
         robot.plan[m.first + 1] = m.after
 
 
-def _operator_report(robot: Seen, m: OperatorReport) -> None:
+def _operator_report(t_s: float, robot: Seen, m: OperatorReport) -> None:
     """What it asks, and where it was sent."""
     match m.matter:
         case ReportKind.REFUSED:
+            return
+        case ReportKind.RELEASE_ASKED:
+            robot.release_asked_s = t_s
             return
         case ReportKind.ASKING | ReportKind.WAITING:
             robot.question = m.number

@@ -8,6 +8,7 @@ from rich.table import Table
 from agent.peer.self_health import POOR
 from tools.inspect.inspector import NO_KEYS
 
+RELEASE_ASKED = "a release is asked for at its terminal; with a key: headland release"
 UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
 
 
@@ -59,6 +60,8 @@ def show(seen: dict[str, Any], console: Console | None = None) -> None:
             console.print(
                 f"robot {robot['slot']} health {robot['health']:.0%}: {ask}", highlight=False
             )
+        if robot["release_asked"]:
+            console.print(f"robot {robot['slot']}: {RELEASE_ASKED}", highlight=False)
         for why in robot["stands"]:
             console.print(f"robot {robot['slot']} stands: {why}", highlight=False)
         if "itinerary" in robot:

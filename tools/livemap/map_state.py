@@ -124,6 +124,8 @@ class Watcher(Inspector):
                 self._patch(message)
             case OperatorReport(matter=ReportKind.ASKING | ReportKind.WAITING):
                 self.asking[robot.slot] = message
+            case OperatorReport(matter=ReportKind.RELEASE_ASKED):
+                pass  # about the fleet; what this robot itself asks stays
             case OperatorReport():
                 self.asking.pop(robot.slot, None)
             case EmergencyStop():

@@ -45,6 +45,7 @@ LEFT_S = 0.5  # silence after a farewell until it is believed: ten beats
 ECHOES_TRIED = 8
 NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 ASK_S = 0.25
+ASKED_S = 2.0  # a release that is asked for is said twice a second
 
 
 @dataclass
@@ -65,6 +66,8 @@ class KnownRobot:
     report: OperatorReport | None = None  # the newest, since it was last forgotten
     question: OperatorReport | None = None  # that it is asking or waiting about
     tried: int = 0  # echoes whose tag was looked at
+    # When it last said that somebody asks for a release at the terminal that it serves.
+    release_asked_s: float = NOT_HEARD_S
 
 
 class Operator:
@@ -148,6 +151,8 @@ class Operator:
                     robot.causes.moves()
         elif isinstance(message, Standstill):
             robot.causes.hear(message, round(now_s * 1e6))
+        elif isinstance(message, OperatorReport) and message.matter is ReportKind.RELEASE_ASKED:
+            robot.release_asked_s = now_s
         elif isinstance(message, OperatorReport):
             robot.report = message
             asking = message.matter in (ReportKind.ASKING, ReportKind.WAITING)
@@ -218,6 +223,12 @@ class Operator:
     def live(self) -> list[KnownRobot]:
         """The members that were heard recently."""
         return [r for r in self.members if self.now_s - r.heard_s < LIVE_S]
+
+    @property
+    def release_asked(self) -> list[int]:
+        """Robots at whose terminal somebody asks for a release now. It proves nothing: anybody on the
+        bus may ask."""
+        return [r.slot for r in self.members if self.now_s - r.release_asked_s < ASKED_S]
 
     @property
     def silent(self) -> list[KnownRobot]:

@@ -57,6 +57,7 @@ async def _reset(
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
         cleared, _ = operator.shown.named
+        asked = operator.release_asked
         left = await release(operator, start, timeout_s)
         if start and not left:
             await started(operator, timeout_s)
@@ -65,13 +66,15 @@ async def _reset(
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:
             print(dumps({
-                "cleared": [list(dot) for dot in cleared], "not_released": left,
+                "asked": asked, "cleared": [list(dot) for dot in cleared], "not_released": left,
                 "not_heard": silent, "held": held,
                 "stands": {str(r.slot): stands(operator, r) for r in operator.live},
                 "signed": keyring is not None,
             }))  # fmt: skip
         else:
             shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
+            for slot in asked:
+                print(f"asked for at the terminal that robot {slot} serves")
             print(f"stops cleared: {shown}")
             for robot in operator.members:
                 print(f"robot {robot.slot}: {word(operator, robot, start)}")

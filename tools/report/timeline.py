@@ -17,7 +17,7 @@ from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command, EmergencyStop, OperatorCommand, Reason
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim
 from sim.can.frame_timing import worst_bits
-from tools.inspect.inspector import SILENT_S, Inspector, Seen
+from tools.inspect.inspector import ASKED_S, NEVER_S, SILENT_S, Inspector, Seen
 from tools.livemap.map_state import NAMES
 
 SILENT = "SILENT"
@@ -82,6 +82,7 @@ class History(Inspector):
         self.seen: list[TimelineEvent] = []
         self.loads: dict[int, Counter[str]] = {}  # worst-case bits by kind, by second
         self._since: dict[int, tuple[str, float]] = {}
+        self._release_asked_s = NEVER_S
         self._holding: dict[int, tuple[str, int | None, float]] = {}
 
     def hear(self, t_s: float, frame: Frame) -> None:
@@ -169,6 +170,11 @@ class History(Inspector):
             case OperatorReport(matter=ReportKind.ASKING):
                 where = f"at {message.x_m:.1f}, {message.y_m:.1f}"
                 self.seen.append(TimelineEvent(t_s, "question", f"robot {robot.slot}", where))
+            case OperatorReport(matter=ReportKind.RELEASE_ASKED):
+                if t_s - self._release_asked_s > ASKED_S:
+                    what = "a release is asked for at its terminal"
+                    self.seen.append(TimelineEvent(t_s, "question", f"robot {robot.slot}", what))
+                self._release_asked_s = t_s
 
     def _section(self, t_s: float, section: int) -> None:
         phase, owner = self.allocation.phase_of(section), self.allocation.owner_of(section)

@@ -11,7 +11,7 @@ from agent.interface.effects import Effect, Send
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
 from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
-from agent.peer.diagnostics import active_faults, fault_of, texts
+from agent.peer.diagnostics import active_faults, fault_of, root_causes, texts
 from agent.peer.inputs import Received, Timer
 from agent.peer.part import StepContext
 from agent.peer.peer import Peer
@@ -129,6 +129,29 @@ def test_a13_each_cause_of_standing_is_a_fault() -> None:
     found = {int.from_bytes(data[k : k + 2], "little") | data[k + 2] >> 5 << 16 for k in (2, 6)}
     assert found == {spn, 516_096 + StopCause.CONFIG_MISMATCH.number}
     assert {data[k + 2] & 31 for k in (2, 6)} == {9, 13}
+
+
+def test_a_latched_robot_that_was_not_started_has_one_fault() -> None:
+    """A reset takes the start away, so the missing start only follows from the latch."""
+    peer, now_us = joined()
+    peer.safety.raise_cause(StopCause.NOT_STARTED, now_us, "")
+    (said,) = asked(peer, 65226, now_us)
+    assert isinstance(said, Send)
+    assert said.message.spn == fault_of(StopCause.NOT_STARTED)[0]  # type: ignore[union-attr]
+    for latch in (StopCause.STOP_DOT, StopCause.BOOT_UNCONFIRMED, StopCause.DISK_ERROR):
+        peer.safety.raise_cause(latch, now_us, "")
+        (said,) = asked(peer, 65226, now_us)
+        assert isinstance(said, Send) and isinstance(said.message, ActiveFaults)
+        assert said.message.spn == fault_of(latch)[0]
+        peer.safety.clear_cause(latch, now_us)
+
+
+def test_causes_that_do_not_follow_from_each_other_are_all_faults() -> None:
+    peer, now_us = joined()
+    for cause in StopCause:
+        peer.safety.raise_cause(cause, now_us, "")
+    told = root_causes(peer.safety.causes)
+    assert set(StopCause) - set(told) == {StopCause.NOT_STARTED}
 
 
 def test_a13_earlier_faults_can_be_cleared_because_there_are_none() -> None:

@@ -2,7 +2,8 @@
 
 import pytest
 
-from sim.rigs.task_session_rig import SessionRecord, task_session
+from agent.safety.stop_cause import StopCause
+from sim.rigs.task_session_rig import BITS_A_SECOND, SessionRecord, standing_load, task_session
 
 
 def _right(found: SessionRecord) -> None:
@@ -20,3 +21,13 @@ def test_a_quarter_of_an_hour(version: int) -> None:
 @pytest.mark.parametrize("version", [3, 4])
 def test_eight_hours(version: int) -> None:
     _right(task_session(version, 8.0, seed=3))
+
+
+def test_a_standing_robot_takes_little_of_the_bus() -> None:
+    """Twenty of them stay below 4 % while one stop holds them, also if they were never started. Two
+    causes need three frames in each second, which SAE J1939-21 and -73 leave no way round."""
+    one, two = standing_load(()), standing_load((StopCause.IMPLEMENTS_STOP,))
+    assert (one.told, two.told) == (1, 2)
+    assert 20 * (one.session + one.faults) <= 0.03, one
+    assert two.faults * BITS_A_SECOND >= 3 * 131, "three frames without a stuffed bit"
+    assert one.session == two.session

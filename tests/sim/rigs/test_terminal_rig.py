@@ -1,9 +1,19 @@
 """The fleet's screen on a terminal that we did not write from our client: shown, killed, obeyed."""
 
+from collections.abc import Sequence
+
 import pytest
 
 from agent.interface.config import MS, S
+from agent.peer.terminal_service import CONFIRM, NEW_STOP, NOT_CONFIRMED, NOTHING_HELD
+from protocol.authentication import Keyring
+from protocol.frames.codec import decode
+from protocol.frames.frame import Frame
+from protocol.frames.operator_frames import OperatorReport, ReportKind
+from protocol.frames.safety_frames import Command
+from protocol.terminal_pool import ALARM_CHARACTERS
 from sim.rigs.terminal_rig import ScreenFleet, killed_screens
+from tools.operate.operator_device import OPERATOR_SLOT, Operator
 
 ALARM_MASK, DATA_MASK = 1001, 1000
 
@@ -38,6 +48,129 @@ def test_stop_alarm_acknowledgement_and_release() -> None:
     assert fleet.release()
     fleet.run(4 * S)
     assert rows(fleet) == [f"{slot} NOT_STARTED" for slot in range(3)] and not fleet.terminal.errors
+
+
+ALARM_TEXT = 4003  # an object of the pool
+
+
+def alarm(fleet: ScreenFleet) -> str:
+    """What the terminal shows as an alarm; "" while it shows the data mask."""
+    terminal = fleet.terminal
+    if terminal.mask == DATA_MASK or terminal.active is None:
+        return ""
+    return terminal.texts[terminal.active][ALARM_TEXT].decode().rstrip()
+
+
+def asked(fleet: ScreenFleet, since: int = 0) -> int:
+    """How often a robot said that somebody asks for a release."""
+    said = [decode(frame)[1] for frame in fleet.bus.carried[since:]]
+    return sum(isinstance(m, OperatorReport) and m.matter == ReportKind.RELEASE_ASKED for m in said)
+
+
+class KeyHolder:
+    """The device of `headland release`, with a key or without one; it acts from `acts_at_us` on."""
+
+    def __init__(self, keyring: Keyring | None, acts_at_us: int) -> None:
+        self.waiting: list[Frame] = []
+        self.acts_at_us = acts_at_us
+        self.operator = Operator(self, keyring)
+        self.acted_at_us = 0
+        self.asked: list[int] = []
+
+    def send(self, frame: Frame) -> bool:
+        self.waiting.append(frame)
+        return True
+
+    def subscribe(self, listener: object) -> None:
+        """The rig brings the frames."""
+
+    def hears(self, frame: Frame, now_us: int) -> list[Frame]:
+        self.operator.hear(now_us / S, frame)
+        return self._sent()
+
+    def turns(self, now_us: int) -> list[Frame]:
+        if now_us >= self.acts_at_us and now_us - self.acted_at_us >= 100 * MS:
+            self.acted_at_us = now_us
+            operator = self.operator
+            self.asked = self.asked or operator.release_asked
+            operator.ask_who()
+            operator.ask_stops()
+            for digest in operator.shown.sums:
+                operator.clear_held(digest)
+            for robot in operator.live:
+                operator.command(Command.MANUAL_RESET, robot.slot)
+        return self._sent()
+
+    def _sent(self) -> list[Frame]:
+        frames, self.waiting = self.waiting, []
+        return frames
+
+
+def latched(fleet: ScreenFleet) -> Sequence[bool]:
+    return [robot.stopped_at_us is not None for robot in fleet.robots]
+
+
+def asked_for(robots: int, seed: int) -> ScreenFleet:
+    """A fleet with keys: it was stopped at the terminal, and then a release was asked for there."""
+    fleet = ScreenFleet(robots, seed, keyed=True)
+    fleet.run(8 * S)
+    assert fleet.press_stop() < 20.0
+    fleet.run(2 * S)
+    assert not fleet.release(), "the key of the terminal alone releases nobody"
+    fleet.run(1 * S)
+    assert alarm(fleet) == CONFIRM and all(latched(fleet)) and asked(fleet) >= 3
+    return fleet
+
+
+def test_in_a_fleet_with_keys_a_release_is_asked_for_and_a_key_holder_confirms_it() -> None:
+    fleet = asked_for(3, 21)
+    serving = fleet.serving
+    assert serving is not None and fleet.keys is not None
+    holder = KeyHolder(Keyring(fleet.keys, OPERATOR_SLOT, b"holder"), fleet.now_us + S)
+    fleet.bus.attach(holder)
+    fleet.run(8 * S)
+    assert holder.asked == [serving.slot], "the tool knows where it was asked for"
+    assert not any(latched(fleet))
+    before = len(fleet.bus.carried)
+    fleet.run(4 * S)
+    assert asked(fleet, before) == 0, "nobody asks any more"
+    assert rows(fleet) == [f"{slot} NOT_STARTED" for slot in range(3)]
+    assert alarm(fleet) == "" and not fleet.terminal.errors
+
+
+def test_in_a_fleet_with_keys_nobody_without_one_confirms_a_release() -> None:
+    """Neither a tool without a key, nor a forged word that a release was asked for."""
+    fleet = asked_for(3, 22)
+    fleet.bus.attach(KeyHolder(None, fleet.now_us))
+    fleet.run(6 * S)
+    assert all(latched(fleet)) and alarm(fleet) == CONFIRM
+
+
+def test_a_release_that_nobody_confirms_ends() -> None:
+    fleet = asked_for(2, 23)
+    fleet.run(121 * S)
+    assert alarm(fleet) == NOT_CONFIRMED and all(latched(fleet))
+    before = len(fleet.bus.carried)
+    fleet.terminal.press(3002, 3)
+    fleet.run(3 * S)
+    assert asked(fleet, before) == 0 and alarm(fleet) == "", "acknowledged"
+
+
+def test_a_new_stop_voids_a_release_that_was_asked_for() -> None:
+    fleet = asked_for(2, 24)
+    fleet.terminal.press(3000, 1)
+    fleet.run(3 * S)
+    assert alarm(fleet) == NEW_STOP and all(latched(fleet))
+
+
+def test_a_release_of_a_fleet_with_keys_that_is_not_stopped_says_so() -> None:
+    fleet = ScreenFleet(2, 25, keyed=True)
+    fleet.run(8 * S)
+    fleet.terminal.press(3001, 2)
+    fleet.run(2 * S)
+    assert alarm(fleet) == NOTHING_HELD and asked(fleet) == 0
+    texts = (CONFIRM, NEW_STOP, NOT_CONFIRMED, NOTHING_HELD)
+    assert max(map(len, texts)) <= ALARM_CHARACTERS
 
 
 def test_a_terminal_that_loses_its_memory_gets_the_screen_again() -> None:

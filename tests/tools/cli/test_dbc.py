@@ -9,6 +9,7 @@ from collections import Counter
 from pathlib import Path
 from random import Random
 from typing import Any
+from xml.etree import ElementTree
 
 import pytest
 
@@ -26,6 +27,7 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.cantools_judge import judge
+from tools.cli.arxml import to_arxml
 from tools.cli.dbc import dbc as dbc_command
 from tools.cli.dbc import to_dbc
 
@@ -256,20 +258,88 @@ def test_other_formats_say_the_same(kind: str, tmp_path: Path) -> None:
         assert plain == pytest.approx(expected), message.name
 
 
+SAID_OF_MESSAGES = ("name", "length", "is_extended_frame", "senders")
+SAID_OF_SIGNALS = ("start", "length", "byte_order", "is_signed", "scale", "offset", "unit")
+
+
+@pytest.mark.parametrize("addresses", ["", "128-129", "131,140"])
+def test_arxml_says_the_same(addresses: str, tmp_path: Path) -> None:
+    """Message by message and signal by signal, as plain cantools reads both files."""
+    out, plain = tmp_path / "fleet.arxml", tmp_path / "fleet.dbc"
+    assert dbc_command(out, addresses or None) == 0 and dbc_command(plain, addresses or None) == 0
+    theirs = {m.frame_id: m for m in cantools.database.load_file(out).messages}
+    ours = cantools.database.load_file(plain).messages
+    assert theirs.keys() == {m.frame_id for m in ours}
+    rng = Random(5)
+    for message in ours:
+        read = theirs[message.frame_id]
+        for said in SAID_OF_MESSAGES:
+            assert getattr(read, said) == getattr(message, said), (message.name, said)
+        assert quoted(read.comment) == message.comment
+        assert (read.cycle_time or 0) == (message.cycle_time or 0), message.name
+        signals = {signal.name: signal for signal in read.signals}
+        assert signals.keys() == {signal.name for signal in message.signals}
+        for signal in message.signals:
+            same = signals[signal.name]
+            for said in SAID_OF_SIGNALS:
+                assert getattr(same, said) == getattr(signal, said), (message.name, signal.name)
+            assert quoted(same.comment) == signal.comment
+            assert (same.raw_initial or 0) == (signal.raw_initial or 0)
+            assert named(same) == named(signal), (message.name, signal.name)
+        data = rng.randbytes(message.length)
+        assert read.decode(data) == message.decode(data), message.name
+        assert read.encode(read.decode(data), strict=False) == data
+
+
+def quoted(text: str) -> str:
+    """A DBC has no quotes in its comments."""
+    return text.replace('"', "'")
+
+
+def named(signal: Any) -> dict[int, str]:
+    return {value: str(name) for value, name in (signal.choices or {}).items()}
+
+
+def test_every_name_of_the_arxml_is_one_of_autosar(tmp_path: Path) -> None:
+    """Names begin with a letter and have no two underscores in a row; all references lead somewhere."""
+    root = ElementTree.fromstring(to_arxml((128, 129)).encode())
+    space = "{http://autosar.org/schema/r4.0}"
+    assert root.tag == f"{space}AUTOSAR"
+    names = [each.text or "" for each in root.iter(f"{space}SHORT-NAME")]
+    wrong = [n for n in names if not re.fullmatch(r"[a-zA-Z](_?[a-zA-Z0-9])*_?", n) or len(n) > 128]
+    assert names and not wrong
+
+    places = dict[str, str]()
+
+    def walk(element: ElementTree.Element, path: str) -> None:
+        name = element.find(f"{space}SHORT-NAME")
+        if name is not None:
+            path = f"{path}/{name.text}"
+            assert path not in places, path
+            places[path] = element.tag.removeprefix(space)
+        for child in element:
+            walk(child, path)
+
+    walk(root, "")
+    for element in root.iter():
+        if "DEST" in element.attrib:
+            assert places[element.text or ""] == element.attrib["DEST"], element.text
+
+
 @pytest.mark.parametrize("wrong", ["robots", "128-", "133-128", "254", "0-100"])
 def test_wrong_addresses_are_one_line(wrong: str, capsys: pytest.CaptureFixture[str]) -> None:
     assert dbc_command(None, wrong) == 2
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.parametrize("suffix", ["arxml", "XML", "xlsx"])
+@pytest.mark.parametrize("suffix", ["XML", "ldf", "xlsx"])
 def test_a_format_that_cannot_be_written_is_refused(
     suffix: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """A DBC under another format's name would be a riddle for its reader."""
     out = tmp_path / f"fleet.{suffix}"
     assert dbc_command(out) == 2 and not out.exists()
-    assert "write .dbc, .kcd or .sym" in capsys.readouterr().err
+    assert "write .dbc, .arxml, .kcd or .sym" in capsys.readouterr().err
 
 
 def test_no_dbc_extra_is_one_line(
