@@ -16,7 +16,9 @@ from zlib import crc32
 AGRICULTURE = 2  # industry group
 MANUFACTURER = 1407  # open to non-commercial projects
 FUNCTION = 128  # first function that depends on industry group and device class
-DEVICE_CLASS = 1  # tractor
+DEVICE_CLASS = 1  # tractor: of robots in virtual time, whose recorded runs depend on each bit
+UTILITY_VEHICLE = 24  # device class of ISO 11783-1: of robots on a real bus
+OWN_FUNCTIONS = range(128, 255)  # that depend on industry group and device class
 TOOL_FUNCTION = 129  # off-board diagnostic or service tool, of the non-specific device class
 NON_SPECIFIC = 0  # device class
 GATEWAY_FUNCTION = 66  # a device that joins networks: here, the segments of one fleet
@@ -28,6 +30,21 @@ FIELDS = (  # name, shift, bits
     ("function_instance", 35, 5), ("function", 40, 8), ("device_class", 49, 7),
     ("device_class_instance", 56, 4), ("industry_group", 60, 3), ("arbitrary_address", 63, 1),
 )  # fmt: skip
+
+
+class DeviceFields(NamedTuple):
+    """Fields of a NAME that are equal for all robots of a fleet."""
+
+    manufacturer: int = MANUFACTURER
+    ecu_instance: int = 0
+    function_instance: int = 0
+    function: int = FUNCTION
+    device_class: int = DEVICE_CLASS
+    device_class_instance: int = 0
+
+
+IN_VIRTUAL_TIME = DeviceFields()
+ON_A_BUS = DeviceFields(device_class=UTILITY_VEHICLE)
 
 
 class Name(NamedTuple):
@@ -57,12 +74,6 @@ class Name(NamedTuple):
         return cls(*((number >> shift) & ((1 << bits) - 1) for _, shift, bits in FIELDS))
 
     @property
-    def is_robot(self) -> bool:
-        """Whether manufacturer and function are ours, in any fleet."""
-        ours = Name(self.identity)
-        return self.manufacturer == ours.manufacturer and self[4:6] == ours[4:6]
-
-    @property
     def hash16(self) -> int:
         """16 bits of the NAME's CRC-32, to tell devices apart in frames without room for 64 bits."""
         return crc32(self.pack().to_bytes(8, "little")) & 0xFFFF
@@ -76,19 +87,22 @@ def tool_name(identity: int) -> Name:
     )
 
 
-def is_ours(name: Name) -> bool:
+def is_ours(name: Name, robot: Name | None = None) -> bool:
     """Whether manufacturer and industry group are ours and the function uses our proprietary
-    groups."""
-    return (
-        name.manufacturer == MANUFACTURER
-        and name.industry_group == AGRICULTURE
-        and name.function in OUR_FUNCTIONS
-    )
+    groups. `robot`: a robot of our fleet, whose fields may be those of another maker."""
+    if name.industry_group != AGRICULTURE:
+        return False
+    known = name.manufacturer == MANUFACTURER and name.function in OUR_FUNCTIONS
+    return known or is_robot(name, robot)
 
 
-def is_robot(name: Name) -> bool:
-    """Whether the NAME is that of a robot of any fleet of ours, not of a tool or a gateway."""
-    return is_ours(name) and name.function == FUNCTION
+def is_robot(name: Name, robot: Name | None = None) -> bool:
+    """Whether the NAME is that of a robot of any fleet of ours, not of a tool or a gateway. `robot`: as
+    for `is_ours`."""
+    kinds = [(MANUFACTURER, FUNCTION)]
+    if robot is not None:
+        kinds.append((robot.manufacturer, robot.function))
+    return name.industry_group == AGRICULTURE and (name.manufacturer, name.function) in kinds
 
 
 def fleet_of(name: Name) -> int:
@@ -100,7 +114,7 @@ def fleet_of(name: Name) -> int:
     return name.identity >> SLOT_BITS
 
 
-def fleet_name(fleet: str, slot: int) -> Name:
+def fleet_name(fleet: str, slot: int, device: DeviceFields = IN_VIRTUAL_TIME) -> Name:
     """The NAME of a slot of a fleet: the fleet in 14 bits of the identity number, the slot in 7."""
     assert 0 <= slot < 128
-    return Name(identity=(crc32(fleet.encode()) & 0x3FFF) << SLOT_BITS | slot)
+    return Name((crc32(fleet.encode()) & 0x3FFF) << SLOT_BITS | slot, *device)

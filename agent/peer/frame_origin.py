@@ -21,7 +21,7 @@ from protocol.frames.operator_frames import OperatorGoal
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, HeldReset, OperatorCommand
 from protocol.frames.segment_frames import FleetReset, FleetStop
 from protocol.frames.work_frames import StateSyncRequest
-from protocol.name import Name, fleet_of, is_ours, is_robot
+from protocol.name import OWN_FUNCTIONS, Name, fleet_of, is_ours, is_robot
 
 KEPT_US = 1 * S  # a device that is asked answers within 0.2 s (J1939-81); an older order is void
 # Frames kept of one address: an order with its place is four, a reset of a few stops a dozen.
@@ -52,6 +52,7 @@ class Origins:
 
     def __init__(self, name: Name) -> None:
         self._fleet = fleet_of(name)
+        self._own = name if name.function in OWN_FUNCTIONS else None  # a gateway is no robot
         self._of: dict[int, Origin] = {}
         self._names: dict[int, int] = {}
         self._robots: set[int] = set()
@@ -76,15 +77,15 @@ class Origins:
         """Note that a NAME (64 bits) has claimed the address; returns its origin."""
         self._names[address] = number
         name = Name.unpack(number)
-        if not is_ours(name):
+        if not is_ours(name, self._own):
             origin = Origin.FOREIGN
-        elif is_robot(name) and fleet_of(name) != self._fleet:
+        elif is_robot(name, self._own) and fleet_of(name) != self._fleet:
             origin = Origin.ANOTHER_FLEET
         else:
             origin = Origin.OURS
         self._of[address] = origin
         self._robots.discard(address)
-        if origin is Origin.OURS and is_robot(name):
+        if origin is Origin.OURS and is_robot(name, self._own):
             self._robots.add(address)
         return origin
 

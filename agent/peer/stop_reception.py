@@ -35,7 +35,6 @@ from protocol.frames.safety_frames import (
 )
 from protocol.frames.trust_frames import OperatorBadge
 from protocol.frames.work_frames import STOPS, StateSyncRequest
-from protocol.name import Name
 
 
 class StopReception(Part):
@@ -124,7 +123,11 @@ class StopReception(Part):
 
     def _implements_stop(self, ctx: StepContext, header: Header, m: AllImplementsStop) -> Outputs:
         name = self.joining.machine.names.get(header.source)
-        robot = header.slot is not None and name is not None and Name.unpack(name).is_robot
+        robot = (
+            header.slot is not None
+            and name is not None
+            and self.senders.origins.is_robot(header.source)
+        )
         return self.safety.receive_implements_stop(header.source, name, robot, m, ctx.now_us)
 
     def _challenge(self, ctx: StepContext, header: Header, m: Challenge) -> Outputs:

@@ -43,7 +43,7 @@ from protocol.terminal_client import (
     TerminalOutput,
     TerminalState,
 )
-from protocol.terminal_pool import field_picture, screen_pool
+from protocol.terminal_pool import ROWS_MAX, field_picture, screen_pool
 
 LOOK_US: Final = 500 * MS  # between two looks at what the screen should show
 PAUSED_US: Final = 250 * MS  # shorter than the silence after which others elect another leader
@@ -204,16 +204,20 @@ class TerminalService(Part):
         return self.client.upload(pool, screen, ctx.now_us)
 
     def _screen(self, ctx: StepContext) -> ShownScreen:
-        rows: list[str] = []
+        rows: list[tuple[bool, str]] = []  # whether nothing holds it, and its line
         standing: list[str] = []
         for slot in sorted(self._identity.members):
             causes = self._causes(slot, ctx, Severity.PAUSE)
             state = self._state(slot, ctx)
-            rows.append(f"{slot} {causes[0] if causes else state}")
+            rows.append((not causes, f"{slot} {causes[0] if causes else state}"))
             alarms = self._causes(slot, ctx, Severity.PROTECTIVE)
             standing += [f"{slot}: {cause}" for cause in alarms]
+        if len(rows) > ROWS_MAX:
+            rows = sorted(rows, key=lambda row: row[0])[:ROWS_MAX]  # what stands is shown first
         covered = min(100, int(100 * self.views.progress.fraction()))
-        return ShownScreen(tuple(rows), covered, self._alarms.text(frozenset(standing)))
+        return ShownScreen(
+            tuple(line for _, line in rows), covered, self._alarms.text(frozenset(standing))
+        )
 
     def _state(self, slot: int, ctx: StepContext) -> str:
         if slot == ctx.slot:

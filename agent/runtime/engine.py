@@ -54,6 +54,7 @@ from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.frames.fleet_frames import NOWHERE_M, Pose
 from protocol.frames.safety_frames import Reason
 from protocol.links.bus import CanBus
+from protocol.name import ON_A_BUS
 
 log = logging.getLogger(__name__)
 
@@ -161,6 +162,7 @@ class FleetCoordinationEngine:
             self.silence,
             first_boot=self.first_boot,
             diagnostics=True,
+            device=ON_A_BUS,
         )
         if not remembers(recalled) and not self.first_boot:
             self._rng = Random(randbits(64))  # the next incarnation must not be an earlier one

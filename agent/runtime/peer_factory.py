@@ -19,7 +19,7 @@ from agent.peer.peer_parts import PeerParts
 from agent.segments.segment_area import Area
 from agent.segments.segment_parts import segments_of
 from protocol.authentication import Keyring, Keys
-from protocol.name import fleet_name
+from protocol.name import IN_VIRTUAL_TIME, DeviceFields, fleet_name
 from protocol.operator_badges import BadgeBook
 from protocol.sync.map_sync import MapSync
 from protocol.units import S
@@ -48,6 +48,7 @@ def identity_of(
     first_boot: bool = False,
     diagnostics: bool = False,
     implement_width_m: float = 0.0,
+    device: DeviceFields = IN_VIRTUAL_TIME,
 ) -> Identity:
     """The identity of one slot of a fleet of `robots` robots, with permission to move at boot.
 
@@ -55,11 +56,12 @@ def identity_of(
     `field_hash`: u24; robots with another one work somewhere else and are refused.
     `first_boot`: a new machine, for which an empty memory is no loss. `diagnostics`: whether active
     faults are told unasked (DM1), and a task controller is answered, with `implement_width_m`.
+    `device`: fields of the NAMEs, equal for all robots of the fleet.
     """
     return Identity(
         slot=slot,
         members=frozenset(range(robots)),
-        name=fleet_name(fleet, slot),
+        name=fleet_name(fleet, slot, device),
         field_hash=field_hash,
         silence=silence,
         started=True,

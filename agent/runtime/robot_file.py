@@ -6,6 +6,9 @@
     [fleet]                                 # equal for all robots, too
     robots = 3
     keys = "fleet.keys"
+    [device]                                # of the NAME of each robot (ISO 11783-5), equal for all
+    manufacturer = 1407
+    device_class = 24
     [field]
     file = "north.geojson"
     [bus]
@@ -48,6 +51,14 @@ from agent.runtime.declared_values import (
     first_error,
 )
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
+from protocol.name import (
+    FUNCTION,
+    MANUFACTURER,
+    OWN_FUNCTIONS,
+    TOOL_FUNCTION,
+    UTILITY_VEHICLE,
+    DeviceFields,
+)
 
 LINE_MAX = 1000  # characters of a message
 WORKS = ("field", "warehouse", "navigation", "exploration", "coverage", "mission")
@@ -79,6 +90,31 @@ class RobotTable(Table):
     slot: int = Field(ge=0, lt=PEERS_MAX)
     journal: str = "."  # folder of its durable memory
     segment: int = Field(default=0, ge=0)  # of a fleet of several segments; 0: there are no others
+
+
+class DeviceTable(Table):
+    """What the NAMEs of the fleet say beside identity and industry group (ISO 11783-5); the same for
+    all its robots."""
+
+    manufacturer: int = Field(
+        default=MANUFACTURER, ge=0, lt=2048
+    )  # open to non-commercial projects
+    device_class: int = Field(default=UTILITY_VEHICLE, ge=0, lt=128)
+    device_class_instance: int = Field(default=0, ge=0, lt=16)
+    function: int = Field(default=FUNCTION, ge=OWN_FUNCTIONS[0], le=OWN_FUNCTIONS[-1])
+    function_instance: int = Field(default=0, ge=0, lt=32)
+    ecu_instance: int = Field(default=0, ge=0, lt=8)
+
+    @model_validator(mode="after")
+    def _no_tool(self) -> Self:
+        if self.function == TOOL_FUNCTION:
+            raise ValueError(f"function {TOOL_FUNCTION} is that of operators' tools")
+        return self
+
+    @property
+    def fields(self) -> DeviceFields:
+        """As a NAME has them."""
+        return DeviceFields(**self.model_dump())
 
 
 class RobotBusTable(Table):
@@ -155,6 +191,7 @@ class RobotFile(Table):
     name: str = Field(min_length=1, max_length=64)
     robot: RobotTable
     fleet: FleetTable = FleetTable()
+    device: DeviceTable = DeviceTable()
     field: FieldTable | None = None
     warehouse: CarrierTable | None = None
     navigation: NavigationTable | None = None
@@ -182,6 +219,8 @@ class RobotFile(Table):
             )
         if sum(getattr(found, work) is not None for work in WORKS) > 1:
             raise RobotError(f"{name}: {', '.join(WORKS)}: a robot has one work")
+        if found.robot.segment and found.device != DeviceTable():
+            raise RobotError(f"{name}: device: gateways of several segments know the default only")
         slots = [machine.slot for machine in found.machine]
         if len(set(slots)) < len(slots):
             raise RobotError(f"{name}: machine: two have one slot")

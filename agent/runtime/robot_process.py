@@ -159,6 +159,7 @@ async def run_robot(
                     robot.name, slot, robot.fleet.robots, work.field_hash,
                     robot.fleet.silence_policy, first_boot=first_boot, diagnostics=True,
                     implement_width_m=robot.field.implement_width_m if robot.field else 0.0,
+                    device=robot.device.fields,
                 )  # fmt: skip
                 segment = robot.robot.segment
                 peer = make_peer(

@@ -336,12 +336,16 @@ class KilledScreens(NamedTuple):
 class ScreenFleet:
     """A bus with a terminal and robots, in virtual time."""
 
-    def __init__(self, robots: int, seed: int, keyed: bool = False) -> None:
+    def __init__(
+        self, robots: int, seed: int, keyed: bool = False, members: int | None = None
+    ) -> None:
+        """`members`: of the fleet, of which the first `robots` are on the bus; None: all are."""
         rng = Random(f"keys of screens/{seed}")
         self.keys = Keys(rng.randbytes(KEY_SIZE), rng.randbytes(KEY_SIZE)) if keyed else None
         self.bus, self.now_us = RigBus(seed, MS), 0
         self.terminal = Terminal()
-        self.robots = [RobotNode(slot, robots, seed, self.keys) for slot in range(robots)]
+        fleet = robots if members is None else members
+        self.robots = [RobotNode(slot, fleet, seed, self.keys) for slot in range(robots)]
         self.bus.attach(self.terminal)
         for robot in self.robots:
             self.bus.attach(robot)

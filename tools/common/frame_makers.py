@@ -4,13 +4,18 @@
 PGN 0xFF00 to 0xFFFF and 0xEF00 mean something else to each maker. A listener may come later than the
 claims, or read a log that has none. So frames from an address without a known claim are read, until
 another maker claims that address.
+
+Robots may have the manufacturer code of who builds them (`[device]` of the robot file). A tool is told
+that code by the environment variable HEADLAND_MANUFACTURER.
 """
 
+import os
 from collections import Counter
 
 from protocol.frames.frame import Frame
-from protocol.name import Name, is_ours
+from protocol.name import AGRICULTURE, OWN_FUNCTIONS, Name, is_ours
 
+MAKER_VARIABLE = "HEADLAND_MANUFACTURER"
 PROPRIETARY = (0xEF, 0xFF)  # upper byte of the parameter group
 
 
@@ -21,10 +26,17 @@ class Makers:
     def __init__(self) -> None:
         self.refused: Counter[int] = Counter()  # PGN -> frames of other makers that were not read
         self._ours: dict[int, bool] = {}  # by claimed address
+        self._maker = os.environ.get(MAKER_VARIABLE, "")
 
     def claimed(self, address: int, number: int) -> bool:
         """Whether the NAME that claims it is ours."""
-        self._ours[address] = ours = is_ours(Name.unpack(number))
+        name = Name.unpack(number)
+        own = (
+            f"{name.manufacturer}" == self._maker
+            and name.industry_group == AGRICULTURE
+            and name.function in OWN_FUNCTIONS
+        )
+        self._ours[address] = ours = own or is_ours(name)
         return ours
 
     def knows(self, address: int) -> bool:

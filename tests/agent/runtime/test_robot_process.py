@@ -10,6 +10,7 @@ import can
 import pytest
 
 from agent.runtime.robot_file import RobotError, RobotFile
+from protocol.name import Name, fleet_name
 from tools.build.warmup import warm
 
 SCRIPT, LIMIT_S = Path(__file__).with_name("robots_without_simulator.py"), 150
@@ -107,6 +108,12 @@ GOOD: dict[str, Any] = {"name": "n", "robot": {"slot": 0}, "fleet": {"robots": 2
         ({"fleet": {"robots": 0}}, "fleet.robots: "),
         ({"field": {"file": "f"}, "mission": {"factory": "a:b"}}, "a robot has one work"),
         ({"name": ""}, "name: "),
+        ({"device": {"device_class": 128}}, "device.device_class: "),
+        ({"device": {"function": 129}}, "function 129 is that of operators' tools"),
+        (
+            {"robot": {"slot": 0, "segment": 1}, "device": {"manufacturer": 5}},
+            "gateways of several segments know the default only",
+        ),
     ],
 )
 def test_a_wrong_robot_file_is_one_line(change: dict[str, Any], says: str) -> None:
@@ -137,3 +144,15 @@ def test_a_robot_that_cannot_start_says_so_in_one_line(
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert says in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+def test_the_name_of_a_robot_is_that_of_its_file() -> None:
+    """The default is an honest utility vehicle; on commit d1aa422d every robot was a tractor."""
+    plain = fleet_name("n", 0, RobotFile.of(GOOD, "r.toml", Path()).device.fields)
+    assert (plain.manufacturer, plain.device_class, plain.function) == (1407, 24, 128)
+    device = {"manufacturer": 555, "device_class": 6, "function": 132, "function_instance": 3,
+              "ecu_instance": 2, "device_class_instance": 1}  # fmt: skip
+    told = RobotFile.of({**GOOD, "device": device}, "r.toml", Path())
+    name = Name.unpack(fleet_name("n", 0, told.device.fields).pack())
+    assert {field: getattr(name, field) for field in device} == device
+    assert (name.identity, name.industry_group) == (plain.identity, 2)

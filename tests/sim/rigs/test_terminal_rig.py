@@ -33,6 +33,18 @@ def test_one_robot_shows_the_fleet_and_its_pool_has_a_picture() -> None:
     assert rows(fleet) == ["0 IDLE", "1 IDLE", "2 IDLE"] and not terminal.errors
 
 
+@pytest.mark.parametrize("members", [21, 108])
+def test_a_fleet_of_more_robots_than_lines_shows_those_that_stand(members: int) -> None:
+    """On commit d1aa422d a line that the pool does not have was changed, and a robot of a fleet of 65
+    ended with an AssertionError when all were stopped."""
+    fleet = ScreenFleet(2, 31, members=members)
+    fleet.run(8 * S)
+    assert len(rows(fleet)) == 20 and rows(fleet)[:2] == ["0 IDLE", "1 IDLE"]
+    fleet.press_stop()
+    fleet.run(4 * S)
+    assert rows(fleet)[:2] == ["0 STOP_DOT", "1 STOP_DOT"] and not fleet.terminal.errors
+
+
 def test_stop_alarm_acknowledgement_and_release() -> None:
     fleet = ScreenFleet(3, 6)
     fleet.run(6 * S)

@@ -2,6 +2,8 @@
 
 from random import Random
 
+import pytest
+
 from crdt import Phase
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member
@@ -9,7 +11,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import TaskClaim
-from protocol.name import Name, fleet_name
+from protocol.name import DeviceFields, Name, fleet_name
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspector import Inspector
@@ -48,6 +50,20 @@ def test_a2_frames_of_another_maker_make_no_robots_and_no_stops_for_tools() -> N
     assert list(inspector.robots) == [1] and not inspector.stops and not inspector.malformed
     assert sum(inspector.makers.refused.values()) == 3_000
     assert len(inspector.to_dict()["other_makers"]) == 0x34
+
+
+def test_tools_read_robots_of_the_manufacturer_that_they_are_told(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    device = DeviceFields(manufacturer=555, function=140, device_class=24)
+    claim = AddressClaimed(fleet_name("north", 1, device).pack())
+    for told, seen in (("", []), ("556", []), ("555", [1])):
+        monkeypatch.setenv("HEADLAND_MANUFACTURER", told)
+        tool, inspector = operator(), Inspector()
+        for listener in (tool, inspector):
+            listener.hear(0.0, encode(claim, ROBOT_AT))
+            listener.hear(0.1, encode(Member(1, 1, 7), ROBOT_AT))
+            assert list(listener.robots) == seen
 
 
 def test_a2_a_robot_that_another_makers_frame_had_made_goes_with_its_claim() -> None:
