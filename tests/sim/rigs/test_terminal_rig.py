@@ -85,7 +85,7 @@ class KeyHolder:
     def __init__(self, keyring: Keyring | None, acts_at_us: int) -> None:
         self.waiting: list[Frame] = []
         self.acts_at_us = acts_at_us
-        self.operator = Operator(self, keyring)
+        self.operator = Operator(self, keyring)  # type: ignore[arg-type]  # only sends
         self.acted_at_us = 0
         self.asked: list[int] = []
 
