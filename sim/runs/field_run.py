@@ -4,9 +4,9 @@ from typing import Any
 
 from agent.interface.config import S
 from sim.fleet.outcome import FieldOutcome
-from sim.fleet.scheduler import Host
-from sim.fleet.simulated_fleet import Cluster, Record
-from sim.runs.run import MissionRun, RunProgress, SetupT, of_bodies, points_of, states_of
+from sim.fleet.simulated_fleet import Cluster
+from sim.runs.run import SetupT, of_bodies, points_of
+from sim.runs.section_run import SectionRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
@@ -15,31 +15,16 @@ from sim.world.implement_contacts import implement_contacts
 RASTER_M = 0.25  # of the coverage check
 
 
-class WorkRun(MissionRun[SetupT, Cluster, FieldOutcome]):
+class WorkRun(SectionRun[SetupT, FieldOutcome]):
     """A run whose sections are worked, whatever the world is."""
 
     kind = FieldOutcome
     look_period_us = 1 * S
 
-    def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
-        """A plain cluster."""
-        return Cluster(self.setting, channel, record, host)
-
-    def progress(self, cluster: Cluster) -> RunProgress:
-        """Sections that are done by the best replica, and the share of units."""
-        peers = [robot.peer for robot in cluster.running]
-        done = max((peer.allocation.done_count() for peer in peers), default=0)
-        share = max((peer.progress.fraction() for peer in peers), default=0.0)
-        now_s, total = cluster.host.now_us() / S, self.setting.section_count
-        return RunProgress(now_s, done, total, share, states_of(cluster))
-
     def measure(self, cluster: Cluster) -> dict[str, Any]:
         peers = [robot.peer for robot in cluster.robots.values()]
-        return {
-            "units_twice": sum(peer.redone for peer in peers),
-            "refused": sum(peer.safety.authority.refused for peer in peers),
-            "sections": self.setting.section_count,
-        }
+        refused = sum(peer.safety.authority.refused for peer in peers)
+        return {**super().measure(cluster), "refused": refused}
 
 
 class FieldRun(WorkRun[FieldSetup]):

@@ -3,10 +3,9 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-from agent.interface.config import S
-from sim.fleet.scheduler import Host
-from sim.fleet.simulated_fleet import Cluster, Record
-from sim.runs.run import MissionRun, RunProgress, of_bodies, points_of, states_of
+from sim.fleet.simulated_fleet import Cluster
+from sim.runs.run import of_bodies, points_of
+from sim.runs.section_run import SectionRun
 from sim.scenarios.own_mission_setup import OwnMissionSetup
 from sim.world.ground_truth import TrackPoint
 
@@ -49,28 +48,12 @@ class OwnMissionOutcome(NamedTuple):
         return {**self._asdict(), "frames": dict(self.frames), "success": self.success}
 
 
-class OwnMissionRun(MissionRun[OwnMissionSetup, Cluster, OwnMissionOutcome]):
+class OwnMissionRun(SectionRun[OwnMissionSetup, OwnMissionOutcome]):
     """Runs until every section is done, or until the scenario's time limit."""
 
     kind = OwnMissionOutcome
     tracks: dict[int, list[TrackPoint]]  # after the run
 
-    def make_fleet(self, channel: str, record: Record, host: Host) -> Cluster:
-        """A plain cluster."""
-        return Cluster(self.setting, channel, record, host)
-
-    def progress(self, cluster: Cluster) -> RunProgress:
-        """Sections that are done by the best replica, and the share of units."""
-        peers = [robot.peer for robot in cluster.running]
-        done = max((peer.allocation.done_count() for peer in peers), default=0)
-        share = max((peer.progress.fraction() for peer in peers), default=0.0)
-        now_s = cluster.host.now_us() / S
-        return RunProgress(now_s, done, self.setting.section_count, share, states_of(cluster))
-
     def measure(self, cluster: Cluster) -> dict[str, Any]:
         self.tracks = points_of(cluster)
-        return {
-            **of_bodies(cluster),
-            "sections": self.setting.section_count,
-            "units_twice": sum(robot.peer.redone for robot in cluster.robots.values()),
-        }
+        return {**super().measure(cluster), **of_bodies(cluster)}

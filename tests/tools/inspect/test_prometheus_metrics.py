@@ -1,18 +1,14 @@
 """The figures of `--metrics`, read by promtool and by a Prometheus of the distribution."""
 
 import asyncio
-import contextlib
 import json
 import os
 import re
 import shutil
 import signal
 import subprocess
-import urllib.request
-from asyncio.subprocess import DEVNULL
 from pathlib import Path
 from socket import socket
-from typing import Any
 
 import pytest
 
@@ -27,12 +23,12 @@ from protocol.frames.fleet_frames import Member, Pose
 from protocol.frames.messages import Message
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import WorkProgress
-from tests.tools.launching import ROOT, WAIT_S, call, said, start
+from tests.tools.launching import WAIT_S, call, said, start
+from tools.bench.prometheus_server import FILES, Alert, PrometheusServer, page
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.inspect.prometheus_metrics import FleetCollector, GatewayCollector, RobotProcesses
 
-FILES = ROOT / "examples" / "prometheus"
 PANEL = 247  # source address of a device that is no robot
 needs_promtool = pytest.mark.skipif(
     shutil.which("promtool") is None, reason="promtool is not installed (apt install prometheus)"
@@ -178,13 +174,8 @@ def test_the_dashboard_asks_for_metrics_that_exist() -> None:
         assert re.sub(r"_(total|bucket)$", "", name) in known, name
 
 
-def page(url: str) -> str:
-    with urllib.request.urlopen(url, timeout=10) as answer:
-        return str(answer.read().decode())
-
-
-def names_of(text: str) -> set[str]:
-    return {family.name for family in text_string_to_metric_families(text)}
+def names_of(text: bytes) -> set[str]:
+    return {family.name for family in text_string_to_metric_families(text.decode())}
 
 
 @pytest.mark.slow
@@ -199,30 +190,16 @@ def test_prometheus_alerts_on_a_killed_robot_of_a_launch(tmp_path: Path) -> None
         await said(launch, r"1:(WORKING)")
         shown = await start(tmp_path, "map", "--page-port", "0", "--metrics", "0")
         map_url = await said(shown, r"metrics: (http://\S+)")
-        with socket() as free:
-            free.bind(("127.0.0.1", 0))
-            port = free.getsockname()[1]
-        target = url.removeprefix("http://").removesuffix("/metrics")
-        config = (FILES / "prometheus.yml").read_text().replace("127.0.0.1:9464", target)
-        (tmp_path / "prometheus.yml").write_text(config)
-        shutil.copy(FILES / "alerts.yml", tmp_path)
-        server = await asyncio.create_subprocess_exec(
-            "prometheus", f"--config.file={tmp_path / 'prometheus.yml'}",
-            f"--storage.tsdb.path={tmp_path / 'data'}", f"--web.listen-address=127.0.0.1:{port}",
-            stdout=DEVNULL, stderr=DEVNULL,
-        )  # fmt: skip
+        server = await PrometheusServer.start(tmp_path, url)
         try:
-            firing = await until(port, lambda alerts: True)
-            assert "HeadlandRobotProcessEnded" not in {a["labels"]["alertname"] for a in firing}
+            before = await server.firing() or set()
+            assert "HeadlandRobotProcessEnded" not in {name for name, _ in before}
             os.kill(victim, signal.SIGKILL)
-            wanted = {("HeadlandRobotSilent", "1"), ("HeadlandRobotProcessEnded", "1")}
-            await until(port, lambda alerts: wanted <= {
-                (a["labels"]["alertname"], a["labels"].get("robot")) for a in alerts
-                if a["state"] == "firing"
-            })  # fmt: skip
+            wanted: set[Alert] = {("HeadlandRobotSilent", "1"), ("HeadlandRobotProcessEnded", "1")}
+            assert await server.fires(wanted, WAIT_S) <= WAIT_S
             code, text = await call(tmp_path, "stop")
             assert code in (0, 1), text
-            told = await asyncio.to_thread(page, url)
+            told = (await asyncio.to_thread(page, url)).decode()
             assert told == told.strip() + "\n" and "headland_stops_latched 0.0" not in told
             count = [
                 x for x in told.splitlines() if x.startswith("headland_stop_echo_seconds_count")
@@ -231,34 +208,13 @@ def test_prometheus_alerts_on_a_killed_robot_of_a_launch(tmp_path: Path) -> None
             of_map = names_of(await asyncio.to_thread(page, map_url))
             assert {"headland_robots", "headland_sections", "headland_bus_load_ratio"} <= of_map
         finally:
-            for process in (server, shown, launch):
+            await server.end()
+            for process in (shown, launch):
                 if process.returncode is None:
                     process.terminate()
                     await process.communicate()
 
     asyncio.run(story())
-
-
-async def pause() -> None:
-    """Between two looks at another program."""
-    with contextlib.suppress(TimeoutError):
-        async with asyncio.timeout(0.3):
-            await asyncio.Event().wait()
-
-
-async def until(port: int, fits: Any) -> list[dict[str, Any]]:
-    """Alerts of a Prometheus, as soon as they fit."""
-    async with asyncio.timeout(WAIT_S):
-        while True:
-            try:
-                text = await asyncio.to_thread(page, f"http://127.0.0.1:{port}/api/v1/alerts")
-            except OSError:  # it starts
-                await pause()
-                continue
-            alerts: list[dict[str, Any]] = json.loads(text)["data"]["alerts"]
-            if fits(alerts):
-                return alerts
-            await pause()
 
 
 def test_a_watch_is_a_stream_of_lines(tmp_path: Path) -> None:
