@@ -543,6 +543,8 @@ def _meant(name: str) -> str:
     """The shipped name that was probably meant, of any kind, or all of them."""
     folders = (SHIPPED, SHIPPED.parent / "warehouses", SHIPPED.parent / "arenas")
     known = sorted({each for folder in folders for each in shipped(folder)})
+    if name in known:
+        return " of the kind that is needed here; see: headland list"
     near = get_close_matches(name, known, n=1)
     return f"; did you mean {near[0]!r}?" if near else f" ({', '.join(known)})"
 

@@ -151,9 +151,10 @@ def say(
         Path | None, typer.Option(help="Ask a run folder or a log instead of a bus.")
     ] = None,
     read: Annotated[bool, typer.Option("--read", help="Only show how it is understood.")] = False,
-    queue: Annotated[Path, typer.Option(help="Where goals wait for an idle robot.")] = Path(
-        "runs/queue.json"
-    ),
+    queue: Annotated[
+        Path | None,
+        typer.Option(help="Where goals wait for an idle robot; none: in the launch's folder."),
+    ] = None,
     wait: Annotated[
         bool, typer.Option("--wait/--no-wait", help="Stay until what is queued was given.")
     ] = True,

@@ -6,6 +6,7 @@ stand while it is gone, and reconnect by themselves.
 
 import asyncio
 import os
+import socket
 import sys
 from ipaddress import ip_address
 
@@ -83,6 +84,12 @@ def hub(
     says = loopback(host) if announced is None else announced
     try:
         asyncio.run(_serve(host, port, bitrate, seed, as_json, says, errors))
+    except socket.gaierror as problem:
+        print(
+            f"headland: --host {host}: {problem.strerror}; name an address of this machine",
+            file=sys.stderr,
+        )
+        return WRONG
     except OSError as problem:
         print(
             f"headland: --port {port}: {problem.strerror or problem}; choose another or 0 for any free "

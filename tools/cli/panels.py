@@ -6,9 +6,10 @@ panel is printed last, under "Commands". A command that only keeps an old name a
 
 import configparser
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from importlib.metadata import PackageNotFoundError, version
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
@@ -24,6 +25,8 @@ RENAMED = {"--agents": "--robots", "--operator-key": "--keys", "--animate": "--f
 # The files that python-can reads, later ones first (its documentation, "Configuration file").
 CAN_FILES = ("can.ini", "~/.canrc", "~/.can", "/etc/can.conf", "~/can.conf")
 CAN_KEYS = ("interface", "channel", "bitrate")
+# Options whose number is never negative: spans of time, and a factor of it.
+SPANS = {"--seconds", "--timeout", "--wait", "--delay", "--limit", "--since", "--speed"}
 SHORT_MAX = 200  # characters of a command in the list: its first sentence, wrapped
 SETTINGS: dict[str, Any] = {
     "help_option_names": ["-h", "--help"],
@@ -64,9 +67,27 @@ class Panels(TyperGroup):
         if command.help and "\b" not in command.help:  # an example has a line of its own
             command.help = command.help.replace("\nExample:", "\n\nExample:")
         for param in command.params:
+            if not isinstance(param.callback, _Number):  # a second call in the same process
+                param.callback = _Number(param.callback)
             if param.name == "interface" and param.default == "socketcand":
                 ctx.default_map = {name: can_defaults()}
         return name, command, [_renamed(word, known) for word in rest]
+
+
+class _Number:
+    """The callback of an option: what is no number of any use is refused before the command begins."""
+
+    def __init__(self, before: Callable[[Any, Any, Any], Any] | None) -> None:
+        self.before = before
+
+    def __call__(self, ctx: Any, param: Any, value: Any) -> Any:
+        if self.before is not None:
+            value = self.before(ctx, param, value)
+        if isinstance(value, float) and not isfinite(value):
+            raise typer.BadParameter(f"{value} is not a finite number", ctx, param)
+        if isinstance(value, float) and value < 0 and not SPANS.isdisjoint(param.opts):
+            raise typer.BadParameter(f"{value:g} is negative; it needs 0 or more", ctx, param)
+        return value
 
 
 def _renamed(word: str, known: set[str]) -> str:

@@ -80,6 +80,10 @@ def new(file: Path, like: str, as_json: bool) -> int:
     except ScenarioError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
+    except OSError as problem:
+        why = f"cannot be written: {problem.strerror}; choose another folder"
+        print(f"headland: {file}: {why}", file=sys.stderr)
+        return WRONG
     if as_json:
         print(dumps({"written": [str(path) for path in written], "like": like}))
     else:

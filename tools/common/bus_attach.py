@@ -64,6 +64,17 @@ def scenario_of_launch(interface: str, host: str, port: int) -> str | None:
     return scenario if interface == "socketcand" and same else None
 
 
+def folder_of_launch(interface: str, host: str, port: int) -> Path | None:
+    """The folder of the newest launch here, where the bus is that launch's; None: another bus."""
+    try:
+        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
+        same = port == 0 or (host == where["host"] and port == where["port"])
+        folder = Path(str(where["folder"]))
+    except (ValueError, KeyError, TypeError):  # of them GivenFileError
+        return None
+    return folder if interface == "socketcand" and same else None
+
+
 def absolute(scenario: str) -> str:
     """The name of a scenario as another process can load it: a file by its absolute path."""
     path = Path(scenario)

@@ -16,6 +16,7 @@ WRITTEN = (
     "run.mcap", "run.[1-9]*.mcap", "trace.jsonl", "field.png", "work.geojson", "warehouse.png",
     "maps.png", "maps.gif", "fleet.md", "robot_*.png", "scene.json",
 )  # fmt: skip
+QUEUE = "queue.json"  # in the folder of a launch: goals of `headland say` that wait for a robot
 MARK = "scene.json"  # every run writes it first; a folder without it holds other files
 NAME_MAX = 64  # longest part of a scenario's name in a folder's name, characters
 

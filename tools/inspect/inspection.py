@@ -17,6 +17,7 @@ from protocol.links.bus import CanBus
 from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
+from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
 from tools.inspect.robot_table import show
@@ -63,7 +64,9 @@ def inspect(
         else:
             tell = (_told_json if as_json else _told_text) if watch else None
             bus = (interface, channel, bitrate, host, port)
-            with suppress(KeyboardInterrupt):  # of a watch, the usual end
+            told_s = 0.0 if watch or for_s is None else for_s  # a watch tells something each second
+            # Ctrl-C is the usual end of a watch.
+            with suppress(KeyboardInterrupt), told_wait("listening to the bus", told_s):
                 asyncio.run(_listen(inspector, *bus, for_s, tell))
             if watch:
                 return 0
@@ -180,7 +183,8 @@ def _traces(
     as_json: bool,
 ) -> int:  # fmt: skip
     """What a robot on a live bus has to tell of its last decisions, by the transport protocol."""
-    text = asyncio.run(_ask_traces(slot, interface, channel, bitrate, host, port, seconds))
+    with told_wait(f"the answer of robot {slot}", seconds):
+        text = asyncio.run(_ask_traces(slot, interface, channel, bitrate, host, port, seconds))
     if text is None:
         print(f"headland: robot {slot} did not answer within {seconds:g} s", file=sys.stderr)
         return 1

@@ -13,6 +13,7 @@ from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
+from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
 
@@ -111,7 +112,8 @@ def list_tasks(house: Warehouse | None, where: Where, as_json: bool) -> int:
             bus.close()
 
     try:
-        found = asyncio.run(story())
+        with told_wait("robots tell their tasks", LISTEN_S + LEARN_S):
+            found = asyncio.run(story())
     except AttachError as problem:
         return _wrong(problem)
     for each in found:
@@ -143,7 +145,8 @@ def status(number: int, wait_s: float, house: Warehouse | None, where: Where, as
             bus.close()
 
     try:
-        found = asyncio.run(story())
+        with told_wait(f"task {number}", LISTEN_S + LEARN_S + wait_s):
+            found = asyncio.run(story())
     except AttachError as problem:
         return _wrong(problem)
     if found is None:

@@ -12,8 +12,9 @@ from typing import TYPE_CHECKING, NamedTuple
 from protocol.authentication import Keyring
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.bus_attach import LAUNCH, AttachError, attach, folder_of_launch
 from tools.common.launch_keys import own_keys
+from tools.common.run_folder import QUEUE, RUNS
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
 from tools.language.endpoint import Endpoint, EndpointError
@@ -41,7 +42,7 @@ class Options(NamedTuple):
     bus: Attached
     key: Path | None = None
     places: Path | None = None
-    queue: Path = Path("runs/queue.json")
+    queue: Path | None = None  # None: in the folder of the launch whose bus it is
     by: str | None = None
     endpoint: str | None = None
     model: str = "default"
@@ -70,6 +71,12 @@ def say(words: list[str], options: Options) -> int:
 def _wrong(message: str) -> int:
     print(f"headland: {message}", file=sys.stderr)
     return WRONG
+
+
+def _own_queue(bus: Attached) -> Path:
+    """Goals of a launch are in its folder: the next fleet, on another field, does not get them."""
+    interface, _, _, host, port = bus
+    return (folder_of_launch(interface, host, port) or RUNS) / QUEUE
 
 
 class _Conversation:
@@ -105,7 +112,7 @@ class _Conversation:
         from tools.language.command_session import CommandSession
 
         options = self.options
-        queue = GoalQueue(options.queue)
+        queue = GoalQueue(options.queue or _own_queue(options.bus))
         speaker = CommandSession(
             bus, keyring, self.places, queue, self.read, self.ask, options.timeout_s, options.by
         )
@@ -126,7 +133,11 @@ class _Conversation:
         """This command serves the queue until its goals are given."""
         if not self.options.wait:
             return
-        print(f"waiting for an idle robot; Ctrl-C leaves it in {queue.path}", file=sys.stderr)
+        print(
+            f"waiting for an idle robot, for: {', '.join(queue.names)}. Robots that work go on. Ctrl-C "
+            f"leaves it queued in {queue.path}; 'headland say \"clear the queue\"' drops it",
+            file=sys.stderr,
+        )
         await speaker.serve(self.tell)
 
     # ---------------------------------------------------------------- words

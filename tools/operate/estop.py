@@ -11,6 +11,7 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.common.launch_keys import own_keys
+from tools.common.told_wait import told_wait
 from tools.operate.operator_device import KnownRobot, Operator
 
 REPEAT_S = 0.005
@@ -66,7 +67,8 @@ async def _estop(
         listen_to(bus, operator)
         if watch:
             return await _watch(operator)
-        late = await press(operator, reason, timeout_s)
+        with told_wait("until every robot confirms the stop", timeout_s):
+            late = await press(operator, reason, timeout_s)
         return _tell(operator, late, as_json, keys is not None)
     finally:
         bus.close()

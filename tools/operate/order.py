@@ -9,6 +9,7 @@ from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
 from tools.common.launch_keys import own_keys
+from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.reset import NOT_SIGNED, operator_keyring
@@ -76,7 +77,8 @@ async def _order(
             print(f"headland: robot {slot} is not heard; heard: {heard}", file=sys.stderr)
             return NOT_ALL
         question = robot.question
-        obeyed = await convey(operator, robot, what, goal, timeout_s)
+        with told_wait(f"until robot {slot} obeys or says why not", timeout_s):
+            obeyed = await convey(operator, robot, what, goal, timeout_s)
         _tell(robot, what, question is not None, obeyed, keyring is not None, as_json)
         return 0 if obeyed else NOT_ALL
     finally:

@@ -14,6 +14,7 @@ from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach
 from tools.common.launch_keys import own_keys
+from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG
 from tools.operate.operator_device import Operator
 from tools.operate.order import Attached
@@ -122,8 +123,10 @@ async def _rekey(
         if not rekeyer.wanted:
             print("headland: no robot is heard on this bus; nothing is changed", file=sys.stderr)
             return NOT_ALL
-        await rekeyer.give(timeout_s)
-        await rekeyer.switch(timeout_s)
+        with told_wait("until every robot holds the new keys", timeout_s):
+            await rekeyer.give(timeout_s)
+        with told_wait("until every robot uses the new keys", timeout_s):
+            await rekeyer.switch(timeout_s)
         use, heard = rekeyer.done(True), rekeyer.wanted
         if use:
             keys.finish(rekeying)

@@ -14,6 +14,7 @@ from protocol.operator_badges import ALL_ROLES, DAY_S, Role
 from sim.files.strict_json import dumps
 from tools.common.bus_attach import AttachError, attach, robots_of_launch
 from tools.common.launch_keys import own_keys
+from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 
@@ -58,9 +59,11 @@ async def _reset(
         await operator.listen(LISTEN_S, stops=True)
         cleared, _ = operator.shown.named
         asked = operator.release_asked
-        left = await release(operator, start, timeout_s)
+        with told_wait("until no robot is stopped", timeout_s):
+            left = await release(operator, start, timeout_s)
         if start and not left:
-            await started(operator, timeout_s)
+            with told_wait("until every robot has started", timeout_s):
+                await started(operator, timeout_s)
         await hear_causes(operator)
         silent = [robot.slot for robot in operator.silent]
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]

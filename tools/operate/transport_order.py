@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+from math import isfinite
 from pathlib import Path
 
 from agent.delivery.cost_matrix import Carrier
@@ -18,6 +19,7 @@ from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_attach import AttachError, attach, scenario_of_launch
 from tools.common.launch_keys import own_keys
+from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
 
@@ -44,7 +46,8 @@ def order(
             for row in rows
         ]
         keys = keys or own_keys(interface, host, port)
-        known = asyncio.run(_order(orders, where, proofs_of(keys)))
+        with told_wait("until two robots know of it", LISTEN_S + CONFIRM_S):
+            known = asyncio.run(_order(orders, where, proofs_of(keys)))
     except (ScenarioError, AttachError, KeyFileError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -66,6 +69,8 @@ def _rows(pickup: str | None, dropoff: str | None, file: Path | None) -> list[Ta
 def _point(text: str) -> tuple[float, float]:
     try:
         x_m, y_m = (float(part) for part in text.split(","))
+        if not (isfinite(x_m) and isfinite(y_m)):
+            raise ValueError
     except ValueError:
         raise ScenarioError(
             f"{text}: not a place; write X,Y in metres, for example 9.5,2.5"

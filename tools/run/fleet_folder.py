@@ -16,6 +16,7 @@ from sim.scenarios.field_setup import FieldSetup
 from tools.common.run_folder import (
     LATEST,
     LAUNCH,
+    QUEUE,
     RUNS,
     WRITTEN,
     FolderError,
@@ -141,7 +142,7 @@ def _write(folder: Path, identity: str, over: bool) -> None:
 
 def _put_away(folder: Path, journals: bool) -> int:
     """Move what an earlier launch left into `launch-N`; returns the number of this launch."""
-    names = (*LOGS, JOURNALS, TRUTH) if journals else LOGS
+    names = (*LOGS, JOURNALS, TRUTH, QUEUE) if journals else LOGS
     old = sorted({path for name in names for path in folder.glob(name)})
     number = max((n for n, _ in folders(folder, "launch")), default=0)
     if old:

@@ -134,8 +134,6 @@ def reports(
 def _draw(picture: Path, run: MapfRun, outcome: MapfOutcome, mapf: MapfInstance) -> None:
     from tools.run.mapf_picture import draw_ways
 
-    if picture.suffix not in PICTURES:
-        raise GridFileError(f"{picture}: a picture ends in {', '.join(PICTURES)}")
     steps = [[run.setting.ground.cell(number) for number in cells] for cells in run.steps]
     title = (
         f"{outcome.map}: {outcome.arrived} of {outcome.solvable} arrived, "
@@ -149,6 +147,11 @@ def measured(
     out: Path | None, picture: Path | None, as_json: bool,
 ) -> int:  # fmt: skip
     """Print a line for each number of robots; 0 if every run succeeded."""
+    for option, path in (("--out", out), ("--picture", picture)):  # said before the runs
+        if path is not None and not path.absolute().parent.is_dir():
+            raise GridFileError(f"{option} {path}: {path.parent} is not a folder")
+    if picture is not None and picture.suffix not in PICTURES:
+        raise GridFileError(f"--picture {picture}: a picture ends in {', '.join(PICTURES)}")
     clean = True
     table = Table(
         "robots", "arrived", "sum of costs", "shortest", "ratio", "makespan", "agreed after",

@@ -41,6 +41,8 @@ def plan(
     plans: list[WorkPlan] = []
     failed = False
     try:
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)  # a wrong one is said before the planning
         record = None if done is None else read_work_geojson(done)
         for scenario in _fields(_field_scenario(name).changed(robots, None, None, feature, drive)):
             try:

@@ -54,6 +54,23 @@ def _documents() -> set[str]:
     return {path.relative_to(DOCS).as_posix() for path in DOCS.rglob("*.md")}
 
 
+CODE_COLUMNS = 80  # what a box of the site shows, and a terminal has
+# Their long lines are printed by us, and the site wraps them (docs/wrapped_code.css).
+PRINTED = {"use/api.md", "use/inspect.md", "use/own_machine.md"}
+
+
+def test_code_that_is_copied_fits_its_box() -> None:
+    long = []
+    for name in sorted(_documents() - PRINTED):
+        inside = False
+        for number, line in enumerate((DOCS / name).read_text().splitlines(), 1):
+            if line.lstrip().startswith("```"):
+                inside = not inside
+            elif inside and len(line) > CODE_COLUMNS:
+                long.append(f"{name}:{number}: {len(line)} columns")
+    assert not long, "\n".join(long)
+
+
 @pytest.mark.skipif(find_spec("material") is None, reason="mkdocs-material is not installed")
 def test_it_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
     done = subprocess.run(

@@ -1,0 +1,28 @@
+"""What a command waits for, and how long at most, on a line of a terminal that goes after the wait.
+
+Pipes and `--json` get nothing of it: nobody waits there, and standard error has one line for an error.
+"""
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from tools.common.verbosity import Verbosity
+
+TOLD_ABOVE_S = 2.0  # shorter waits need no word
+CLEAR = "\r\x1b[K"
+
+
+@contextmanager
+def told_wait(what: str, for_s: float) -> Iterator[None]:
+    """A line while the block runs: `what`, and that it takes up to `for_s` seconds."""
+    shown = for_s > TOLD_ABOVE_S and sys.stderr.isatty() and not Verbosity.quiet
+    if shown:
+        print(
+            f"{what}: up to {for_s:.0f} s; Ctrl-C ends it ...", end="", file=sys.stderr, flush=True
+        )
+    try:
+        yield
+    finally:
+        if shown:
+            print(CLEAR, end="", file=sys.stderr, flush=True)
