@@ -419,6 +419,14 @@ class ToolProofs:
         self._asked = 0
         self._learned_at_us = -TOOL_TIME_US
 
+    def renew(self, keys: Keys, badge: Badge | None) -> None:
+        """The device has another secret or badge. Robots with the new keys keep the fleet's time, but
+        we ask for it again: it may have gone on in a fleet that we did not hear."""
+        self._keys.rekey(keys)
+        self._badge = badge
+        self._batch.clear()
+        self._learned_at_us = -TOOL_TIME_US
+
     def hear(self, source: int, message: Any, now_us: int) -> None:
         """Take in a message of the bus: answers to our question matter."""
         if isinstance(message, FleetTimeTold):

@@ -6,6 +6,7 @@ Transports may be ordered at any time, so it goes on until it is ended, by Ctrl-
 import asyncio
 
 from agent.delivery.task_registry import TASKS_MAX
+from agent.runtime.files.key_file import FLEET
 from crdt import Phase
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
@@ -15,7 +16,7 @@ from sim.record.remote_body import BodyServer
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody, Parcels
 from tools.language.places import Places
-from tools.operate.order_proofs import proofs_with
+from tools.operate.order_proofs import FileProofs
 from tools.operate.tool_address import DeviceAddress
 from tools.run.launch import Launch
 from tools.run.launch_bus import LaunchBus
@@ -42,8 +43,7 @@ class HaulLaunch(Launch):
         assert isinstance(self.setting, DeliverySetup)
 
         loop = asyncio.get_running_loop()
-        keys = self.setting.keys
-        proofs = None if keys is None else proofs_with(keys)
+        proofs = self._proofs()
         desk = DeviceAddress(_Desk(bus), proofs=proofs)
 
         def say(message: Message) -> None:
@@ -61,6 +61,14 @@ class HaulLaunch(Launch):
         bodies.body = carriers.__getitem__
         scripts = [self.depot.calls(), *self.depot.events()]
         return [asyncio.create_task(follow(script, bodies.zero_at_us)) for script in scripts]
+
+    def _proofs(self) -> FileProofs | None:
+        """Under the owner's key, as the file of the fleet has it now."""
+        scenario = self.setting.scenario
+        if self.setting.keys is None:
+            return None
+        assert scenario.fleet.keys is not None, "keys come from a file"
+        return FileProofs(scenario.folder / scenario.fleet.keys, FLEET, self.console.print)
 
     def _sections(self) -> frozenset[int]:
         """Tasks come while it goes on."""

@@ -72,7 +72,7 @@ class MasterGateway:
         self.house, self.book, self.broker, self.told = house, book, broker, told
         self.named, self.keys = named, keys
         self.operator = Operator(bus, None)
-        self.operator.device.proofs = proofs_of(keys)
+        self.operator.device.proofs = proofs_of(keys, told)
         self.inspector, self.desk = Inspector(), TransportClient(max(book.tasks, default=-1) + 1)
         self.courses: dict[int, float] = {}  # of each robot, radians
         self.ports: dict[int, _Port] = {}
