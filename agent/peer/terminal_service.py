@@ -264,6 +264,9 @@ class TerminalService(Part):
         if not self._latched:
             self._say(ctx, NOTHING_HELD)
             return []
+        if self._asked is not None:  # pressed again: no frame more than the rhythm
+            self._say(ctx, CONFIRM)
+            return []
         held = self.safety.held_stops
         self._asked = _AskedRelease(ctx.now_us + ASK_FOR_US, ctx.now_us, held.stops, held.digest)
         self._say(ctx, CONFIRM)

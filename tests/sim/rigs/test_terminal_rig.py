@@ -175,6 +175,16 @@ def test_a_new_stop_voids_a_release_that_was_asked_for() -> None:
     assert alarm(fleet) == NEW_STOP and all(latched(fleet))
 
 
+def test_many_presses_of_release_make_no_flood() -> None:
+    """An imitated terminal may press as often as it likes."""
+    fleet = asked_for(2, 26)
+    before = len(fleet.bus.carried)
+    for _ in range(100):
+        fleet.terminal.press(3001, 2)
+        fleet.run(10 * MS)
+    assert asked(fleet, before) <= 3, "twice a second"
+
+
 def test_a_release_of_a_fleet_with_keys_that_is_not_stopped_says_so() -> None:
     fleet = ScreenFleet(2, 25, keyed=True)
     fleet.run(8 * S)
