@@ -1,7 +1,7 @@
 # make demo   sets everything up and lets six robots work a real field, on a map in your browser
 # make fast   the unit tests of what a core computes: no fleets, no processes; a minute on two cores
 # make test   sets everything up, checks style and types, runs the tests but for the slow ones
-# make slow   the slow tests: real launches, long runs, documented commands as they stand
+# make slow   the slow tests: real launches, long runs, documented commands as they stand, all examples of properties
 # make check  format, style and types only      make bench  every figure our documents claim, quickly
 # make coverage  lines and branches that the tests of replicated state, frames and safety run, with floors
 # make lock   requirements.lock: all packages with their hashes, for `pip install --require-hashes`
@@ -66,13 +66,13 @@ fast: setup
 # Floors are percents, a little below what was reached: raise them with the tests.
 COVERED := tests/crdt tests/protocol tests/agent/interface tests/agent/peer tests/agent/safety
 coverage: setup
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --cov --cov-report= $(COVERED)
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "not slow" --hypothesis-profile thorough --cov --cov-report= $(COVERED)
 	$(BIN)/coverage report --include='crdt/*' --fail-under=93
 	$(BIN)/coverage report --include='protocol/*' --fail-under=80
 	$(BIN)/coverage report --include='agent/safety/*' --fail-under=88
 
 slow: setup kernels
-	$(BIN)/python -m pytest -n 2 --dist worksteal -m slow
+	$(BIN)/python -m pytest -n 2 --dist worksteal -m "slow or hypothesis" --hypothesis-profile thorough
 
 bench: setup
 	$(BIN)/headland bench all --quick

@@ -11,9 +11,13 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
+from tests.examples import QUICK, THOROUGH
+
 # An example that takes long, on a busy machine or where a kernel is compiled, is not wrong.
-settings.register_profile("headland", deadline=None)
-settings.load_profile("headland")
+# `make slow` and `make coverage` choose the profile `thorough`.
+settings.register_profile("quick", deadline=None, max_examples=QUICK)
+settings.register_profile("thorough", deadline=None, max_examples=THOROUGH)
+settings.load_profile("quick")
 
 PROCESS = re.compile(
     r"^\s*(?:import (?:subprocess|multiprocessing)|from (?:asyncio\.subprocess|tests\.tools\.launching)"

@@ -8,6 +8,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
+
 crdts = pytest.importorskip("crdts", reason="the reference package crdts is not installed")
 
 from crdt import FieldAllocationCRDT  # noqa: E402
@@ -18,7 +20,7 @@ histories = st.lists(
 
 
 @given(histories, st.randoms(use_true_random=False))
-@settings(deadline=None, max_examples=50)
+@settings(deadline=None, max_examples=examples(50))
 def test_both_converge_when_writes_only_set(
     history: list[tuple[int, int, bool]], rng: object
 ) -> None:

@@ -9,6 +9,7 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 
 from crdt import FieldAllocationCRDT, Progress
 from crdt.stops import StopDot, StopSet
+from tests.examples import examples
 
 REPLICAS = 3
 replicas = st.integers(0, REPLICAS - 1)
@@ -112,4 +113,4 @@ class Replicas(RuleBasedStateMachine):
 
 
 TestReplicas = Replicas.TestCase
-TestReplicas.settings = settings(max_examples=60, stateful_step_count=40, deadline=None)
+TestReplicas.settings = settings(max_examples=examples(60), stateful_step_count=40, deadline=None)

@@ -26,6 +26,7 @@ from protocol.frames.safety_frames import (
     EmergencyStop,
     OperatorCommand,
 )
+from tests.examples import examples
 
 MASTER, SECRET = bytes(range(16)), bytes(range(16, 32))
 FLEET, OPERATOR = Keys(MASTER, SECRET), Keys(None, SECRET)
@@ -182,7 +183,7 @@ acts = st.lists(
 )
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(acts)
 def test_in_any_history_each_frame_is_believed_at_most_once_and_only_if_it_was_sent(
     history: list[Act],

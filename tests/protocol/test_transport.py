@@ -27,6 +27,7 @@ from protocol.transport import (
     Transport,
     TransportControl,
 )
+from tests.examples import examples
 from tests.state_tables import check_table
 
 PGN = 0xFEEB
@@ -120,7 +121,7 @@ def test_any_one_frame_between_two_may_be_lost(lost: int) -> None:
     assert not any(end.sessions for end in channel.ends)
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, 2**32), st.floats(0, 0.6))
 def test_loss_ends_in_the_whole_message_or_in_none(seed: int, loss: float) -> None:
     rng = Random(seed)
@@ -134,7 +135,7 @@ def test_loss_ends_in_the_whole_message_or_in_none(seed: int, loss: float) -> No
     assert not any(end.sessions for end in channel.ends), "every session ends by itself"
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.tuples(
     st.integers(0, 253), st.booleans(), st.booleans(), st.binary(min_size=8, max_size=8),
     st.sampled_from([*TransportControl, 0, 200]), st.integers(0, 2_000_000)), max_size=80))  # fmt: skip

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
+from tests.examples import examples
 
 
 def scene(seed: int, rows: int, columns: int, robots: int) -> tuple[CellMap, list[int]]:
@@ -23,7 +24,7 @@ def course(ground: CellMap, places: list[int], covered: NDArray[np.bool_]) -> Jo
     return JointCourse(ground, range(len(places)), places, covered, (), 0.0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**6), st.integers(1, 12), st.integers(1, 12))
 def test_every_free_cell_has_one_number(seed: int, rows: int, columns: int) -> None:
     ground, _ = scene(seed, rows, columns, 1)
@@ -54,7 +55,7 @@ def movers(plan: JointCourse, at: list[int], willing: set[int]) -> set[int]:
         moving -= held
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 12))
 def test_driven_at_any_pace_nobody_meets_and_all_arrive(seed: int, robots: int) -> None:
     """Robots set out at random, when they may: the plan's order is enough, and never locks."""

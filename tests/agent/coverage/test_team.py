@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.coverage.team import Cell, Team
+from tests.examples import examples
 
 Walls = NDArray[np.bool_]
 
@@ -59,7 +60,7 @@ def scene(
     return walls, rng.sample(free, min(robots, len(free)))
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=examples(150), deadline=None)
 @given(st.integers(1, 14), st.integers(1, 14), st.sampled_from([0.0, 0.1, 0.25, 0.45]),
        st.integers(0, 30), st.integers(0, 10**6), st.sampled_from([0.0, 0.5]))  # fmt: skip
 def test_every_map_is_covered(
@@ -71,7 +72,7 @@ def test_every_map_is_covered(
     assert covered == reachable(walls, starts)
 
 
-@settings(max_examples=80, deadline=None)
+@settings(max_examples=examples(80), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 12), st.integers(0, 25), st.booleans())
 def test_deaths_and_joins(seed: int, robots: int, when: int, crowded: bool) -> None:
     walls, starts = scene(9, 11, 0.4 if crowded else 0.15, robots, seed)

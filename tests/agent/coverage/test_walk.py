@@ -15,6 +15,7 @@ from agent.coverage.team_step import WALL, fill_field, flood
 from agent.coverage.walk import measure, memory, steps_between, walk
 from agent.coverage.walk_cut import cut
 from agent.coverage.walk_shortening import polish
+from tests.examples import examples
 
 Mask = NDArray[np.uint8]
 
@@ -51,7 +52,7 @@ def length(free: Mask, width: int, order: list[int]) -> int:
     return sum(steps_from(free, width, a)[b] for a, b in pairwise(order))
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.integers(1, 12), st.integers(1, 12), st.sampled_from([0.0, 0.15, 0.3, 0.45]),
        st.integers(0, 10**6), st.booleans(), st.booleans(), st.sampled_from([0.0, 0.5, 0.9]))  # fmt: skip
 def test_a_walk_is_whole_and_measured(
@@ -135,7 +136,7 @@ def test_a_laid_way_is_a_shortest_one(side: int, seed: int) -> None:
 
 
 @given(st.integers(4, 24), st.integers(4, 24), st.floats(0.0, 0.5), st.integers(0, 99))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_searches_agree_on_steps(rows: int, columns: int, share: float, seed: int) -> None:
     """The search that ends where it arrives, the flood, and the field with limits."""
     walls = np.random.default_rng(seed).random((rows, columns)) < share

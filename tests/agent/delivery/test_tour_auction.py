@@ -7,9 +7,10 @@ from hypothesis import strategies as st
 from agent.delivery.cost_matrix import FULL, Carrier, workload
 from agent.delivery.tour_auction import RoutingPlanner
 from tests.agent.planning import COSTS, random_work, trips
+from tests.examples import examples
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(1, 6), st.integers(0, 20), st.integers(0, 10_000))
 def test_every_task_is_given_to_one_robot_and_a_search_never_makes_it_worse(
     robots: int, tasks: int, seed: int

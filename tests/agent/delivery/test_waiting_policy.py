@@ -13,10 +13,11 @@ from agent.delivery.waiting_policy import EVERY_US, PATIENCE_US, WaitingPolicy
 from agent.interface.config import MS, S
 from protocol.frames.delivery_frames import HASTENS, PlanOffer
 from tests.agent.planning import frozen, play, random_work
+from tests.examples import examples
 from tools.bench.task_stream import LeastWaiting, Plan
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(st.integers(1, 6), st.integers(0, 20), st.integers(0, 10_000))
 def test_hastened_tasks_wait_less_in_sum_and_the_last_finish_is_no_later(
     robots: int, tasks: int, seed: int

@@ -24,6 +24,7 @@ from agent.exploration.frontier import (
 from agent.mapping.inflation import Grid
 from crdt.occupancy import patch_of
 from crdt.sighting import FREE, OBSTACLE, UNKNOWN
+from tests.examples import examples
 
 
 def slow_wave(passable: Grid, at: tuple[int, int]) -> dict[tuple[int, int], float]:
@@ -43,7 +44,7 @@ def slow_wave(passable: Grid, at: tuple[int, int]) -> dict[tuple[int, int], floa
 
 
 @given(arrays(np.bool_, (9, 11), elements=st.booleans()), st.integers(0, 8), st.integers(0, 10))
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_a_wave_is_dijkstra(passable: Grid, r: int, c: int) -> None:
     passable[r, c] = True
     wave, slow = wave_from(passable, (r, c)), slow_wave(passable, (r, c))

@@ -23,6 +23,7 @@ from shapely.geometry.base import BaseGeometry
 from agent.field.field_division import divide
 from agent.field.field_map import Field, Polyline
 from sim.world.coverage_truth import BACK_COS
+from tests.examples import examples
 
 FIELDS = Path(__file__).parents[4] / "shared/data/fields/isoxml-dotnet/partfields13.geojson"
 WIDTH_M, OVERLAP_M = 4.0, 0.2
@@ -134,7 +135,7 @@ def polygons(draw: st.DrawFn) -> Polygon:
 
 
 @given(polygons())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_random_polygons_with_holes_are_covered(polygon: Polygon) -> None:
     check(polygon)
 
@@ -158,7 +159,7 @@ def narrow(draw: st.DrawFn) -> Polygon:
 
 
 @given(narrow())
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 def test_random_narrow_fields_are_covered(polygon: Polygon) -> None:
     check(polygon)
 

@@ -11,6 +11,7 @@ from agent.mapf.pibt import ways
 from agent.mapf.plan_schedule import Timetable
 from agent.mapping.building import Floor
 from sim.scenarios.building_generator import CORRIDOR, DEAD_END, JUNCTION, rooms
+from tests.examples import examples
 
 DRAWINGS = {"corridor": CORRIDOR, "junction": JUNCTION, "dead end": DEAD_END}
 LATTICES = {name: Floor.drawn(text, 1.0, 0.35).lattice for name, text in DRAWINGS.items()}
@@ -32,7 +33,7 @@ def drive(plan: JointPlan, rng: Random) -> None:
     assert all(reached[i] == len(plan.routes[i]) - 1 for i in range(count)), "a deadlock"
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(
     name=st.sampled_from(["corridor", "dead end"]),
     robots=st.integers(1, 8),
@@ -113,7 +114,7 @@ def test_the_fairest_of_some_plans(robots: int, seed: int) -> None:
     assert plan == planned(lattice.near, starts, goals, seed), "a pure function"
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(robots=st.integers(1, 9), seed=st.integers(0, 10**6))
 def test_nobody_comes_later_when_robots_are_put_back(robots: int, seed: int) -> None:
     name = ["corridor", "dead end"][seed % 2]

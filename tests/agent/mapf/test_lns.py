@@ -14,6 +14,7 @@ from agent.mapf.plan_schedule import Timetable
 from agent.mapping.building import Floor
 from sim.scenarios.building_generator import CORRIDOR, DEAD_END, rooms
 from tests.agent.mapf.test_lacam import drive
+from tests.examples import examples
 
 LATTICES = [Floor.drawn(text, 1.0, 0.35).lattice for text in (CORRIDOR, DEAD_END, rooms(3, 16))]
 
@@ -22,7 +23,7 @@ def price(waits: np.ndarray) -> float:
     return float((waits.astype(float) ** 6).sum())
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=examples(40), deadline=None)
 @given(robots=st.integers(2, 12), seed=st.integers(0, 10**6))
 def test_a_regrouped_plan_is_a_plan_and_no_worse(robots: int, seed: int) -> None:
     lattice, rng = LATTICES[seed % len(LATTICES)], Random(seed)

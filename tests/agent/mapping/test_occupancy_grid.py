@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from agent.mapping.inflation import Inflation, cell_of
 from agent.mapping.occupancy_grid import CELL_M, INFLATION_M, Obstacle, OccupancyGrid
 from agent.mapping.ray_evidence import HIT, MISS, MOST, weigh_scan
+from tests.examples import examples
 from tools.bench.kernels.occupancy_fleet import OccupancyFleet
 
 BODY_M = 0.30
@@ -44,7 +45,7 @@ def ring(grid: OccupancyGrid, at: tuple[float, float], truth: shapely.Geometry, 
 
 @given(seeds)
 @example(93249)  # through a corner of a cell
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_a_ray_weighs_the_cells_it_passes(seed: int) -> None:
     note(f"seed {seed}")
     rng = np.random.default_rng(seed)
@@ -73,7 +74,7 @@ def test_a_ray_weighs_the_cells_it_passes(seed: int) -> None:
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=60)
+@settings(deadline=None, max_examples=examples(60))
 def test_inflation_is_what_geometry_says_after_any_change(seed: int) -> None:
     note(f"seed {seed}")
     rng = np.random.default_rng(seed)
@@ -93,7 +94,7 @@ def test_inflation_is_what_geometry_says_after_any_change(seed: int) -> None:
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_a_way_keeps_its_distance_from_all_that_is_solid(seed: int) -> None:
     note(f"seed {seed}")
     rng = np.random.default_rng(seed)
@@ -234,7 +235,7 @@ def test_an_obstacle_stands_from_birth_to_expiry() -> None:
 
 
 @given(seeds)
-@settings(deadline=None, max_examples=40)
+@settings(deadline=None, max_examples=examples(40))
 def test_obstacles_that_overlap_come_and_go_independently(seed: int) -> None:
     note(f"seed {seed}")
     rng = np.random.default_rng(seed)
@@ -284,7 +285,7 @@ def test_a_saved_map_is_the_same_map() -> None:
 
 
 @given(st.binary(max_size=200), st.integers(0, 300), st.integers(0, 255))
-@settings(deadline=None, max_examples=150)
+@settings(deadline=None, max_examples=examples(150))
 def test_a_damaged_file_is_refused(noise: bytes, where: int, value: int) -> None:
     whole = OccupancyGrid(9, 7, (0.0, 0.0), BODY_M).to_bytes()
     changed = bytearray(whole)

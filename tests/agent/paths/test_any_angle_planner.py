@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 
 from agent.paths.any_angle_planner import Planner, length, plan
+from tests.examples import examples
 
 grids = st.tuples(
     st.integers(2, 14), st.integers(2, 14), st.integers(0, 1 << 30), st.floats(0, 0.5)
@@ -51,7 +52,7 @@ def touches_blocked(
 
 
 @given(grids, st.integers(0, 1 << 30))
-@settings(deadline=None, max_examples=300)
+@settings(deadline=None, max_examples=examples(300))
 def test_a_path_exists_where_the_flood_reaches_and_touches_nothing(
     grid: tuple[int, int, int, float], where: int
 ) -> None:

@@ -24,6 +24,7 @@ from sim.files.grid_map import (
     room_walls,
     write_instance,
 )
+from tests.examples import examples
 
 HEAD = "type octile\nheight 2\nwidth 3\nmap\n"
 
@@ -45,7 +46,7 @@ def test_a_bad_map_is_one_line(text: str) -> None:
     assert "\n" not in str(caught.value)
 
 
-@settings(max_examples=300)
+@settings(max_examples=examples(300))
 @given(st.text(st.sampled_from("map: root[]0123456789,\n-e."), max_size=60))
 def test_any_text_is_read_or_refused(text: str) -> None:
     for read in (parse_map, lambda text: parse_roots(text, 5)):

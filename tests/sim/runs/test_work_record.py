@@ -21,6 +21,7 @@ from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, write_geojson
 from sim.runs.work_record import LogPoint, WorkRecord, covered_area, record_of
 from sim.world.ground_truth import TrackPoint
+from tests.examples import examples
 from tests.sim.runs.work_isoxml import BadTimeLog, read_work_isoxml, unpack
 
 STARTED = datetime(2026, 3, 4, 23, 59, 30, tzinfo=UTC)  # midnight comes during the work
@@ -138,7 +139,9 @@ def test_bad_time_logs_are_said_to_be(records: bytes) -> None:
 
 @given(data=st.data())
 @settings(
-    max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(100),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_damaged_records_never_raise_anything_else(
     tmp_path: Path, record: WorkRecord, data: st.DataObject

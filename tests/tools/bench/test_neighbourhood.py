@@ -4,6 +4,7 @@ import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
 from tools.bench.kernels import agent_table as column
 from tools.bench.kernels.orca_fleet import OrcaFleet
 
@@ -24,7 +25,7 @@ def agents(rng: np.random.Generator, spread: float, step: float) -> column.Agent
     return made
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 20.0, 60.0]), st.sampled_from([0.0, 1.0]))
 def test_what_is_kept_changes_nothing(seed: int, spread: float, step: float) -> None:
     rng = np.random.default_rng(seed)

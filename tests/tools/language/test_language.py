@@ -7,6 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from tests.examples import examples
+
 pytest.importorskip("lark", reason="the extra `operator` is not installed")
 
 from tools.bench.phrases import Case, misspelt, phrases, understood
@@ -78,14 +80,14 @@ def test_a_misspelt_phrase_is_read_alike_or_asked_back(seed: int) -> None:
         assert isinstance(result, Question) or result == case.gives, (seed, said)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=examples(200), deadline=None)
 @given(st.text(max_size=60))
 def test_any_text_is_an_answer_or_a_question(text: str) -> None:
     result = read(text, FILE.places)
     assert isinstance(result, Question) or INTENTS.validate_python(result)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=examples(300), deadline=None)
 @given(
     st.lists(
         st.sampled_from([*sorted(" ".join(group) for group in TABLE), "2", "shelf", "zzz"]),

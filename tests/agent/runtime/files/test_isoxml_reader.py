@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.isoxml_reader import read_isoxml
+from tests.examples import examples
 
 DATA = Path(__file__).parents[5] / "shared/data/fields"
 real = pytest.mark.skipif(not DATA.exists(), reason="../shared/data/fields is absent")
@@ -188,7 +189,9 @@ def test_zips_that_are_none_and_that_blow_up(tmp_path: Path) -> None:
 
 @given(st.data())
 @settings(
-    max_examples=400, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture]
+    max_examples=examples(400),
+    deadline=None,
+    suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
 def test_damaged_files_never_raise_anything_else(tmp_path: Path, data: st.DataObject) -> None:
     """Bytes of a good file or zip changed, cut or repeated anywhere."""
