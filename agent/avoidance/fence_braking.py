@@ -8,8 +8,9 @@ would leave too little of it for braking, so that change is reduced.
 from math import hypot, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Floats = NDArray[np.float64]
 

@@ -9,8 +9,9 @@ Units: metres; x east, y north.
 from math import hypot, inf
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Floats = NDArray[np.float64]
 

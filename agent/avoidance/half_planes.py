@@ -14,11 +14,11 @@ over the control period.
 from math import sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.avoidance.k_nearest import Number, Real
 from agent.avoidance.linear_program import DX, DY, HALF, ONE, PX, PY, ZERO, Lines
+from agent.kernels.kernel import njit
 
 Table = NDArray[np.float32]  # (edges, COLUMNS), a wall a row
 Leg = tuple[Real, Real, bool]

@@ -8,8 +8,9 @@ Units: any, as long as all distances have the same.
 
 from typing import Any
 
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Number = Any  # an integer: int and np.int64 are one type to numba, but not to mypy
 Real = Any  # float32 or float64: numba compiles the kernel for each

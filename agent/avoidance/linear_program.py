@@ -12,10 +12,10 @@ Units: m/s; a point is a velocity (x, y).
 from math import sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.avoidance.k_nearest import Number, Real
+from agent.kernels.kernel import njit
 
 Lines = NDArray[np.float32]  # (half-planes, 4), PX to DY
 

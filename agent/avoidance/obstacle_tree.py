@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.avoidance.half_planes import (
@@ -31,6 +30,7 @@ from agent.avoidance.half_planes import (
 )
 from agent.avoidance.k_nearest import Real, insert
 from agent.avoidance.linear_program import ONE, ZERO
+from agent.kernels.kernel import njit
 
 Longs = NDArray[np.int64]
 Singles = NDArray[np.float32]

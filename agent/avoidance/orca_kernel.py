@@ -11,7 +11,6 @@ from math import nan, sqrt
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.avoidance.half_planes import Table, beside_agent, beside_wall
@@ -20,6 +19,7 @@ from agent.avoidance.linear_program import DX, DY, ONE, PX, PY, ZERO, Lines, sol
 from agent.avoidance.obstacle_tree import WALLS_MAX, Longs, Singles, near_walls
 from agent.avoidance.stopping_constraint import before_agent, within_grip
 from agent.interface.config import NEIGHBOURS_MAX
+from agent.kernels.kernel import njit
 
 Buffer = NDArray[np.float64]  # (SIZE,)
 

@@ -22,10 +22,10 @@ Units: metres, m/s, m/s² and seconds. `lines` (half-planes, 4) are described in
 from math import sqrt
 
 import numpy as np
-from numba import njit
 
 from agent.avoidance.k_nearest import Number, Real
 from agent.avoidance.linear_program import DX, DY, PX, PY, Lines, violation
+from agent.kernels.kernel import njit
 
 f32 = np.float32
 REACTION_S = 0.1  # two control periods, until a decision is executed and the wheels follow

@@ -10,10 +10,10 @@ Cells are numbers into the padded grid (see `agent/coverage/cell_links.py`). `fr
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.team_state import NONE
+from agent.kernels.kernel import njit
 
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]

@@ -18,10 +18,10 @@ maps never end.)
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.team_state import NONE, Number, Numbers, Robots, TeamGrid
+from agent.kernels.kernel import njit
 
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]

@@ -10,7 +10,6 @@ two ends of each piece. A walk is its cells in `order` (n,).
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.cell_links import (
@@ -26,6 +25,7 @@ from agent.coverage.cell_links import (
     name_pieces,
     unlink,
 )
+from agent.kernels.kernel import njit
 
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]

@@ -11,10 +11,10 @@ is (robots + 1,), and `robots` (robots,) says whose run it is.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.team_state import Number
+from agent.kernels.kernel import njit
 from agent.mapf.linear_assignment import assigned_rows
 
 Integers = NDArray[np.int32]

@@ -11,11 +11,11 @@ next.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.team_state import NONE, Number
 from agent.coverage.walk import Memory, memory, reach, steps_between
+from agent.kernels.kernel import njit
 
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]

@@ -10,11 +10,11 @@ so all peers that know the same agree without asking.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.coverage.team_state import NONE, Number, Robots, TeamGrid, Walked
 from agent.coverage.team_step import FAR, fill_field, wipe_field
+from agent.kernels.kernel import njit
 
 Mask = NDArray[np.uint8]
 Ints = NDArray[np.int32]

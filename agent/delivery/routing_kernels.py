@@ -19,10 +19,10 @@ from math import exp
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.delivery.routing_problem import IMPOSSIBLE_MS, Power, Whole
+from agent.kernels.kernel import njit
 
 Dice = NDArray[np.uint64]  # (1,), the state of the random generator
 LABELS = 8  # kept at each task; more than four were never needed at a time

@@ -6,10 +6,10 @@ also describes `work`, `near` and `state`. A plan is `route` (robots, room) with
 """
 
 import numpy as np
-from numba import njit
 
 from agent.delivery.routing_kernels import Dice, WorkArrays, propose, walk, write
 from agent.delivery.routing_problem import Whole
+from agent.kernels.kernel import njit
 
 
 @njit(cache=True)

@@ -13,9 +13,9 @@ from math import hypot
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.mapping.inflation import Cell, Grid
 from agent.paths.theta_star import sees
 from crdt.occupancy import SIDE, patch_of

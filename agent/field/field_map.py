@@ -14,9 +14,10 @@ from zlib import crc32
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from scipy.ndimage import label
 from shapely.geometry import LineString, Point, Polygon
 from shapely.ops import substring
+
+from agent.paths.regions import regions_of
 
 XY = tuple[float, float]
 Polyline = tuple[XY, ...]
@@ -188,7 +189,7 @@ def joins(
     parts = [part for part in getattr(free, "geoms", [free]) if not part.is_empty]
     if not parts:
         return True
-    regions = label(~blocked)[0]
+    regions = regions_of(blocked)
     region_of: dict[int, int] = {}
     for x_m, y_m in {end for section in field.sections for end in section.ends}:
         part = min(range(len(parts)), key=lambda k: parts[k].distance(Point(x_m, y_m)))

@@ -14,7 +14,6 @@ from itertools import combinations
 from typing import Final, NamedTuple
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from agent.field.plan_kernels import exchanged, first_end, improve, insert_all
 from agent.field.travel_times import (
@@ -25,6 +24,7 @@ from agent.field.travel_times import (
     Whole,
     nearest_jobs,
 )
+from agent.mapf.linear_assignment import assigned
 
 # Moves of the search. 400,000 take 0.2 s of a small computer; a plan that begins with the one before
 # needs fewer, because little has changed.
@@ -176,7 +176,7 @@ def _uncross(route: Whole, size: Whole, problem: PlanProblem, last_at_ms: int) -
     than the same two, exchanged.
     """
     ways, ends = exchanged(route, size, *problem)
-    _, row_of = linear_sum_assignment(ways + LATE_COST * np.maximum(ends - last_at_ms, 0))
+    row_of = assigned(ways + LATE_COST * np.maximum(ends - last_at_ms, 0))
     route[:], size[:] = route[row_of], size[row_of]
 
 

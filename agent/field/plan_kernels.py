@@ -17,8 +17,9 @@ Arguments of all kernels, times in milliseconds:
 from math import exp
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Whole = NDArray[np.int64]
 Dice = NDArray[np.uint64]

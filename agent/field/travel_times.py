@@ -13,11 +13,11 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse.csgraph import dijkstra
 
 from agent.field.field_map import Field, Polyline, Section
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.path_tracker import PathTracker
+from agent.paths.nav_mesh import spread
 from agent.paths.route import Route
 
 Point = tuple[float, float]
@@ -150,8 +150,7 @@ class TravelTimes:
             straight_for_ms[a] = self._straight_for_ms(self._opened[a], a)
         direct = np.minimum(straight_for_ms, straight_for_ms.T)
         np.fill_diagonal(direct, 0.0)
-        ways_for_ms: Floats = dijkstra(np.where(np.isinf(direct), 0.0, np.maximum(direct, 1e-3)))
-        ways_for_ms = ways_for_ms[:, :ends]
+        ways_for_ms = _shortest(direct)[:, :ends]
         apart_m = np.hypot(*(self._nodes[:, None, :] - self.ends[None, :, :]).transpose(2, 0, 1))
         lost = ~np.isfinite(ways_for_ms)
         ways_for_ms[lost] = UNJOINED * 1000 * self.straight_for_s(apart_m[lost])
@@ -208,3 +207,18 @@ def nearest_jobs(link_for_ms: Whole, count: int) -> Whole:
     np.fill_diagonal(soonest, np.iinfo(np.int64).max)
     order: Whole = np.argsort(soonest, axis=1, kind="stable")
     return np.ascontiguousarray(order[:, : max(1, min(count, jobs - 1))])
+
+
+def _shortest(direct_for_ms: Floats) -> Floats:
+    """The least time between any two nodes, (nodes, nodes), where the straight ways take
+    `direct_for_ms`, of the same shape; infinite where there is none."""
+    count = len(direct_for_ms)
+    joined = np.isfinite(direct_for_ms)
+    np.fill_diagonal(joined, False)
+    first = np.concatenate(([0], np.cumsum(joined.sum(axis=1))))
+    others, lengths = np.nonzero(joined)[1], np.maximum(direct_for_ms[joined], 1e-3)
+    least_for_ms = np.full((count, count), np.inf)
+    np.fill_diagonal(least_for_ms, 0.0)
+    for node in range(count):
+        spread(first, others, lengths, np.array([node]), least_for_ms[node])
+    return least_for_ms

@@ -48,3 +48,4 @@ class Observation(NamedTuple):
     # Standard deviation of the place, in metres and in each direction; 0.0: exact, as in a simulator.
     position_accuracy_m: float = 0.0
     heading_accuracy_rad: float = 0.0  # standard deviation
+    implement_down: bool | None = None  # None: nothing senses it

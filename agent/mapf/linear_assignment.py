@@ -10,8 +10,9 @@ longer than the rest of a robot's start.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 NOBODY = -1
 

@@ -19,9 +19,9 @@ Whole numbers, with products and sums in a fixed order, give all robots the same
 from typing import Any, NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.mapf.plan_schedule import hold
 
 Ints = NDArray[np.int32]

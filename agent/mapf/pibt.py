@@ -22,8 +22,9 @@ step, -1 for none. `salt` varies how ties are broken.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Ints = NDArray[np.int32]
 Floats = NDArray[np.float64]

@@ -18,8 +18,9 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Ints = NDArray[np.int32]
 Flags = NDArray[np.bool_]

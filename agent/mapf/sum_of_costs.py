@@ -20,9 +20,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.mapf.lacam import search
 from agent.mapf.lns import draw
 from agent.mapf.pibt import NOWHERE, ways

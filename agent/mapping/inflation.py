@@ -8,9 +8,9 @@ solid cells that block it, so a solid cell that goes takes only its own part awa
 from math import ceil, hypot
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.any_angle_planner import Planner, Point, Waypoints
 
 Cell = tuple[int, int]

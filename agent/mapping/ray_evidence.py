@@ -11,8 +11,9 @@ soon forgotten.
 from math import floor, pi
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Evidence = NDArray[np.int8]  # (rows, columns)
 Flags = NDArray[np.bool_]  # (rows, columns)

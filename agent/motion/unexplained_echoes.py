@@ -8,10 +8,10 @@ from collections.abc import Iterable, Sequence
 from math import cos, inf, nan, pi, sin, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from agent.interface.observation import Observation
+from agent.kernels.kernel import njit
 
 Point = tuple[float, float]  # metres east and north in the field
 Floats = NDArray[np.float64]

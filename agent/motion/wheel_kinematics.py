@@ -22,10 +22,9 @@ a whole, which keeps its direction. The simulator's bodies and the drivers of ma
 from math import atan, atan2, cos, hypot, pi, radians, sin, tan
 from typing import Any, Final, NamedTuple
 
-from numba import njit
-
 from agent.interface.effects import Drive
 from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.kernels.kernel import njit
 
 MARGIN = 1.5  # wheels can do this much more than straight ahead asks: a diagonal needs 1.41
 BACK_RAD, FORTH_RAD = 2.6, 2.0  # further off its course a tractor backs up; nearer it goes forward

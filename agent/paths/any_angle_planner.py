@@ -14,10 +14,10 @@ from itertools import pairwise
 from math import floor, hypot
 
 import numpy as np
-import scipy
 from numpy.typing import NDArray
 
 from agent.paths.corner_cache import CornerMemory
+from agent.paths.regions import regions_of
 from agent.paths.theta_star import GridSearch, sees
 
 Point = tuple[float, float]  # row, column; a pair of integers is the centre of that cell
@@ -62,7 +62,7 @@ class Planner:
         if way is not None:
             return [start, *way, goal]
         if self._regions is None:
-            self._regions = scipy.ndimage.label(~self.blocked)[0]
+            self._regions = regions_of(self.blocked)
             if not self._joined(start, goal):
                 return None
         # Never seen: the corner search compares rounded lengths, the regions know for certain.

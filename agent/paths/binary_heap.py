@@ -7,8 +7,9 @@ caller counts, and makes the arrays long enough.
 from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Number = Any  # an integer: int and np.int64 are one type to numba, but not to mypy
 

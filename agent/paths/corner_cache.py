@@ -8,9 +8,9 @@ numbers.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.corner_graph import (
     COLUMNS,
     CORNER_COLUMNS,

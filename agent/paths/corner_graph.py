@@ -20,9 +20,9 @@ such as (y, x), (r0, c0) and (r1, c1) are integers of `UNIT` to a cell: row firs
 from math import inf, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.binary_heap import Number, close_gap, push
 from agent.paths.line_of_sight import END, HALF, MARGIN, START, UNIT, glance, look, sees
 

@@ -11,8 +11,9 @@ Units: metres and radians; x east, y north, headings counter-clockwise from x.
 from math import acos, atan2, cos, hypot, pi, sin, sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
+
+from agent.kernels.kernel import njit
 
 Floats = NDArray[np.float64]
 

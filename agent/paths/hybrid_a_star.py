@@ -19,9 +19,9 @@ One kernel family, one file, but for the words of `dubins.py` and the heap.
 from math import floor, hypot, pi
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.binary_heap import Number, close_gap, push
 from agent.paths.dubins import WORDS, step, words
 

@@ -23,9 +23,9 @@ a change in this one, so touch it (or delete `__pycache__`) after one.
 """
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.binary_heap import Number
 
 Flags = NDArray[np.bool_]

@@ -16,9 +16,9 @@ from typing import Any
 
 import numpy as np
 import scipy
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.binary_heap import close_gap, push
 from agent.paths.theta_star import sees
 

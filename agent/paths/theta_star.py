@@ -17,9 +17,9 @@ One kernel family, one file, but for the heap: the cache of numba does not notic
 from math import sqrt
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from agent.kernels.kernel import njit
 from agent.paths.binary_heap import close_gap, push
 
 Flags = NDArray[np.bool_]

@@ -42,6 +42,7 @@ FAILURE_MODES: Final = {
     StopCause.BUS_OFF: 19,  # received network data in error
     StopCause.ERROR_PASSIVE: 19,
     StopCause.PLACE_FROZEN: 7,  # mechanical system does not respond
+    StopCause.IMPLEMENT_DOWN: 7,
     StopCause.PLACE_LOST: 2,  # data erratic
     StopCause.CONFIG_MISMATCH: 13,  # out of calibration
     StopCause.DUPLICATE_ID: 13,

@@ -24,6 +24,7 @@ from agent.peer.fleet_clock import FleetClock
 from agent.peer.fleet_summary import FLEET_SUMMARY_PGN, compose, write
 from agent.peer.fleet_views import FleetViews
 from agent.peer.frame_origin import Origins
+from agent.peer.implement_check import ImplementCheck
 from agent.peer.journal_recovery import LOST, sensible
 from agent.peer.key_renewal import KeptKeys, KeyRenewal
 from agent.peer.leader_election import OPERATOR_GATEWAY, Election
@@ -152,6 +153,7 @@ class PeerParts:
         needed_m = inf if mission is None else mission.position_accuracy_max_m
         self.senses = Senses(self.safety, motion, drives, needed_m)
         self.ranges = RangeSensing(self.safety, self.senses)
+        self.implement = ImplementCheck(self.safety, self.senses)
         self.check = SelfCheck(self.safety, self.joining, self.membership, beat, now_us)
         self.knowledge = SelfKnowledge(self.safety, self.senses, self.check)
         question = None if motion is None else motion.obstacle_question()
@@ -192,8 +194,9 @@ class PeerParts:
             self.membership, self.joining,
             self.conflicts, self.names, self.reports, self.state_sync, self.map_exchange,
             self.letters, self.votes, self.mission_messages, self.slots, self.work, self.check,
-            self.senses, self.ranges, self.directive, self.control, self.progress_told, self.voice,
-            self.release, self.departure, self.diagnostics, self.tasks, self.terminal, self.proven,
+            self.senses, self.ranges, self.implement, self.directive, self.control, self.progress_told,
+            self.voice, self.release, self.departure, self.diagnostics, self.tasks, self.terminal,
+            self.proven,
         ]  # fmt: skip
 
     def _make_trust(self, keyring: Keyring | None, now_us: int) -> None:

@@ -93,6 +93,7 @@ OF_CAUSE: Final[Mapping[StopCause, tuple[float, HealthSource]]] = {
     StopCause.PLACE_FROZEN: (FAILED, HealthSource.SENSES),  # the sensed place is wrong
     StopCause.PLACE_LOST: (FAILED, HealthSource.SENSES),
     StopCause.SCAN_LOST: (FAILED, HealthSource.SENSES),
+    StopCause.IMPLEMENT_DOWN: (FAILED, HealthSource.MACHINE),
     StopCause.LATE_TICK: (DEGRADED, HealthSource.COMPUTER),
 }
 NOT_OF_ITSELF: Final = frozenset({

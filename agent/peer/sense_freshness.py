@@ -150,6 +150,11 @@ class Senses(Part):
         """The command that the wheels were given."""
         self._drive = drive
 
+    @property
+    def implement_told_down(self) -> bool:
+        """Whether the command in force lowers the implement."""
+        return self._drive.tool_on
+
     def _started(self, ctx: StepContext, notice: notices.WasStarted) -> Outputs:
         """Restart the checks. If the start is for this robot alone, its place is believed."""
         self._anchor = None

@@ -19,7 +19,8 @@ The contract:
   `agent/motion/wheel_kinematics.py` makes wheel speeds of it for all three.
 * A command lives for `ACTUATOR_TTL_US`, 100 ms. Then the wheels stand. The controller of the wheels
   counts this time, because nobody else can when this process dies.
-* `tool_on` lowers the implement. It is raised when the command expires.
+* `tool_on` lowers the implement. It is raised when the command expires. A body that senses its implement
+  says so in `Observation.implement_down`. One that is down for 1 s against the command stops the robot.
 * `sense` and `drive` are called every 50 ms in the thread of the bus, and must not wait.
 * `close` stands. A body can be opened again after it.
 

@@ -14,6 +14,11 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from random import Random
 
+from agent.runtime.ready_kernels import use_ready_kernels
+
+if __name__ == "__main__":
+    use_ready_kernels()  # before anything is imported that has kernels
+
 from agent.interface.ports import Bus
 from agent.runtime.body_plugins import made
 from agent.runtime.end_signals import on_end

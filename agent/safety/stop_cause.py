@@ -32,6 +32,9 @@ class ClearCondition(Enum):
     WHEN_SCANNED = (
         "scans arrive and change for 1 s; look at the range sensors, their cable and their driver"
     )
+    WHEN_RAISED = (
+        "the implement is up; look at its lift, and at the sensor that says that it is down"
+    )
     BY_MOVE_OR_START = (
         "the place changes, or an operator's start after a look at receiver and wheels"
     )
@@ -137,6 +140,12 @@ class StopCause(Enum):
         ClearCondition.WHEN_SCANNED,
         "no scan of the range sensors arrives, or always the same one",
         "look at the range sensors of this robot, their cable and their driver",
+    )
+    IMPLEMENT_DOWN = _Rule(
+        Severity.PROTECTIVE,
+        ClearCondition.WHEN_RAISED,
+        "the implement was told to rise and is sensed down for more than 1 s",
+        "look at the implement of this robot and its lift, by hand if need be",
     )
     ADDRESS_LOST = _Rule(
         Severity.PROTECTIVE,

@@ -169,6 +169,7 @@ class StandsBy(IntEnum):
     PLACE_LOST = 22
     WORK_OFF = 23
     SCAN_LOST = 24
+    IMPLEMENT_DOWN = 25
 
 
 class Standstill(NamedTuple):

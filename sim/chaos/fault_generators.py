@@ -174,6 +174,11 @@ def _slipping(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fa
     return [kinds.Slipping(at_s=at_s, kind="slipping", robot=robot, slip=slip, for_s=for_s)]
 
 
+def _stuck_implement(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    robot, for_s = rng.randrange(robots), min(rng.choice((0.5, 3.0, 15.0, 30.0)), end_at_s - at_s)
+    return [kinds.StuckImplement(at_s=at_s, kind="stuck_implement", robot=robot, for_s=for_s)]
+
+
 def _late(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Later than the age limit of a position; smaller delays affect only the accuracy."""
     by_s, for_s = rng.choice((0.15, 0.5, 2.0)), min(rng.uniform(0.5, 8.0), end_at_s - at_s)
@@ -336,6 +341,7 @@ DRAWS: dict[str, Draw] = {
     "no_rays": _no_rays,
     "stuck_rays": _stuck_rays,
     "noisy_rays": _noisy_rays,
+    "stuck_implement": _stuck_implement,
     "disk_full": _disk_full,
     "estop": _press,
     "reset": _release,

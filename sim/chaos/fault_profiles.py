@@ -56,10 +56,11 @@ BODIES = (
     "no_rays",
     "stuck_rays",
     "noisy_rays",
+    "stuck_implement",
 )
 # Drawn in their own profile only: the seeds of the others stay what they were.
 RAYS = ("no_rays", "stuck_rays", "noisy_rays")
-SENSES = ("jumped", "drifting", "deaf_wheels", "slipping", *RAYS)
+SENSES = ("jumped", "drifting", "deaf_wheels", "slipping", *RAYS, "stuck_implement")
 ATTACKS = ("forger", "thief")
 TRAFFIC = ("person", "vehicle")
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
@@ -122,6 +123,10 @@ PROFILES = {
     "rays": Profile((2, 4), (2, 8), {"no_rays": 3.0, "stuck_rays": 3.0, "noisy_rays": 3.0,
                                      "estop": 0.5, "loss": 0.5, "freeze": 0.5, "blind": 0.5},
                     "range sensors that fall silent, hang and are noisy"),
+    # A robot that restarts while its implement is stuck senses it: crashes are drawn.
+    "implement": Profile((2, 4), (2, 8), {"stuck_implement": 5.0, "crash_working": 1.0, "estop": 1.0,
+                                          "reset": 0.5, "loss": 0.5, "freeze": 1.0, "blind": 0.5},
+                         "implements that do not rise, stops, lost senses, dead robots"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,

@@ -17,6 +17,7 @@ from agent.peer import member_conflicts as conflicts
 from agent.peer import section_claims as claims
 from agent.peer.durable_records import DurableRecords
 from agent.peer.frame_origin import Origin, Origins
+from agent.peer.implement_check import ImplementCheck
 from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
 from agent.peer.progress_announcements import ProgressAnnouncements
@@ -301,6 +302,13 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "scans-not-missed": Mutant(
         "a scan that does not arrive is not noticed", RangeSensing, "_wrong", _constant(""), "rays"
+    ),
+    "implement-not-watched": Mutant(
+        "an implement that does not rise is not noticed",
+        ImplementCheck,
+        "_period",
+        _constant(()),
+        "implement",
     ),
     "older-claim-wins": Mutant(
         "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"

@@ -11,9 +11,10 @@ from functools import partial
 from math import hypot
 from typing import Any
 
-from agent.interface.config import CONTROL_PERIOD_US, MS, S, beat_of
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S, beat_of
 from agent.interface.effects import Effect
 from agent.motion.implement_clearance import LEAD_M
+from agent.peer.implement_check import RISES_WITHIN_US
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
 from protocol.address import RETRY_MAX_US
@@ -58,6 +59,9 @@ EXCUSED_US = 3 * S
 # The latest observation is one period old at most, expires one period after its limit, and that is
 # noticed one control period later.
 SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
+# How far a robot may be told to stand after its implement should be up, or begins to be told so late:
+# the senses are one period old, the check notices a period later, and a command expires.
+STAYS_DOWN_US = RISES_WITHIN_US + 2 * CONTROL_PERIOD_US + ACTUATOR_TTL_US + SLACK_US
 # Distance of a robot that starts to drive while its position is frozen, and brakes again.
 STARTING_M = 0.5
 # Copies are lost, but no robot is cut off.
@@ -109,6 +113,8 @@ class ScenarioJudge:
         self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
         # The true position of each when it froze.
         self._frozen_at: dict[int, tuple[float, float]] = {}
+        # Ways with the implement down against the command, m, of robots whose implement is stuck.
+        self._dragged_m: dict[int, float] = {}
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
 
     def run(self) -> "ScenarioJudge":
@@ -218,6 +224,8 @@ class ScenarioJudge:
                 self._at(at_us, self._frozen_at.clear)
             case kinds.Frozen(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._place_freezes, robot, at_us + round(for_s * S)))
+            case kinds.StuckImplement(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._drags, robot, at_us + round(for_s * S), None))
             case kinds.DiskFull(robot=robot, for_s=for_s):
                 self._at(at_us + round(for_s * S) - 1, partial(self._keeps_silent, robot))
             case kinds.ClockJump(robot=robot):
@@ -330,6 +338,26 @@ class ScenarioJudge:
             if way_m > most_m:
                 what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
                 self._add("S19", self.cluster.host.now_us() / 1e6, what)
+
+    def _drags(self, slot: int, end_at_us: int, before: tuple[float, float] | None) -> None:
+        """S22: how far it drives with its implement down, by its true state, against the command in
+        force. `before`: its place at the last look, if it was so then; looks are a control period
+        apart."""
+        if self.protocol_world is not None:
+            return
+        now_us, body = self._now_us(), self.cluster.world.robots[slot]
+        against = body.tool_on and not body.commanded(now_us).tool_on
+        here = body.position if against else None
+        way_m = 0.0
+        if here is not None and before is not None:
+            way_m = self._dragged_m.get(slot, 0.0) + hypot(here[0] - before[0], here[1] - before[1])
+        self._dragged_m[slot] = way_m
+        most_m = body.chassis.speed_m_s * (STAYS_DOWN_US / S + body.chassis.stopping_for_s / 2)
+        if way_m > most_m:
+            what = f"robot {slot} drives {way_m:.1f} m with its implement down against its command"
+            self._add("S22", now_us / 1e6, what)
+        elif now_us < end_at_us:
+            self._at(now_us + CONTROL_PERIOD_US, partial(self._drags, slot, end_at_us, here))
 
     def _keeps_silent(self, slot: int) -> None:
         """S13: while its disk is full, it sends nothing that would have to be on the disk.

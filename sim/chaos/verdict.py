@@ -29,6 +29,7 @@ RULES = {
     "S19": "a robot that has lost its senses stands",
     "S20": "while a stop holds a robot, the standard stop is sent to implements",
     "S21": "a stop that is sent is of this fleet, of a panel of ours, or of a device without a NAME",
+    "S22": "a robot whose implement stays down against its command stands",
     "L1": "replicas are equal at the end, and no robot goes on asking",
     "L2": "after the resets no robot remains stopped",
     "L5": "the work is finished in time, all of it",

@@ -45,6 +45,7 @@ class FaultPlan:
         self.cluster = cluster
         self.done: list[tuple[float, str]] = []
         self._slips: dict[int, int] = {}  # how many faults of slip a robot has had
+        self._jammed_until_us: dict[int, int] = {}
         self._rng = Random(f"{cluster.scenario.run.seed}/faults")
 
     async def run(self) -> None:
@@ -157,6 +158,8 @@ class FaultPlan:
                 cluster.receivers[robot].deaf_wheels(now_us + round(for_s * S))
             case kinds.Slipping(robot=robot, slip=slip, for_s=for_s):
                 return self._slip(robot, slip, for_s)
+            case kinds.StuckImplement(robot=robot, for_s=for_s):
+                return self._jam(robot, for_s)
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s):
                 cluster.receivers[robot].late(now_us + round(for_s * S), round(by_s * S))
             case kinds.NoRays(robot=robot, for_s=for_s):
@@ -189,6 +192,15 @@ class FaultPlan:
         if self._slips[robot] == turn:
             self._now_us()
             body.slip(None)
+
+    def _jam(self, robot: int, for_s: float) -> Script[None]:
+        """The implement does not rise for a while. Of two such faults the later end holds."""
+        body, end_at_us = self.cluster.world.robots[robot], self._now_us() + round(for_s * S)
+        body.jam(True)
+        self._jammed_until_us[robot] = max(self._jammed_until_us.get(robot, 0), end_at_us)
+        yield end_at_us
+        if self._now_us() >= self._jammed_until_us[robot]:
+            body.jam(False)
 
     def _absent(self, fault: kinds.Fault) -> bool:
         """Whether the fault names a robot that has not been switched on yet."""

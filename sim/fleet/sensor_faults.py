@@ -122,7 +122,9 @@ class Receiver:
         """
         seen = self.scanner.tells(seen, world_now_us)
         if world_now_us < self._frozen_ends_at_us and self._place is not None:
-            seen = self._place._replace(sensed_at_us=world_now_us)
+            seen = self._place._replace(
+                sensed_at_us=world_now_us, implement_down=seen.implement_down
+            )
         if world_now_us < self._jump_ends_at_us:
             x_m, y_m, turn_rad = self._jump
             seen = seen._replace(

@@ -358,6 +358,14 @@ class Slipping(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class StuckImplement(_Fault):
+    """The implement of a robot does not rise: one that is down, or is lowered meanwhile, stays down."""
+
+    kind: Literal["stuck_implement"]
+    robot: Slot
+    for_s: float = Field(gt=0.0)
+
+
 class Late(_Fault):
     """The observations of a robot arrive this much later."""
 
@@ -432,7 +440,7 @@ Fault = Annotated[
     | BusOff | Estop | Reset | Order | Box | Person | PassingVehicle | Pushed | Join | Babble
     | Clone | Drift
     | ClockJump | CrashWorking | Blind | Frozen | Jumped | Drifting | DeafWheels | Slipping | Late
-    | NoRays | StuckRays | NoisyRays
+    | NoRays | StuckRays | NoisyRays | StuckImplement
     | DiskFull
     | Buttons | UsedStop | Foreign | Twin | Nonsense | Forger,
     Field(discriminator="kind"),

@@ -78,7 +78,8 @@ WHEEL, GRIP = 5, 9  # four each: front left, front right, rear left, rear right;
 # axle, steering angle
 TOOL, BACKING, COMMANDED_US = 13, 14, 15  # implement down; last step told to move
 KIND, R, L, W, LIMIT, GAIN, BRAKE, SLIP, LEAD, STEER, STEER_S, REVERSE = range(16, 28)
-COLUMNS = 28
+JAMMED = 28  # an implement that is down stays down
+COLUMNS = 29
 COMMAND = Struct("5d").pack_into  # the first five, with a buffer and where the row begins
 # One row of motion: the first six as the physics engine has them.
 X, Y, HEADING, VX, VY, TURN, RADIUS = range(7)
@@ -90,7 +91,7 @@ def row_of(chassis: Chassis) -> list[float]:
     margin = 1.0 if chassis.kind is DriveTrain.ACKERMANN else MARGIN
     row = [0.0] * COLUMNS
     row[EXPIRES_US] = row[COMMANDED_US] = -1.0
-    row[KIND:] = [
+    row[KIND:JAMMED] = [
         float(chassis.kind),
         chassis.wheel_radius_m, chassis.half_base_m, chassis.half_track_m,
         margin * chassis.speed_m_s / chassis.wheel_radius_m,
@@ -189,6 +190,8 @@ def roll(rows, motion, keys, now_us, push):  # type: ignore[no-untyped-def]
         live = now_us < row[EXPIRES_US]
         vx, vy, turn = (row[WANT_X], row[WANT_Y], row[WANT_TURN]) if live else (0.0, 0.0, 0.0)
         tool = row[WANT_TOOL] if live else 0.0
+        if row[JAMMED] != 0.0 and row[TOOL] != 0.0:
+            tool = row[TOOL]
         if tool != row[TOOL]:
             row[TOOL] = tool
             switched += 1

@@ -14,6 +14,7 @@ from sim.world.drive_trains import (
     COMMANDED_US,
     EXPIRES_US,
     HEADING,
+    JAMMED,
     MOTION,
     SLIP,
     TOOL,
@@ -105,7 +106,7 @@ class SimulatedBody:
         ranges_m = world.ranges(self.index)
         return OBSERVATION(Observation, (
             x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m, 1.0, (), -1,
-            NOTHING_SEEN, now_us, 1.0, 0.0, 0.0,
+            NOTHING_SEEN, now_us, 1.0, 0.0, 0.0, self.tool_on,
         ))  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:
@@ -131,6 +132,10 @@ class SimulatedBody:
     def slip(self, slip: float | None) -> None:
         """Fault: the grip of each wheel has this standard deviation; None: that of the chassis."""
         self.world.rows[self.index, SLIP] = self.chassis.slip if slip is None else slip
+
+    def jam(self, jammed: bool) -> None:
+        """Fault: an implement that is down, or is lowered meanwhile, stays down."""
+        self.world.rows[self.index, JAMMED] = float(jammed)
 
     def push(self, dx_m: float, dy_m: float) -> None:
         """Fault: a person moves the robot on its wheels.

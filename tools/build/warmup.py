@@ -2,12 +2,15 @@
 
 import os
 import signal
+import subprocess
 import time
 from collections.abc import Callable
 from multiprocessing import Pool
 
 import numpy as np
 from rich.console import Console
+
+from tools.common.child_process import module_command
 
 
 def _paths() -> None:
@@ -123,6 +126,27 @@ def _world() -> None:
     reachable_ground(box(0, 0, 20, 20), raster, WorkingBody(2.0, 0.2, 0.5, 1.5), [(5.0, 5.0)])
 
 
+def _wheels() -> None:
+    from agent.interface.effects import Drive
+    from agent.interface.vehicle import DriveTrain, Vehicle
+    from agent.motion.wheel_kinematics import WheelBase, WheelDrive
+
+    for drive in DriveTrain:
+        wheels = WheelDrive(WheelBase.of(Vehicle(drive=drive), 0.3))
+        wheels.speeds(Drive(1.0, 0.5, 0.1), 0.2)
+
+
+def _fields() -> None:
+    """Half a minute of two robots in a yard, of each drive train: plans, ways, and avoidance."""
+    from sim.runs.field_run import FieldRun
+    from sim.scenarios.field_setup import FieldSetup
+    from sim.scenarios.scenario import load
+
+    yard = load("yard").with_engine("contact_free")
+    for drive in ("mecanum", "differential", "ackermann"):
+        FieldRun(FieldSetup(yard.changed(2, 1, drive=drive, time_limit_s=YARD_S))).run()
+
+
 def _fleets() -> None:
     """What simulations of many robots compute for all of them at once."""
     from agent.avoidance.obstacle_tree import obstacle_tree
@@ -156,9 +180,12 @@ def _turns() -> None:
     route.way(VehiclePose(9.0, 1.2, -1.57), VehiclePose(9.0, 1.2, 1.57))
 
 
+YARD_S = 30.0  # in virtual time: a section is done, and the next one begun
+
 # Longest first: two processes then end at about the same time.
 PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("coverage", _coverage),
+    ("fields", _fields),
     ("paths", _paths),
     ("delivery", _delivery),
     ("fleets", _fleets),
@@ -169,6 +196,7 @@ PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("map", _map),
     ("exploration", _exploration),
     ("wire", _wire),
+    ("wheels", _wheels),
 )
 
 
@@ -176,7 +204,15 @@ def warm(steering: bool) -> None:
     """Compile what is not compiled; a fraction of a second where everything is."""
     for name, part in PARTS:
         # Only bodies that steer plan turns, and only simulations compute for all robots at once.
-        if name != "fleets" and (steering or name != "turns"):
+        # Playing in fields takes seconds also where everything is compiled.
+        if name not in ("fleets", "fields") and (steering or name != "turns"):
+            part()
+
+
+def rehearse() -> None:
+    """Call every kernel as robots do."""
+    for name, part in PARTS:
+        if name not in ("fleets", "wire", "world"):  # of simulations alone
             part()
 
 
@@ -189,6 +225,8 @@ def main(jobs: int) -> int:
     with Pool(jobs or os.cpu_count(), *leave) as pool, console.status("compiling ..."):
         for name, spent_s in pool.imap_unordered(_compiled, numbers):
             console.print(f"{name:11} {spent_s:6.1f} s")
+    # In a process of its own, which has imported no kernel: it finds them compiled.
+    subprocess.run(module_command("tools.build.kernel_module"), check=False)
     total_s = time.perf_counter() - begun_s
     console.print(f"ready after {total_s:.1f} s; a first start without this takes longer")
     return 0

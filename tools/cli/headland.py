@@ -401,7 +401,10 @@ def warmup(
 def compile_core(
     remove: Annotated[bool, typer.Option("--remove", help="Delete what was compiled.")] = False,
     kernels: Annotated[
-        bool, typer.Option("--kernels", help="Only the kernels of every run: no C compiler needed.")
+        bool,
+        typer.Option(
+            "--kernels", help="Only the kernels of every run, and with g++ those of robots."
+        ),
     ] = False,
 ) -> None:
     """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.

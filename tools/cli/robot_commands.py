@@ -61,6 +61,9 @@ def robot(
     Exit 0 after a farewell (Ctrl-C, SIGTERM), 2 if a person has to mend something first.
     Example: headland robot fleet.toml --slot 1 -i socketcan -c can0 --body nmea --check
     """
+    from agent.runtime.ready_kernels import use_ready_kernels
+
+    use_ready_kernels()  # before anything is imported that has kernels
     from agent.runtime.robot_file import Changes
     from tools.run.robot_command import robot as command
 

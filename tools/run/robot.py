@@ -13,6 +13,10 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from agent.runtime.ready_kernels import use_ready_kernels
+
+use_ready_kernels()  # before anything is imported that has kernels
+
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_file import RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, run_robot

@@ -134,6 +134,7 @@ ENDED_BY: dict[StopCause, str | None] = {
     StopCause.PLACE_FROZEN: "start",
     StopCause.PLACE_LOST: "time",  # here it stays at one place, which is accurate
     StopCause.SCAN_LOST: None,  # when scans arrive, here there is none: test_range_freshness.py
+    StopCause.IMPLEMENT_DOWN: None,  # when it is up, here nothing senses it: test_implement_check.py
     StopCause.ADDRESS_LOST: "time",  # it claims another
     StopCause.CONFIG_MISMATCH: "time",  # the other machine is not heard any more
     StopCause.DUPLICATE_ID: "time",
