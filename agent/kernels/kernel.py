@@ -100,7 +100,8 @@ def kind_of(value: object) -> Kind:
         if dtype.num >= NUMBERS_END or not dtype.isnative:
             return UNKNOWN
         order = C_ORDER if flags & C_ORDER else flags & F_ORDER
-        return dtype.num << 16 | array.ndim << 12 | flags & (ALIGNED | WRITABLE) | order
+        kinds: int = dtype.num << 16 | array.ndim << 12 | flags & (ALIGNED | WRITABLE) | order
+        return kinds
     if isinstance(value, tuple):
         return (kind.__name__, *[kind_of(each) for each in value])
     return SAME.get(kind.__name__, kind.__name__)

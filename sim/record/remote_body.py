@@ -11,7 +11,7 @@ import asyncio
 import struct
 from collections.abc import Callable
 from pathlib import Path
-from typing import ClassVar
+from typing import TYPE_CHECKING, ClassVar
 
 from agent.interface.effects import Drive, GatedDrive
 from agent.interface.observation import Observation, VisibleParcel
@@ -20,7 +20,9 @@ from agent.peer.peer import Peer
 from agent.runtime.robot_body import RobotBody
 from sim.record.intent_stream import IntentRelay, tell
 from sim.record.local_link import Link, LinkServer
-from sim.world.world import World
+
+if TYPE_CHECKING:
+    from sim.world.world import World  # physics and numba, which a robot's process has no use for
 
 TELL_US = 20_000  # one world step
 HELLO_S = 0.2  # a robot that has received nothing yet repeats its hello
@@ -65,7 +67,7 @@ def observation_of(data: bytes) -> Observation | None:
 class BodyServer:
     """Runs in the world's process. `zero_at_us`: the loop's time at which the world's time is 0."""
 
-    def __init__(self, world: World, zero_at_us: int) -> None:
+    def __init__(self, world: "World", zero_at_us: int) -> None:
         self.world, self.zero_at_us = world, zero_at_us
         # May be replaced by one with an arm and a battery.
         self.body: Callable[[int], Body] = world.body

@@ -32,6 +32,7 @@ from agent.runtime.ready_kernels import (
 )
 
 FAILED = 1
+KINDS = "agent/kernels/kernel.py"  # says how argument types are written in the table
 OURS = ("crdt", "protocol", "agent")  # layers that kernels of robots are in
 
 
@@ -85,7 +86,8 @@ def make(folder: Path, rehearse: Callable[[], None]) -> tuple[int, int]:
         function = f"entry{number}"
         compiler.export(function, call.types)(_entry(call.kernel, len(call.types)))
         entries.setdefault(name, []).append((kinds, function))
-    sources = {file: digest(LAYERS / file) for file in sorted(sources_of(rehearsal.modules))}
+    files = sorted({KINDS, *sources_of(rehearsal.modules)})
+    sources = {file: digest(LAYERS / file) for file in files}
     folder.mkdir(parents=True, exist_ok=True)
     target = extension_in(folder)
     with tempfile.TemporaryDirectory(dir=folder) as scratch:

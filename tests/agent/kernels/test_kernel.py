@@ -47,7 +47,7 @@ def test_numba_compiles_a_kernel_with_entries_inside_of_another() -> None:
     numba = module.numba_knowing_kernels()
     inner = Kernel(plus, {"cache": False}, Table())
 
-    @numba.njit
+    @numba.njit  # type: ignore[untyped-decorator]
     def outer(a: Any) -> Any:
         return inner(a, a)
 
