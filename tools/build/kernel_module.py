@@ -15,6 +15,7 @@ import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator
 from functools import cache
+from importlib import import_module
 from pathlib import Path
 from types import CodeType
 from typing import Any, NamedTuple
@@ -78,9 +79,7 @@ def make(folder: Path, rehearse: Callable[[], None]) -> tuple[int, int]:
     entries: dict[str, list[tuple[Kinds, str]]] = {}
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # "pending deprecation", as it has been since 2022
-        from numba.pycc import CC
-
-        compiler = CC(MODULE, source_module=sys.modules[__name__])
+        compiler: Any = import_module("numba.pycc").CC(MODULE, source_module=sys.modules[__name__])
     calls = sorted(rehearsal.calls.items(), key=lambda item: (item[0][0], repr(item[0][1])))
     for number, ((name, kinds), call) in enumerate(calls):
         function = f"entry{number}"
