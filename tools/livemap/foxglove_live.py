@@ -36,6 +36,9 @@ HEIGHT_M = 0.6
 TEXT_PX = 14.0
 FIX_S = 0.2  # between two fixes of a robot: a map panel does not need each pose
 SOON_S = 0.05  # after the first of several topics that one viewer subscribes to
+MOVE_S = 0.05  # between two transforms of a robot, whatever the period of poses on the bus
+LATE_MAX_S = 0.25  # a feed that is behind by more leaves transforms out
+AHEAD_MAX_S = 0.5  # a place is carried on by its speed for this long after its pose
 TELL_S = 1.0  # between two looks at what changes slowly
 # Messages kept for a viewer that reads slowly; the oldest are dropped. A full bus (1900 frames a second)
 # fills the 1024 of the SDK in half a second, and a line of the log that is dropped never comes again.
@@ -80,6 +83,7 @@ class FoxgloveFeed(Watcher):
         }
         self._fixes: dict[int, channels.LocationFixChannel] = {}
         self._fixed_s: dict[int, float] = {}
+        self._placed_s: dict[int, float] = {}  # when the newest pose of a robot came
         self._drawn: dict[str, object] = {}  # entity -> what was last published of it
         self._to_degrees = _to_degrees(self.scene)
         self._again: asyncio.TimerHandle | None = None
@@ -96,10 +100,12 @@ class FoxgloveFeed(Watcher):
             raise PortTaken(f"--foxglove {port}: {problem}") from None
         self.url = f"ws://{LOOPBACK}:{self._server.port}"
         self._telling = self._loop.create_task(self._keep_telling())
+        self._moving = self._loop.create_task(self._keep_moving())
 
     def close(self) -> None:
         """Tell viewers nothing more, and close the port."""
         self._telling.cancel()
+        self._moving.cancel()
         if self._again is not None:
             self._again.cancel()
         self._server.stop()
@@ -142,19 +148,36 @@ class FoxgloveFeed(Watcher):
             self._draw_robot(t_s, robot)
 
     def _place(self, t_s: float, robot: Seen) -> None:
-        if self._tf.has_sinks():
-            heading_rad = self._heading(t_s, robot)
-            self._tf.log(
-                messages.FrameTransform(
-                    timestamp=self._stamp(t_s), parent_frame_id=FIELD,
-                    child_frame_id=_frame_of(robot.slot),
-                    translation=messages.Vector3(x=robot.x_m, y=robot.y_m, z=0.0),
-                    rotation=_turn(heading_rad),
-                ),
-                log_time=self._ns(t_s),
-            )  # fmt: skip
+        self._placed_s[robot.slot] = t_s
         if self._to_degrees is not None and t_s - self._fixed_s.get(robot.slot, 0.0) >= FIX_S:
             self._fix(t_s, robot, self._to_degrees)
+
+    async def _keep_moving(self) -> None:
+        """Transforms at a rate of their own: in a large fleet, or on a busy machine, poses are rarer."""
+        due_s = self._loop.time()
+        while True:
+            due_s = max(due_s + MOVE_S, self._loop.time() - LATE_MAX_S)
+            await asyncio.sleep(due_s - self._loop.time())
+            if self._tf.has_sinks():
+                for slot, placed_s in self._placed_s.items():
+                    self._move(due_s, placed_s, self.robots[slot])
+
+    def _move(self, t_s: float, placed_s: float, robot: Seen) -> None:
+        """Where its newest pose and speed put it at `t_s`; a silent robot has no newer place."""
+        if robot.left or t_s - placed_s > SILENT_S:
+            return
+        course_rad = self.course.get(robot.slot, 0.0)
+        way_m = robot.speed_m_s * min(max(t_s - placed_s, 0.0), AHEAD_MAX_S)
+        x_m, y_m = robot.x_m + way_m * cos(course_rad), robot.y_m + way_m * sin(course_rad)
+        self._tf.log(
+            messages.FrameTransform(
+                timestamp=self._stamp(t_s), parent_frame_id=FIELD,
+                child_frame_id=_frame_of(robot.slot),
+                translation=messages.Vector3(x=x_m, y=y_m, z=0.0),
+                rotation=_turn(self._heading(t_s, robot)),
+            ),
+            log_time=self._ns(t_s),
+        )  # fmt: skip
 
     def _fix(self, t_s: float, robot: Seen, to_degrees: Callable[..., Any]) -> None:
         self._fixed_s[robot.slot] = t_s

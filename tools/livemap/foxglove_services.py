@@ -1,8 +1,8 @@
-"""Services for Foxglove viewers: an emergency stop and its release, both with the page's token as key.
+"""Services for Foxglove viewers: an emergency stop and its release, both with a key that was printed.
 
 Pages of other sites may connect to the port of `--foxglove`, so neither is open to everybody there. A
 stop that needs no key is the button of the map, `headland stop`, or a real one. A release also needs
-the operator's key that the map was started with (`tools/livemap/stop_panel.py`).
+the operator's key of the map or launch (`tools/livemap/stop_panel.py`).
 """
 
 import asyncio
@@ -18,7 +18,10 @@ from tools.livemap.stop_panel import Panel, PanelError
 
 STOP, RELEASE = "/emergency_stop", "/release"
 ANSWER_S = 30.0  # as long as the panel itself may take
-NO_RELEASE = "this map holds no operator's key: start it with --operator-key"
+NO_RELEASE = "there is no operator's key here: start the map or launch with --operator-key"
+WRONG_KEY = (
+    "the key is wrong: it is the one that the launch printed, or the token of the map's address"
+)
 Asked = Callable[[], Awaitable[dict[str, Any]]]
 
 
@@ -37,9 +40,7 @@ def services_of(panel: Panel, key: str) -> Sequence[Service]:
     def handler(asked: Asked) -> Callable[[ServiceRequest], bytes]:
         def answer(request: ServiceRequest) -> bytes:
             if not _has_key(request.payload, key):
-                return _told(
-                    False, "the key is wrong: it is the token in the address that the map printed"
-                )
+                return _told(False, WRONG_KEY)
             try:
                 running = asyncio.run_coroutine_threadsafe(_asked(asked), loop)
                 found = running.result(ANSWER_S)

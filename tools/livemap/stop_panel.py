@@ -4,10 +4,10 @@ import asyncio
 from pathlib import Path
 from typing import Any
 
+from agent.interface.ports import Bus
 from protocol.authentication import Keyring
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
-from protocol.links.bus import CanBus
 from tools.common.bus_attach import AttachError
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
@@ -33,9 +33,7 @@ class Panel:
     """Stops robots for any page, and releases them with the operator's key that was named when the
     map started."""
 
-    def __init__(
-        self, bus: CanBus, keyring: Keyring | None, operator_key: Path | None = None
-    ) -> None:
+    def __init__(self, bus: Bus, keyring: Keyring | None, operator_key: Path | None = None) -> None:
         """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it."""
         self.bus, self.signed = bus, keyring is not None
         self._key = operator_key  # chosen at the start of the map, never by a request

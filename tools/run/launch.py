@@ -46,7 +46,7 @@ from tools.run.launch_status import LaunchStatus
 
 if TYPE_CHECKING:
     from tools.inspect.prometheus_metrics import MetricsServer
-    from tools.livemap.foxglove_live import FoxgloveFeed
+    from tools.run.launch_viewers import LaunchViewers
 
 HOST = "127.0.0.1"
 LOOK_S = 0.5
@@ -80,7 +80,7 @@ class Launch:
         self.hub_port = 0  # port of a hub that runs by itself; 0: ours
         self.metrics_address: MetricsAddress | None = None  # of figures for Prometheus
         self.foxglove_port: int | None = None  # where viewers look
-        self.feed: FoxgloveFeed | None = None
+        self.viewers: LaunchViewers | None = None
         self.map: asyncio.subprocess.Process | None = None
         self.map_out: int | None = 2 if console.stderr else None  # where it prints its address
         self.keys = None if keys is None else str(keys.absolute())  # of its stop panel, the map
@@ -109,7 +109,6 @@ class Launch:
             body.track.straight_m = STRAIGHT_M
         bus = self._bus(port)
         metrics = self._serve_metrics(loop)
-        self._serve_viewers()
         # Logs of a launch carry the time of day, so that other logs can be laid beside them.
         epoch_us = round((time.time() - loop.time()) * 1e6)
         begin_at_us, told = epoch_us + round(loop.time() * 1e6), self.console.print
@@ -146,8 +145,8 @@ class Launch:
 
         def intend(intent: dict[str, Any]) -> None:
             keeping.tell(epoch_us + round(loop.time() * 1e6), intent)
-            if self.feed is not None:
-                self.feed.intend(loop.time(), intent)
+            if self.viewers is not None:
+                self.viewers.feed.intend(loop.time(), intent)
 
         bodies.relay.keep = intend
         (self.out / "bus.json").write_text(dumps(where))
@@ -157,6 +156,7 @@ class Launch:
             f"({viewer_command(HOST, bus.port)})"
         )
         self._tell_keys()
+        self._serve_viewers(bus.port)
         stepping = asyncio.create_task(bodies.run())
         try:
             if self.page_port is not None:
@@ -169,11 +169,11 @@ class Launch:
             await self._end_all()
             for task in (stepping, *going_on):
                 task.cancel()
+            if self.viewers is not None:
+                self.viewers.close()
             await bus.stop()
             if metrics is not None:
                 metrics.close()
-            if self.feed is not None:
-                self.feed.close()
             bodies.close()
             self._keep_truth()
             Ending(TRUTH, self._untold).close(memory.close)
@@ -233,8 +233,8 @@ class Launch:
 
     def _heard(self, t_us: int, frame: Frame) -> None:
         self.inspector.hear(t_us / 1e6, frame)
-        if self.feed is not None:
-            self.feed.hear(t_us / 1e6, frame)
+        if self.viewers is not None:
+            self.viewers.feed.hear(t_us / 1e6, frame)
 
     async def _start_all(self, bus_port: int, bodies: Path) -> None:
         bus = {
@@ -269,13 +269,17 @@ class Launch:
         self.console.print(f"metrics: {server.start()}")
         return server
 
-    def _serve_viewers(self) -> None:
+    def _serve_viewers(self, bus_port: int) -> None:
         if self.foxglove_port is None:
             return
-        from tools.livemap.foxglove_live import start_feed
+        from tools.run.launch_viewers import LaunchViewers
 
-        self.feed = start_feed(scene_of(self.setting), self.foxglove_port)
-        self.console.print(f"foxglove: {self.feed.url}")
+        key = None if self.operator_key is None else Path(self.operator_key)
+        self.viewers = viewers = LaunchViewers(
+            scene_of(self.setting), self.foxglove_port, (HOST, bus_port),
+            None if self.keys is None else Path(self.keys), key,
+        )  # fmt: skip
+        self.console.print(f"foxglove: {viewers.feed.url}   key of its services: {viewers.key}")
 
     def _pids(self) -> dict[int, int]:
         """Of the robots whose process runs."""

@@ -12,6 +12,7 @@ from collections import defaultdict
 from collections.abc import AsyncIterator, Callable, Mapping
 from contextlib import asynccontextmanager
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from socket import SO_RCVBUF, SOL_SOCKET, socket
 from typing import Any
@@ -30,12 +31,12 @@ from websockets.typing import Subprotocol
 from agent.interface.lifecycle import State
 from crdt.sighting import FREE, OBSTACLE, MergeOrder
 from protocol.frames.codec import encode
-from protocol.frames.fleet_frames import Heartbeat, Member
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.map_frames import MapPatch
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, Reason
 from protocol.sync.map_sync import encode_cells
 from tests.tools.launching import WAIT_S, call, said, start
-from tools.livemap.foxglove_live import FoxgloveFeed
+from tools.livemap.foxglove_live import AHEAD_MAX_S, FoxgloveFeed
 from tools.livemap.foxglove_port import PortTaken, check_port
 
 PROTOCOL = "foxglove.sdk.v1"
@@ -235,6 +236,17 @@ def test_a_viewer_of_a_map_stops_and_releases_a_fleet_with_the_key(tmp_path: Pat
     asyncio.run(story())
 
 
+@pytest.mark.slow
+def test_a_viewer_of_a_launch_stops_and_releases_it_with_the_key(tmp_path: Path) -> None:
+    async def story() -> None:
+        async with running(tmp_path, "launch", "small", "--foxglove", "0") as launch:
+            address, *_, key = (await said(launch, r"foxglove: (ws://\S+ .*)")).split()
+            async with viewing(address) as viewer:
+                await stop_and_release(viewer, key)
+
+    asyncio.run(story())
+
+
 async def stop_and_release(viewer: Viewer, key: str) -> None:
     await viewer.look({"60 transforms": lambda: len(viewer.seen["/tf"]) > 60})
     for wrong in ({}, {"key": "guessed"}, {"key": 5}):
@@ -285,6 +297,29 @@ def test_a_late_viewer_is_told_states_and_stops_of_now() -> None:
                     "the state": lambda: viewer.logged("is WORKING"),
                     "the stop": lambda: viewer.logged("emergency stop 0.1.5 holds"),
                 })  # fmt: skip
+        finally:
+            feed.close()
+
+    asyncio.run(story())
+
+
+def test_transforms_come_twenty_times_a_second_where_poses_are_rarer() -> None:
+    async def story() -> None:
+        feed = FoxgloveFeed(None, 0, 0.0)
+        try:
+            async with viewing(feed.url) as viewer:
+                await viewer.look({"the topic": lambda: feed._tf.has_sinks()})
+                now_s = asyncio.get_running_loop().time()
+                feed.hear(now_s, encode(Member(0, 1, 7), 128))
+                feed.hear(now_s, encode(Pose(3.0, 4.0, 0.0, 1.0, 1, False, 0), 128))
+                transforms = viewer.seen["/tf"]
+                await viewer.look({"transforms of 0.6 s": lambda: len(transforms) > 12})
+            times_s = [t.timestamp.seconds + t.timestamp.nanos / 1e9 - now_s for t in transforms]
+            assert all(abs(b - a - 0.05) < 0.001 for a, b in pairwise(times_s)), times_s
+            for told, at_s in zip(transforms, times_s, strict=True):
+                away_m = min(max(at_s, 0.0), AHEAD_MAX_S) * 1.0  # at 1 m/s
+                assert abs(told.translation.x - 3.0 - away_m) < 0.02
+                assert told.translation.y == pytest.approx(4.0, abs=0.01)
         finally:
             feed.close()
 
