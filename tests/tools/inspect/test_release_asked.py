@@ -21,10 +21,8 @@ RELEASE = OperatorReport(SLOT, 0, ReportKind.RELEASE_ASKED, 0.0, 0.0)
 def test_a_release_is_asked_for_while_a_robot_says_so_and_its_own_question_stays() -> None:
     watcher, timeline = Watcher(), History()
     for listener in (watcher, timeline):
-        for k, message in enumerate(
-            (AddressClaimed(fleet_name("n", SLOT).pack()), Member(SLOT, 1, 7))
-        ):
-            listener.hear(k * 0.01, encode(message, AT))
+        listener.hear(0.0, encode(AddressClaimed(fleet_name("n", SLOT).pack()), AT))
+        listener.hear(0.1, encode(Member(SLOT, 1, 7), AT))
         listener.hear(0.9, encode(ASKS, AT))
         for k in range(6):
             listener.hear(1.0 + k * 0.5, encode(RELEASE, AT))
