@@ -30,6 +30,9 @@ BLOCK_MS = 1_000
 SILENCE_S = 5 * LEASE_MS / 1e3
 SILENCE_MAX_S = 60.0  # the time doubles up to this while nobody is there to be heard
 WATCH_S = 0.5  # between looks at the silence
+SESSIONS_MAX = 256  # with one program that listens: two gateways for each of 128 segments
+PENDING_MAX = 64  # of them, that have not said who they are
+MESSAGE_BYTES_MAX = 1 << 20  # a message of ours has 64 KiB at most; Zenoh's own limit is 1 GiB
 INBOX_MAX = 4096  # messages on their way to the event loop
 FRAME_BYTES = 4  # of the identifier before the data of a frame
 IDENTIFIER_MAX = 1 << 29
@@ -63,6 +66,10 @@ def configure(
         "transport/link/tx/lease": LEASE_MS,
         "transport/link/tx/queue/congestion_control/block/wait_before_close": BLOCK_MS * 1000,
         "transport/unicast/open_timeout": OPEN_MS,
+        "transport/unicast/max_sessions": SESSIONS_MAX,
+        "transport/unicast/accept_timeout": OPEN_MS,
+        "transport/unicast/accept_pending": PENDING_MAX,
+        "transport/link/rx/max_message_size": MESSAGE_BYTES_MAX,
         "connect/timeout_ms": -1,  # keep trying: a gateway may start before its backbone
         "connect/exit_on_failure": False,
         "connect/retry": {

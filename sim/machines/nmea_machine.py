@@ -17,7 +17,7 @@ Its integrator and its sentences are its own code: nothing is shared with the dr
 import asyncio
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from datetime import UTC, datetime
 from functools import reduce
@@ -34,8 +34,13 @@ FIX_RTK, FIX_FLOAT = 4, 5
 STD_M: Final = {FIX_RTK: 0.012, FIX_FLOAT: 0.4}
 EARTH: Final = Geod(ellps="WGS84")
 LINE_MAX: Final = 1024  # bytes
+CLIENTS_MAX: Final = 8  # of one port: its robot, one that restarts, and people who look
+SKIPPED_BYTES: Final = 4096  # read at once from a client of the receiver, which has nothing to say
 LATE_MAX: Final = 4096  # sentences on their way: 50 s
 WHEELS: Final = {"mecanum": 4, "differential": 2, "ackermann": 1}
+
+
+Serve = Callable[[asyncio.StreamReader, asyncio.StreamWriter], Coroutine[Any, Any, None]]
 
 
 class Dimensions(NamedTuple):
@@ -166,7 +171,8 @@ class NmeaMachine:
         Raises OSError."""
         for port, serve in ((gnss, self._receiver), (wheels, self._controller),
                             (control, self._orders)):  # fmt: skip
-            self._servers.append(await asyncio.start_server(serve, host, port))
+            seated = self._seated(serve)
+            self._servers.append(await asyncio.start_server(seated, host, port, limit=LINE_MAX))
         loop = asyncio.get_running_loop()
         self._tasks = [loop.create_task(self._moves()), loop.create_task(self._sends())]
         one, two, three = (server.sockets[0].getsockname()[1] for server in self._servers)
@@ -268,10 +274,28 @@ class NmeaMachine:
         longitude, latitude, _ = EARTH.fwd(longitude, latitude, azimuth_deg, hypot(x_m, y_m))
         return _angle(latitude, 2, "NS"), _angle(longitude, 3, "EW")
 
+    def _seated(self, serve: Serve) -> Serve:
+        """A port that serves `CLIENTS_MAX` at once. A newcomer takes the seat of the oldest, because a
+        robot that restarts must get in."""
+        seats: list[asyncio.StreamWriter] = []
+
+        async def seated(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+            seats.append(writer)
+            if len(seats) > CLIENTS_MAX:
+                seats.pop(0).transport.abort()
+            try:
+                await serve(reader, writer)
+            finally:
+                if writer in seats:
+                    seats.remove(writer)
+
+        return seated
+
     async def _receiver(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         self._receivers.add(writer)
         with suppress(ConnectionError):
-            await reader.read()  # until it is gone
+            while await reader.read(SKIPPED_BYTES):  # until it is gone
+                pass
         self._receivers.discard(writer)
         writer.close()
 
@@ -293,6 +317,8 @@ class NmeaMachine:
     async def _orders(self, reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
         async for line in _lines(reader):
             writer.write(self.order(line.decode("ascii", "replace").split()) + b"\n")
+            if writer.transport.get_write_buffer_size() > LATE_MAX * LINE_MAX:
+                writer.transport.abort()  # it asks and does not read
         writer.close()
 
     def order(self, words: list[str]) -> bytes:

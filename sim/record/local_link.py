@@ -20,6 +20,7 @@ from typing import Self, cast
 
 LENGTH = struct.Struct("<H")
 MESSAGE_MAX = 8_192  # bytes; 720 rays and 32 parcels take half of it
+LINKS_MAX = 256  # of one server: 108 robots, those that restart, and listeners
 BACKLOG_MAX = 64 * 1024  # bytes that wait for a slow reader: a quarter of a second of a world
 CREDENTIALS = struct.Struct("3i")  # process, user, group of the other end, as reported by Linux
 ROOT = 0
@@ -93,7 +94,7 @@ class LinkServer:
 
     def __init__(self, made: Callable[[], Link]) -> None:
         self.made = made
-        self.foreign = 0
+        self.foreign = self.crowded = 0  # of other users, and beyond `LINKS_MAX`
         self.links: set[Link] = set()
         self.path: Path | None = None
         self._server: asyncio.Server | None = None
@@ -127,8 +128,10 @@ class _Arrival(asyncio.Protocol):
         self._link: Link | None = None
 
     def connection_made(self, transport: asyncio.BaseTransport) -> None:
-        if not _is_ours(transport):
-            self.server.foreign += 1
+        ours = _is_ours(transport)
+        if not ours or len(self.server.links) >= LINKS_MAX:
+            self.server.foreign += not ours
+            self.server.crowded += ours
             cast(asyncio.Transport, transport).abort()
             return
         self._link = self.server.made()

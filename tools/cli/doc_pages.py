@@ -1,5 +1,5 @@
 """What the documents print from the code: frames with their layouts, states with their edges,
-the keys of scenarios, the programming interface, and the chart of chaos.
+the keys of scenarios, the programming interface, sockets with their limits, and the chart of chaos.
 
     python -m tools.cli.doc_pages docs       # writes how/frames.md, how/states.*, use/api.md ...
 
@@ -14,6 +14,7 @@ from tools.cli.chart_pages import chart
 from tools.cli.frame_pages import frames
 from tools.cli.route_pages import routes
 from tools.cli.scenario_pages import scenario_page
+from tools.cli.socket_limits import sockets_page
 from tools.cli.state_pages import MACHINES, diagram, states
 
 NOTE = "<!-- printed by python -m tools.cli.doc_pages docs; do not edit -->"
@@ -25,6 +26,7 @@ def pages() -> dict[str, str]:
         "how/frames.md": f"{NOTE}\n{frames()}", "how/states.md": f"{NOTE}\n{states()}",
         **{f"how/{machine.picture}": diagram(machine) for machine in MACHINES},
         "how/routes.md": f"{NOTE}\n{routes()}",
+        "how/sockets.md": f"{NOTE}\n{sockets_page()}",
         "measured/chaos.svg": chart(),
         "use/api.md": f"{NOTE}\n{api()}",
         "use/scenario.md": f"{NOTE}\n{scenario_page()}",

@@ -14,7 +14,7 @@ from prometheus_client import (
     Histogram,
     PlatformCollector,
     ProcessCollector,
-    start_http_server,
+    make_wsgi_app,
 )
 from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily
 from prometheus_client.metrics_core import Metric
@@ -25,6 +25,7 @@ from agent.safety.stop_cause import cause_of
 from tools.inspect.inspector import Seen
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError
+from tools.inspect.scrape_server import ScrapeServer
 
 REPLICAS = ("in step", "before the last change", "differs")
 ANSWER_S = 5.0  # Prometheus gives up after 10 s
@@ -236,11 +237,8 @@ class MetricsServer:
         """Open the port; the URL of the figures. Raises MetricsError where it is taken."""
         try:
             # The registry is not given itself: it is read where nothing changes meanwhile.
-            self._server, _ = start_http_server(
-                self.address.port,
-                self.address.host,
-                _InLoop(self.registry, self._loop),
-            )
+            app = make_wsgi_app(_InLoop(self.registry, self._loop))
+            self._server = ScrapeServer(self.address.host, self.address.port, app)
         except OSError as problem:
             raise MetricsError(f"--metrics {self.address}: {problem.strerror}") from None
         self.port = self._server.server_port

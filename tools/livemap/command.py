@@ -154,11 +154,13 @@ async def serve(server: "MapServer", listener: socket.socket) -> None:
     """Until Ctrl-C, or the task is cancelled."""
     import uvicorn
 
+    from tools.livemap.seated_http import seated
     from tools.livemap.server import MESSAGE_MAX
 
     config = uvicorn.Config(
         server.app, log_level="warning", lifespan="off", ws_per_message_deflate=False,
         access_log=False, timeout_graceful_shutdown=1, ws_max_size=MESSAGE_MAX,
+        http=seated(),
     )  # fmt: skip
     index = asyncio.create_task(server.keep_index())
     web = uvicorn.Server(config)
