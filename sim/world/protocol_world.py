@@ -99,7 +99,23 @@ class StationaryBody(SimulatedBody):
         angle = now_us * 1e-6 + self.slot
         x, y = CIRCLE_M * cos(angle), CIRCLE_M * sin(angle)
         x_m, y_m, course_rad = self.x_m + x, self.y_m + y, 0.0
-        seen = x_m, y_m, course_rad, -y, x, (), 1.0, (), -1, NOTHING_SEEN, now_us, 1.0, 0.0, 0.0
+        seen = (
+            x_m,
+            y_m,
+            course_rad,
+            -y,
+            x,
+            (),
+            1.0,
+            (),
+            -1,
+            NOTHING_SEEN,
+            now_us,
+            1.0,
+            0.0,
+            0.0,
+            None,
+        )
         return _tuple(Observation, seen)
 
     def drive(self, command: Drive, now_us: int) -> None:
