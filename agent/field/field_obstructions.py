@@ -4,7 +4,7 @@ Paths lead round them, and the units under them cannot be worked while they are 
 """
 
 from collections.abc import Iterable
-from math import dist, hypot, inf
+from math import dist, inf
 from typing import Final
 
 from shapely.geometry import LineString
@@ -51,7 +51,8 @@ class FieldObstructions:
         self.things: frozenset[Point] = frozenset()
         self.coasting = StoppingZone(radius_m, deceleration_m_s2)
         self.bodies: tuple[Point, ...] = ()  # where silent members may stand
-        self.standing: dict[int, tuple[Point, int]] = {}  # robots in our way -> position, time seen
+        # Robots in our way -> where they may stand, and when that was seen.
+        self.standing: dict[int, tuple[tuple[Point, ...], int]] = {}
         self._silent: tuple[int, ...] = ()
         self._units: dict[tuple[int, bool], frozenset[int]] = {}  # (section, things too)
         self._out_of_reach: dict[int, set[int]] = {}  # section -> units beside an obstacle
@@ -77,24 +78,45 @@ class FieldObstructions:
         return new
 
     def stand_before(self, view: FleetView) -> None:
-        """We make no progress: paths go round robots that stand near by, until those move."""
+        """We make no progress: paths go round robots that stand near by, until those move.
+
+        A live robot that does not know its place stands, and does not move before it knows it again.
+        """
+        here = view.here.x_m, view.here.y_m
         for slot, (pose, heard_at_us) in view.neighbours.items():
-            gap_m = hypot(pose.x_m - view.here.x_m, pose.y_m - view.here.y_m)
-            fresh = view.now_us - heard_at_us < FRESH_US
-            if fresh and pose.speed_m_s < STANDS_M_S and gap_m < self.body_m + NEAR_M:
-                self.standing[slot] = (pose.x_m, pose.y_m), view.now_us
+            places = self._without_place(slot, view)
+            if view.now_us - heard_at_us < FRESH_US and pose.speed_m_s < STANDS_M_S:
+                places = ((pose.x_m, pose.y_m),)
+            if any(dist(here, place) < self.body_m + NEAR_M for place in places):
+                self.standing[slot] = places, view.now_us
         self._plan()
+
+    def _without_place(self, slot: int, view: FleetView) -> tuple[Point, ...]:
+        """Where a live robot may stand that says that it does not know its place; else empty."""
+        if slot not in view.live or view.now_us - view.neighbours[slot].heard_at_us < FRESH_US:
+            return ()
+        return self.coasting.places(slot) or ()
 
     def _leave(self, view: FleetView) -> bool:
         """Drop robots that no longer stand in our way, or that may have moved."""
-        for slot, (at, seen_at_us) in list(self.standing.items()):
+        for slot, (places, seen_at_us) in list(self.standing.items()):
             neighbour = view.neighbours.get(slot)
+            lost = () if neighbour is None else self._without_place(slot, view)
+            if lost == places:
+                continue
+            if lost:
+                self.standing[slot] = lost, view.now_us
+                return True
             here = (inf, inf) if neighbour is None else neighbour.pose[:2]
-            if view.now_us - seen_at_us < FORGET_US and dist(here, at) < MOVED_M:
+            if view.now_us - seen_at_us < FORGET_US and dist(here, places[0]) < MOVED_M:
                 continue
             del self.standing[slot]
             return True
         return False
+
+    @property
+    def _stand(self) -> list[Point]:
+        return [place for places, _ in self.standing.values() for place in places]
 
     def _plan(self) -> None:
         self._units.clear()
@@ -104,7 +126,7 @@ class FieldObstructions:
         if self.things:
             self.way = self.way.round(sorted(self.things), self.radius_m + THING_M)
         if self.standing:
-            self.way = self.way.round([at for at, _ in self.standing.values()], self.pass_m)
+            self.way = self.way.round(self._stand, self.pass_m)
 
     def path(self, start: Point, goal: Point, view: FleetView) -> tuple[Point, ...]:
         """A path from start to goal round all obstructions, and round idle robots that stand on it.
@@ -166,7 +188,7 @@ class FieldObstructions:
             bodies = [(Spot(at), self.unit_m) for at in self.bodies]
             if things_too:
                 bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
-                bodies += [(Spot(at), self.unit_m) for at, _ in self.standing.values()]
+                bodies += [(Spot(at), self.unit_m) for at in self._stand]
             self._units[key] = frozenset(
                 unit
                 for unit, line in enumerate(section.unit_lines)

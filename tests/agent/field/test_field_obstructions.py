@@ -1,6 +1,16 @@
 """Units beside an obstacle that a body cannot reach are left out, one after another, and no others."""
 
-from agent.field.field_obstructions import FieldObstructions
+from types import SimpleNamespace
+from typing import Any
+
+from shapely.geometry import LineString
+from shapely.geometry import Point as Spot
+
+from agent.field.field_obstructions import FORGET_US, FieldObstructions
+from agent.interface.config import S
+from agent.interface.lifecycle import State
+from agent.interface.observation import Neighbour, Observation
+from protocol.frames.fleet_frames import Pose
 from tests.agent.field.test_stopping_in_fields import PLAN
 
 
@@ -19,3 +29,31 @@ def test_only_a_unit_beside_body_and_obstacle_is_out_of_reach() -> None:
     assert not around.units(section, things_too=False), "no operator ordered to leave anything out"
     around.things = frozenset()
     assert not around.units(section, things_too=True), "the obstacle is gone"
+
+
+def test_i24_ways_and_units_go_round_a_live_robot_that_has_lost_its_place() -> None:
+    """Found by `headland chaos`, profile all, seed 5000025: five robots passed three sections round for
+    200 s, each one driving at the first units beside a robot that stood there with PLACE_LOST."""
+    around = FieldObstructions(PLAN.route, 0.8, 1.4)
+    section = PLAN.field.sections[0]
+    (ax, ay), (bx, by) = section.unit_lines[5][0], section.unit_lines[5][-1]
+    at = ((ax + bx) / 2, (ay + by) / 2)
+    here = Observation(at[0] + 3.0, at[1], 0.0, 0.0, 0.0)
+    lost = Neighbour(Pose(*at, 0.0, 0.0, State.WORKING, False, 255), 0)
+    fleet = SimpleNamespace(
+        slot=0, here=here, live=frozenset({0, 1}), neighbours={1: lost}, fell_silent_at_us={},
+        things=frozenset(), leave_out=False, now_us=10 * S,
+    )  # fmt: skip
+    view: Any = fleet
+    around.observe(view)
+    around.stand_before(view)
+    assert 5 in around.units(section, things_too=True)
+    assert 5 not in around.units(section, things_too=False), "they come last, and are not given up"
+    assert 20 not in around.units(section, things_too=True)
+    (sx, sy), (ex, ey) = section.unit_lines[0][0], section.unit_lines[20][0]
+    assert LineString(around.way.path((sx, sy), (ex, ey))).distance(Spot(at)) > 1.6
+    fleet.now_us += 10 * FORGET_US
+    assert around.observe(view) == frozenset() and 5 in around.units(section, things_too=True)
+    fleet.neighbours = {1: lost._replace(heard_at_us=fleet.now_us)}
+    assert around.observe(view) is None, "it knows its place again, and may drive"
+    assert 5 not in around.units(section, things_too=True)
