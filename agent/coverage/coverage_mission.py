@@ -44,8 +44,9 @@ WAIT_US = 1 * S  # wait there before the next try; both times are random, up to 
 STUCK_US = 4 * S  # after this a body in the way counts as an obstacle outside our plan
 TELL_US = 20 * MS  # by rank: one robot announces a dead robot's cells, and the others overhear it
 AHEAD = 60  # steps searched ahead for cells of a section: longer than there and back again
-# Between two cells for this long in a round: it cannot go on, and the cell behind it is taken. Going
-# back takes less than 2 s with its waits; the others call the next round after 5 s.
+# Between two cells for this long in a round while it may drive: it cannot go on, and the cell behind it
+# is taken. Driving on or going back takes less than 2 s with its waits; the others call the next round
+# after 5 s.
 STRANDED_US = 3 * S
 LEFT_US = 1 * S  # between searches for covered sections that no robot has marked as done
 # Not allowed to drive for this long: exceeds a protective stop or a sync (2 s each).
@@ -79,6 +80,7 @@ class GridWork(Mission):
         self._wait_ends_at_us = 0  # we stand until then
         self._cut_off_at_us = 0
         self._stranded = False  # between two cells, until the one behind is free
+        self._stopped_at_us = 0  # when it was last not up to us whether the robot drives
         self._last = (0.0, 0.0)
 
     @property
@@ -133,9 +135,12 @@ class GridWork(Mission):
         """
         here = view.here
         near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
+        if not self._asked:
+            self._stopped_at_us = view.now_us  # it drives on to the next cell after the stop
+        start_at_us = max(self.agreement.begun_at_us, self._stopped_at_us)
         if self._from == self._to and near:
             self._stranded = False
-        elif gathering and view.now_us - self.agreement.begun_at_us > STRANDED_US:
+        elif gathering and view.now_us - start_at_us > STRANDED_US:
             self._stranded = True
         if not free or self._stranded:
             return self.ground.at(here.x_m, here.y_m)
