@@ -1,4 +1,5 @@
-# make demo   sets everything up and lets six robots work a real field, on a map in your browser
+# make demo   sets up what it needs and lets six robots work a real field, on a map in your browser
+#             (OPTIONS="--page-port 0" where the port of the page is taken)
 # make fast   the unit tests of what a core computes: no fleets, no processes; a minute on two cores
 # make test   sets everything up, checks style and types, runs the tests but for the slow ones
 # make slow   the slow tests: real launches, long runs, documented commands as they stand, all examples of properties
@@ -18,22 +19,42 @@ unexport PYTHONDONTWRITEBYTECODE
 .PHONY: demo fast test slow check coverage kernels bench site setup lock lowest release clean
 .DEFAULT_GOAL := demo
 
-setup: $(VENV)/installed
-$(VENV)/installed: pyproject.toml
+$(BIN)/python:
 	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || \
 	  { echo "headland: Python 3.11 or newer is needed; try: make PYTHON=python3.11"; exit 1; }
+	@echo "making $(VENV): about 5 s ..."
 	@$(PYTHON) -m venv $(VENV) 2>/dev/null || { rm -rf $(VENV); \
 	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "Python has no venv; apt-get installs it: about 30 s ..."; \
 	    apt-get update -qq && apt-get install -y -qq python3-venv >/dev/null; \
 	  else echo "headland: Python has no venv; install it with: apt-get install python3-venv"; exit 1; fi; \
 	  $(PYTHON) -m venv $(VENV); }
-	@echo "installing into $(VENV): about two minutes and 1.3 GB, with all that the tests need ..."
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --config-settings editable_mode=compat -e '.[dev]'
+
+# uv downloads files beside each other, pip one after the other: 25 s become 2 minutes. pip does it where uv is not to
+# be had, or does not reach an index that only pip is configured for. uv gives up after 10 s without an answer.
+PIP := $(BIN)/python -m pip --quiet --disable-pip-version-check
+define install
+@echo "installing $(2) into $(VENV): $(3) ..."
+@{ command -v uv || [ -x $(BIN)/uv ] || $(PIP) install uv; } >/dev/null 2>&1; \
+  PATH="$(BIN):$$PATH" UV_HTTP_TIMEOUT=10 uv pip install --quiet --python $(BIN)/python -e '.[$(1)]' 2>/dev/null || { \
+  echo "uv could not install it; pip does: about two minutes ..."; \
+  $(PIP) install --config-settings editable_mode=compat -e '.[$(1)]'; }
+endef
+
+# What `headland run --map` needs, and no more.
+DEMO := sim,operator
+$(VENV)/playable: pyproject.toml | $(BIN)/python
+	$(call install,$(DEMO),what the demo needs,about 30 s and 660 MB)
+	@touch $@
+
+setup: $(VENV)/installed
+$(VENV)/installed: pyproject.toml | $(BIN)/python
+	$(call install,dev,all that the tests need,about a minute and 1.3 GB)
+	@touch $(VENV)/playable
 # ROS 2 requires lark-parser, an old name of lark: both write the package lark, and the older one adds types of its own.
-	@! $(BIN)/python -m pip show --quiet lark-parser 2>/dev/null || { \
-	  $(BIN)/python -m pip uninstall --quiet --disable-pip-version-check --yes lark-parser && \
-	  $(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps --force-reinstall 'lark>=1.1'; }
-	@$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps pyrvo || \
+	@! $(PIP) show lark-parser 2>/dev/null || { \
+	  $(PIP) uninstall --yes lark-parser && $(PIP) install --no-deps --force-reinstall 'lark>=1.1'; }
+	@$(PIP) install --no-deps pyrvo || \
 	  echo "pyrvo is not to be had here: the comparison with RVO2 will be skipped"
 	@touch $@
 
@@ -44,8 +65,8 @@ lock:
 	  --python-version 3.11 --no-header --no-emit-index-url -o requirements.lock
 	@sed -i "1i # Made by 'make lock': every package that '.[dev]' installs, with the hashes of its files." requirements.lock
 
-demo: setup
-	$(BIN)/headland run --map
+demo: $(VENV)/playable
+	$(BIN)/headland run --map $(OPTIONS)
 
 check: setup
 	$(BIN)/ruff format --check --quiet .

@@ -128,17 +128,18 @@ def _cpu_of_children_s() -> float:
     return used.ru_utime + used.ru_stime
 
 
-class Start(NamedTuple):
+class FirstPicture(NamedTuple):
     """How long a run took to show a robot that moves; infinite if it never did."""
 
     wall_s: float
     cpu_s: float  # of all its processes, to their end
 
 
-def _first_picture(words: Sequence[str], folder: Path, **environment: str) -> Start:
+def _first_picture(words: Sequence[str], folder: Path, **environment: str) -> FirstPicture:
     """From the start of a command to the first robot that moves, as the socket of its map tells it."""
     from websockets.exceptions import ConnectionClosed
     from websockets.sync.client import connect
+    from websockets.typing import Subprotocol
 
     used, begun_s, wall_s = _cpu_of_children_s(), perf_counter(), float("inf")
     run = subprocess.Popen(
@@ -150,8 +151,10 @@ def _first_picture(words: Sequence[str], folder: Path, **environment: str) -> St
         lines = (re.search(r"http://(\S+?)/#([\w-]+)", line) for line in run.stdout)
         address = next((found for found in lines if found), None)
         if address is not None:
-            protocols = ["headland", address[2]]
-            with connect(f"ws://{address[1]}/ws", subprotocols=protocols) as page:  # type: ignore[arg-type]
+            protocols = [Subprotocol("headland"), Subprotocol(address[2])]
+            with connect(
+                f"ws://{address[1]}/ws", subprotocols=protocols, open_timeout=FIRST_PICTURE_S_MAX
+            ) as page:
                 pictures = 0
                 while perf_counter() - begun_s < FIRST_PICTURE_S_MAX:
                     told = json.loads(page.recv(timeout=FIRST_PICTURE_S_MAX))
@@ -164,7 +167,7 @@ def _first_picture(words: Sequence[str], folder: Path, **environment: str) -> St
         pass
     finally:
         _end(run)
-    return Start(wall_s, _cpu_of_children_s() - used)
+    return FirstPicture(wall_s, _cpu_of_children_s() - used)
 
 
 def _end(run: "subprocess.Popen[str]") -> None:

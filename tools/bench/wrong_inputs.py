@@ -9,10 +9,13 @@ import socket
 import sys
 from collections.abc import Iterator
 from contextlib import chdir, contextmanager, redirect_stderr, redirect_stdout
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import NamedTuple
+
+from tools.common.child_process import PREFIX
 
 LINE_MAX = 500  # characters that a person reads
 # What is typed behind `headland`, and the word by which the line says what is wrong. TAKEN: a port
@@ -94,13 +97,13 @@ coverage replay loop | loop
 coverage replay nan.json | nan.json
 coverage solve open.map --robots 99 | 99
 body-check nowhere | nowhere
-machine --wheels TAKEN | TAKEN
+machine --gnss 0 --orders 0 --wheels TAKEN | TAKEN
 chaos --scenario nan.toml | line 4
 fuzz frame --input folder | folder
 bench people --seed x | --seed
 doctor now | now
 dbc headland.dbc --addresses 300 | 300
-dbc folder/x.arxml | x.arxml
+dbc folder/x.cdd | x.cdd
 """
 CASES = [tuple(line.split(" | ")) for line in INPUTS.strip().splitlines()]
 NOISE = bytes(range(256)) * 8
@@ -154,8 +157,8 @@ def taken_port() -> Iterator[str]:
 
 def ending(words: str, word: str, taken: str) -> ToldOfInput:
     """The end of one call in this process and the present folder. What is no end of ours goes up."""
-    from tools.cli import headland
-
+    # As a program, like `python -m`, but in this process: its imports are paid for once.
+    headland = import_module(PREFIX + "tools.cli.headland")
     said, code, before = StringIO(), None, sys.argv
     sys.argv = ["headland", *shlex.split(words.replace("TAKEN", taken))]
     try:

@@ -3,7 +3,7 @@
 from importlib.util import find_spec
 from pathlib import Path
 
-WAIT = "compiling kernels: once on this machine, about 25 s on an idle core"
+WAIT = "compiling kernels: once on this machine, about 25 s on two idle cores"
 
 
 def kernels_kept() -> int | None:

@@ -3,9 +3,11 @@
 import os
 import signal
 import subprocess
+import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from multiprocessing import Pool
+from threading import Thread
 
 import numpy as np
 from rich.console import Console
@@ -21,7 +23,12 @@ def _paths() -> None:
     planner = Planner(blocked)
     planner.plan((0, 0), (7, 7))
     planner.update([(4, 4, False)])
-    planner.plan_plain((0, 0), (7, 7))  # the last resort of a search
+
+
+def _plain_paths() -> None:
+    from agent.paths.any_angle_planner import Planner
+
+    Planner(np.zeros((8, 8), dtype=bool)).plan_plain((0, 0), (7, 7))  # the last resort of a search
 
 
 def _map() -> None:
@@ -33,12 +40,14 @@ def _map() -> None:
 
 
 def _avoidance() -> None:
+    from agent.avoidance.fence_braking import braking_first
     from agent.avoidance.fence_distance import gap_m, way_gap_m
     from agent.avoidance.orca import OrcaSolver
 
     fences = np.array([[0.0, 0.0, 9.0, 0.0]])
     gap_m(1.0, 1.0, fences)
     way_gap_m(1.0, 1.0, 1.0, 0.0, 0.5, 3, fences)
+    braking_first(1.0, 1.0, 1.0, 0.0, 0.5, 0.0, fences, 0.5, 1.0)
     robot = OrcaSolver(0.5, 2.0, 1.0, 4.0, 0.05, fences)
     rows: list[tuple[float, ...]] = [
         (1.5, 0.1, -1.0, 0.0, 1.0, 0.5),
@@ -60,6 +69,7 @@ def _coverage() -> None:
 
 def _agreement() -> None:
     from agent.interface.observation import Observation
+    from agent.mapf import sum_of_costs
     from agent.mapf.lacam import planned
     from agent.mapf.linear_assignment import assigned
     from agent.mapping.building import Floor
@@ -69,6 +79,7 @@ def _agreement() -> None:
     floor = Floor.drawn("...\n...", 1.0, 0.35)
     # One of them has to wait, so its route is put back as well.
     planned(floor.lattice.near, [0, 2], [2, 0])
+    sum_of_costs.planned(floor.lattice.near, [0, 2], [2, 0])
     hall = Floor.drawn("\n".join(["....."] * 4), 1.0, 0.35)
     planned(hall.lattice.near, list(range(12)), list(range(11, -1, -1)))  # many: in groups
     here = Observation(1.5, 0.5, 0.0, 0.0, 0.0, (0.5, 1.0, 1.5))
@@ -106,23 +117,30 @@ def _wire() -> None:
 
 
 def _world() -> None:
-    from shapely.geometry import box
-
     from agent.interface.effects import Drive
-    from sim.world.coverage_truth import coverage, sample_points
     from sim.world.drive_trains import Chassis
-    from sim.world.reachable_ground import WorkingBody, reachable_ground
+    from sim.world.lidar import Lidar
     from sim.world.world import World
 
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
-    world = World([ring], 0, engine="contact_free")
+    world = World([ring], 0, Lidar(8, 4.0), engine="contact_free")
     world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
+    world.ranges(0)
     world.body(0).drive(Drive(1.0, 0.0, 0.0, True), 0)
     world.advance(1_000_000)
     world.engine = "pymunk"
     world.advance(1_100_000)
+
+
+def _verdict() -> None:
+    """What a run is judged by when it is over."""
+    from shapely.geometry import box
+
+    from sim.world.coverage_truth import coverage, sample_points
+    from sim.world.reachable_ground import WorkingBody, reachable_ground
+
     raster = sample_points(box(0, 0, 20, 20), 2.0, 0.2)
-    coverage(raster, {0: world.body(0).track}, 2.0)
+    coverage(raster, {0: [(0, 5.0, 5.0, True), (1_000_000, 6.0, 5.0, True)]}, 2.0)
     reachable_ground(box(0, 0, 20, 20), raster, WorkingBody(2.0, 0.2, 0.5, 1.5), [(5.0, 5.0)])
 
 
@@ -145,6 +163,14 @@ def _fields() -> None:
     yard = load("yard").with_engine("contact_free")
     for drive in ("mecanum", "differential", "ackermann"):
         FieldRun(FieldSetup(yard.changed(2, 1, drive=drive, time_limit_s=YARD_S))).run()
+
+
+def _plans() -> None:
+    from agent.field.fleet_plan import PlanProblem, solve
+
+    ready, work = np.zeros(2, dtype=np.int64), np.full(3, 1000, dtype=np.int64)
+    lead, link = np.ones((2, 6), dtype=np.int64), np.ones((6, 6), dtype=np.int64)
+    solve(PlanProblem(ready, lead, work, link), None)
 
 
 def _fleets() -> None:
@@ -187,17 +213,25 @@ PARTS: tuple[tuple[str, Callable[[], None]], ...] = (
     ("coverage", _coverage),
     ("fields", _fields),
     ("paths", _paths),
+    ("plain paths", _plain_paths),
+    ("plans", _plans),
     ("delivery", _delivery),
     ("fleets", _fleets),
     ("agreement", _agreement),
     ("turns", _turns),
     ("world", _world),
+    ("verdict", _verdict),
     ("avoidance", _avoidance),
     ("map", _map),
     ("exploration", _exploration),
     ("wire", _wire),
     ("wheels", _wheels),
 )
+
+
+# Of a field's run: each half takes about as long as the other, and they share hardly a kernel.
+FIELD_HERE, FIELD_BESIDE = ("plans", "world"), ("paths", "avoidance")
+FIELD_LATER = ("plain paths", "verdict")  # not needed before the end
 
 
 def warm(steering: bool) -> None:
@@ -212,8 +246,34 @@ def warm(steering: bool) -> None:
 def rehearse() -> None:
     """Call every kernel as robots do."""
     for name, part in PARTS:
-        if name not in ("fleets", "wire", "world"):  # of simulations alone
+        if name not in ("fleets", "wire", "world", "verdict"):  # of simulations alone
             part()
+
+
+def warm_field() -> None:
+    """Compile what a run of a field needs, half of it in a second process.
+
+    What only its end needs is compiled while it goes on. What another process could not do, the run
+    does when it comes to it.
+    """
+    with _beside(FIELD_BESIDE) as other:
+        try:
+            _compile(FIELD_HERE)
+        except BaseException:
+            other.kill()
+            raise
+    Thread(target=lambda: _beside(FIELD_LATER).wait(), daemon=True).start()
+
+
+def _beside(names: Sequence[str]) -> "subprocess.Popen[bytes]":
+    words = [*module_command("tools.build.warmup"), *names]
+    return subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+
+
+def _compile(names: Sequence[str]) -> None:
+    parts = dict(PARTS)
+    for name in names:
+        parts[name]()
 
 
 def main(jobs: int) -> int:
@@ -237,3 +297,7 @@ def _compiled(number: int) -> tuple[str, float]:
     start_s = time.perf_counter()
     part()
     return name, time.perf_counter() - start_s
+
+
+if __name__ == "__main__":
+    _compile(sys.argv[1:])

@@ -73,7 +73,7 @@ def _wrong(message: str) -> int:
     return WRONG
 
 
-def _own_queue(bus: Attached) -> Path:
+def own_queue(bus: Attached) -> Path:
     """Goals of a launch are in its folder: the next fleet, on another field, does not get them."""
     interface, _, _, host, port = bus
     return (folder_of_launch(interface, host, port) or RUNS) / QUEUE
@@ -112,7 +112,7 @@ class _Conversation:
         from tools.language.command_session import CommandSession
 
         options = self.options
-        queue = GoalQueue(options.queue or _own_queue(options.bus))
+        queue = GoalQueue(options.queue or own_queue(options.bus))
         speaker = CommandSession(
             bus, keyring, self.places, queue, self.read, self.ask, options.timeout_s, options.by
         )

@@ -23,7 +23,8 @@ def machine(
     try:
         asyncio.run(_serve(body, origin, ports, host, seed, as_json))
     except OSError as problem:
-        print(f"headland: {host}: {problem.strerror or problem}", file=sys.stderr)
+        why = f"{problem.strerror or problem}; choose other ports, or 0 for any free one"
+        print(f"headland: {host}: {why}", file=sys.stderr)
         return WRONG
     return 0
 

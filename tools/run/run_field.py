@@ -12,6 +12,7 @@ from sim.runs.work_record import record_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.navigation_scenario import NavigationScenario, load_mission
 from sim.scenarios.scenario import ScenarioError
+from tools.build.warmup import warm_field
 from tools.common.result_table import NO_KEYS, Fact
 from tools.run.picture import draw_field
 from tools.run.run_mission import MissionCommand, run_mission
@@ -54,6 +55,7 @@ class FieldCommand(MissionCommand[FieldRun]):
     """A field in virtual time, with its picture, and work for farm software."""
 
     unit = "sections"
+    warm = staticmethod(warm_field)
     follow_up = (("export {} --isoxml TASKDATA", "the finished work, for farm software"),)
 
     def report(self, outcome: FieldOutcome) -> dict[str, Any]:

@@ -7,6 +7,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from time import perf_counter
 from typing import Any, Generic, TypeVar
 
 from rich.console import Console
@@ -39,6 +40,8 @@ class MissionCommand(ABC, Generic[RunT]):
 
     unit = ""  # of which progress is counted
     follow_up: tuple[tuple[str, str], ...] = ()  # commands for what this mission leaves, and why
+    # Compiles what its runs need, where nothing is compiled yet. None: the run does, as it goes on.
+    warm: Callable[[], None] | None = None
 
     def __init__(self, run: RunT) -> None:
         self.run = run
@@ -92,7 +95,7 @@ def run_mission(
     if shown is not None:
         console.print(f"map: {shown.url}")
     if kernels_kept() == 0:
-        console.print(WAIT)
+        _compile(console, command.warm)
     command.run.out, command.run.logs, command.run.attach = folder, logs, recorder
     try:
         with ProgressBar(console, name, command.run, command.unit):
@@ -115,6 +118,17 @@ def run_mission(
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return command.exit_code(outcome)
+
+
+def _compile(console: Console, warm: Callable[[], None] | None) -> None:
+    """Say what is waited for and how long it takes, also while the page is already served."""
+    console.print(WAIT)
+    if warm is None:
+        return
+    begun_s = perf_counter()
+    with console.status("compiling kernels ..."):
+        warm()
+    console.print(f"compiled in {perf_counter() - begun_s:.0f} s")
 
 
 LOOKS = (

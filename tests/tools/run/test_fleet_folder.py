@@ -23,7 +23,7 @@ from sim.world.world_memory import TRACK_DIGITS, WorldMemory
 from tests.tools.complaint import Complaints
 from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
 from tools.common.bus_attach import CHANNEL, attach
-from tools.common.run_folder import FolderError, folder_for
+from tools.common.run_folder import QUEUE, FolderError, folder_for
 from tools.run.fleet_folder import end_fleet, fleet_folder
 from tools.run.launch import STRAIGHT_M
 
@@ -147,11 +147,14 @@ def test_e2_a_launch_goes_on_until_its_work_is_done_or_it_is_told_otherwise(fold
     assert begin(robots=3) == ("runs/small-4", False), "its work was done"
     out = Path("mine")
     assert begin(out=out) == ("mine", False)
+    (out / QUEUE).write_text("[]")
     assert begin(out=out) == ("mine", True)
+    assert (out / QUEUE).exists(), "what an operator wants of a fleet outlives its launch"
     with pytest.raises(FolderError, match="--fresh"):
         begin(robots=3, out=out)
     assert begin(robots=3, fresh=True, out=out) == ("mine", False)
     assert (out / "launch-2" / "robot0.sqlite").exists(), "memory is put away, never deleted"
+    assert not (out / QUEUE).exists() and (out / "launch-2" / QUEUE).exists(), "of the last fleet"
     with pytest.raises(FolderError, match="journals"):
         folder_for(out, "small")
 
