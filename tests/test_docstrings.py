@@ -25,6 +25,7 @@ FLOORS = {
     "agent/field": 100,
     "agent/implements": 85,
     "agent/interface": 100,
+    "agent/kernels": 88,  # a kind of an argument has no unit
     "agent/mapf": 100,
     "agent/mapping": 100,
     "agent/motion": 100,

@@ -7,6 +7,7 @@ from headland.agent.interface.effects import HALT, GatedDrive
 from headland.agent.interface.observation import Observation
 from headland.agent.motion.wheel_kinematics import WheelBase, WheelDrive
 from headland.agent.runtime.bodies.line_port import LinePort
+from headland.agent.runtime.bodies.position_fixes import ReceiverClock
 from headland.agent.runtime.bodies.wheel_sentences import WheelSentence, pack
 from headland.agent.runtime.files.field_file import plane
 from headland.agent.runtime.robot_body import DeclaredMachine, RobotBody
@@ -18,7 +19,8 @@ class Rover(RobotBody):
     def __init__(self, slot: int, gnss: int = 5001, wheels: int = 5002) -> None:
         self.receiver = LinePort(f"tcp://127.0.0.1:{gnss}", self.take)
         self.controller = LinePort(f"tcp://127.0.0.1:{wheels}", lambda line, at_us: None)
-        self.offset_us, self.accuracy_m, self.velocity = inf, inf, (0.0, 0.0)
+        self.clock = ReceiverClock(latency_us=20_000)  # a place takes this long at the shortest
+        self.accuracy_m, self.velocity = inf, (0.0, 0.0)
         self.place: Any = None
         self.newest: Observation | None = None
 
@@ -38,8 +40,7 @@ class Rover(RobotBody):
         if said.msgID == "GGA":
             t = said.time
             utc_us = (t.hour * 3600 + t.minute * 60 + t.second) * 1_000_000 + t.microsecond
-            self.offset_us = min(self.offset_us, at_us - utc_us)  # what arrives later is late
-            sensed_at_us = round(utc_us + self.offset_us - 20_000)  # it takes 20 ms at least
+            sensed_at_us = self.clock.sensed_at_us(utc_us, at_us)
             self.place = *self.to_metres(said.lon, said.lat), sensed_at_us
         elif said.msgID == "GST":
             self.accuracy_m = max(said.stdLat, said.stdLong)

@@ -45,7 +45,7 @@ class FaultPlan:
         self.cluster = cluster
         self.done: list[tuple[float, str]] = []
         self._slips: dict[int, int] = {}  # how many faults of slip a robot has had
-        self._jammed_until_us: dict[int, int] = {}
+        self._jam_ends_at_us: dict[int, int] = {}
         self._rng = Random(f"{cluster.scenario.run.seed}/faults")
 
     async def run(self) -> None:
@@ -197,9 +197,9 @@ class FaultPlan:
         """The implement does not rise for a while. Of two such faults the later end holds."""
         body, end_at_us = self.cluster.world.robots[robot], self._now_us() + round(for_s * S)
         body.jam(True)
-        self._jammed_until_us[robot] = max(self._jammed_until_us.get(robot, 0), end_at_us)
+        self._jam_ends_at_us[robot] = max(self._jam_ends_at_us.get(robot, 0), end_at_us)
         yield end_at_us
-        if self._now_us() >= self._jammed_until_us[robot]:
+        if self._now_us() >= self._jam_ends_at_us[robot]:
             body.jam(False)
 
     def _absent(self, fault: kinds.Fault) -> bool:

@@ -186,7 +186,7 @@ def main() -> int:
         why = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         print(
             f"headland: no ready kernels for robots, which then start with numba: {why}. "
-            "It needs g++ and the headers of Python", file=sys.stderr,
+            "It needs g++, the headers of Python and setuptools", file=sys.stderr,
         )  # fmt: skip
         return FAILED
     size_mb = extension_in(folder).stat().st_size / 1e6

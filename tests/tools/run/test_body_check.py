@@ -5,7 +5,10 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
+from functools import reduce
+from importlib import import_module
 from math import hypot, pi
+from operator import xor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +24,7 @@ from agent.runtime.robot_body import DeclaredMachine
 from tests.tools.launching import ENVIRONMENT, ROOT
 from tools.run.body_check import CHECKS, BodyTrial, judged
 
+EXAMPLE = ROOT / "examples" / "robot"
 ORIGIN = (52.0, 5.0)
 Machine = Callable[[str], dict[str, Any]]
 
@@ -173,3 +177,26 @@ def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
             check=False, timeout=60,
         )  # fmt: skip
         assert done.returncode == 2 and done.stderr.count("\n") == 1, done.stderr
+
+
+def sentence(body: str) -> bytes:
+    check = reduce(xor, body.encode())
+    return f"${body}*{check:02X}".encode()
+
+
+def test_the_driver_of_the_tutorial_believes_places_after_midnight_and_with_clocks_that_drift(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """It kept the least difference of two clocks for ever, so that all places were old after half an
+    hour of 50 ppm, and from midnight on."""
+    monkeypatch.syspath_prepend(EXAMPLE)
+    rover = import_module("rover").Rover(0)
+    rover.declare(DeclaredMachine(Vehicle(drive=DriveTrain.DIFFERENTIAL), (52.0, 5.0)))
+    begun_s = 23 * 3600  # an hour before midnight
+    for passed_s in range(0, 7200, 10):
+        utc_s = (begun_s + passed_s) % 86_400
+        at_us = round(passed_s * 1e6 * (1 + 50e-6)) + 1_000_000
+        clock = f"{utc_s // 3600:02}{utc_s // 60 % 60:02}{utc_s % 60:02}.00"
+        rover.take(sentence(f"GNGGA,{clock},5200.0,N,00500.0,E,4,12,0.8,0,M,0,M,,"), at_us)
+        rover.take(sentence("GNHDT,90.0,T"), at_us)
+        assert rover.newest.sensed_at_us == pytest.approx(at_us - 20_000, abs=10_000), clock
