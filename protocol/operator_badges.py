@@ -21,7 +21,6 @@ from protocol.units import S
 SECRET_SIZE: Final = 16  # bytes
 DAY_S: Final = 86_400
 NEVER: Final = 0  # day of expiry of the owner's badge
-BADGES_MAX: Final = 63  # one for each number of an operator's device
 PROVEN_FOR_US: Final = 10 * S  # as long as an operator's counter is believed
 
 

@@ -22,7 +22,6 @@ ROWS_MAX: Final = 20  # robots on one screen
 DOTS_MIN: Final = 200  # edge of the smallest data mask of the standard
 ROW_DOTS, TEXT_DOTS, FONT_DOTS = 9, 8, 6  # height of a row and of a text, width of a character
 HEAD_DOTS: Final = 24  # above the rows
-KEY_DOTS: Final = 60
 PICTURE_WIDTH, PICTURE_HEIGHT = 48, 60  # dots; four bits each: 1,440 bytes
 BLACK, WHITE, GREEN, SILVER, RED, YELLOW = 0, 1, 2, 7, 12, 14  # standard colours
 

@@ -17,7 +17,6 @@ from protocol.units import MS
 
 PACKET = 7  # bytes of the message in one TP.DT
 SIZE_MIN, SIZE_MAX = 9, 1785  # 255 packets
-TR_US, TH_US = 200 * MS, 500 * MS  # time limit for an answer; time limit for the next hold
 T1_US, T2_US, T3_US, T4_US = 750 * MS, 1250 * MS, 1250 * MS, 1050 * MS
 BAM_GAP_US = 50 * MS  # J1939-21: 50 to 200 ms; ISO 11783-3 would allow 10
 DATA_GAP_US = 3 * MS  # between our TP.DT frames to one device: at most a fifth of the bus

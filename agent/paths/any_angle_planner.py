@@ -6,7 +6,7 @@ free cells join the cells of start and goal.
 
 The default planner searches the convex corners of the grid (`agent.paths.corner_graph`), as Theta* over
 subgoal graphs does (Uras and Koenig, SoCS 2015), with edges found on demand and kept; its paths are
-shortest ones. Plain and lazy Theta* over cell centres stand beside it.
+shortest ones. Basic Theta* over cell centres stands beside it.
 """
 
 from collections.abc import Iterable
@@ -73,12 +73,7 @@ class Planner:
     def plan_plain(self, start: Point, goal: Point) -> Waypoints | None:
         """Basic Theta* over cell centres; start and goal count as the centres of their cells."""
         a, b = self._cell(start), self._cell(goal)
-        return None if a is None or b is None else self._over_cells(a, b, lazy=False)
-
-    def plan_lazy(self, start: Point, goal: Point) -> Waypoints | None:
-        """As `plan_plain`, by Lazy Theta*, which draws fewer lines of sight."""
-        a, b = self._cell(start), self._cell(goal)
-        return None if a is None or b is None else self._over_cells(a, b, lazy=True)
+        return None if a is None or b is None else self._over_cells(a, b)
 
     def forget(self) -> None:
         """Drop the cached edges; the next queries find them again."""
@@ -101,12 +96,10 @@ class Planner:
         assert self._regions is not None
         return a is not None and b is not None and bool(self._regions[a] == self._regions[b])
 
-    def _over_cells(
-        self, start: tuple[int, int], goal: tuple[int, int], lazy: bool
-    ) -> Waypoints | None:
+    def _over_cells(self, start: tuple[int, int], goal: tuple[int, int]) -> Waypoints | None:
         if self._plain is None:
             self._plain = GridSearch(self.blocked)
-        cells = self._plain.cells(start, goal, lazy)
+        cells = self._plain.cells(start, goal)
         return None if cells is None else [(float(row), float(column)) for row, column in cells]
 
 

@@ -1,10 +1,10 @@
-"""Plain and lazy Theta* over cell centres: what the default planner is measured against.
+"""Basic Theta* over cell centres: what the default planner is measured against.
 
 A robot may step between neighbouring free cells, diagonally only where both cells beside the
 diagonal are free. A straight line is free where every cell it touches is free, both cells beside a
-crossing of four included. Basic Theta* after Nash, Daniel, Koenig, Felner (AAAI 2007), Lazy Theta*
-after Nash, Koenig, Tovey (AAAI 2010). Two savings: no line of sight is drawn where the triangle
-inequality says that nothing is gained, and generation stamps make clearing needless.
+crossing of four included. The source is Nash, Daniel, Koenig, Felner (AAAI 2007). Two savings: no
+line of sight is drawn where the triangle inequality says that nothing is gained, and generation
+stamps make clearing needless.
 
 `blocked` is (rows, columns); a cell is the number row * columns + column. Of each cell, `g`
 (cells,) is the length from the start in sides of a cell, `parent` (cells,) the cell before it, and
@@ -69,34 +69,12 @@ def steps(blocked: Flags, r: int, c: int, i: int, j: int) -> bool:
 
 
 @njit(cache=True)
-def _settle(
-    blocked: Flags, g: Floats, parent: Longs, stamp: Longs, closed: int, r: int, c: int
-) -> None:
-    """Lazy Theta*: the parent was only assumed visible; if it is not, take the best neighbour."""
-    columns = blocked.shape[1]
-    node = r * columns + c
-    by = parent[node]
-    if sees(blocked, by // columns, by % columns, r, c):
-        return
-    g[node] = np.inf
-    for i in range(-1, 2):
-        for j in range(-1, 2):
-            if not steps(blocked, r, c, i, j):
-                continue
-            other = (r + i) * columns + c + j
-            cost = g[other] + (ROOT2 if i != 0 and j != 0 else 1.0)
-            if stamp[other] == closed and cost < g[node]:
-                g[node], parent[node] = cost, other
-
-
-@njit(cache=True)
 def search(
     blocked: Flags,
     r0: int,
     c0: int,
     r1: int,
     c1: int,
-    lazy: bool,
     turn: int,
     g: Floats,
     parent: Longs,
@@ -107,8 +85,7 @@ def search(
     """Fill `parent` from the cell (r1, c1) back to (r0, c0); returns how many cells were expanded,
     -1: no path.
 
-    `lazy`: by Lazy Theta*. `stamp` is `turn` for an open cell, `turn + 1` for a closed one, and
-    less for an untouched one.
+    `stamp` is `turn` for an open cell, `turn + 1` for a closed one, and less for an untouched one.
     """
     columns = blocked.shape[1]
     start, goal = r0 * columns + c0, r1 * columns + c1
@@ -123,8 +100,6 @@ def search(
         stamp[node] = turn + 1
         expanded += 1
         r, c = node // columns, node % columns
-        if lazy:
-            _settle(blocked, g, parent, stamp, turn + 1, r, c)
         if node == goal:
             return expanded
         by = parent[node]
@@ -141,7 +116,7 @@ def search(
                 cost, link = base + sqrt((nr - pr) ** 2 + (nc - pc) ** 2), by
                 if cost >= known:  # by the triangle inequality, nothing shorter is possible
                     continue
-                if not lazy and not sees(blocked, pr, pc, nr, nc):
+                if not sees(blocked, pr, pc, nr, nc):
                     cost, link = g[node] + (ROOT2 if i != 0 and j != 0 else 1.0), node
                     if cost >= known:
                         continue
@@ -166,14 +141,12 @@ class GridSearch:
         self._turn = 0
         self.expanded = 0
 
-    def cells(
-        self, start: tuple[int, int], goal: tuple[int, int], lazy: bool
-    ) -> list[tuple[int, int]] | None:
+    def cells(self, start: tuple[int, int], goal: tuple[int, int]) -> list[tuple[int, int]] | None:
         """Cells (row, column) where the path bends, both ends included; None: no path. Both ends
         must be free."""
         self._turn += 2
         self.expanded = search(
-            self.blocked, start[0], start[1], goal[0], goal[1], lazy, self._turn,
+            self.blocked, start[0], start[1], goal[0], goal[1], self._turn,
             self._g, self._parent, self._stamp, self._keys, self._nodes,
         )  # fmt: skip
         if self.expanded < 0:

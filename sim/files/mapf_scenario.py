@@ -100,14 +100,3 @@ def largest_part(walls: Walls) -> list[Cell]:
         if len(part) > len(best):
             best = sorted(part)
     return best
-
-
-def scenario_text(mapf: MapfInstance, map_name: str, lengths: list[int]) -> str:
-    """A `.scen` of an instance; `lengths`: the shortest path of each agent, in moves."""
-    rows, columns = mapf.walls.shape
-    lines = [
-        f"{length // 4}\t{map_name}\t{columns}\t{rows}\t{start[1]}\t{start[0]}\t{goal[1]}\t{goal[0]}"
-        f"\t{length}"
-        for start, goal, length in zip(mapf.starts, mapf.goals, lengths, strict=True)
-    ]
-    return "\n".join(["version 1", *lines, ""])

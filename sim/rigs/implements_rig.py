@@ -33,7 +33,6 @@ from sim.can.can_wire import Wire
 STEP_US: Final = 50 * MS  # of the tractors, and between two places of a receiver
 RECEIVER: Final = 28  # address of a receiver (ISO 11783-1: GNSS)
 SPRAYER: Final = 160
-PLACE_PGN: Final = 129025
 GLOBAL: Final = 255
 HITCH_AHEAD_M: Final = -2.0  # from the receiver
 CONNECTOR_MM, BOOM_MM = 1500, -2500  # ahead of the reference point of a sprayer

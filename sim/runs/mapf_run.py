@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from agent.coverage.cell_map import NONE
 from agent.interface.config import S
-from agent.pathfinding.pathfinding_mission import GoalWork
 from sim.files.mapf_paths import PathError, timed, tracks, without_broken_moves
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Record, Robot
@@ -88,12 +87,6 @@ class MapfFleet(CoverageFleet):
             not peer.progress.complete(other.slot) or peer.allocation.done_count() > 0
             for other in self.running
         )
-
-    def goal_work(self, robot: Robot) -> GoalWork:
-        """The mission of a robot."""
-        mission = self.mission(robot)
-        assert isinstance(mission, GoalWork)
-        return mission
 
 
 class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):

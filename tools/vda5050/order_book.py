@@ -13,8 +13,6 @@ from typing import Any, NamedTuple
 from agent.delivery.task_registry import TransportTask
 from agent.runtime.vda5050.messages import MasterOrder
 
-RECORD_BYTES_MAX = 1 << 20  # of one line; an order has at most 256 kB
-
 
 class BookError(ValueError):
     """One line: why a book cannot be used."""

@@ -321,11 +321,6 @@ class VehicleState(MessageHeader):
     information: list[Information] | None = None
     safety_state: SafetyState = SafetyState()
 
-    def status_of(self, action_id: str) -> ActionStatus | None:
-        """How far an action is; None if the vehicle does not know it."""
-        found = (each for each in self.action_states if each.action_id == action_id)
-        return next((each.action_status for each in found), None)
-
 
 class Visualization(MessageHeader):
     """Place and velocity alone, more often than the state."""
