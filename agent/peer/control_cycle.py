@@ -4,11 +4,12 @@ from collections.abc import Callable, Mapping
 from math import hypot
 from typing import Any, Final
 
-from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, IMPLEMENT_FOLLOWS_US
 from agent.interface.effects import Drive, Send, Trace
 from agent.interface.lifecycle import IDLE, WORKING
 from agent.interface.mission import NOTHING_COVERED, STILL, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import MotionController
+from agent.interface.observation import Observation
 from agent.peer import notices
 from agent.peer.fleet_views import FleetViews
 from agent.peer.obstacle_hold import ObstacleHold
@@ -52,6 +53,7 @@ class ControlCycle(Part):
         self._down = False  # what the body was told of the implement in the last control period
         self._drove_at_us = 0  # time of the newest command to the actuator
         self._raised = False  # a command since the last control period raised the implement
+        self._lowered_at_us = 0  # when the body was told to lower it
 
     @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
@@ -73,8 +75,9 @@ class ControlCycle(Part):
         mission, motion, here = self.mission, self.motion, self.senses.here
         if mission is None or motion is None or here is None:
             return NOTHING
-        # If we were late, the command has expired and the implement is raised.
-        if self._raised or now_us > self._drove_at_us + ACTUATOR_TTL_US:
+        # If we were late, the command has expired and the implement is raised. One may also arrive late.
+        late = now_us > self._drove_at_us + ACTUATOR_TTL_US
+        if self._raised or late or self._sensed_up(here, now_us):
             mission.on_implement_raised()
         self._raised, self._drove_at_us = False, now_us
         outputs: list[Any] = []
@@ -98,9 +101,14 @@ class ControlCycle(Part):
             wanted = wanted._replace(tool_on=False)
         drive = self.safety.gate(wanted, now_us)
         if drive.tool_on is not self._down:
-            self._down = drive.tool_on
+            self._down, self._lowered_at_us = drive.tool_on, now_us
             outputs.append(notices.ImplementLowered(drive.tool_on))
         return [drive, *outputs, *self._watch(mission, view)]
+
+    def _sensed_up(self, here: Observation, now_us: int) -> bool:
+        """Whether the implement is up, or was for a moment, long after it was told to be down."""
+        told_down = self._down and now_us > self._lowered_at_us + IMPLEMENT_FOLLOWS_US
+        return told_down and here.implement_down is False
 
     def commanded(self, drive: Drive) -> None:
         """A command to the body: ours, or of a part that brakes between two control periods.

@@ -56,6 +56,7 @@ class Ros2Machine:
         self.node = Node("base", context=self.context, namespace=namespace)
         self._odom = self.node.create_publisher(Odometry, "odom", 10)
         self._scan = self.node.create_publisher(LaserScan, "scan", 10) if scan else None
+        self._down = self.node.create_publisher(Bool, "implement_state", 10)
         self.node.create_subscription(Twist, "cmd_vel", self._take, 10)
         self.node.create_subscription(Bool, "implement", self._lower, 10)
         self._steps, self._last_at_s = 0, time.monotonic()
@@ -119,6 +120,8 @@ class Ros2Machine:
         self.x_m += (ahead * cos(middle) - left * sin(middle)) * STEP_S
         self.y_m += (ahead * sin(middle) + left * cos(middle)) * STEP_S
         self.heading_rad += turn * STEP_S
+        if not self.trace or self.trace[-1].implement is not implement:
+            self._down.publish(Bool(data=implement))
         self.trace.append(TracePoint(round(self._last_at_s * 1e6), self.x_m, self.y_m, implement))
 
     def _tell(self) -> None:

@@ -22,6 +22,7 @@ from tools.operate.operator_device import Operator
 AGAINST = "rclpy (Jazzy) and rmw_fastrtps"
 ROBOTS = 2
 PRESSES, PRESSES_QUICK = 10, 1
+MISSED_TOLD = 8  # places that the figure names
 TOPIC = "/headland/emergency_stop"
 
 
@@ -47,7 +48,8 @@ def figures(quick: bool) -> Iterator[Figure]:
         "ROS 2: field worked by two rclpy robots", told.reached, "share", f">= {COVERAGE_MIN:g}",
         told.reached >= COVERAGE_MIN, AGAINST,
         f"by their traces, in {told.for_s:.0f} of at most {LIMIT_S:.0f} s; "
-        f"{told.velocities} velocities received",
+        f"{told.velocities} velocities received; {len(told.missed)} cells not worked: "
+        f"{told.missed[:MISSED_TOLD]}",
     )  # fmt: skip
 
 

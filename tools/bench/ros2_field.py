@@ -18,6 +18,7 @@ from sim.fleet.outcome import COVERAGE_MIN
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.coverage_truth import coverage, sample_points
+from sim.world.ground_truth import TrackPoint
 from tools.common.child_process import module_command
 
 ROBOTS: Final = 2
@@ -41,7 +42,7 @@ interface = "udp_multicast"
 channel = "{group}"
 [body]
 plugin = "ros2"
-options = {{ domain = {domain} }}
+options = {{ domain = {domain}, implement_state = "implement_state" }}
 """
 
 
@@ -52,6 +53,7 @@ class FieldWorked(NamedTuple):
     for_s: float
     closest_m: float  # between the middles of the two
     velocities: int  # received by both
+    missed: list[tuple[float, float]]  # centres of the cells that were not worked, metres
 
 
 def worked_field(limit_s: float = LIMIT_S) -> FieldWorked:
@@ -86,16 +88,14 @@ def worked_field(limit_s: float = LIMIT_S) -> FieldWorked:
                     )
                 )  # fmt: skip
             begun_s = time.monotonic()
-            reached = 0.0
+            reached, missed = 0.0, []
             while time.monotonic() - begun_s < limit_s and reached < COVERAGE_MIN:
                 time.sleep(LOOK_S)
-                tracks = {
-                    slot: [(p.at_us, p.x_m, p.y_m, p.implement) for p in machine.trace[::5]]
-                    for slot, machine in enumerate(machines)
-                }
-                reached = coverage(
-                    raster, tracks, setup.field.implement_width_m, ground.cells
-                ).reached
+                tracks = {slot: _thinned(machine.trace) for slot, machine in enumerate(machines)}
+                width_m = setup.field.implement_width_m
+                worked = coverage(raster, tracks, width_m, ground.cells)
+                reached = worked.reached
+                missed = [(round(float(x), 2), round(float(y), 2)) for x, y in worked.missed]
             for_s = time.monotonic() - begun_s
         finally:
             for robot in robots:
@@ -108,4 +108,16 @@ def worked_field(limit_s: float = LIMIT_S) -> FieldWorked:
         hypot(a.x_m - b.x_m, a.y_m - b.y_m)
         for a, b in zip(machines[0].trace, machines[1].trace, strict=False)
     )
-    return FieldWorked(reached, for_s, closest_m, sum(machine.heard for machine in machines))
+    heard = sum(machine.heard for machine in machines)
+    return FieldWorked(reached, for_s, closest_m, heard, missed)
+
+
+def _thinned(trace: list[Any]) -> list[TrackPoint]:
+    """Every fifth point of 10 ms, and those at which the implement goes up or down."""
+    trace = list(trace)  # it grows meanwhile
+    before = [None, *(point.implement for point in trace)]
+    return [
+        (p.at_us, p.x_m, p.y_m, p.implement)
+        for k, p in enumerate(trace)
+        if k % 5 == 0 or p.implement is not before[k]
+    ]

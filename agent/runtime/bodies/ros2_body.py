@@ -10,6 +10,7 @@
 | `scan` | sensor_msgs/LaserScan | in, if named: the nearest echo in each of `rays` directions |
 | `cmd_vel` | geometry_msgs/Twist | out: 20 Hz, metres and radians a second in the frame of the robot |
 | `implement` | std_msgs/Bool | out: whether the implement is to be down |
+| `implement_state` | std_msgs/Bool | in, if named: whether it is down |
 
 The frame of the odometry has to be that of the field: metres, x east, y north. `x_m`, `y_m` and
 `heading_rad` say where its origin is otherwise. Odometry that drifts is no place in a field: give the
@@ -65,20 +66,24 @@ class Ros2Body(RobotBody):
         x_m: float = 0.0,
         y_m: float = 0.0,
         heading_rad: float = 0.0,
+        implement_state: str = "",
     ) -> None:
-        """Names of topics are relative to `namespace`; without one it is `/robot_N`. `scan`: none
-        if empty. `domain`: ROS_DOMAIN_ID. Metres and radians: the origin of the odometry in the
-        field."""
+        """Names of topics are relative to `namespace`; without one it is `/robot_N`. `scan`,
+        `implement_state`: none if empty. `domain`: ROS_DOMAIN_ID. Metres and radians: the origin of
+        the odometry in the field."""
         if not 1 <= rays <= 360:
             raise ValueError(f"rays: {rays} is not 1 to 360")
         self.slot, self.namespace = slot, namespace or f"/robot_{slot}"
         self.topics = (odom, cmd_vel, scan)
+        self.implement_state = implement_state
         self.rays, self.domain = rays, domain
         self.origin = (x_m, y_m, heading_rad)
         self.wheels: WheelDrive | None = None
         self.node: Ros2Node | None = None
         self._seen: Observation | None = None  # replaced as a whole, by the thread of the node
         self._scan: tuple[int, tuple[float, ...]] = (0, ())  # when it was true, and the ranges
+        self._down: bool | None = None  # as its sensor said last
+        self._lifts = self._lifts_told = 0  # times at which it was up; a short one counts too
         self._told: tuple[GatedDrive, float] = (HALT, 0.0)  # and when, on the monotonic clock
 
     def declare(self, machine: DeclaredMachine) -> None:
@@ -107,6 +112,8 @@ class Ros2Body(RobotBody):
         node.node.create_subscription(Odometry, odom, self._placed, SENSED)
         if scan:
             node.node.create_subscription(LaserScan, scan, self._scanned, SENSED)
+        if self.implement_state:
+            node.node.create_subscription(Bool, self.implement_state, self._sensed, RELIABLE)
         node.node.create_timer(CHECK_S, self._expire)
         loop = asyncio.get_running_loop()
         ends_at_s = loop.time() + FIRST_S
@@ -165,12 +172,20 @@ class Ros2Body(RobotBody):
         at_us = time.monotonic_ns() // 1000 - self._age_us(message.header.stamp)
         self._scan = at_us, tuple(nearest)
 
+    def _sensed(self, message: Any) -> None:
+        """In the thread of the node: the implement is down, or not."""
+        self._down = bool(message.data)
+        self._lifts += not self._down
+
     def sense(self, now_us: int) -> Observation | None:
         """The newest odometry, with the time of its stamp, and the newest scan unless it is old."""
         seen, (scanned_at_us, ranges_m) = self._seen, self._scan
         if time.monotonic_ns() // 1000 - scanned_at_us > SCAN_AGE_MAX_US:
             ranges_m = ()
-        return None if seen is None else seen._replace(ranges_m=ranges_m)
+        lifts, down = self._lifts, self._down
+        if lifts != self._lifts_told:
+            self._lifts_told, down = lifts, False
+        return None if seen is None else seen._replace(ranges_m=ranges_m, implement_down=down)
 
     # ---------------------------------------------------------------- what the robot is told
 
@@ -207,6 +222,7 @@ class Ros2Body(RobotBody):
         command, at_s = self._told
         if command != HALT and time.monotonic() - at_s > TTL_S:
             self._told = (HALT, at_s)
+            self._lifts += command.tool_on
             self._publish((0.0, 0.0, 0.0), False)
 
     def close(self) -> None:

@@ -8,6 +8,7 @@ from agent.peer.peer import Peer
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import fleet_name
 from tests.agent.lone_peer import Eager, held_by, peer_in, turn
+from tests.agent.peer.test_sense_freshness import Robot
 
 OTHER = 200  # an address
 
@@ -58,3 +59,23 @@ def test_l5_a_halt_between_two_control_periods_raises_the_implement() -> None:
     peer.step(Heard(OTHER, AddressClaimed(fleet_name("total", 2).pack())), now_us + 20 * MS)
     assert not held_by(peer), "it is over before the next period"
     assert _commands_down(turn(peer, now_us + CONTROL_PERIOD_US)) and mission.raised == 1
+
+
+def test_an_implement_that_was_up_against_the_command_is_said_to_be_up() -> None:
+    """A command came late at a ROS 2 robot, which raised its implement and drove on: 0.26 % of a field
+    counted as worked, and was not."""
+    mission, robot = Attentive(), Robot()
+    robot.peer = peer_in(State.WORKING, None, mission=mission)
+    robot.spoilt = lambda seen: seen._replace(implement_down=True)
+    robot.periods(80)
+    mission.raised = 0
+    robot.periods(5)
+    assert not mission.raised
+    robot.spoilt = lambda seen: seen._replace(implement_down=False)
+    robot.periods(3)
+    assert mission.raised >= 1
+    robot.spoilt = lambda seen: seen._replace(implement_down=True)
+    robot.periods(3)
+    before = mission.raised
+    robot.periods(5)
+    assert mission.raised == before

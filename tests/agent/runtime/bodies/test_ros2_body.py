@@ -34,7 +34,9 @@ class Robot:
         domain = 1 + randbelow(100)
         self.machine = Ros2Machine("/robot_4", domain, 2.0, 3.0, heading_rad, scan=scan)
         self.machine.start()
-        self.body = Ros2Body(4, domain=domain, scan="scan" if scan else "", rays=8)
+        self.body = Ros2Body(
+            4, domain=domain, scan="scan" if scan else "", rays=8, implement_state="implement_state"
+        )
         self.body.declare(DeclaredMachine(Vehicle(0.5, 1.5, 1.5, drive), None))
 
     async def drive(self, command: Drive, holds: Callable[[], bool]) -> None:
@@ -81,6 +83,20 @@ async def test_a_command_that_nobody_renews_is_over_and_the_robot_stands(robot: 
     await robot.until(lambda: robot.machine.speed_m_s == 0.0)
     assert robot.machine.heard > heard or ACTUATOR_TTL_US == 100_000, "the node said zero itself"
     assert robot.machine.trace[-1].implement is False, "and the implement is up"
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("robot", [(DriveTrain.DIFFERENTIAL,)], indirect=True)
+async def test_an_implement_that_was_up_for_a_moment_is_sensed(robot: Robot) -> None:
+    def down() -> bool | None:
+        seen = robot.body.sense(now_us())
+        return None if seen is None else seen.implement_down
+
+    await robot.drive(Drive(1.0, 0.0, tool_on=True), lambda: down() is True)
+    await robot.until(lambda: not robot.machine.trace[-1].implement)  # nobody renews the command
+    await robot.drive(Drive(1.0, 0.0, tool_on=True), lambda: robot.body._down is True)
+    assert down() is False, "it was up since the last look"
+    assert down() is True
 
 
 @pytest.mark.asyncio
