@@ -10,8 +10,8 @@ from tools.common.options import Cluster, Json
 
 # The names of `sim.chaos.fault_profiles.PROFILES`, whose import takes a second; a test compares them.
 PROFILES = (
-    "all, bus, crash, stop, body, senses, rays, protocol, press, devices, strangers, claims, split, "
-    "flood, traffic, forged, forged_field or stolen."
+    "all, bus, crash, stop, body, senses, rays, implement, protocol, press, devices, strangers, claims, "
+    "split, flood, traffic, forged, forged_field or stolen."
 )
 app = typer.Typer()
 
