@@ -151,11 +151,11 @@ def _last(ends: Whole, size: Whole) -> int:
 
 
 @njit(cache=True)
-def _cost(ends: Whole, size: Whole, share: float) -> float:
-    last, squares = max(_last(ends, size), 1), 0.0
+def _cost(ends: Whole, size: Whole, share: float, scale: float) -> float:
+    squares = 0.0
     for end in ends:
         squares += float(end) * float(end)
-    return last + share * squares / last
+    return _last(ends, size) + share * squares / scale
 
 
 @njit(cache=True)
@@ -179,7 +179,8 @@ def improve(
         ends[r] = finish(r, route[r], size[r], ready, lead, work, link)
         for k in range(size[r]):
             of[route[r, k]], at[route[r, k]] = r, k
-    cost = _cost(ends, size, share)
+    scale = float(max(_last(ends, size), 1))
+    cost = _cost(ends, size, share, scale)
     best_cost, best_route, best_size = cost, route.copy(), size.copy()
     a_seq, b_seq = np.empty(jobs, dtype=np.int64), np.empty(jobs, dtype=np.int64)
     cooling = (cold / hot) ** (1.0 / max(moves, 1))
@@ -249,7 +250,7 @@ def improve(
         if m >= 0:
             ends[s] = finish(s, b_seq, m, ready, lead, work, link)
             size[s] = m
-        new = _cost(ends, size, share)
+        new = _cost(ends, size, share, scale)
         if new > cost and draw(state, 1 << 30) / (1 << 30) >= exp((cost - new) / heat):
             ends[r], ends[s] = ends_before
             size[r], size[s] = sizes_before

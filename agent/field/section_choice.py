@@ -52,8 +52,9 @@ class SectionChooser:
             0,
             0,
         )  # the section that we chose last, the end to enter at, units covered then
-        # The change counter of the allocation, and when others should have claimed free sections.
-        self._due: tuple[int, dict[int, int]] = (-1, {})
+        # When others should have claimed free sections, by section and by the robot that the plan gives
+        # it to; and when this was noted.
+        self._due: tuple[int, dict[tuple[int, int], int]] = (0, {})
 
     def choose(self, view: FleetView, end: Point, rest_for_s: float = 0.0) -> ClaimRequest | None:
         """The section to claim next, with our bid; None if there is none for us now.
@@ -139,15 +140,22 @@ class SectionChooser:
     ) -> list[SectionJob]:
         """The free sections that another robot would have claimed by now, had it our plan; the
         nearest first.
+
+        What happens to other sections does not put this off: at the end of a field one is finished
+        every second, and the last rest would be left to a robot that does not take it.
         """
-        if self._due[0] != view.allocation.changes:
-            self._due = view.allocation.changes, {}
-        due_at_us = self._due[1]
-        for slot, row in rows.items():
-            for section in row[:1]:
-                planned_at_us = view.now_us + 1000 * robots[slot].ready_at_ms
-                due_at_us.setdefault(section, planned_at_us + UNTAKEN_US)
-        late = [job for job in free if due_at_us.get(job.section, view.now_us + 1) <= view.now_us]
+        noted_at_us, known = self._due
+        if view.now_us - noted_at_us > 2 * AGAIN_PLAN_US:
+            known = {}  # we had work, or nobody might move
+        due_at_us = {
+            (row[0], slot): view.now_us + 1000 * robots[slot].ready_at_ms + UNTAKEN_US
+            for slot, row in rows.items()
+            if row
+        }
+        due_at_us |= {key: at_us for key, at_us in known.items() if key in due_at_us}
+        self._due = view.now_us, due_at_us
+        overdue = {section for (section, _), at_us in due_at_us.items() if at_us <= view.now_us}
+        late = [job for job in free if job.section in overdue]
         here = view.here.x_m, view.here.y_m
         return sorted(late, key=lambda job: min(_apart_m(at, here) for at in job.ends))
 

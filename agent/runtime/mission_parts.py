@@ -47,11 +47,12 @@ EXPLORED_WALL_M = 0.04
 PLANNING_SPEED = 0.8
 
 
-def values_of(table: FieldTable) -> FieldValues:
+def values_of(table: FieldTable, robots: int) -> FieldValues:
     """What is declared of the work in a field, without the file of its outline."""
     return FieldValues(
-        table.implement_width_m, table.overlap_m, table.section_length_m, table.unit_m, table.gate
-    )
+        table.implement_width_m, table.overlap_m, table.section_length_m, table.unit_m, table.gate,
+        robots,
+    )  # fmt: skip
 
 
 def carrier_of(table: WarehouseTable, fleet: FleetTable, battery: BatteryTable) -> Carrier:

@@ -58,7 +58,9 @@ def work_of(robot: RobotFile, now_us: int, recalled: Mapping[str, bytes]) -> Wor
     try:
         if robot.field is not None:
             boundary = read_boundary(robot.folder / robot.field.file, robot.field.feature)
-            field = divided(*boundary, values_of(robot.field), robot.fleet.vehicle)
+            field = divided(
+                *boundary, values_of(robot.field, robot.fleet.robots), robot.fleet.vehicle
+            )
             parts = field_parts(slot, FieldPlan(field, robot.fleet.vehicle))
             return Work(field.config_hash, len(field.sections), parts)
         if robot.warehouse is not None:

@@ -97,6 +97,7 @@ class FieldSetup(FleetSetup):
             table.model_dump_json(),
             self.turn_radius_m,
             self.scenario.fleet.radius_m,
+            self.scenario.fleet.robots,
         )
         found = _fields.get(key)
         if found is None:
@@ -109,7 +110,7 @@ class FieldSetup(FleetSetup):
         table = self.scenario.field
         try:
             boundary = read_boundary(path, table.feature)
-            return divided(*boundary, values_of(table), self.vehicle)
+            return divided(*boundary, values_of(table, self.scenario.fleet.robots), self.vehicle)
         except FieldFileError as problem:
             raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
         except FieldError as problem:

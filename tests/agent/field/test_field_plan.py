@@ -7,6 +7,8 @@ from shapely.geometry import box
 
 from agent.field.field_plan import (
     PIVOT_RADIUS_M,
+    SECTION_LEAST_M,
+    SECTIONS_EACH,
     TURN_SPARE,
     FieldError,
     FieldPlan,
@@ -14,6 +16,7 @@ from agent.field.field_plan import (
     divided,
     planned_radius_m,
 )
+from agent.field.fleet_plan import JOBS_MAX
 from agent.interface.vehicle import DriveTrain, Vehicle
 
 OUTLINE, ORIGIN = box(-30.0, -20.0, 30.0, 20.0), (51.0, 0.0)
@@ -55,3 +58,26 @@ def test_fences_are_the_outline() -> None:
     plan = FieldPlan(divided("f", OUTLINE, ORIGIN, FieldValues(), Vehicle()), Vehicle())
     assert plan.fences.shape == (4, 4)
     assert plan.turn_radius_m == 0.0
+
+
+@pytest.mark.parametrize("side_m", [60.0, 200.0, 1000.0])
+def test_a_section_is_a_small_share_of_what_a_robot_works(side_m: float) -> None:
+    field, swath_m = box(0.0, 0.0, side_m, side_m), side_m
+    for robots in (1, 6, 24, 60, 108):
+        values = FieldValues(robots=robots, gate=(0.0, 0.0))
+        sections = divided("f", field, ORIGIN, values, Vehicle()).sections
+        share_m = sum(section.length_m for section in sections) / robots / SECTIONS_EACH
+        # The last swath of a section may make it longer than wanted.
+        longest_m = max(min(share_m, values.section_length_m), SECTION_LEAST_M) + swath_m
+        assert max(section.length_m for section in sections) <= longest_m, robots
+        few = divided("f", field, ORIGIN, values._replace(robots=1), Vehicle()).sections
+        assert len(sections) <= max(JOBS_MAX, len(few)), robots
+
+
+def test_few_robots_get_sections_as_long_as_declared() -> None:
+    field = box(0.0, 0.0, 200.0, 200.0)
+    one, six = (
+        divided("f", field, ORIGIN, FieldValues(robots=n, gate=(0.0, 0.0)), Vehicle()).sections
+        for n in (1, 6)
+    )
+    assert one == six

@@ -11,9 +11,10 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from shapely.geometry import Polygon
 
+from agent.field import plan_kernels
 from agent.field.field_map import Field, Section
 from agent.field.field_plan import FieldPlan, FieldValues, divided
-from agent.field.fleet_plan import FleetPlan, FreedRobot, PlanProblem, solve
+from agent.field.fleet_plan import SUM_SHARE, FleetPlan, FreedRobot, PlanProblem, solve
 from agent.field.plan_kernels import finish, first_end
 from agent.field.travel_times import TravelTimes
 from agent.interface.vehicle import Vehicle
@@ -224,3 +225,16 @@ def test_ways_round_a_corner_lead_over_other_ends() -> None:
     assert driven_s > straight_m / 2.0
     assert driven_s < 1.5 * route.length_m(tuple(travel.ends[a]), tuple(travel.ends[b])) / 2.0
     assert (travel.link_for_ms == travel.link_for_ms.T).all()
+
+
+@pytest.mark.parametrize("robots", [24, 60, 108])
+def test_the_last_finish_counts_most_also_with_many_robots(robots: int) -> None:
+    """The squares of the finishes were divided by the last one. So a late last finish made a plan of
+    more than 50 robots cheaper."""
+    cost = plan_kernels._cost
+    sizes, even = np.ones(robots, np.int64), np.full(robots, 200_000, np.int64)
+    late = even.copy()
+    late[0] += 10_000
+    assert (
+        cost(late, sizes, SUM_SHARE, 200_000.0) - cost(even, sizes, SUM_SHARE, 200_000.0) > 10_000
+    )

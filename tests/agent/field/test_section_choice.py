@@ -94,3 +94,33 @@ def test_what_is_planned_for_a_working_robot_is_left_to_it_until_it_should_have_
     times = (now_us for now_us in range(0, 60 * S, S // 2))
     wants = (now for now in times if choosing.choose(view._replace(now_us=now), here) is not None)
     assert left_us + UNTAKEN_US <= next(wants) <= left_us + 2 * UNTAKEN_US
+
+
+def test_other_sections_that_are_finished_do_not_put_off_what_nobody_takes() -> None:
+    """A robot gave its last section back, and 23 idle ones left it to that robot until it took it
+    again, 20 s later: each section that was finished meanwhile began their 5 s anew (`oxted`, 24
+    robots, seed 1)."""
+    early = [section.id for section in FIELD.sections[:LAST]]
+    allocation = FieldAllocationCRDT()
+    for section in FIELD.sections:
+        if section.id != LAST and section.id not in early:
+            allocation.done(section.id, 0)
+    for number in early:
+        allocation.claim(number, 4)
+    progress = Progress({section.id: section.units for section in FIELD.sections})
+    route = Route(np.zeros((220, 220), bool), -55, -55, 0.5)
+    choosing = SectionChooser(FIELD, 2.5, TravelTimes(FIELD, route, 2.5, 2.0, 1.4))
+    here = (50.0, 50.0)
+    view = FleetView(
+        0, 0, Observation(*here, 0.0, 0.0, 0.0), allocation, progress, frozenset((0, 2)), {},
+        {2: told(2, *END)},
+    )  # fmt: skip
+    assert choosing.choose(view, here) is None, "it is the other robot's, which does not take it"
+    for now_us in range(S, UNTAKEN_US + 3 * S, S):
+        if early:
+            allocation.done(early.pop(), 4)
+        choice = choosing.choose(view._replace(now_us=now_us), here)
+        if choice is not None:
+            break
+    assert choice is not None and choice.section == LAST
+    assert now_us <= UNTAKEN_US + S
