@@ -7,7 +7,7 @@ for ever, and another one after it. Then a page that wants to press a stop finds
 import asyncio
 from typing import Any, Final, cast
 
-from uvicorn.protocols.http.auto import AutoHTTPProtocol
+from uvicorn.protocols.http.h11_impl import H11Protocol
 
 CONNECTIONS_MAX: Final = (
     64  # 16 pages, each with the six that a browser opens at most for its files
@@ -22,7 +22,7 @@ def seated(
     the oldest connection that waits for a request."""
     seats: list[Any] = []
 
-    class Seated(AutoHTTPProtocol):  # type: ignore[misc, valid-type]
+    class Seated(H11Protocol):
         """One connection, until it becomes a web socket or ends."""
 
         def connection_made(self, transport: Any) -> None:
@@ -57,10 +57,10 @@ def seated(
             self.waits_at_s = self.loop.time()
             super().on_response_complete()
 
-        def handle_websocket_upgrade(self, *told: Any) -> None:
+        def handle_websocket_upgrade(self, event: Any) -> None:
             """Pages have limits of their own (uvicorn calls it)."""
             self.leave()
-            super().handle_websocket_upgrade(*told)
+            super().handle_websocket_upgrade(event)
 
         def connection_lost(self, exc: Exception | None) -> None:
             """Give up the seat (asyncio calls it)."""
