@@ -44,7 +44,12 @@ def test_every_frame_is_in_the_table() -> None:
 
 
 NAMED = re.compile(r"(?<![\w./-])(?:agent|protocol|crdt|sim|tools|tests|docs|examples)/[\w/]+\.\w+")
-OVER = ("CHANGELOG.md", "changes/", "docs/history/")  # these tell of files as they were
+OVER = (
+    "CHANGELOG.md",
+    "changes/",
+    "docs/history/",
+    "tools/bench/house_lines.py",
+)  # files as they were
 
 
 def test_every_file_that_documents_and_sources_name_is_there() -> None:

@@ -92,7 +92,10 @@ class Kernel:
 def kind_of(value: object) -> Kind:
     """What numba knows of the type of an argument, without numba; equal for equal types.
 
-    `UNKNOWN` for what no entry takes."""
+    Returns numpy's number of the element type, the number of axes and the flags of the memory in one
+    integer for an array, a name for a scalar, a tuple of these for a tuple, and `UNKNOWN` for what no
+    entry takes.
+    """
     kind = type(value)
     if kind is np.ndarray:
         array = cast("np.ndarray[Any, Any]", value)

@@ -4,7 +4,6 @@ No check asks a robot for its belief, with one exception, its replicas: at the e
 restart before it has received any frame (S13).
 """
 
-import logging
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
@@ -17,6 +16,7 @@ from agent.motion.implement_clearance import LEAD_M
 from agent.peer.implement_check import RISES_WITHIN_US
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.sense_freshness import AGE_MAX_US
+from agent.runtime import peer_runner
 from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
@@ -43,7 +43,7 @@ from sim.world.coverage_truth import coverage, sample_points
 from sim.world.protocol_world import ProtocolWorld
 from sim.world.world import World
 
-RUNNER_LOG = logging.getLogger("agent.runtime.peer_runner")
+RUNNER_LOG = peer_runner.log
 SLACK_US = 20 * MS  # a control tick, and a frame that blocks
 # After this time from the last reset, no robot may still be stopped and all data must be exchanged.
 RELEASED_S = 12.0

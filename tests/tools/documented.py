@@ -42,7 +42,7 @@ def shown() -> list[Shown]:
         text = path.read_text()
         for language, block in FENCE.findall(text):
             if not language:
-                found += [Shown(path.name, line) for line in block.splitlines()]
+                found += [Shown(path.name, line) for line in lines_of(block)]
         inline = INLINE.findall(FENCE.sub("", text))
         found += [Shown(path.name, " ".join(code.split()), False) for code in inline]
     for path in sorted((ROOT / "tools").rglob("*.py")):
@@ -50,6 +50,20 @@ def shown() -> list[Shown]:
             parts = re.split(r", (?:then[^:]*|or on a real bus): (?=headland )", line)
             found += [Shown(path.name, part) for part in parts]
     return list(dict.fromkeys(s for s in found if s.text.startswith(BEGINS)))
+
+
+def lines_of(block: str) -> list[str]:
+    """The lines of a block as a shell reads them: what a backslash continues is one line, and `$NAME`
+    is what an earlier line of the block has set."""
+    lines: list[str] = []
+    values: dict[str, str] = {}
+    for line in block.replace("\\\n", " ").splitlines():
+        line = re.sub(r"\$([A-Z]+)", lambda m: values.get(m[1], m[0]), " ".join(line.split()))
+        if (assigned := re.fullmatch(r"([A-Z]+)=\"?([^\"]*)\"?", line)) is not None:
+            values[assigned[1]] = assigned[2]
+        else:
+            lines.append(line)
+    return lines
 
 
 def blocks(name: str) -> list[tuple[str, str]]:

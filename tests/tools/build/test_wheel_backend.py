@@ -103,7 +103,7 @@ NAMED = {
     "agent.runtime.bodies.vda5050_body:Vda5050Body", "agent.runtime.bodies.isobus_body:IsobusBody",
     "tools.bench.vda5050.figures", "tools.bench.mapf", "tools.bench.systems",
     "tools.bench.vda5050.many_robots", "tools.bench.ros2_door", "tools.bench.foxglove_door",
-    "tools.bench.prometheus_door",
+    "tools.bench.prometheus_door", "tools.build.warmup", "tools.build.kernel_module",
 }  # fmt: skip
 
 

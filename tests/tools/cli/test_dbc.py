@@ -26,6 +26,7 @@ from sim.files.candump import CandumpWriter, read_candump
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
+from tests.tools.documented import blocks, lines_of
 from tools.bench.cantools_judge import judge
 from tools.cli.arxml import to_arxml
 from tools.cli.dbc import dbc as dbc_command
@@ -176,8 +177,8 @@ def test_a16_cycle_times_and_nodes_are_told(by_group: dict[int, Any]) -> None:
 
 
 def test_a17_cantools_reads_a_log_as_the_documents_say(short_run: Path, tmp_path: Path) -> None:
-    text = Path("docs/use/bus.md").read_text()
-    command = next(line for line in text.splitlines() if "--frame-id-mask" in line).split(" <")[0]
+    shown = [line for _, block in blocks("use/bus.md") for line in lines_of(block)]
+    command = next(line for line in shown if "--frame-id-mask" in line).split(" <")[0]
     (tmp_path / "headland.dbc").write_text(to_dbc(), encoding="ascii")
     with (short_run / "can.log").open() as log:
         done = subprocess.run(

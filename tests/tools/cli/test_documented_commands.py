@@ -56,6 +56,7 @@ PARSED = {
     "headland ros2": "needs ROS 2; tests/tools/ros2",
     "headland run": "a minute each; run by tests of its mission",
     "keys rotate --running": "needs a launch; tests/tools/cli/test_keys.py",
+    "headland keys rotate": "run above with its folder; named in a sentence without one",
     "keys rotate keys --running": "needs a launch; tests/tools/cli/test_keys.py",
     "keys log": "needs the files of a launch; tests/agent/runtime/test_release_log.py",
     "keys operator": "needs the files of an owner; tests/tools/cli/test_keys.py",

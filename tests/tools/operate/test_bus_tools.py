@@ -17,18 +17,19 @@ import pytest
 from protocol.frames.frame import Frame
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_server import Hub
+from tests.tools.documented import blocks, lines_of
 from tools.inspect.inspection import inspect
 from tools.inspect.inspector import Inspector
 from tools.operate.foreign_groups import NAMES
 from tools.run.launch_bus import viewer_command
 
 LIMIT_S = 60.0
-DOCUMENT = Path(__file__).parents[3] / "docs" / "use" / "bus.md"
 
 
 def documented(tool: str, port: int) -> list[str]:
     """The line of the document that runs it, with the port."""
-    lines = [line for line in DOCUMENT.read_text().splitlines() if f"-m {tool} " in line]
+    shown = [line for _, block in blocks("use/bus.md") for line in lines_of(block)]
+    lines = [line for line in shown if f"-m {tool} " in line]
     assert len(lines) == 1, lines
     return words(lines[0].replace("PORT", str(port)))
 
