@@ -192,7 +192,7 @@ def test_a_goal_waits_for_an_idle_robot(tmp_path: Path) -> None:
         [outcome] = given
         [(order, word)] = outcome.orders
         assert word == "UNDER WAY" and len(speaker.queue) == 0
-        await elapse(60.0)
+        await elapse(120.0)  # others stand on its way
         assert at_m(cluster, order.slot, (10.0, -5.0)) < 1.0
 
     play(story, tmp_path)
