@@ -6,6 +6,7 @@ import pytest
 
 from agent.interface.lifecycle import State
 from agent.runtime.files.key_file import fresh, write
+from agent.safety.stop_cause import StopCause
 from protocol.rekeying import NOBODY, Rekeying, own_key, seal
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse
@@ -68,7 +69,10 @@ def test_a_revoked_robot_is_no_member_and_the_others_go_on(keys: Path) -> None:
         await elapse(5.0)
         for robot in cluster.running[:2]:
             assert robot.peer.membership.live == {0, 1} and robot.peer.named.keys.generation == 1
-            assert robot.peer.safety.may_move and robot.peer.state in (State.WORKING, State.IDLE)
+            # The body of the revoked one is a thing like any other, and may stand in the way.
+            causes = {cause for cause, _ in robot.peer.safety.causes}
+            assert causes <= {StopCause.OBSTACLE_AHEAD}, causes
+            assert robot.peer.state in (State.WORKING, State.IDLE)
         cluster.press(
             2
         )  # signed with keys that nobody believes: it brakes, and latches nobody else
