@@ -28,6 +28,7 @@ from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, HeldRes
 from sim.files.palette import rgb_of
 from sim.record.scene import Scene
 from tools.inspect.inspector import SILENT_S, Seen
+from tools.livemap.foxglove_fixes import FixTopics
 from tools.livemap.foxglove_port import LOOPBACK, PortTaken
 from tools.livemap.map_state import Watcher
 
@@ -68,7 +69,7 @@ class FoxgloveFeed(Watcher):
         super().__init__(scene)
         self.scene, self.epoch_s = scene or {}, epoch_s
         self._loop = asyncio.get_running_loop()
-        self._context = context = foxglove.Context()
+        context = foxglove.Context()
         self._tf = channels.FrameTransformChannel("/tf", context=context)
         self._scene = channels.SceneUpdateChannel("/scene", context=context)
         self._paths = channels.SceneUpdateChannel("/paths", context=context)
@@ -81,7 +82,7 @@ class FoxgloveFeed(Watcher):
             )
             for group in GROUPS
         }
-        self._fixes: dict[int, channels.LocationFixChannel] = {}
+        self._fixes = FixTopics(context)
         self._fixed_s: dict[int, float] = {}
         self._placed_s: dict[int, float] = {}  # when the newest pose of a robot came
         self._drawn: dict[str, object] = {}  # entity -> what was last published of it
@@ -181,11 +182,7 @@ class FoxgloveFeed(Watcher):
 
     def _fix(self, t_s: float, robot: Seen, to_degrees: Callable[..., Any]) -> None:
         self._fixed_s[robot.slot] = t_s
-        channel = self._fixes.get(robot.slot)
-        if channel is None:
-            topic = f"/robots/{robot.slot}/fix"
-            channel = channels.LocationFixChannel(topic, context=self._context)
-            self._fixes[robot.slot] = channel
+        channel = self._fixes.of(robot.slot, t_s)
         if channel.has_sinks():
             longitude, latitude = to_degrees(robot.x_m, robot.y_m)
             channel.log(
@@ -253,6 +250,8 @@ class FoxgloveFeed(Watcher):
             self._tell(self._loop.time(), again=False)
 
     def _tell(self, now_s: float, again: bool) -> None:
+        if self._tf.has_sinks():
+            self._fixes.offer_again(now_s)
         if self._scene.has_sinks():
             for robot in self.robots.values():
                 self._draw_robot(now_s, robot)

@@ -128,8 +128,12 @@ class Viewer:
             return
         for channel in told["channels"]:
             self.channels[channel["id"]] = channel
-        wanted = [{"id": c["id"], "channelId": c["id"]} for c in told["channels"]]
+        wanted = [{"id": c["id"], "channelId": c["id"]} for c in self._taken(told["channels"])]
         await self.connection.send(json.dumps({"op": "subscribe", "subscriptions": wanted}))
+
+    def _taken(self, channels: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        """Of those that are offered: all."""
+        return channels
 
     def _decode(self, channel: dict[str, Any], data: bytes) -> Any:
         if channel["encoding"] == "json":
@@ -145,6 +149,17 @@ class Viewer:
         return self._kinds[name].FromString(data)
 
 
+class Unlucky(Viewer):
+    """Its first subscription to fixes is lost, as the SDK loses some."""
+
+    lost = False
+
+    def _taken(self, channels: list[dict[str, Any]]) -> list[dict[str, Any]]:
+        taken = [c for c in channels if self.lost or not c["topic"].endswith("/fix")]
+        self.lost = self.lost or taken != channels
+        return taken
+
+
 def connected(url: str) -> Any:
     """With small buffers, as between machines: what waits longer waits at the server."""
     from_server = socket()
@@ -156,10 +171,10 @@ def connected(url: str) -> Any:
 
 
 @asynccontextmanager
-async def viewing(url: str) -> AsyncIterator[Viewer]:
+async def viewing(url: str, kind: type[Viewer] = Viewer) -> AsyncIterator[Viewer]:
     async with connected(url) as connection:
         assert connection.subprotocol == PROTOCOL
-        viewer = Viewer(connection)
+        viewer = kind(connection)
         try:
             yield viewer
         finally:
@@ -320,6 +335,26 @@ def test_transforms_come_twenty_times_a_second_where_poses_are_rarer() -> None:
                 away_m = min(max(at_s, 0.0), AHEAD_MAX_S) * 1.0  # at 1 m/s
                 assert abs(told.translation.x - 3.0 - away_m) < 0.02
                 assert told.translation.y == pytest.approx(4.0, abs=0.01)
+        finally:
+            feed.close()
+
+    asyncio.run(story())
+
+
+def test_a_fix_whose_subscription_is_lost_is_offered_again() -> None:
+    async def story() -> None:
+        feed = FoxgloveFeed({"earth": [48.0, 9.0]}, 0, 0.0)
+        try:
+            async with viewing(feed.url, Unlucky) as viewer:
+                await viewer.look({"the topic": lambda: feed._tf.has_sinks()})
+                now_s = asyncio.get_running_loop().time()
+                feed.hear(now_s, encode(Member(0, 1, 7), 128))
+                feed.hear(now_s, encode(Pose(3.0, 4.0, 0.0, 1.0, 1, False, 0), 128))
+                await viewer.look({"the fix is taken": lambda: feed._fixes.of(0, 0.0).has_sinks()})
+                assert isinstance(viewer, Unlucky) and viewer.lost
+                now_s = asyncio.get_running_loop().time()
+                feed.hear(now_s, encode(Pose(3.0, 4.0, 0.0, 1.0, 2, False, 0), 128))
+                await viewer.look({"a fix": lambda: bool(viewer.seen["/robots/0/fix"])})
         finally:
             feed.close()
 
