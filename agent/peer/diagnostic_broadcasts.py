@@ -1,7 +1,8 @@
 """What a robot tells diagnostic tools unasked, or in a rhythm that they asked for.
 
 DM1 of SAE J1939-73: each second while a cause is active, at once when causes change, and once when
-the last one has gone. The standard heartbeat of ISO 11783-7: after a request for its rate.
+the last one has gone. A cause that the leader of the fleet repeats is left to it (`repeated_causes`).
+The standard heartbeat of ISO 11783-7: after a request for its rate.
 """
 
 from collections.abc import Mapping, Sequence
@@ -9,7 +10,9 @@ from typing import Any, Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
-from agent.peer.diagnostics import active_faults, fault_of, root_causes
+from agent.peer.diagnostics import active_faults, fault_of, repeated_causes, root_causes
+from agent.peer.leader_votes import LeaderVotes
+from agent.peer.member_reports import MemberReports
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder, acknowledged
 from agent.safety.stop_cause import StopCause
@@ -24,6 +27,7 @@ from protocol.frames.diagnostic_frames import (
     ClearRefusal,
     StandardHeartbeat,
 )
+from protocol.frames.fleet_frames import Standstill
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.network_frames import AcknowledgmentControl, RepetitionRateRequest
 
@@ -39,10 +43,18 @@ OWN_RATE: Final = 0xFFFF
 class DiagnosticBroadcasts(Part):
     """The part that sends DM1 and the standard heartbeat, and refuses to clear what holds a robot."""
 
-    def __init__(self, safety: StopController, letters: PgnResponder, cyclic: bool) -> None:
+    def __init__(
+        self,
+        safety: StopController,
+        letters: PgnResponder,
+        votes: LeaderVotes,
+        reports: MemberReports,
+        cyclic: bool,
+    ) -> None:
         """`cyclic`: whether DM1 is sent unasked."""
         self.safety, self.letters, self.cyclic = safety, letters, cyclic
-        self._told: tuple[StopCause, ...] = ()  # by our newest DM1
+        self.votes, self.reports = votes, reports
+        self._told: tuple[StopCause, ...] = ()  # active at our newest DM1
         self._told_at_us = -FAULTS_PERIOD_US
         self._beat_at_us = FOREVER
         self._sequence = FIRST_SEQUENCE
@@ -84,7 +96,16 @@ class DiagnosticBroadcasts(Part):
             return ()
         causes = self.safety.causes
         self._told = root_causes(causes)
-        return self.letters.sends(DM1.pgn, active_faults(causes), GLOBAL_ADDRESS, ctx.now_us)
+        content = active_faults(repeated_causes(causes, self._leader_tells(ctx)))
+        return self.letters.sends(DM1.pgn, content, GLOBAL_ADDRESS, ctx.now_us)
+
+    def _leader_tells(self, ctx: StepContext) -> Sequence[Standstill]:
+        """Why the leader stands; nothing if that is we, or nobody who is heard."""
+        leader = self.votes.leader
+        if leader is None or leader == ctx.slot or leader not in ctx.live:
+            return ()
+        told = self.reports.standstills.get(leader)
+        return () if told is None else told.fresh(ctx.now_us)
 
     def _beat(self, ctx: StepContext) -> Sequence[Effect]:
         self._beat_at_us = ctx.now_us + HEARTBEAT_PERIOD_MS * MS

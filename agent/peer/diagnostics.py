@@ -1,14 +1,15 @@
 """What a robot tells diagnostic tools of itself: identification of ISO 11783-12, faults of SAE J1939-73.
 
 A fault is a cause for which the robot stands or creeps now, the same as in STANDSTILL. A cause that only
-follows from another one is no fault of its own (`CONSEQUENCES`).
+follows from another one is no fault of its own (`CONSEQUENCES`). A cause that holds a whole fleet is
+repeated by the elected leader alone (`SHARED`, `repeated_causes`); who is asked tells all.
 """
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Final
 
 from agent.interface.identity import Identity
-from agent.safety.stop_cause import StopCause
+from agent.safety.stop_cause import StopCause, about, further
 from protocol.frames.diagnostic_frames import (
     NOT_COUNTED,
     SPN_FIRST,
@@ -17,7 +18,9 @@ from protocol.frames.diagnostic_frames import (
     Functionalities,
     PreviousFaults,
 )
+from protocol.frames.fleet_frames import Standstill
 
+_SILENCES: Final = (StopCause.MEMBER_SILENT.number, StopCause.CREEP.number)
 COMPONENT_PGN: Final = 65259  # SAE J1939-71: make*model*serial number*unit*
 ECU_PGN: Final = 64965  # ISO 11783-12: part*serial number*location*type*maker*hardware*
 SOFTWARE_PGN: Final = 65242  # number of fields, then each with a *
@@ -58,6 +61,16 @@ CONSEQUENCES: Final = {
 }  # fmt: skip
 
 
+# Causes that hold a whole fleet at once. They are no faults of the device that they hold: a person
+# pressed something or has to start the fleet, or another device failed. SAE J1939-73 leaves it to the
+# maker which device finds a fault of its own numbers (from 516096 on).
+SHARED: Final = frozenset({
+    StopCause.NOT_STARTED, StopCause.STOP_DOT, StopCause.IMPLEMENTS_STOP, StopCause.UNAUTHENTICATED_STOP,
+    StopCause.SPENT_STOP, StopCause.MEMBER_SILENT, StopCause.CREEP, StopCause.BACKBONE_LOST,
+    StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH,
+})  # fmt: skip
+
+
 def texts(identity: Identity) -> dict[int, str]:
     """Parameter group -> the text by which this robot answers a request for it."""
     serial = f"{identity.name.identity:07d}"
@@ -82,6 +95,26 @@ def root_causes(causes: Sequence[tuple[StopCause, str]]) -> tuple[StopCause, ...
     )
 
 
+def repeated_causes(
+    causes: Sequence[tuple[StopCause, str]], leader_tells: Collection[Standstill]
+) -> tuple[StopCause, ...]:
+    """The causes that this robot's DM1 repeats each second, the worst first.
+
+    `leader_tells`: why the leader of the fleet stands, by its newest frames; empty for the leader
+    itself, and while none is heard. A shared cause is left to a leader that tells the same one, of the
+    same device. What is left is never empty while a cause is active.
+    """
+    told = {(m.cause, m.about, m.number if m.cause in _SILENCES else 0) for m in leader_tells}
+    roots = root_causes(causes)
+    details = dict(causes)
+    own = tuple(
+        cause for cause in roots
+        if cause not in SHARED
+        or (cause.number, about(cause, details[cause]), further(cause, details[cause])) not in told
+    )  # fmt: skip
+    return own or roots[:1]
+
+
 def fault_table() -> str:
     """The Markdown table of all faults for the documents."""
     rows = sorted((*fault_of(cause), cause.name) for cause in StopCause)
@@ -89,9 +122,9 @@ def fault_table() -> str:
     return "\n".join(["| SPN | FMI | cause |", "|---|---|---|", *lines])
 
 
-def active_faults(causes: Sequence[tuple[StopCause, str]]) -> ActiveFaults | bytes:
+def active_faults(causes: Sequence[StopCause]) -> ActiveFaults | bytes:
     """DM1: a frame for at most one fault, else the data of a longer message."""
-    faults = [fault_of(cause) for cause in root_causes(causes)]
+    faults = [fault_of(cause) for cause in causes]
     if not faults:
         return ActiveFaults(*NO_FAULT)
     if len(faults) == 1:

@@ -136,7 +136,9 @@ class PeerParts:
         self.letters = PgnResponder(
             identity, frozenset((MEMBER_PGN, CLAIM_PGN)), self.joining, self.safety
         )
-        self.diagnostics = DiagnosticBroadcasts(self.safety, self.letters, identity.diagnostics)
+        self.diagnostics = DiagnosticBroadcasts(
+            self.safety, self.letters, self.votes, self.reports, identity.diagnostics
+        )
         self.tasks = TaskReporting(identity, self.letters, self.safety)
         self.letters.answer(
             FLEET_SUMMARY_PGN,

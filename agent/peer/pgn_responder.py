@@ -19,6 +19,7 @@ from agent.peer.diagnostics import (
     PREVIOUS,
     PROTOCOLS,
     active_faults,
+    root_causes,
     texts,
 )
 from agent.peer.network_join import NetworkJoin
@@ -76,7 +77,7 @@ class PgnResponder(Part):
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
         self._contents: dict[int, Content] = {  # by PGN
             LOG_PGN: lambda _: _data(self._log()),
-            DM1.pgn: lambda _: active_faults(safety.causes),
+            DM1.pgn: lambda _: active_faults(root_causes(safety.causes)),
             DM2.pgn: lambda _: PREVIOUS,
             DIAGNOSTIC_PROTOCOLS.pgn: lambda _: PROTOCOLS,
             FUNCTIONALITIES.pgn: lambda _: MINIMUM,

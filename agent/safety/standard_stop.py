@@ -31,6 +31,8 @@ class _Button:
     switch: int
     count: int
     ends_at_us: int  # it holds until then
+    source: int  # bus address of its newest frame
+    robot: bool  # a member of the fleet, whose own stop frames announce what holds it
     # until then a missed press holds, even if the button now sends a permit
     missed_ends_at_us: int = 0
 
@@ -72,7 +74,7 @@ class ShortcutButtons:
             if known is not None:
                 self._buttons[key] = known
             return
-        button = _Button(m.switch, m.transition, now_us)
+        button = _Button(m.switch, m.transition, now_us, source, robot)
         if known is not None:
             button.missed_ends_at_us = known.missed_ends_at_us
         if m.switch in STOPS:
@@ -103,6 +105,18 @@ class ShortcutButtons:
         """
         ends = (max(b.ends_at_us, b.missed_ends_at_us) for b in self._buttons.values())
         return max(self._dropped_end_at_us, max(ends, default=0))
+
+    def holder(self, now_us: int) -> int | None:
+        """The bus address of a button that holds now; None if none does, or if it was dropped.
+
+        Where several hold: the lowest address, and a robot only if nothing else does.
+        """
+        holds = [
+            (button.robot, button.source)
+            for button in self._buttons.values()
+            if max(button.ends_at_us, button.missed_ends_at_us) > now_us
+        ]
+        return min(holds)[1] if holds else None
 
 
 def _missed(known: int, count: int) -> bool:

@@ -483,7 +483,9 @@ class StopController:
         if held_for_us <= 0:
             self.clear_cause(StopCause.IMPLEMENTS_STOP, now_us)
             return ()
-        self.raise_cause(StopCause.IMPLEMENTS_STOP, now_us, f"address {source}", held_for_us)
+        holder = self.buttons.holder(now_us)
+        about = f"address {source if holder is None else holder}"
+        self.raise_cause(StopCause.IMPLEMENTS_STOP, now_us, about, held_for_us)
         return [HALT] if m.switch in STOPS or not held else ()
 
     def say_button(self, live: Collection[int], now_us: int) -> Sequence[Effect]:

@@ -15,10 +15,8 @@ from agent.peer.diagnostics import active_faults, fault_of, root_causes, texts
 from agent.peer.inputs import Received, Timer
 from agent.peer.part import StepContext
 from agent.peer.peer import Peer
-from agent.peer.pgn_responder import PgnResponder
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import StopController
 from protocol.frames.codec import encode, packed
 from protocol.frames.diagnostic_frames import (
     ActiveFaults,
@@ -124,7 +122,7 @@ def test_a13_each_cause_of_standing_is_a_fault() -> None:
     (opened,) = asked(peer, 65226, now_us)
     assert isinstance(opened, Send) and isinstance(opened.message, TransportManagement)
     assert opened.message.pgn == 65226 and opened.destination == TOOL
-    data = active_faults(peer.safety.causes)
+    data = active_faults(root_causes(peer.safety.causes))
     assert isinstance(data, bytes) and len(data) == 2 + 2 * 4
     found = {int.from_bytes(data[k : k + 2], "little") | data[k + 2] >> 5 << 16 for k in (2, 6)}
     assert found == {spn, 516_096 + StopCause.CONFIG_MISMATCH.number}
@@ -176,9 +174,10 @@ def told(peer: Peer, until_us: int, kinds: type | tuple[type, ...]) -> list[tupl
     return said
 
 
-def broadcasts(safety: StopController, letters: PgnResponder, until_us: int) -> list[Any]:
+def broadcasts(peer: Peer, until_us: int) -> list[Any]:
     """What the part sends, asked each 10 ms, and when; a cause may change meanwhile."""
-    part, said = DiagnosticBroadcasts(safety, letters, True), []
+    safety, named = peer.safety, peer.named
+    part, said = DiagnosticBroadcasts(safety, peer.letters, named.votes, named.reports, True), []
     for now_us in range(0, until_us, 10 * MS):
         here = StepContext(0, now_us, State.IDLE, True, None, frozenset(), True)
         CHANGES.get(now_us, lambda _, __: None)(safety, now_us)
@@ -203,7 +202,7 @@ CHANGES: dict[int, Any] = {
 def test_a13_dm1_is_told_each_second_and_when_causes_change() -> None:
     """A cause that flickers does not fill the bus."""
     peer, _ = joined()
-    said = broadcasts(peer.safety, peer.letters, 14 * S)
+    said = broadcasts(peer, 14 * S)
     assert [(at_us // MS, m.spn) for at_us, m in said if at_us < 10 * S] == [
         *((ms, 516_096 + StopCause.OBSTACLE_AHEAD.number) for ms in (2000, 3000, 4000, 5000)),
         (5500, 0),

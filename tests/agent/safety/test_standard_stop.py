@@ -55,6 +55,22 @@ def test_a1_release_of_one_button_keeps_the_stop_of_another(named: bool, switch:
     assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "its own permit ends it"
 
 
+def test_the_cause_names_the_button_that_holds_and_not_the_one_that_spoke_last() -> None:
+    """A person was sent to whichever device had sent a frame, also to one that permits, and to a robot
+    that only repeats the fleet's own stop."""
+    peer = bus(True)
+    for second in range(4):
+        peer.step(Heard(SECOND, AllImplementsStop(1, Switch.STOP)), second * S)
+        peer.step(Heard(FIRST, AllImplementsStop(0, Switch.PERMIT)), second * S + S // 2)
+        assert dict(peer.safety.causes)[StopCause.IMPLEMENTS_STOP] == f"address {SECOND}", second
+    buttons = ShortcutButtons()
+    buttons.on_message(20, None, True, AllImplementsStop(1, Switch.STOP), 0)
+    assert buttons.holder(S) == 20, "nothing else holds"
+    buttons.on_message(FIRST, None, False, AllImplementsStop(1, Switch.STOP), S)
+    buttons.on_message(SECOND, None, False, AllImplementsStop(1, Switch.STOP), S)
+    assert buttons.holder(S) == FIRST and buttons.holder(S + HOLD_US) is None
+
+
 def test_a1_a_silent_button_holds_for_its_time_out() -> None:
     peer = bus(True)
     peer.step(Heard(FIRST, AllImplementsStop(1, Switch.STOP)), 0)

@@ -24,8 +24,8 @@ def test_eight_hours(version: int) -> None:
 
 
 def test_a_standing_robot_takes_little_of_the_bus() -> None:
-    """Twenty of them stay below 4 % while one stop holds them, also if they were never started. Two
-    causes need three frames in each second, which SAE J1939-21 and -73 leave no way round."""
+    """Twenty of them stay below 4 %. Two faults of a robot take three frames in each second, by SAE
+    J1939-21 and -73; `test_faults_rig.py` has a fleet in which the leader alone does."""
     one, two = standing_load(()), standing_load((StopCause.IMPLEMENTS_STOP,))
     assert (one.told, two.told) == (1, 2)
     assert 20 * (one.session + one.faults) <= 0.03, one
