@@ -8,7 +8,6 @@ import configparser
 import os
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
-from importlib.metadata import PackageNotFoundError, version
 from math import isfinite
 from pathlib import Path
 from typing import Any
@@ -16,6 +15,7 @@ from typing import Any
 import typer
 from typer.core import TyperGroup
 
+from tools.cli.plain_values import take_plain_values
 from tools.common.verbosity import Verbosity, taken_from
 
 PLAY, LOOK, OPERATE, SET_UP, DEVELOP = "Play", "Look", "Operate", "Set up", "Develop"
@@ -49,6 +49,7 @@ class Panels(TyperGroup):
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
         """Words of verbosity may stand anywhere."""
+        take_plain_values(self.get_params(ctx))
         return super().parse_args(ctx, taken_from(args) if ctx.parent is None else args)
 
     def invoke(self, ctx: Any) -> Any:
@@ -71,6 +72,7 @@ class Panels(TyperGroup):
                 param.callback = _Number(param.callback)
             if param.name == "interface" and param.default == "socketcand":
                 ctx.default_map = {name: can_defaults()}
+        take_plain_values(command.get_params(ctx))
         return name, command, [_renamed(word, known) for word in rest]
 
 
@@ -116,6 +118,8 @@ def can_defaults(files: Sequence[str] = CAN_FILES) -> dict[str, str]:
 
 def version_text() -> str:
     """Name and version, as `--version` prints them."""
+    from importlib.metadata import PackageNotFoundError, version  # slow, and needed for this alone
+
     try:
         return f"headland {version('headland')}"
     except PackageNotFoundError:

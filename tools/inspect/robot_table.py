@@ -1,19 +1,22 @@
 """What `Inspector.to_dict` tells, as text: a table of robots, and lines below it."""
 
-from typing import Any
-
-from rich.console import Console
-from rich.table import Table
+from typing import TYPE_CHECKING, Any
 
 from agent.peer.self_health import POOR
 from tools.inspect.inspector import NO_KEYS
+
+if TYPE_CHECKING:  # slow to import, and `--json` does without
+    from rich.console import Console
+    from rich.table import Table
 
 RELEASE_ASKED = "a release is asked for at its terminal; with a key: headland release"
 UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
 
 
-def table_of(seen: dict[str, Any]) -> Table:
+def table_of(seen: dict[str, Any]) -> "Table":
     """The robots, a row each."""
+    from rich.table import Table
+
     table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
     for column in (
         "robot",
@@ -46,8 +49,10 @@ def table_of(seen: dict[str, Any]) -> Table:
     return table
 
 
-def show(seen: dict[str, Any], console: Console | None = None) -> None:
+def show(seen: dict[str, Any], console: "Console | None" = None) -> None:
     """To the terminal: the table, then what is wrong or strange, a line each."""
+    from rich.console import Console
+
     console = console or Console()
     console.print(table_of(seen))
     done = sum(1 for s in seen["sections"].values() if s["phase"] == "DONE")

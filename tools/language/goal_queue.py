@@ -40,7 +40,9 @@ class Queued(BaseModel):
         return self.x_m, self.y_m
 
 
-_LIST: TypeAdapter[list[Queued]] = TypeAdapter(Annotated[list[Queued], Field(max_length=QUEUE_MAX)])
+_LIST: TypeAdapter[list[Queued]] = TypeAdapter(
+    Annotated[list[Queued], Field(max_length=QUEUE_MAX)], config=ConfigDict(defer_build=True)
+)
 
 
 class GoalQueue:

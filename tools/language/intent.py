@@ -22,7 +22,8 @@ Mover = Slot | Literal["nearest", "unnamed", "all", "several"]
 
 
 class _Intent(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
+    # Built at its first use: a phrase uses one or two of them.
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, defer_build=True)
 
 
 class At(_Intent):
@@ -79,7 +80,9 @@ class Backlog(_Intent):
 
 Intent = Annotated[Goal | Control | Query | Backlog, Field(discriminator="kind")]
 Intents = Annotated[tuple[Intent, ...], Field(min_length=1, max_length=INTENTS_MAX)]
-INTENTS: TypeAdapter[tuple[Goal | Control | Query | Backlog, ...]] = TypeAdapter(Intents)
+INTENTS: TypeAdapter[tuple[Goal | Control | Query | Backlog, ...]] = TypeAdapter(
+    Intents, config=ConfigDict(defer_build=True)
+)
 AnyIntent = Goal | Control | Query | Backlog
 
 

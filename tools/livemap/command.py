@@ -7,10 +7,9 @@ import socket
 import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
-
-from rich.console import Console
 
 from agent.runtime.files.given_file import (
     REPORT_BYTES_MAX,
@@ -63,7 +62,6 @@ def show_map(
     the page may release a fleet with keys. `metrics`: PORT or HOST:PORT of figures for Prometheus.
     `foxglove`: a port for viewers.
     """
-    console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         scene = None if scenario is None else _scene_of(scenario)
         launch = _launch_of(source, interface, port)
@@ -74,17 +72,15 @@ def show_map(
                 served = None if metrics is None else metrics_address(metrics)
                 if foxglove is not None:
                     check_port(foxglove)
-                return _live(
-                    scene, launch, where, own, listener, console, as_json, served, foxglove
-                )
+                return _live(scene, launch, where, own, listener, as_json, served, foxglove)
             if metrics is not None or foxglove is not None:
                 raise MetricsError(
                     "--metrics, --foxglove: of a live bus; a recording has no present"
                 )
-            with console.status(f"reading {source}"):
+            with _reading(source, as_json):
                 recording = recorded(source, scene)
             server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
-            _announce(console, as_json, url_of(listener, server))
+            _announce(as_json, url_of(listener, server))
             asyncio.run(serve(server, listener))
     except (
         AttachError, SourceError, McapMissing, ServerError, MetricsError,
@@ -140,14 +136,21 @@ def url_of(listener: socket.socket, server: "MapServer") -> str:
     return f"http://{HOST}:{listener.getsockname()[1]}/#{server.token}"
 
 
-def _announce(console: Console, as_json: bool, url: str, **more: str | None) -> None:
+def _announce(as_json: bool, url: str, **more: str | None) -> None:
     others = {name: address for name, address in more.items() if address}
     if as_json:
         print(dumps({"map": url, **others}), flush=True)
         return
-    console.print(f"map: {url}   (Ctrl-C ends it)")
+    print(f"map: {url}   (Ctrl-C ends it)", flush=True)
     for name, address in others.items():
-        console.print(f"{name}: {address}")
+        print(f"{name}: {address}", flush=True)
+
+
+def _reading(source: Path, as_json: bool) -> AbstractContextManager[object]:
+    """Says at a terminal that a long recording is being read."""
+    from rich.console import Console  # a tenth of the map's start; a live bus does without
+
+    return Console(stderr=as_json).status(f"reading {source}")
 
 
 async def serve(server: "MapServer", listener: socket.socket) -> None:
@@ -262,7 +265,7 @@ class KeyFiles(NamedTuple):
 
 def _live(
     scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
-    keys: KeyFiles, listener: socket.socket, console: Console, as_json: bool,
+    keys: KeyFiles, listener: socket.socket, as_json: bool,
     served: MetricsAddress | None, foxglove: int | None,
 ) -> int:  # fmt: skip
     if launch is not None and keys == KeyFiles(None, None):
@@ -291,7 +294,7 @@ def _live(
             asking = asyncio.create_task(panel.keep_asking())
             seen_at = None if feed is None else feed.url
             own = url_of(listener, server)
-            _announce(console, as_json, own, metrics=metrics, foxglove=seen_at)
+            _announce(as_json, own, metrics=metrics, foxglove=seen_at)
             try:
                 await serve(server, listener)
             finally:
