@@ -1,6 +1,9 @@
 """The only module that imports python-can here: wraps a `can.BusABC` as the `Bus` of a runner."""
 
 import asyncio
+import os
+import socket
+import sys
 from collections import deque
 from collections.abc import Callable
 from typing import Any, Final
@@ -19,6 +22,9 @@ ACTIVE = can.BusState.ACTIVE
 CONFIRMING: Final = frozenset({"socketcan", "kvaser", "pcan", "vector", "virtual"})
 # Own frames that wait for their confirmation; above this number the oldest is dropped.
 UNCONFIRMED_MAX: Final = 512
+# Options of Linux that no module of Python names (linux/in.h, linux/in6.h).
+IP_MULTICAST_ALL: Final = 49
+IPV6_MULTICAST_ALL: Final = 29
 
 
 class CanBus:
@@ -126,4 +132,18 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
         if interface in CONFIRMING:
             options.setdefault("receive_own_messages", True)
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
+    if interface == "udp_multicast":
+        _hear_own_group_alone(bus)
     return CanBus(bus, bool(options.get("receive_own_messages")) and interface in CONFIRMING)
+
+
+def _hear_own_group_alone(bus: can.BusABC) -> None:
+    """Linux gives a socket the messages of every group that any program of the machine has joined. Two
+    fleets on one machine would hear each other, with equal addresses, stops and all."""
+    if sys.platform != "linux":
+        return
+    with socket.socket(fileno=os.dup(bus.fileno())) as same:
+        if same.family == socket.AF_INET6:
+            same.setsockopt(socket.IPPROTO_IPV6, IPV6_MULTICAST_ALL, 0)
+        else:
+            same.setsockopt(socket.IPPROTO_IP, IP_MULTICAST_ALL, 0)

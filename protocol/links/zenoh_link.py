@@ -1,4 +1,5 @@
-"""The only module that imports Eclipse Zenoh: a session with explicit endpoints, and a bus on top.
+"""The only module of robots and gateways that imports Eclipse Zenoh: a session with explicit endpoints,
+and a bus on top.
 
 Nothing is found by multicast; endpoints to connect to are named. Callbacks of the session come in
 its own threads and are handed to the event loop here. Messages that the loop is too slow for are

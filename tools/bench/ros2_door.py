@@ -12,7 +12,7 @@ from typing import Any
 
 from sim.fleet.outcome import COVERAGE_MIN
 from tools.bench.figure import Figure
-from tools.bench.ros2_field import LIMIT_S, worked_field
+from tools.bench.ros2_field import LIMIT_S, POSES_MIN, worked_field
 from tools.bench.stopped_beats import BUS_BOUND_MS, READY_S, Beats
 from tools.bench.systems import ADDED_MS, CounterpartAbsent
 from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
@@ -50,6 +50,11 @@ def figures(quick: bool) -> Iterator[Figure]:
         f"by their traces, in {told.for_s:.0f} of at most {LIMIT_S:.0f} s; "
         f"{told.velocities} velocities received; {len(told.missed)} cells not worked: "
         f"{told.missed[:MISSED_TOLD]}",
+    )  # fmt: skip
+    clean = not told.lost and told.poses >= POSES_MIN
+    yield Figure(
+        "ROS 2: places on the bus that a reader of the topics missed", told.lost, "", "= 0", clean,
+        AGAINST, f"of {told.poses}, equal and in order; `headland ros2` beside the robots of the field",
     )  # fmt: skip
 
 

@@ -356,6 +356,10 @@ def ros2(
         int | None, typer.Option(min=0, max=232, help="ROS_DOMAIN_ID; none: of the environment.")
     ] = None,
     seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
+    zenoh: Annotated[
+        str | None,
+        typer.Option(metavar="ENDPOINT", help="Without ROS: by this router of rmw_zenoh, tcp/HOST:7447."),
+    ] = None,
 ) -> None:  # fmt: skip
     """Show a fleet to ROS 2: odometry, states, plans, maps, diagnostics. Stops go both ways.
 
@@ -365,4 +369,4 @@ def ros2(
     from tools.ros2.command import serve
 
     where = (interface, channel, bitrate, host, port)
-    raise SystemExit(serve(where, keys, operator_key, scenario, namespace, domain, seconds))
+    raise SystemExit(serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh))

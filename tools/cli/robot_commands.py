@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from tools.cli.panels import OPERATE, SET_UP
-from tools.common.options import PORT_MAX, Drive, Json
+from tools.common.options import PORT_MAX, Drive, Foxglove, Json, Metrics
 
 app = typer.Typer()
 
@@ -54,6 +54,8 @@ def robot(
     dry: Annotated[
         bool, typer.Option("--dry", help="Take part, and drive nothing: the body stands.")
     ] = False,
+    metrics: Metrics = None,
+    foxglove: Foxglove = None,
     json: Json = False,
 ) -> None:
     """Run one robot on a machine: its bus, its body, its work and its memory from a file.
@@ -69,8 +71,11 @@ def robot(
 
     changes = Changes(slot, interface, channel, body)
     raise SystemExit(
-        command(file, changes, first_boot=first_boot, check=check, dry=dry, as_json=json)
-    )
+        command(
+            file, changes, first_boot=first_boot, check=check, dry=dry, as_json=json, metrics=metrics,
+            foxglove=foxglove,
+        )
+    )  # fmt: skip
 
 
 @app.command("body-check", rich_help_panel=SET_UP)

@@ -22,32 +22,67 @@ from tools.inspect.log_frames import SourceError
 from tools.livemap.command import check_operator_key
 from tools.livemap.stop_panel import Panel, PanelError
 from tools.operate.estop import keyring_of
+from tools.ros2.graph import Graph
 
 WRONG = 2
 NODE = "headland"
-NO_ROS = "headland ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'"
+NO_ROS = (
+    "headland ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'. Without either: "
+    "--zenoh"
+)
+NO_ZENOH = "headland ros2 --zenoh needs {}: pip install 'headland[ros,backbone]'"
 NO_RELEASE = "no operator's key: start it with --operator-key, or release with headland release"
 Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
 def serve(
     where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
-    namespace: str, domain: int | None, seconds: float | None,
+    namespace: str, domain: int | None, seconds: float | None, zenoh: str | None = None,
 ) -> int:  # fmt: skip
     """The exit code of `headland ros2`: 0 when it was ended, 2 for a wrong argument.
 
-    `domain`: the number of the ROS graph. `seconds`: after which it ends.
+    `domain`: the number of the ROS graph. `seconds`: after which it ends. `zenoh`: the router of a graph
+    that is joined without ROS; None: by rclpy.
     """
-    if find_spec("rclpy") is None:
-        print(f"headland: {NO_ROS}", file=sys.stderr)
+    missing = _missing(zenoh)
+    if missing:
+        print(f"headland: {missing}", file=sys.stderr)
         return WRONG
     try:
         check_operator_key(operator_key)
-        asyncio.run(_serve(where, keys, operator_key, scenario, namespace, domain, seconds))
-    except (AttachError, SourceError, OSError) as problem:
+        asyncio.run(_serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh))
+    except (AttachError, SourceError, GraphError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     return 0
+
+
+class GraphError(Exception):
+    """One line for the person: why a graph cannot be joined."""
+
+
+def _missing(zenoh: str | None) -> str:
+    """What has to be installed; empty: all is there."""
+    if zenoh is None:
+        return "" if find_spec("rclpy") else NO_ROS
+    absent = [name for name in ("zenoh", "rosbags") if find_spec(name) is None]
+    return NO_ZENOH.format(" and ".join(absent)) if absent else ""
+
+
+async def _joined(namespace: str, domain: int | None, zenoh: str | None) -> Graph:
+    """Raises GraphError and OSError."""
+    if zenoh is None:
+        from agent.runtime.ros2_node import Ros2Node
+        from tools.ros2.dds_graph import DdsGraph
+
+        return DdsGraph(Ros2Node(NODE, namespace, domain))
+    from protocol.links.zenoh_link import LinkError
+    from tools.ros2.zenoh_graph import ZenohGraph
+
+    try:
+        return await ZenohGraph.open(zenoh, NODE, namespace, domain)
+    except LinkError as problem:
+        raise GraphError(str(problem)) from None
 
 
 def _launch() -> dict[str, Any]:
@@ -76,9 +111,8 @@ def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
 
 async def _serve(
     where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
-    namespace: str, domain: int | None, seconds: float | None,
+    namespace: str, domain: int | None, seconds: float | None, zenoh: str | None,
 ) -> None:  # fmt: skip
-    from agent.runtime.ros2_node import Ros2Node
     from tools.ros2.ros2_feed import Ros2Feed
 
     interface, channel, bitrate, host, port = where
@@ -112,7 +146,7 @@ async def _serve(
         late = found["late"]
         return bool(found["heard"]) and not late, f"not released: {late}" if late else "released"
 
-    feed = Ros2Feed(Ros2Node(NODE, namespace, domain), scene, stop, release)
+    feed = Ros2Feed(await _joined(namespace, domain, zenoh), scene, stop, release)
 
     def heard(frame: Frame) -> None:
         now_s = loop.time()

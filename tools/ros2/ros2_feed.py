@@ -7,27 +7,20 @@ pass what they heard to the loop and touch nothing else.
 import asyncio
 from base64 import b64decode
 from collections.abc import Callable
-from importlib.util import find_spec
 from itertools import pairwise
 from math import ceil, cos, sin
 from typing import Any, Final
 
 import numpy as np
-from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
-from geometry_msgs.msg import Point, PoseStamped, Quaternion
-from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from numpy.typing import NDArray
-from std_msgs.msg import Bool, ColorRGBA, String
-from std_srvs.srv import Trigger
-from visualization_msgs.msg import Marker, MarkerArray
 
-from agent.runtime.ros2_node import COMPLETE, LATCHED, RELIABLE, Ros2Node
 from crdt import Phase
 from protocol.frames.fleet_frames import Pose
 from sim.files.palette import rgb_of
 from sim.record.scene import Scene
 from tools.inspect.inspector import SILENT_S, Seen
 from tools.livemap.map_state import Watcher
+from tools.ros2.graph import Graph, Publisher, Quality
 
 FIELD: Final = "map"  # the frame of all coordinates: metres, x east, y north (REP 105)
 TELL_S: Final = 1.0  # between two looks at what changes slowly
@@ -44,47 +37,39 @@ Asked = Callable[[], Any]  # makes a coroutine that returns (success, message)
 class Ros2Feed(Watcher):
     """An inspector of the bus that tells a ROS graph what it hears."""
 
-    def __init__(
-        self, node: Ros2Node, scene: Scene | None, stop: Asked, release: Asked
-    ) -> None:  # fmt: skip
+    def __init__(self, graph: Graph, scene: Scene | None, stop: Asked, release: Asked) -> None:
         """`stop`, `release`: called in the loop when ROS asks for it."""
         super().__init__(scene)
-        self.scene, self.node = scene or {}, node
+        self.scene, self.graph = scene or {}, graph
+        self._kinds = graph.kinds
         self._loop = asyncio.get_running_loop()
         self._asked = {"stop": stop, "release": release}
-        made = node.node
-        self._stopped = made.create_publisher(Bool, "stopped", LATCHED)
-        self._coverage = made.create_publisher(OccupancyGrid, "coverage", LATCHED)
-        self._map = made.create_publisher(OccupancyGrid, "map", LATCHED)
-        self._markers = made.create_publisher(MarkerArray, "markers", LATCHED)
-        self._diagnostics = made.create_publisher(DiagnosticArray, "/diagnostics", RELIABLE)
-        self._tf = self._make_tf()
-        self._odom: dict[int, Any] = {}
-        self._states: dict[int, Any] = {}
-        self._plans: dict[int, Any] = {}
+        self._stopped = graph.publisher("Bool", "stopped", Quality.LATCHED)
+        self._coverage = graph.publisher("OccupancyGrid", "coverage", Quality.LATCHED)
+        self._map = graph.publisher("OccupancyGrid", "map", Quality.LATCHED)
+        self._markers = graph.publisher("MarkerArray", "markers", Quality.LATCHED)
+        self._diagnostics = graph.publisher("DiagnosticArray", "/diagnostics", Quality.RELIABLE)
+        self._tf = None  # where the installation has no tf2_msgs
+        if self._kinds.TFMessage is not None:
+            self._tf = graph.publisher("TFMessage", "/tf", Quality.COMPLETE)
+        self._odom: dict[int, Publisher] = {}
+        self._states: dict[int, Publisher] = {}
+        self._plans: dict[int, Publisher] = {}
         self._told: dict[str, object] = {}  # topic -> what was last published there
-        made.create_subscription(Bool, "emergency_stop", self._stop_heard, RELIABLE)
+        graph.hear("emergency_stop", self._stop_heard)
         for name in self._asked:
-            made.create_service(Trigger, name, self._serve(name))
+            graph.serve(name, self._serve(name))
         self._telling = self._loop.create_task(self._keep_telling())
 
     def close(self) -> None:
         """Tell nothing more, and leave the graph."""
         self._telling.cancel()
-        self.node.close()
-
-    def _make_tf(self) -> Any:
-        """The publisher of `/tf`; None where the installation has no tf2_msgs."""
-        if find_spec("tf2_msgs") is None:
-            return None
-        from tf2_msgs.msg import TFMessage
-
-        return self.node.node.create_publisher(TFMessage, "/tf", COMPLETE)
+        self.graph.close()
 
     # ---------------------------------------------------------------- what ROS asks
 
     def _stop_heard(self, message: Any) -> None:
-        """In the thread of the node. False is no release: for that there is the service."""
+        """In the thread of the graph. False is no release: for that there is the service."""
         if message.data:
             self._loop.call_soon_threadsafe(self._begin, "stop")
 
@@ -93,7 +78,7 @@ class Ros2Feed(Watcher):
 
     def _serve(self, name: str) -> Callable[[Any, Any], Any]:
         def answer(_: Any, response: Any) -> Any:
-            """In the thread of the node, which waits for the bus."""
+            """In the thread of the graph, which waits for the bus."""
             asked = asyncio.run_coroutine_threadsafe(self._asked[name](), self._loop)
             try:
                 response.success, response.message = asked.result(ANSWER_S)
@@ -109,13 +94,13 @@ class Ros2Feed(Watcher):
         """Take what a robot of a launch says of itself beside the bus, and publish its path."""
         super().intend(t_s, intent)
         slot = int(intent["slot"])
-        path = Path()
-        path.header.frame_id, path.header.stamp = FIELD, self.node.stamp()
+        path = self._kinds.Path()
+        path.header.frame_id, path.header.stamp = FIELD, self.graph.stamp()
         for x_m, y_m in [(intent["x"], intent["y"]), *intent["path"]]:
-            pose = PoseStamped(header=path.header)
+            pose = self._kinds.PoseStamped(header=path.header)
             pose.pose.position.x, pose.pose.position.y = float(x_m), float(y_m)
             path.poses.append(pose)
-        self._of(self._plans, slot, Path, "plan", RELIABLE).publish(path)
+        self._of(self._plans, slot, "Path", "plan", Quality.RELIABLE).publish(path)
 
     def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
         super()._robot(t_s, robot, kind, message)
@@ -126,38 +111,40 @@ class Ros2Feed(Watcher):
         before = robot.state
         super()._state(t_s, robot, state, kind)
         if robot.state != before:
-            publisher = self._of(self._states, robot.slot, String, "state", LATCHED)
-            publisher.publish(String(data=robot.state))
+            publisher = self._of(self._states, robot.slot, "String", "state", Quality.LATCHED)
+            publisher.publish(self._kinds.String(data=robot.state))
             self._tell_stopped()
 
-    def _of(self, publishers: dict[int, Any], slot: int, kind: Any, name: str, quality: Any) -> Any:
+    def _of(
+        self, publishers: dict[int, Publisher], slot: int, kind: str, name: str, quality: Quality
+    ) -> Publisher:
         if slot not in publishers:
             topic = f"robot_{slot}/{name}"
-            publishers[slot] = self.node.node.create_publisher(kind, topic, quality)
+            publishers[slot] = self.graph.publisher(kind, topic, quality)
         return publishers[slot]
 
     def _place(self, t_s: float, robot: Seen) -> None:
         intent = self.intent(robot.slot, t_s)
         course_rad = self.course.get(robot.slot, 0.0)
         heading_rad = course_rad if intent is None else float(intent["heading"])
-        odom = Odometry()
-        odom.header.frame_id, odom.header.stamp = FIELD, self.node.stamp()
+        odom = self._kinds.Odometry()
+        odom.header.frame_id, odom.header.stamp = FIELD, self.graph.stamp()
         odom.child_frame_id = f"robot_{robot.slot}"
         odom.pose.pose.position.x, odom.pose.pose.position.y = robot.x_m, robot.y_m
-        odom.pose.pose.orientation = _turn(heading_rad)
+        odom.pose.pose.orientation = self._turn(heading_rad)
         off_rad = course_rad - heading_rad
         odom.twist.twist.linear.x = robot.speed_m_s * cos(off_rad)
         odom.twist.twist.linear.y = robot.speed_m_s * sin(off_rad)
-        self._of(self._odom, robot.slot, Odometry, "odom", COMPLETE).publish(odom)
+        self._of(self._odom, robot.slot, "Odometry", "odom", Quality.COMPLETE).publish(odom)
         if self._tf is not None:
-            self._tf.publish(_transform(odom))
+            self._tf.publish(self._transform(odom))
 
     def _tell_stopped(self) -> None:
         """Whether every robot that is heard is latched, as the fleet's lamp."""
         live = [r for r in self.robots.values() if self.now_s - r.last_s <= SILENT_S and not r.left]
         stopped = bool(live) and all(robot.state == "EMERGENCY_STOP" for robot in live)
         if self._new("stopped", stopped):
-            self._stopped.publish(Bool(data=stopped))
+            self._stopped.publish(self._kinds.Bool(data=stopped))
 
     # ---------------------------------------------------------------- what changes slowly
 
@@ -189,21 +176,25 @@ class Ros2Feed(Watcher):
         return True
 
     def _health(self) -> Any:
-        report = DiagnosticArray()
-        report.header.stamp = self.node.stamp()
+        report = self._kinds.DiagnosticArray()
+        report.header.stamp = self.graph.stamp()
         for robot in self.robots.values():
             silent = self._loop.time() - robot.last_s > SILENT_S
-            status = DiagnosticStatus(
+            status = self._kinds.DiagnosticStatus(
                 name=f"headland: robot {robot.slot}", hardware_id=str(robot.address)
             )
             bad = silent or robot.state == "EMERGENCY_STOP"
-            status.level = DiagnosticStatus.ERROR if bad else DiagnosticStatus.OK
+            status.level = (
+                self._kinds.DiagnosticStatus.ERROR if bad else self._kinds.DiagnosticStatus.OK
+            )
             status.message = "silent" if silent else robot.state
             values = {
                 "x_m": f"{robot.x_m:.2f}", "y_m": f"{robot.y_m:.2f}", "health": f"{robot.health:.2f}",
                 "held": str(robot.held), "operations": str(robot.operations),
             }  # fmt: skip
-            status.values = [KeyValue(key=key, value=value) for key, value in values.items()]
+            status.values = [
+                self._kinds.KeyValue(key=key, value=value) for key, value in values.items()
+            ]
             report.status.append(status)
         return report
 
@@ -247,44 +238,58 @@ class Ros2Feed(Watcher):
         return np.array((UNKNOWN, OPEN, SOLID), dtype=np.int8)[np.minimum(kinds, 2)]
 
     def _grid_of(self, cells: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> Any:
-        grid = OccupancyGrid()
-        grid.header.frame_id, grid.header.stamp = FIELD, self.node.stamp()
+        grid = self._kinds.OccupancyGrid()
+        grid.header.frame_id, grid.header.stamp = FIELD, self.graph.stamp()
         grid.info.resolution = cell_m
         grid.info.height, grid.info.width = cells.shape
         grid.info.origin.position.x, grid.info.origin.position.y = origin
         grid.info.origin.orientation.w = 1.0
-        grid.data = cells.ravel().tolist()
+        grid.data = self.graph.octets(cells)
         return grid
 
     def _marked(self) -> Any:
-        marked = MarkerArray()
+        marked = self._kinds.MarkerArray()
         for number, ring in enumerate(self.scene.get("rings", ())):
             if ring:
                 marked.markers.append(self._line(number, [*ring, ring[0]]))
         length_m = 2.0 * float(self.scene.get("radius_m", 0.8))
         for robot in self.robots.values():
-            marker = self._marker("robots", robot.slot, Marker.CUBE)
+            marker = self._marker("robots", robot.slot, self._kinds.Marker.CUBE)
             if robot.left:
-                marker.action = Marker.DELETE
+                marker.action = self._kinds.Marker.DELETE
             marker.pose.position.x, marker.pose.position.y = robot.x_m, robot.y_m
-            marker.pose.orientation = _turn(self.course.get(robot.slot, 0.0))
+            marker.pose.orientation = self._turn(self.course.get(robot.slot, 0.0))
             marker.scale.x, marker.scale.y, marker.scale.z = length_m, 0.8 * length_m, HEIGHT_M
             silent = self._loop.time() - robot.last_s > SILENT_S
-            marker.color = _colour(GREY if silent else rgb_of(robot.slot))
+            marker.color = self._colour(GREY if silent else rgb_of(robot.slot))
             marked.markers.append(marker)
         return marked
 
     def _line(self, number: int, points: list[list[float]]) -> Any:
-        marker = self._marker("outlines", number, Marker.LINE_STRIP)
-        marker.scale.x, marker.color = LINE_M, _colour(GREY)
-        marker.points = [Point(x=float(x), y=float(y), z=0.0) for x, y in points]
+        marker = self._marker("outlines", number, self._kinds.Marker.LINE_STRIP)
+        marker.scale.x, marker.color = LINE_M, self._colour(GREY)
+        marker.points = [self._kinds.Point(x=float(x), y=float(y), z=0.0) for x, y in points]
         return marker
 
     def _marker(self, group: str, number: int, kind: int) -> Any:
-        marker = Marker(ns=group, id=number, type=kind, action=Marker.ADD)
-        marker.header.frame_id, marker.header.stamp = FIELD, self.node.stamp()
+        marker = self._kinds.Marker(ns=group, id=number, type=kind, action=self._kinds.Marker.ADD)
+        marker.header.frame_id, marker.header.stamp = FIELD, self.graph.stamp()
         marker.pose.orientation.w = 1.0
         return marker
+
+    def _transform(self, odom: Any) -> Any:
+        made = self._kinds.TransformStamped(header=odom.header, child_frame_id=odom.child_frame_id)
+        made.transform.translation.x = odom.pose.pose.position.x
+        made.transform.translation.y = odom.pose.pose.position.y
+        made.transform.rotation = odom.pose.pose.orientation
+        return self._kinds.TFMessage(transforms=[made])
+
+    def _turn(self, heading_rad: float) -> Any:
+        return self._kinds.Quaternion(x=0.0, y=0.0, z=sin(heading_rad / 2), w=cos(heading_rad / 2))
+
+    def _colour(self, colour: tuple[float, float, float]) -> Any:
+        red, green, blue = map(float, colour)
+        return self._kinds.ColorRGBA(r=red, g=green, b=blue, a=1.0)
 
 
 def _sweep(
@@ -305,22 +310,3 @@ def _sweep(
         off = np.hypot(x[None, :] - a[0] - along * dx, y[:, None] - a[1] - along * dy)
         part = grid[first[1] : first[1] + len(y), first[0] : first[0] + len(x)]
         part[off <= reach] = value
-
-
-def _transform(odom: Any) -> Any:
-    from geometry_msgs.msg import TransformStamped
-    from tf2_msgs.msg import TFMessage
-
-    made = TransformStamped(header=odom.header, child_frame_id=odom.child_frame_id)
-    made.transform.translation.x = odom.pose.pose.position.x
-    made.transform.translation.y = odom.pose.pose.position.y
-    made.transform.rotation = odom.pose.pose.orientation
-    return TFMessage(transforms=[made])
-
-
-def _turn(heading_rad: float) -> Any:
-    return Quaternion(x=0.0, y=0.0, z=sin(heading_rad / 2), w=cos(heading_rad / 2))
-
-
-def _colour(colour: tuple[float, float, float]) -> Any:
-    return ColorRGBA(r=float(colour[0]), g=float(colour[1]), b=float(colour[2]), a=1.0)

@@ -23,6 +23,7 @@ from agent.runtime.robot_process import (
 )
 from agent.runtime.robot_work import work_of
 from tools.common.findings import Finding, print_findings
+from tools.run.robot_viewers import check_viewers, viewers_beside
 
 BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
@@ -34,15 +35,19 @@ FIRST_PLACE_FOR_US = 3 * S  # a body that is open senses within this
 
 
 def robot(
-    file: Path, changes: Changes, *, first_boot: bool, check: bool, dry: bool, as_json: bool
-) -> int:
+    file: Path, changes: Changes, *, first_boot: bool, check: bool, dry: bool, as_json: bool,
+    metrics: str | None = None, foxglove: int | None = None,
+) -> int:  # fmt: skip
     """The exit code of `headland robot`: 0 after a farewell or if all is there, 1 if the robot failed,
-    2 if a person has to mend something first."""
+    2 if a person has to mend something first.
+
+    `metrics`: PORT or HOST:PORT of figures for Prometheus. `foxglove`: a port for viewers."""
     import_from(file.parent)
     try:
         declared = RobotFile.read(file, changes)
         if check:
             return asyncio.run(_check(declared, as_json))
+        check_viewers(metrics, foxglove)
         if not first_boot and not _memory(declared).exists():
             print(
                 f"headland: robot {declared.robot.slot} has no memory in {_memory(declared).parent}; "
@@ -51,7 +56,8 @@ def robot(
             )
         if not _sees(declared):
             print(f"headland: robot {declared.robot.slot}: {BLIND}", file=sys.stderr)
-        asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
+        with viewers_beside(declared, metrics, foxglove):
+            asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
     except RobotError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG

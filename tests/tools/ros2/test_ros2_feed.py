@@ -30,6 +30,7 @@ from agent.runtime.ros2_node import Ros2Node
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.messages import Message
+from tools.ros2.dds_graph import DdsGraph
 from tools.ros2.ros2_feed import Ros2Feed
 
 WAIT_S = 30.0  # for other nodes to be discovered, on a machine that does much else
@@ -75,9 +76,8 @@ class Side:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         domain = 101 + randbelow(100)
         self.asked: list[str] = []
-        self.feed = Ros2Feed(
-            Ros2Node("headland", "headland", domain), SCENE, self._stop, self._release
-        )
+        self.graph = DdsGraph(Ros2Node("headland", "headland", domain))
+        self.feed = Ros2Feed(self.graph, SCENE, self._stop, self._release)
         self.listener = Listener(domain)
 
     async def _stop(self) -> tuple[bool, str]:
@@ -93,7 +93,7 @@ class Side:
 
     async def linked(self, topic: str) -> None:
         """Wait until the publisher of a topic has found its reader."""
-        made = self.feed.node.node
+        made = self.graph.node.node
         await self.listener.until(lambda: made.count_subscribers(topic) > 0, f"reader of {topic}")
 
 

@@ -5,9 +5,12 @@ import signal
 import socket
 import subprocess
 import sys
+import time
 from collections.abc import Iterator
 from pathlib import Path
+from secrets import randbelow
 from typing import Any
+from urllib.request import urlopen
 
 import pytest
 
@@ -143,3 +146,48 @@ def test_check_ends_where_no_bus_server_answers(folder: Path) -> None:
         assert str(port) in told and "Ctrl-C" in told
         robot.send_signal(signal.SIGINT)
         assert end(robot)[0] in (0, 130)
+
+
+def test_figures_and_viewers_are_served_beside_the_robot_and_end_with_it(folder: Path) -> None:
+    """Also where it is killed: nobody then closes the process that serves."""
+    pytest.importorskip("prometheus_client", reason="the extra `metrics` is not installed")
+    pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
+    client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
+    group = f"239.74.163.{1 + randbelow(250)}"
+    words = ("fleet.toml", "--slot", "0", "-i", "udp_multicast", "-c", group, "--first-boot")
+    robot = begin(folder, *words, "--metrics", "0", "--foxglove", "0")
+    try:
+        assert robot.stdout is not None
+        said: dict[str, str] = {}
+        while {"metrics", "foxglove"} - set(said):
+            name, _, rest = robot.stdout.readline().strip().partition(": ")
+            assert rest or name == "robot 0 is up", "it ended before it served"
+            said[name] = rest
+        wanted = (
+            'headland_robot_process_up{robot="0"} 1.0',
+            'headland_robot_state{robot="0",state="IDLE"}',
+        )
+        ends_at_s, page = time.monotonic() + LIMIT_S, ""
+        while not all(line in page for line in wanted):
+            assert time.monotonic() < ends_at_s, page
+            with urlopen(said["metrics"], timeout=LIMIT_S) as answer:
+                page = answer.read().decode()
+        with client.connect(said["foxglove"], subprotocols=["foxglove.sdk.v1"]) as viewer:
+            topics: set[str] = set()
+            while not topics >= {"/tf", "/fleet", "/can/HEARTBEAT"}:
+                told = json.loads(viewer.recv(timeout=LIMIT_S))
+                topics |= {channel["topic"] for channel in told.get("channels", ())}
+    finally:
+        robot.kill()
+    robot.communicate(timeout=LIMIT_S)  # the process beside it holds the pipes until it ends
+    with pytest.raises(OSError):
+        urlopen(said["metrics"], timeout=LIMIT_S)
+
+
+def test_a_port_that_is_taken_is_said_before_the_robot_starts(folder: Path) -> None:
+    pytest.importorskip("prometheus_client", reason="the extra `metrics` is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        code, _, err = end(begin(folder, "fleet.toml", "--slot", "0", "--metrics", port))
+    assert code == 2 and f"--metrics {port}: Address already in use" in err
+    assert list(folder.glob("*.sqlite")) == []

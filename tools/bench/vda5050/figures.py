@@ -7,7 +7,7 @@ from tempfile import TemporaryDirectory
 
 from tools.bench.figure import Figure
 from tools.bench.systems import ADDED_MS
-from tools.bench.vda5050 import masters_orders, own_vehicles, stop_latency
+from tools.bench.vda5050 import masters_actions, masters_orders, own_vehicles, stop_latency
 from tools.bench.vda5050.counterparts import PACKAGE, node_folder
 
 AGAINST = f"{PACKAGE}, mosquitto, official schemas of 2.1"
@@ -21,6 +21,7 @@ def figures(quick: bool) -> Iterator[Figure]:
         node = node_folder(Path(folder))
         yield from _master(Path(folder), node, quick)
         if not quick:  # the start of peers and vehicles alone takes most of a minute
+            yield from _actions(Path(folder), node)
             yield from _vehicles(Path(folder), node)
             yield from _stops(Path(folder), node)
 
@@ -45,6 +46,23 @@ def _master(folder: Path, node: Path, quick: bool) -> Iterator[Figure]:
     yield _exactly(
         "VDA 5050: messages to a master that are not valid", flawed, 0, f"of {count}; {scope}"
     )
+
+
+def _actions(folder: Path, node: Path) -> Iterator[Figure]:
+    place = folder / "actions"
+    place.mkdir()
+    told = asyncio.run(masters_actions.trial(place, node))
+    scope = (
+        "startPause, stopPause of two robots; cancelOrder before the pick, and with a parcel aboard"
+    )
+    yield _exactly(
+        "VDA 5050: instant actions and orders of a master that end as the standard says",
+        told.as_wanted, len(masters_actions.WANTED), scope,
+    )  # fmt: skip
+    yield _exactly(
+        "VDA 5050: parcels delivered of orders that were not taken back", told.delivered,
+        masters_actions.DELIVERED, scope,
+    )  # fmt: skip
 
 
 def _vehicles(folder: Path, node: Path) -> Iterator[Figure]:
