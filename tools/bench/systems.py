@@ -13,6 +13,7 @@ from tools.bench.figure import Figure
 DOORS = {
     "VDA 5050": "tools.bench.vda5050.figures",
     "ROS 2": "tools.bench.ros2_door",
+    "ROS 2 bag": "tools.bench.bag_door",
     "Foxglove": "tools.bench.foxglove_door",
     "Prometheus": "tools.bench.prometheus_door",
     "MAPF": "tools.bench.mapf",

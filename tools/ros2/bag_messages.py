@@ -26,18 +26,15 @@ def kinds_of(store: Typestore, names: Iterable[str]) -> SimpleNamespace:
 
 @cache
 def _kind(store: Typestore, name: str) -> type:
-    base: Any = store.types[name]
     _, fields = store.fielddefs[name]
 
-    class Made(base):  # type: ignore[misc]
-        def __init__(self, **values: Any) -> None:
-            for field, kind in fields:
-                setattr(self, field, values.pop(field) if field in values else _zero(store, kind))
-            if values:
-                raise TypeError(f"{name} has no {', '.join(values)}")
+    def made(self: Any, **values: Any) -> None:
+        for field, kind in fields:
+            setattr(self, field, values.pop(field) if field in values else _zero(store, kind))
+        if values:
+            raise TypeError(f"{name} has no {', '.join(values)}")
 
-    Made.__name__ = Made.__qualname__ = name.rpartition("/")[2]
-    return Made
+    return type(name.rpartition("/")[2], (store.types[name],), {"__init__": made})
 
 
 def _zero(store: Typestore, kind: Any) -> Any:

@@ -31,7 +31,7 @@ class DdsGraph:
                 setattr(self.kinds, kind, None)
 
     def publisher(self, kind: str, topic: str, quality: Quality) -> Publisher:
-        """Of a topic."""
+        """Its reader gets what the quality promises, by the profiles of our nodes."""
         made: Publisher = self.node.node.create_publisher(
             getattr(self.kinds, kind), topic, PROFILES[quality]
         )
@@ -46,14 +46,14 @@ class DdsGraph:
         self.node.node.create_service(Trigger, name, answer)
 
     def octets(self, cells: NDArray[int8]) -> list[int]:
-        """A list, as rclpy takes it."""
+        """`cells` (rows, columns) as a list (rows * columns,), which rclpy takes."""
         values: list[int] = cells.ravel().tolist()
         return values
 
     def stamp(self) -> Any:
-        """The present."""
+        """By the clock of the node, which may be that of a simulation."""
         return self.node.stamp()
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Leave the graph, and end the thread in which callbacks come."""
         self.node.close()

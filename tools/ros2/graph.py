@@ -33,7 +33,7 @@ TAKEN: Final = "std_msgs/msg/Bool"
 
 
 class Publisher(Protocol):
-    """Of one topic."""
+    """Sends messages of one kind to all that read one topic."""
 
     def publish(self, message: Any, /) -> None:
         """To all that read it."""
@@ -54,10 +54,10 @@ class Graph(Protocol):
         """Serve a std_srvs/Trigger, in another thread; a graph without services leaves it out."""
 
     def octets(self, cells: NDArray[int8]) -> Any:
-        """Cells of a grid as its message takes them."""
+        """`cells` (rows, columns) of a grid as its message takes them: row by row, (rows * columns,)."""
 
     def stamp(self) -> Any:
         """The present, for the header of a message."""
 
     def close(self) -> None:
-        """Leave."""
+        """Leave the graph: topics of ours end, and nothing more is heard."""

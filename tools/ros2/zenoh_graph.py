@@ -60,7 +60,7 @@ def attachment(number: int, at_ns: int, gid: bytes) -> bytes:
 
 
 def domain_of(domain: int | None) -> int:
-    """Of the environment where none is named."""
+    """The number of a ROS graph, ROS_DOMAIN_ID; `domain` None: that of the environment, or 0."""
     return int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
 
 
@@ -106,8 +106,8 @@ class ZenohGraph:
     async def open(
         cls, endpoint: str, name: str, namespace: str, domain: int | None
     ) -> "ZenohGraph":
-        """Join by a router of Zenoh, as `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one. Raises
-        LinkError."""
+        """Join by a router of Zenoh, as `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one. `domain`: the
+        number of the ROS graph; None: that of the environment. Raises LinkError."""
         config = configure([endpoint], [], "client")
         config.insert_json5("connect/timeout_ms", str(OPEN_MS))
         config.insert_json5("connect/exit_on_failure", "true")
@@ -141,7 +141,7 @@ class ZenohGraph:
         return f"{self._domain}/{whole}/{name}/{check}", told
 
     def publisher(self, kind: str, topic: str, quality: Quality) -> Publisher:
-        """Of a topic."""
+        """On the key of the topic, with a token that tells nodes that it is there."""
         name = self._names[kind]
         key, told = self._key(name, topic)
         self._kept.append(self._token("MP", *told, quality_key(quality)))
@@ -170,11 +170,11 @@ class ZenohGraph:
         """Left out: a stop has its topic, and a release `headland release`."""
 
     def octets(self, cells: NDArray[int8]) -> NDArray[int8]:
-        """An array, as rosbags takes it."""
+        """`cells` (rows, columns) as an array (rows * columns,), which rosbags takes."""
         return cells.ravel()
 
     def stamp(self) -> Any:
-        """The present."""
+        """The time of day, as nodes without a simulated clock have it."""
         seconds, nanoseconds = divmod(time.time_ns(), 1_000_000_000)
         return self._store.types["builtin_interfaces/msg/Time"](sec=seconds, nanosec=nanoseconds)
 
