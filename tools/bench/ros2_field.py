@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from itertools import dropwhile
 from pathlib import Path
 from secrets import randbelow
 from typing import Any, Final, NamedTuple
@@ -131,21 +132,26 @@ def worked_field(limit_s: float = LIMIT_S) -> FieldWorked:
 
 def compared(bus: dict[int, list[Place]], told: dict[int, list[Place]]) -> tuple[int, int]:
     """How many places of the bus a reader should have been told since its first, and how many it was
-    not. Until the first other place all places are equal, and which of them came first is not known.
+    not. Places at which a robot stood at first are all equal, so they count on neither side.
 
-    >>> compared({0: [(0, 0), (0, 0), (1, 0), (2, 0), (2, 0)]}, {0: [(0, 0), (1, 0), (2, 0)]})
-    (4, 1)
+    >>> compared({0: [(9, 9), (0, 0), (0, 0), (1, 0), (2, 0), (2, 0)]}, {0: [(0, 0), (1, 0), (2, 0)]})
+    (3, 1)
     """
     poses = lost = 0
     for slot, places in bus.items():
         mine = told.get(slot, [])
         begin = places.index(mine[0]) if mine and mine[0] in places else 0
-        while begin + 1 < len(places) and places[begin + 1] == places[begin]:
-            begin += 1
-        expected = places[begin:]
-        poses += len(expected)
-        lost += len(expected) - _in_order(expected, mine)
+        expected, rest = _from_the_second(places[begin:]), _from_the_second(mine)
+        found = 0
+        for place in expected:
+            found += found < len(rest) and rest[found] == place
+        poses, lost = poses + len(expected), lost + len(expected) - found
     return poses, lost
+
+
+def _from_the_second(places: list[Place]) -> list[Place]:
+    """Without those that are equal to the first one and precede the second."""
+    return [*dropwhile(lambda place: place == places[0], places)]
 
 
 def _closest_m(first: list[TrackPoint], second: list[TrackPoint]) -> float:
@@ -154,20 +160,6 @@ def _closest_m(first: list[TrackPoint], second: list[TrackPoint]) -> float:
     both = a[(a[:, 0] >= b[0, 0]) & (a[:, 0] <= b[-1, 0])]
     x_m, y_m = (np.interp(both[:, 0], b[:, 0], b[:, axis]) for axis in (1, 2))
     return float(np.hypot(both[:, 1] - x_m, both[:, 2] - y_m).min(initial=np.inf))
-
-
-def _in_order(expected: list[Place], told: list[Place]) -> int:
-    """How many of the expected places were told, in their order. What was told before the first is
-    left out.
-
-    >>> _in_order([1, 2, 3, 4], [0, 1, 3, 4])
-    3
-    """
-    begin = told.index(expected[0]) if expected and expected[0] in told else 0
-    found, rest = 0, told[begin:]
-    for place in expected:
-        found += found < len(rest) and rest[found] == place
-    return found
 
 
 def _begun(folder: Path, *words: str) -> "subprocess.Popen[str]":
