@@ -79,6 +79,18 @@ class Truth(NamedTuple):
     is_told_to_move: bool  # by a sentence in force
 
 
+class ReceivedPlace(NamedTuple):
+    """What a receiver with two antennas knows. Angles clockwise from north."""
+
+    latitude_deg: float
+    longitude_deg: float
+    bearing_deg: float  # of the body
+    course_deg: float  # of its motion
+    speed_m_s: float
+    kind: int  # of fix, as in GGA
+    utc: datetime
+
+
 class WheeledBody:
     """The machine without its ports: wheels that follow what they were told, and a place."""
 
@@ -239,8 +251,8 @@ class NmeaMachine:
             if writer.transport.get_write_buffer_size() < LATE_MAX * LINE_MAX:
                 writer.write(sentences)
 
-    def fix(self) -> bytes:
-        """The sentences that tell of the place of now."""
+    def received(self) -> "ReceivedPlace":
+        """The place of now as its receiver has it, with noise and faults."""
         body, noise_m = self.body, self.body.dimensions.noise_m
         place = body.x_m, body.y_m, body.heading_rad
         if self.has("frozen"):
@@ -254,25 +266,34 @@ class NmeaMachine:
             dx_m, dy_m = self.faults["jumped"].values
             x_m, y_m = x_m + dx_m, y_m + dy_m
         kind = FIX_FLOAT if self.has("inaccurate") else FIX_RTK
-        latitude, longitude = self._lat_lon(x_m, y_m)
         utc = datetime.fromtimestamp(self._utc_start_at_s + self.clock() - self._began_at_s, UTC)
-        clock = f"{utc:%H%M%S}.{utc.microsecond // 1000:03d}"
         ahead_m_s, left_m_s, _ = body.velocity
         course_deg = (90.0 - degrees(heading_rad + atan2(left_m_s, ahead_m_s))) % 360.0
-        speed_m_s = hypot(ahead_m_s, left_m_s)
+        bearing_deg = (90.0 - degrees(heading_rad)) % 360.0
+        origin_deg = self.origin
+        longitude, latitude, _ = EARTH.fwd(
+            origin_deg[1], origin_deg[0], degrees(atan2(x_m, y_m)), hypot(x_m, y_m)
+        )
+        return ReceivedPlace(
+            latitude, longitude, bearing_deg, course_deg, hypot(ahead_m_s, left_m_s), kind, utc
+        )
+
+    def fix(self) -> bytes:
+        """The sentences that tell of the place of now."""
+        here = self.received()
+        kind, utc, course_deg, speed_m_s = here.kind, here.utc, here.course_deg, here.speed_m_s
+        latitude, longitude = (
+            _angle(here.latitude_deg, 2, "NS"),
+            _angle(here.longitude_deg, 3, "EW"),
+        )
+        clock = f"{utc:%H%M%S}.{utc.microsecond // 1000:03d}"
         std = f"{STD_M[kind]:.3f}"
         return b"".join(map(_sentence, (
             f"GNGGA,{clock},{latitude},{longitude},{kind},17,0.6,80.0,M,46.0,M,1.0,0001",
             f"GNGST,{clock},0.5,{std},{std},0.0,{std},{std},{std}",
             f"GNVTG,{course_deg:.2f},T,,M,{speed_m_s * 3600 / 1852:.3f},N,{speed_m_s * 3.6:.3f},K,D",
-            f"GNHDT,{(90.0 - degrees(heading_rad)) % 360.0:.3f},T",
+            f"GNHDT,{here.bearing_deg:.3f},T",
         )))  # fmt: skip
-
-    def _lat_lon(self, x_m: float, y_m: float) -> tuple[str, str]:
-        latitude, longitude = self.origin
-        azimuth_deg = degrees(atan2(x_m, y_m))
-        longitude, latitude, _ = EARTH.fwd(longitude, latitude, azimuth_deg, hypot(x_m, y_m))
-        return _angle(latitude, 2, "NS"), _angle(longitude, 3, "EW")
 
     def _seated(self, serve: Serve) -> Serve:
         """A port that serves `CLIENTS_MAX` at once. A newcomer takes the seat of the oldest, because a

@@ -126,12 +126,19 @@ def machine(
     wheels: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 5002,
     orders: Annotated[int, typer.Option(min=0, max=PORT_MAX, help="0: any free one.")] = 5003,
     rate: Annotated[float, typer.Option(min=1.0, max=50.0, help="Of the receiver, Hz.")] = 20.0,
+    bus: Annotated[
+        str | None,
+        typer.Option(
+            metavar="INTERFACE:CHANNEL", help="A tractor on this CAN bus, with orders only."
+        ),
+    ] = None,
     seed: Annotated[int, typer.Option(help="Of its noise.")] = 1,
     json: Json = False,
 ) -> None:
     """A simulated machine: a GNSS receiver and a wheel controller on TCP ports.
 
     A line to the orders' port makes it fail: muted 3, frozen 3, jumped 2 0 3, late 0.5 3, deaf 3, where.
+    With --bus it is a tractor on a CAN bus, for the body `isobus`.
     Exit 2 if a port is taken.
     Example: headland machine --drive ackermann --origin 52.1,5.2
     """
@@ -139,10 +146,12 @@ def machine(
 
     from tools.run.machine_command import machine as command
 
+    if bus is not None and (drive != "ackermann" or ":" not in bus):
+        raise typer.BadParameter("--bus INTERFACE:CHANNEL needs --drive ackermann")
     x_m, y_m, heading_deg = _numbers(place, "X,Y,DEGREES")
     raise SystemExit(
         command(
             drive, _place(origin), (x_m, y_m, radians(heading_deg)), (gnss, wheels, orders), host, seed,
-            rate, json,
+            rate, json, bus,
         )
     )  # fmt: skip

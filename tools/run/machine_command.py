@@ -5,6 +5,7 @@ import sys
 
 from agent.runtime.end_signals import on_end
 from sim.files.strict_json import dumps
+from sim.machines.isobus_machine import IsobusMachine, opened
 from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
 
 WRONG = 2
@@ -14,19 +15,40 @@ SHOWN_S = 1.0
 def machine(
     drive: str, origin: tuple[float, float], place: tuple[float, float, float],
     ports: tuple[int, int, int], host: str, seed: int, rate_hz: float, as_json: bool,
+    bus: str | None = None,
 ) -> int:  # fmt: skip
     """The exit code of `headland machine`: 0 after Ctrl-C or SIGTERM, 2 if a port is taken.
 
-    `place`: metres east, metres north, radians. `ports`: of receiver, controller and orders.
+    `place`: metres east, metres north, radians. `ports`: of receiver, controller and orders. `bus`: of a
+    tractor, as python-can's INTERFACE:CHANNEL.
     """
     body = WheeledBody(Dimensions(drive, rate_hz=rate_hz), *place)
     try:
+        if bus is not None:
+            asyncio.run(
+                _serve_on_bus(
+                    IsobusMachine(body, origin, opened(bus), seed), host, ports[2], as_json
+                )
+            )
+            return 0
         asyncio.run(_serve(body, origin, ports, host, seed, as_json))
     except OSError as problem:
         why = f"{problem.strerror or problem}; choose other ports, or 0 for any free one"
         print(f"headland: {host}: {why}", file=sys.stderr)
         return WRONG
     return 0
+
+
+async def _serve_on_bus(made: IsobusMachine, host: str, port: int, as_json: bool) -> None:
+    orders = await made.start_on_bus(host, port)
+    end = asyncio.Event()
+    on_end(asyncio.get_running_loop(), end.set)
+    print(
+        dumps({"orders": orders}) if as_json else f"orders {host}:{orders}\nCtrl-C ends it",
+        flush=True,
+    )
+    await end.wait()
+    await made.stop()
 
 
 async def _serve(

@@ -12,6 +12,7 @@ from operator import xor
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 
 pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
@@ -19,8 +20,11 @@ pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
 from agent.interface.effects import Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.runtime.bodies.isobus_body import IsobusBody
 from agent.runtime.bodies.nmea_body import NmeaBody
 from agent.runtime.robot_body import DeclaredMachine
+from sim.machines.isobus_machine import IsobusMachine
+from sim.machines.nmea_machine import Dimensions, WheeledBody
 from tests.tools.launching import ENVIRONMENT, ROOT
 from tools.run.body_check import CHECKS, BodyTrial, judged
 
@@ -75,6 +79,33 @@ def test_our_driver_opens_has_its_times_and_stops_with_its_commands(machine: Mac
 @pytest.mark.parametrize("drive", ["mecanum", "differential", "ackermann"])
 def test_our_driver_passes_all_ten(drive: str, machine: Machine) -> None:
     assert len(CHECKS) == 10 and failed(trial(machine(drive), drive)) == {}
+
+
+async def tractor_tried(names: Sequence[str]) -> tuple[dict[str, str], IsobusMachine]:
+    """What fails of these checks of the body `isobus` on a simulated tractor's bus, and the tractor."""
+    bus = can.Bus("tractor", interface="virtual")
+    tractor = IsobusMachine(WheeledBody(Dimensions("ackermann"), -2.0, 3.0, 1.7), ORIGIN, bus)
+    port = await tractor.start_on_bus("127.0.0.1", 0)
+    vehicle = Vehicle(drive=DriveTrain.ACKERMANN)
+    body = IsobusBody(0, "tractor", "virtual", steering=True, speed=True)
+    body.declare(DeclaredMachine(vehicle, ORIGIN))
+    chosen = {name: check for name, check in CHECKS.items() if not names or name in names}
+    found = await judged(
+        BodyTrial(body, vehicle, ("127.0.0.1", port)), lambda finding: None, chosen
+    )
+    await tractor.stop()
+    return {each.what: each.found for each in found if each.ok is not True}, tractor
+
+
+def test_the_body_isobus_opens_has_its_times_and_stops_with_its_commands() -> None:
+    failed, tractor = asyncio.run(tractor_tried(("opens", "times", "life of a command")))
+    assert failed == {} and tractor.curvatures > 10 and tractor.speeds > 10
+
+
+@pytest.mark.slow
+def test_the_body_isobus_passes_all_ten() -> None:
+    failed, tractor = asyncio.run(tractor_tried(()))
+    assert failed == {} and tractor.curvatures > 100 and tractor.speeds > 100
 
 
 class NewTimes(NmeaBody):
