@@ -325,6 +325,13 @@ class ExtendedTransport:
         return [_abort(Abort.TIMEOUT, session.pgn, source)]
 
 
+def refused(m: ExtendedTransportManagement, source: int) -> list[LongOutgoing]:
+    """What a device without a use for long messages answers to a frame from `source`: an abort of what it
+    announces, and nothing to all else.
+    """
+    return [_abort(Abort.RESOURCES, m.pgn, source)] if m.control == ExtendedControl.RTS else []
+
+
 def _manage(control: ExtendedControl, body: bytes, pgn: int, destination: int) -> LongOutgoing:
     return LongOutgoing(ExtendedTransportManagement(control, body, pgn), destination)
 

@@ -10,7 +10,7 @@ from typing import Any, Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
-from agent.peer.diagnostics import active_faults, fault_of, repeated_causes, root_causes
+from agent.peer.diagnostics import fault_of, repeated_causes, root_causes
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.member_reports import MemberReports
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
@@ -95,8 +95,9 @@ class DiagnosticBroadcasts(Part):
         if not ctx.joined:  # looked at again after that time
             return ()
         causes = self.safety.causes
-        self._told = root_causes(causes)
-        content = active_faults(repeated_causes(causes, self._leader_tells(ctx)))
+        self._told, faults = root_causes(causes), self.letters.faults
+        faults.see(self._told)
+        content = faults.active_faults(repeated_causes(causes, self._leader_tells(ctx)))
         return self.letters.sends(DM1.pgn, content, GLOBAL_ADDRESS, ctx.now_us)
 
     def _leader_tells(self, ctx: StepContext) -> Sequence[Standstill]:
@@ -143,6 +144,14 @@ class DiagnosticBroadcasts(Part):
         fault = (m.spn_high << 16 | m.spn_low, m.fmi)
         if m.control == ClearControl.CLEAR_PREVIOUS:
             control, refusal = ClearControl.PREVIOUS_KEPT, ClearRefusal.NOT_PREVIOUS
+            self.letters.faults.see(root_causes(self.safety.causes))
+            for cause in self.letters.faults.earlier:
+                if fault == fault_of(cause):
+                    self.letters.faults.forget(cause)
+                    cleared = m._replace(
+                        control=ClearControl.PREVIOUS_CLEARED, refusal=ClearRefusal.NOT_AVAILABLE
+                    )
+                    return [Send(cleared, header.source)]
         else:
             control, refusal = ClearControl.ACTIVE_KEPT, ClearRefusal.NOT_ACTIVE
             if fault in (fault_of(cause) for cause in root_causes(self.safety.causes)):

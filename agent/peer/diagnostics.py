@@ -11,7 +11,6 @@ from typing import Final
 from agent.interface.identity import Identity
 from agent.safety.stop_cause import StopCause, about, further
 from protocol.frames.diagnostic_frames import (
-    NOT_COUNTED,
     SPN_FIRST,
     ActiveFaults,
     DiagnosticProtocols,
@@ -29,7 +28,7 @@ CLEAR_PREVIOUS_PGN: Final = 65228  # DM3: asks to forget earlier faults
 COMMANDED_ADDRESS_PGN: Final = 65240  # ISO 11783-5: a NAME, and the address that it is to claim
 MAKER: Final = "Headland"
 NO_FAULT: Final = (0, 0, 0, 0)
-PREVIOUS: Final = PreviousFaults(*NO_FAULT)
+OCCURRENCES_MAX: Final = 126  # SAE J1939-73; 127 means that they are not counted
 PROTOCOLS: Final = DiagnosticProtocols(1)
 MINIMUM: Final = Functionalities(1, 0, 1, 1, 0)
 CONDITION_EXISTS: Final = 31
@@ -122,15 +121,53 @@ def fault_table() -> str:
     return "\n".join(["| SPN | FMI | cause |", "|---|---|---|", *lines])
 
 
-def active_faults(causes: Sequence[StopCause]) -> ActiveFaults | bytes:
-    """DM1: a frame for at most one fault, else the data of a longer message."""
-    faults = [fault_of(cause) for cause in causes]
-    if not faults:
-        return ActiveFaults(*NO_FAULT)
-    if len(faults) == 1:
-        ((spn, mode),) = faults
-        return ActiveFaults(spn & 0xFFFF, mode, spn >> 16, NOT_COUNTED)
-    return b"\xff\xff" + b"".join(
-        (spn & 0xFFFF).to_bytes(2, "little") + bytes((spn >> 16 << 5 | mode, NOT_COUNTED))
-        for spn, mode in faults
-    )
+class FaultMemory:
+    """How often each cause was active since power-up, and which ones are earlier faults now."""
+
+    def __init__(self) -> None:
+        self._times: dict[StopCause, int] = {}
+        self._active: frozenset[StopCause] = frozenset()
+
+    def see(self, active: Collection[StopCause]) -> None:
+        """These causes are active now, and no others."""
+        for cause in active:
+            if cause not in self._active:
+                self._times[cause] = min(self._times.get(cause, 0) + 1, OCCURRENCES_MAX)
+        self._active = frozenset(active)
+
+    @property
+    def earlier(self) -> tuple[StopCause, ...]:
+        """The causes that were active and are not any more."""
+        return tuple(cause for cause in self._times if cause not in self._active)
+
+    def forget(self, cause: StopCause | None = None) -> None:
+        """Forget one earlier fault, or all of them. What is active stays, with its count."""
+        for each in self.earlier if cause is None else (cause,):
+            if each not in self._active:
+                self._times.pop(each, None)
+
+    def active_faults(self, causes: Sequence[StopCause]) -> ActiveFaults | bytes:
+        """DM1 with these of the active causes: a frame for at most one, else the data of a longer
+        message.
+        """
+        if len(causes) > 1:
+            return self._data(causes)
+        return ActiveFaults(*(self._fields(causes[0]) if causes else NO_FAULT))
+
+    def previous_faults(self) -> PreviousFaults | bytes:
+        """DM2 with the earlier faults, in the same form."""
+        causes = self.earlier
+        if len(causes) > 1:
+            return self._data(causes)
+        return PreviousFaults(*(self._fields(causes[0]) if causes else NO_FAULT))
+
+    def _fields(self, cause: StopCause) -> tuple[int, int, int, int]:
+        spn, mode = fault_of(cause)
+        return spn & 0xFFFF, mode, spn >> 16, self._times.get(cause, 1)
+
+    def _data(self, causes: Sequence[StopCause]) -> bytes:
+        fields = [self._fields(cause) for cause in causes]
+        return b"\xff\xff" + b"".join(
+            low.to_bytes(2, "little") + bytes((high << 5 | mode, times))
+            for low, mode, high, times in fields
+        )

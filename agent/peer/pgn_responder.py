@@ -16,14 +16,14 @@ from agent.peer.diagnostics import (
     COMMANDED_ADDRESS_PGN,
     COMPONENT_PGN,
     MINIMUM,
-    PREVIOUS,
     PROTOCOLS,
-    active_faults,
+    FaultMemory,
     root_causes,
     texts,
 )
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.diagnostic_frames import DIAGNOSTIC_PROTOCOLS, DM1, DM2, FUNCTIONALITIES
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
@@ -71,14 +71,15 @@ class PgnResponder(Part):
         self.transport = Transport()
         self.names: dict[int, str] = {}  # address -> component identification, as received
         self.inbox: deque[ReceivedMessage] = deque(maxlen=INBOX_MAX)
+        self.safety, self.faults = safety, FaultMemory()
         self._known, self._name = known, identity.name.pack()
         self._speaks: dict[int, Callable[[], bool]] = {}  # groups that one peer answers for all
         self._waiting: deque[tuple[int, bytes, int]] = deque()  # group, data, destination
         self._lines: deque[str] = deque(maxlen=LINES_MAX)
         self._contents: dict[int, Content] = {  # by PGN
             LOG_PGN: lambda _: _data(self._log()),
-            DM1.pgn: lambda _: active_faults(root_causes(safety.causes)),
-            DM2.pgn: lambda _: PREVIOUS,
+            DM1.pgn: lambda _: self.faults.active_faults(self._active()),
+            DM2.pgn: lambda _: self._previous(),
             DIAGNOSTIC_PROTOCOLS.pgn: lambda _: PROTOCOLS,
             FUNCTIONALITIES.pgn: lambda _: MINIMUM,
         }
@@ -180,7 +181,9 @@ class PgnResponder(Part):
         source, destination = header.source, header.destination
         content = self._contents.get(pgn)
         if content is not None:
-            asker = GLOBAL_ADDRESS if destination == GLOBAL_ADDRESS else source
+            # A device without an address cannot be answered alone (SAE J1939-21).
+            alone = destination != GLOBAL_ADDRESS and source < NULL_ADDRESS
+            asker = source if alone else GLOBAL_ADDRESS
             speaks = self._speaks.get(pgn)
             if asker == GLOBAL_ADDRESS and speaks is not None:
                 if source >= NULL_ADDRESS or not speaks():
@@ -188,9 +191,21 @@ class PgnResponder(Part):
                 asker = source
             answer = content(ctx)
             return self.sends(pgn, answer, asker, ctx.now_us)
-        if pgn == CLEAR_PREVIOUS_PGN:  # there are none
+        if pgn == CLEAR_PREVIOUS_PGN:
+            self._active()
+            self.faults.forget()
             return acknowledged(AcknowledgmentControl.ACK, source, destination, pgn)
         return () if pgn in self._known else _refused(source, destination, pgn)
+
+    def _active(self) -> tuple[StopCause, ...]:
+        """The active faults, which are counted by this."""
+        active = root_causes(self.safety.causes)
+        self.faults.see(active)
+        return active
+
+    def _previous(self) -> Message | bytes:
+        self._active()
+        return self.faults.previous_faults()
 
     def _log(self) -> str:
         return "\n".join(self._lines) or "no traces yet"

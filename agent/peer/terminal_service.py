@@ -26,7 +26,13 @@ from agent.peer.pgn_responder import PgnResponder
 from agent.peer.stop_release import KEYLESS_OPERATOR
 from agent.safety.stop_cause import Severity, cause_of
 from agent.safety.stop_controller import StopController
-from protocol.extended_transport import LONG_SIZE_MIN, ExtendedTransport
+from protocol.extended_transport import (
+    LONG_SIZE_MIN,
+    ExtendedControl,
+    ExtendedTransport,
+    refused,
+)
+from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.network_frames import ExtendedTransportData, ExtendedTransportManagement
 from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand, Reason
@@ -152,7 +158,11 @@ class TerminalService(Part):
         m: ExtendedTransportManagement | ExtendedTransportData,
     ) -> Outputs:  # fmt: skip
         """Grants for our pool. Long messages to a robot are refused: no one has a use for them."""
-        if not ctx.joined or header.source != self.client.server:
+        if not ctx.joined or header.source >= NULL_ADDRESS:
+            return NOTHING
+        if isinstance(m, ExtendedTransportManagement) and m.control == ExtendedControl.RTS:
+            return [Send(*answer) for answer in refused(m, header.source)]
+        if header.source != self.client.server:
             return NOTHING
         before = self.long.counts["delivered"]
         answers, _ = self.long.on_message(header.source, m, ctx.now_us)

@@ -61,7 +61,9 @@ def decode(frame: Frame) -> tuple[int, Message | Malformed]:
     if layout is None:
         return identifier & 0xFF, UNKNOWN
     if len(data) != layout.length:
-        return identifier & 0xFF, LENGTH
+        if not layout.padded or len(data) < layout.length:
+            return identifier & 0xFF, LENGTH
+        data = data[: layout.length]
     try:
         return identifier & 0xFF, layout.unpack(data)
     except ValueError:

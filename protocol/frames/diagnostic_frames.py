@@ -13,7 +13,6 @@ from protocol.frames.layout import (
 )
 
 SPN_FIRST: Final = 516_096  # SAE J1939: suspect parameters that each maker defines begin here
-NOT_COUNTED: Final = 127  # occurrences, where they are not counted
 
 
 class ActiveFaults(NamedTuple):
@@ -37,7 +36,8 @@ class ActiveFaults(NamedTuple):
 class PreviousFaults(NamedTuple):
     """The one earlier fault of a device, or zeros if it has none (DM2, SAE J1939-73, PGN 65227).
 
-    A robot sends it when it is asked: none, because it keeps no earlier ones.
+    A robot sends it when it is asked: the causes for which it stood since power-up, and does not any
+    more. Several go by the transport protocol.
     """
 
     spn_low: int
@@ -53,7 +53,8 @@ def _fault_fields() -> tuple[FrameField, ...]:
                 "of the cause for which it stands"),
         integer("fmi", 5, "failure mode of SAE J1939-73; 31: the condition exists"),
         integer("spn_high", 3, "suspect parameter, bits 16 to 18"),
-        integer("occurrences", 7, "127: not counted", special=((127, "NOT_COUNTED"),)),
+        integer("occurrences", 7, "how often it was active since power-up, up to 126; 127: not counted",
+                special=((127, "NOT_COUNTED"),)),
         reserved(1),
         reserved(16, ones=True),
     )  # fmt: skip
@@ -156,8 +157,8 @@ class ClearRefusal(IntEnum):
 class ClearFault(NamedTuple):
     """Asks a device to forget one fault, and its answer (DM22, SAE J1939-73, PGN 49920).
 
-    A diagnostic tool sends it, and a robot refuses: it keeps no earlier faults, and what holds it ends
-    by its own condition.
+    A diagnostic tool sends it. A robot forgets an earlier fault. It refuses for an active one, because
+    what holds it ends by its own condition.
     """
 
     control: int

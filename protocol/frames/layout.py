@@ -167,9 +167,10 @@ class FrameLayout(Generic[M]):
 
     def __init__(
         self, kind: type[M], name: str, *, pgn: int, priority: int, sender: str,
-        fields: tuple[FrameField, ...],
+        fields: tuple[FrameField, ...], padded: bool = False,
     ) -> None:  # fmt: skip
-        self.kind = kind
+        """`padded`: more bytes than these are taken and not read."""
+        self.kind, self.padded = kind, padded
         self.name = name  # as the mission and the standards spell it
         self.pgn, self.priority, self.sender = pgn, priority, sender
         self.fields = fields

@@ -37,6 +37,7 @@ class Request(NamedTuple):
 REQUEST = FrameLayout(
     Request, "REQUEST", pgn=0xEA00, priority=6, sender=ANY_DEVICE,
     fields=(integer("pgn", 24, "the group that is asked for"),),
+    padded=True,  # many devices fill it up to eight bytes
 )  # fmt: skip
 
 

@@ -11,7 +11,7 @@ from agent.interface.effects import Effect, Send
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
 from agent.peer.diagnostic_broadcasts import DiagnosticBroadcasts
-from agent.peer.diagnostics import active_faults, fault_of, root_causes, texts
+from agent.peer.diagnostics import FaultMemory, fault_of, root_causes, texts
 from agent.peer.inputs import Received, Timer
 from agent.peer.part import StepContext
 from agent.peer.peer import Peer
@@ -26,17 +26,19 @@ from protocol.frames.diagnostic_frames import (
 )
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
-from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.messages import GROUPS, Message
 from protocol.frames.network_frames import (
     Acknowledgment,
     AcknowledgmentControl,
+    AddressClaimed,
     RepetitionRateRequest,
     Request2,
     TransportData,
     TransportManagement,
 )
 from protocol.name import fleet_name
+from protocol.transport import TransportControl
 
 TOOL = 249  # an address
 IDENTITY = Identity(0, frozenset({0}), fleet_name("a13", 0), 1, started=True, release="1.2.3",
@@ -106,6 +108,43 @@ def test_a13_identification_goes_by_the_transport_protocol(pgn: int) -> None:
     assert data[:size].decode("latin-1") == TEXTS[pgn]
 
 
+def test_a_request_that_is_filled_up_to_eight_bytes_is_answered() -> None:
+    """Many tools send all frames with eight bytes; a robot was silent, also for who has this address."""
+    peer, now_us = joined()
+    for pgn, kind in ((65226, ActiveFaults), (0xEE00, AddressClaimed)):
+        data = pgn.to_bytes(3, "little") + b"\xff" * 5
+        identifier = 6 << 26 | 0xEA00 << 8 | (peer.address or 0) << 8 | TOOL
+        (said,) = (
+            e for e in peer.step(Received(Frame(identifier, data)), now_us) if isinstance(e, Send)
+        )
+        assert isinstance(said.message, kind)
+    assert list(peer.step(Received(Frame(identifier, data[:2])), now_us)) == []
+
+
+def test_a_device_without_an_address_gets_a_long_answer_as_all_do() -> None:
+    """A connection to the null address was opened, which nobody can grant."""
+    peer, now_us = joined()
+    identifier = 6 << 26 | 0xEA00 << 8 | (peer.address or 0) << 8 | NULL_ADDRESS
+    frame = Frame(identifier, (64965).to_bytes(3, "little"))
+    (said,) = (e for e in peer.step(Received(frame), now_us) if isinstance(e, Send))
+    assert (
+        isinstance(said.message, TransportManagement)
+        and said.message.control == TransportControl.BAM
+    )
+    assert said.destination == GLOBAL_ADDRESS
+
+
+def test_a_long_message_to_a_robot_is_refused_at_once() -> None:
+    """A sender of 1,786 bytes and more waited in vain for 1.25 s; a terminal's was taken in."""
+    peer, now_us = joined()
+    for source in (TOOL, 38):
+        identifier = 7 << 26 | 0xC800 << 8 | (peer.address or 0) << 8 | source
+        announced = Frame(identifier, bytes.fromhex("14 A00F0000 00EF00"))
+        (said,) = (e for e in peer.step(Received(announced), now_us) if isinstance(e, Send))
+        assert said.destination == source
+        assert packed(said.message) == bytes.fromhex("FF 02 FFFFFF 00EF00")
+
+
 def test_a13_software_without_a_release_has_a_name() -> None:
     assert texts(IDENTITY._replace(release=""))[65242] == "\x01Headland*"
 
@@ -116,13 +155,13 @@ def test_a13_each_cause_of_standing_is_a_fault() -> None:
     (said,) = asked(peer, 65226, now_us)
     assert isinstance(said, Send)
     spn = 516_096 + StopCause.SENSES_OLD.number
-    assert packed(said.message) == bytes.fromhex("ffff 14e0e97f ffff")
+    assert packed(said.message) == bytes.fromhex("ffff 14e0e901 ffff")
     assert said.message.spn == spn  # type: ignore[union-attr]
     peer.safety.raise_cause(StopCause.CONFIG_MISMATCH, now_us, "")
     (opened,) = asked(peer, 65226, now_us)
     assert isinstance(opened, Send) and isinstance(opened.message, TransportManagement)
     assert opened.message.pgn == 65226 and opened.destination == TOOL
-    data = active_faults(root_causes(peer.safety.causes))
+    data = peer.letters.faults.active_faults(root_causes(peer.safety.causes))
     assert isinstance(data, bytes) and len(data) == 2 + 2 * 4
     found = {int.from_bytes(data[k : k + 2], "little") | data[k + 2] >> 5 << 16 for k in (2, 6)}
     assert found == {spn, 516_096 + StopCause.CONFIG_MISMATCH.number}
@@ -156,6 +195,47 @@ def test_a13_earlier_faults_can_be_cleared_because_there_are_none() -> None:
     peer, now_us = joined()
     assert asked(peer, 65228, now_us) == [acknowledged(AcknowledgmentControl.ACK, 65228)]
     assert asked(peer, 65228, now_us, GLOBAL_ADDRESS) == []
+
+
+def test_earlier_faults_are_told_counted_and_forgotten_on_request() -> None:
+    """DM2, DM3 and DM22, as bytes. A robot kept no earlier faults."""
+    peer, now_us = joined()
+
+    def answered(pgn: int) -> bytes:
+        (said,) = asked(peer, pgn, now_us)
+        assert isinstance(said, Send)
+        return packed(said.message)
+
+    for times in (1, 2):
+        peer.safety.raise_cause(StopCause.SENSES_OLD, now_us, "")
+        assert answered(65226) == bytes.fromhex(f"ffff 14e0e90{times} ffff")
+        assert answered(65227) == bytes.fromhex("ffff 00000000 ffff"), "it is active"
+        peer.safety.clear_cause(StopCause.SENSES_OLD, now_us)
+        assert answered(65226) == bytes.fromhex("ffff 00000000 ffff")
+        assert answered(65227) == bytes.fromhex(f"ffff 14e0e90{times} ffff")
+    assert asked(peer, 65228, now_us) == [acknowledged(AcknowledgmentControl.ACK, 65228)]
+    assert answered(65227) == bytes.fromhex("ffff 00000000 ffff")
+    peer.safety.raise_cause(StopCause.SENSES_OLD, now_us, "")
+    answered(65226)
+    peer.safety.clear_cause(StopCause.SENSES_OLD, now_us)
+    spn, mode = fault_of(StopCause.SENSES_OLD)
+    clear = ClearFault(1, 255, spn & 0xFFFF, mode, spn >> 16)
+    (said,) = received(peer, clear, now_us)
+    assert said.destination == TOOL and said.message == clear._replace(control=2)
+    (said,) = received(peer, clear, now_us)
+    assert said.message == clear._replace(control=3, refusal=3), "it is forgotten"
+
+
+def test_occurrences_end_at_126() -> None:
+    memory = FaultMemory()
+    for _ in range(300):
+        memory.see((StopCause.BUS_OFF,))
+        memory.see(())
+    frame = memory.previous_faults()
+    assert not isinstance(frame, bytes) and frame.occurrences == 126
+    memory.see((StopCause.BUS_OFF, StopCause.DISK_ERROR))
+    memory.forget()
+    assert memory.earlier == () and memory.active_faults((StopCause.BUS_OFF,))[3] == 126
 
 
 def test_a13_active_faults_are_not_cleared_by_a_tool() -> None:
