@@ -65,6 +65,7 @@ class TerminalEvent(Enum):
     FONTS_TOLD = "its fonts are known"
     SIZE_TOLD = "the size of its screen is known"
     POOL_RIGHT = "it has read the pool without an error"
+    REDRAWN = "the picture is sent again"
     GONE = "no answer in time, a refusal, silence for 3 s, or another robot's turn"
 
 
@@ -74,13 +75,13 @@ stay = None
 # fmt: off
 TERMINAL_TABLE = matrix(
     TerminalEvent,
-    # state     CALLED  SPACE  FONTS_TOLD  SIZE_TOLD  POOL_RIGHT  GONE
-    (AWAY,      MEMORY, stay,  stay,       stay,      stay,       stay),
-    (MEMORY,    stay,   FONTS, stay,       stay,      stay,       AWAY),
-    (FONTS,     stay,   stay,  HARDWARE,   stay,      stay,       AWAY),
-    (HARDWARE,  stay,   stay,  stay,       SENDING,   stay,       AWAY),
-    (SENDING,   stay,   stay,  stay,       stay,      SHOWN,      AWAY),
-    (SHOWN,     stay,   stay,  stay,       stay,      stay,       AWAY),
+    # state     CALLED  SPACE  FONTS_TOLD  SIZE_TOLD  POOL_RIGHT  REDRAWN  GONE
+    (AWAY,      MEMORY, stay,  stay,       stay,      stay,       stay,    stay),
+    (MEMORY,    stay,   FONTS, stay,       stay,      stay,       stay,    AWAY),
+    (FONTS,     stay,   stay,  HARDWARE,   stay,      stay,       stay,    AWAY),
+    (HARDWARE,  stay,   stay,  stay,       SENDING,   stay,       stay,    AWAY),
+    (SENDING,   stay,   stay,  stay,       stay,      SHOWN,      stay,    AWAY),
+    (SHOWN,     stay,   stay,  stay,       stay,      stay,       SENDING, AWAY),
 )
 # fmt: on
 
@@ -140,6 +141,8 @@ class TerminalClient:
         self._changes: deque[bytes] = deque()
         self._change_at_us = self._probe_at_us = 0
         self._unanswered_at_us: int | None = None  # of the oldest change without an answer
+        self._redraws = False  # what is sent is the picture alone
+        self._refuses: int | None = None  # address of a terminal that took no picture alone
 
     @property
     def state(self) -> TerminalState:
@@ -232,6 +235,24 @@ class TerminalClient:
         """The pool has arrived: say that it is whole."""
         return [_terminal_frame(bytes((POOL_END,)))] if self.state is SENDING else []
 
+    @property
+    def redrawable(self) -> bool:
+        """Whether an object can be sent again now: not while a change waits, and not to a terminal that
+        has refused one, which keeps the first picture.
+        """
+        waits = bool(self._changes) or self._unanswered_at_us is not None
+        return self.state is SHOWN and not waits and self._refuses != self.server
+
+    def redraw(self, picture: bytes, now_us: int) -> list[TerminalOutput]:
+        """Send an object of the pool again, in the place of the one that is shown; nothing if that is not
+        possible now.
+        """
+        if not self.redrawable:
+            return []
+        self._machine.fire(TerminalEvent.REDRAWN)
+        self._redraws, self._due_at_us = True, now_us + TERMINAL_UPLOAD_US
+        return [TerminalData(bytes((POOL,)) + picture)]
+
     def show(self, wanted: ShownScreen, now_us: int) -> None:
         """Change what differs; each change is said in its turn."""
         if self.state is not SHOWN or self._changes:
@@ -291,10 +312,13 @@ class TerminalClient:
 
     def _read(self, data: bytes, now_us: int) -> list[TerminalOutput]:
         if data[1]:
+            if self._redraws:
+                self._refuses = self.server
             self._lose()
             return []
         self._machine.fire(TerminalEvent.POOL_RIGHT)
-        self.screens += 1
+        self.screens += not self._redraws
+        self._redraws = False
         self._changes.clear()
         return []
 
@@ -309,7 +333,7 @@ class TerminalClient:
     def _lose(self) -> None:
         self._machine.fire(TerminalEvent.GONE)
         self._changes.clear()
-        self.shown, self._unanswered_at_us = ShownScreen(), None
+        self.shown, self._unanswered_at_us, self._redraws = ShownScreen(), None, False
 
     # ---------------------------------------------------------------- keys
 

@@ -1,10 +1,12 @@
 """The fleet's screen as an object pool of a virtual terminal (ISO 11783-6, version 3 and later).
 
 One data mask with a line for each robot, the covered share and a picture of the field; one alarm mask;
-soft keys STOP, RELEASE and acknowledge. What changes later are texts and numbers.
+soft keys STOP, RELEASE and acknowledge. What changes later are texts, numbers and the picture, which is
+sent again as an object of its own.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from struct import pack
 from typing import Final, NamedTuple
 
@@ -22,7 +24,8 @@ ROWS_MAX: Final = 20  # robots on one screen
 DOTS_MIN: Final = 200  # edge of the smallest data mask of the standard
 ROW_DOTS, TEXT_DOTS, FONT_DOTS = 9, 8, 6  # height of a row and of a text, width of a character
 HEAD_DOTS: Final = 24  # above the rows
-PICTURE_WIDTH, PICTURE_HEIGHT = 48, 60  # dots; four bits each: 1,440 bytes
+# Dots; four bits each: 1,920 bytes, so that the picture alone goes by the extended transport, too.
+PICTURE_WIDTH, PICTURE_HEIGHT = 48, 80
 BLACK, WHITE, GREEN, SILVER, RED, YELLOW = 0, 1, 2, 7, 12, 14  # standard colours
 
 
@@ -33,11 +36,14 @@ class ScreenPicture(NamedTuple):
 
 
 def field_picture(
-    outline: Sequence[tuple[float, float]], robots: Sequence[tuple[float, float]]
+    outline: Sequence[tuple[float, float]],
+    worked: Iterable[Sequence[tuple[float, float]]],
+    robots: Sequence[tuple[float, float]],
 ) -> ScreenPicture:
-    """The outline of a field, and where robots are. Places are metres east and north.
+    """The outline of a field, what is worked in it, and where robots are.
 
-    Without an outline the robots alone are drawn.
+    `outline`, `robots`: places, metres east and north. `worked`: lines along which an implement has been,
+    in metres as well. Without an outline the robots alone are drawn.
     """
     dots = bytearray((SILVER,)) * (PICTURE_WIDTH * PICTURE_HEIGHT)
     places = [*outline, *robots]
@@ -57,12 +63,18 @@ def field_picture(
             + min(max(column, 0), PICTURE_WIDTH - 1)
         ] = colour
 
-    for k, (x_m, y_m) in enumerate(outline):
-        next_x_m, next_y_m = outline[(k + 1) % len(outline)]
-        steps = 2 * max(PICTURE_WIDTH, PICTURE_HEIGHT)
-        for step in range(steps + 1):
-            share = step / steps
-            put(x_m + share * (next_x_m - x_m), y_m + share * (next_y_m - y_m), GREEN)
+    def line(points: Sequence[tuple[float, float]], colour: int) -> None:
+        for (x_m, y_m), (next_x_m, next_y_m) in pairwise(points):
+            longer_m = max(abs(next_x_m - x_m), abs(next_y_m - y_m))
+            steps = 1 + int(2 * scale * longer_m)
+            for step in range(steps + 1):
+                share = step / steps
+                put(x_m + share * (next_x_m - x_m), y_m + share * (next_y_m - y_m), colour)
+
+    if outline:
+        for each in worked:
+            line(each, GREEN)
+        line([*outline, outline[0]], BLACK)
     for x_m, y_m in robots:
         put(x_m, y_m, RED)
     return ScreenPicture(bytes(dots))
@@ -107,6 +119,11 @@ def screen_pool(
         _text(number, row, ROW_CHARACTERS, FONT) for number, row in zip(numbers, rows, strict=True)
     ]
     return b"".join(objects)
+
+
+def picture_object(picture: ScreenPicture) -> bytes:
+    """The picture alone: a terminal that gets it puts it in the place of the one that it has."""
+    return _picture(picture)
 
 
 def padded(text: str, characters: int) -> bytes:

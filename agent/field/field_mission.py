@@ -5,7 +5,8 @@ counts as covered when the robot has passed from its one end to its other with t
 and never further from the line than the overlap allows. What was missed is worked again.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping, Sequence
+from functools import partial
 from math import copysign, hypot, inf, sqrt
 from typing import Final
 
@@ -23,6 +24,7 @@ from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import PathTracker
 from agent.paths.route import Route
+from crdt import Progress
 
 ASTRAY_M: Final = 4.0  # further from its line than this swath width, a robot replans its way back
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
@@ -118,6 +120,13 @@ class FieldMission(Mission):
     def outline(self) -> list[Point]:
         """The field without its holes."""
         return [(float(x), float(y)) for x, y, *_ in self.field.polygon.exterior.coords]
+
+    def worked_lines(self, progress: Progress) -> Iterable[Sequence[Point]]:
+        for section in self.field.sections:
+            name = section.id
+            if progress.covered(name):
+                for line, _ in section.stretches(partial(progress.has, name)):
+                    yield [(float(x), float(y)) for x, y, *_ in line]
 
     @property
     def remaining_path(self) -> list[Point]:

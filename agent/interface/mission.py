@@ -178,6 +178,12 @@ class Mission(ABC):
         """
         return ()
 
+    def worked_lines(self, progress: Progress) -> Iterable[Sequence[tuple[float, float]]]:
+        """Lines along which the work is done, (x, y) metres; none for work without lines. Peers never
+        read them.
+        """
+        return ()
+
     @property
     def remaining_path(self) -> Sequence[tuple[float, float]]:
         """The rest of the planned route, nearest point first, (x, y) metres. Peers never

@@ -184,7 +184,7 @@ class PeerParts:
         self.departure = Departure(self.safety)
         self.terminal = TerminalService(
             identity, self.safety, self.votes, self.letters, self.membership, self.reports,
-            self.views, lambda: () if mission is None else mission.outline, rng,
+            self.views, mission, rng,
         )  # fmt: skip
         self._boot(now_us, recalled)
 

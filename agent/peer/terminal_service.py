@@ -8,7 +8,7 @@ read by everybody on the bus. A person with a key confirms it by `headland relea
 """
 
 from collections import deque
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from random import Random
 from typing import Any, Final, NamedTuple
 
@@ -16,6 +16,7 @@ from agent.interface.config import MS, S
 from agent.interface.effects import Send, Trace
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import State
+from agent.interface.mission import Mission
 from agent.peer import inputs, notices
 from agent.peer.fleet_views import FleetViews
 from agent.peer.leader_votes import LeaderVotes
@@ -32,6 +33,7 @@ from protocol.extended_transport import (
     ExtendedTransport,
     refused,
 )
+from protocol.frames.fleet_frames import NOWHERE_M
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.network_frames import ExtendedTransportData, ExtendedTransportManagement
 from protocol.frames.operator_frames import OperatorReport, ReportKind
@@ -49,11 +51,19 @@ from protocol.terminal_client import (
     TerminalOutput,
     TerminalState,
 )
-from protocol.terminal_pool import ROWS_MAX, field_picture, screen_pool
+from protocol.terminal_pool import (
+    ROWS_MAX,
+    ScreenPicture,
+    field_picture,
+    picture_object,
+    screen_pool,
+)
 
 LOOK_US: Final = 500 * MS  # between two looks at what the screen should show
 PAUSED_US: Final = 250 * MS  # shorter than the silence after which others elect another leader
 DOUBTS_US: Final = 1500 * MS  # until a later term is heard, if there is one
+# Between two pictures that differ: each takes 280 frames, so that they take 0.5 % of the bus.
+PICTURE_US: Final = 30 * S
 QUESTION_BITS: Final = 48
 RELEASE_GAP_US: Final = 100 * MS  # between the steps of a release
 ASK_FOR_US: Final = 120 * S  # time for a person with a key to come and look
@@ -77,21 +87,18 @@ class TerminalService(Part):
         membership: Membership,
         reports: MemberReports,
         views: FleetViews,
-        outline: Callable[[], Sequence[tuple[float, float]]],
+        mission: Mission | None,
         rng: Random,
     ) -> None:
-        """`outline`: of the field, metres; empty without one. `rng`: draws questions of releases."""
+        """`mission`: what is drawn of the field. `rng`: draws questions of releases."""
         self.safety, self.votes, self.letters = safety, votes, letters
-        self.membership, self.reports, self.views, self.outline = (
-            membership,
-            reports,
-            views,
-            outline,
-        )
+        self.membership, self.reports, self.views = membership, reports, views
+        self.mission = mission
         self.client, self.long, self._rng = TerminalClient(), ExtendedTransport(), rng
         self._identity = identity
         self._alarms = _Alarms()
-        self._look_at_us = 0
+        self._look_at_us = self._drawn_at_us = 0
+        self._picture: ScreenPicture | None = None  # that the terminal has
         self._turn_at_us: int | None = None  # of our newest turn
         self._doubts_end_at_us = 0  # after a pause of our own: another robot may lead by now
         self._steps: deque[tuple[int, list[Any]]] = deque()  # of a release, with their times
@@ -146,6 +153,8 @@ class TerminalService(Part):
         if self.client.state is TerminalState.SHOWN and now_us >= self._look_at_us:
             self._look_at_us = now_us + LOOK_US
             self.client.show(self._screen(ctx), now_us)
+            if now_us >= self._drawn_at_us + PICTURE_US and self.client.redrawable:
+                outputs += self._told(ctx, self._redraw(ctx))
         return outputs
 
     def _message(self, ctx: StepContext, header: Header, m: TerminalMessage) -> Outputs:
@@ -204,14 +213,29 @@ class TerminalService(Part):
 
     def _draw(self, ctx: StepContext, dots: int) -> list[TerminalOutput]:
         screen = self._screen(ctx)._replace(alarm="")
-        robots = [(seen.pose.x_m, seen.pose.y_m) for seen in self.membership.neighbours.values()]
-        if ctx.here is not None:
-            robots.append((ctx.here.x_m, ctx.here.y_m))
-        picture = field_picture(self.outline(), robots)
+        self._picture, self._drawn_at_us = self._field(ctx), ctx.now_us
         name = f"fleet, shown by {ctx.slot}"
-        pool = screen_pool(name, screen.rows, screen.covered_percent, picture, dots)
+        pool = screen_pool(name, screen.rows, screen.covered_percent, self._picture, dots)
         self._look_at_us = ctx.now_us
         return self.client.upload(pool, screen, ctx.now_us)
+
+    def _redraw(self, ctx: StepContext) -> list[TerminalOutput]:
+        """The picture again, if it is another one."""
+        before, self._picture, self._drawn_at_us = self._picture, self._field(ctx), ctx.now_us
+        if self._picture == before:
+            return []
+        return self.client.redraw(picture_object(self._picture), ctx.now_us)
+
+    def _field(self, ctx: StepContext) -> ScreenPicture:
+        """The field as it is now, with every robot that knows or knew its place."""
+        poses = [seen.pose for seen in self.membership.neighbours.values()]
+        robots = [(p.x_m, p.y_m) for p in poses if p.x_m != NOWHERE_M]
+        if ctx.here is not None:
+            robots.append((ctx.here.x_m, ctx.here.y_m))
+        if self.mission is None:
+            return field_picture((), (), robots)
+        worked = self.mission.worked_lines(self.views.progress)
+        return field_picture(self.mission.outline, worked, robots)
 
     def _screen(self, ctx: StepContext) -> ShownScreen:
         rows: list[tuple[bool, str]] = []  # whether nothing holds it, and its line

@@ -5,7 +5,7 @@ client: it reads the pool, checks every reference in it, keeps working sets whil
 sends keys.
 """
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from random import Random
 from struct import pack, unpack_from
 from typing import NamedTuple
@@ -13,8 +13,9 @@ from typing import NamedTuple
 from agent.interface.config import MS, S
 from agent.interface.effects import Persist, Send
 from agent.interface.identity import Identity, SilencePolicy
-from agent.peer.inputs import BusState, Received, Timer
-from agent.runtime.peer_factory import keyring_of, make_peer
+from agent.interface.observation import Observation
+from agent.peer.inputs import BusState, Received, Sensed, Timer
+from agent.runtime.peer_factory import NO_MISSION, MissionParts, keyring_of, make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.authentication import KEY_SIZE, Keys
 from protocol.controller_health import Health
@@ -47,6 +48,8 @@ class Terminal:
         self.mask = 1000
         self.active: int | None = None
         self.shown_at_us: dict[int, int] = {}  # source -> when its newest pool was read
+        self.redrawn = 0  # objects of a pool that was shown already
+        self.refuses = False  # such objects
         self.twice = 0  # maintenance of two sources within one period
         self.errors: list[str] = []
         self.unknown = 0  # functions of sources that are no working set
@@ -194,11 +197,24 @@ class Terminal:
         return []
 
     def _read(self, source: int, now_us: int) -> bytes:
+        raw, known = self._raw.get(source, b""), self.texts.get(source, {})
+        again = source in self.pools
         try:
-            self.texts[source] = dict(_texts(self._raw.get(source, b"")))
+            objects = dict(_texts(raw, whole=not again))
+            if again and any(len(known.get(n, b"")) != len(v) for n, v in objects.items()):
+                raise PoolError(f"other objects than before: {sorted(objects)}")
+            if again and self.refuses:
+                raise PoolError("")
         except PoolError as problem:
-            self.errors.append(str(problem))
+            if str(problem):
+                self.errors.append(str(problem))
+            self._remove(source)
             return b"\x12\x01\xff\xff\xff\xff\x02\xff"
+        if again:
+            self.redrawn += 1
+            known.update(objects)
+            return b"\x12\x00\xff\xff\xff\xff\x00\xff"
+        self.texts[source] = objects
         self.pools[source], self.active, self.mask = self._raw[source], source, 1000
         self.shown_at_us[source] = now_us
         self.numbers.clear()
@@ -215,8 +231,8 @@ class Terminal:
         return Frame(head | destination << 8 | TERMINAL, data)
 
 
-def _texts(pool: bytes) -> Iterator[tuple[int, bytes]]:
-    """Check a pool and yield its texts. Raises PoolError.
+def _texts(pool: bytes, whole: bool) -> Iterator[tuple[int, bytes]]:
+    """Check a pool and yield its texts and pictures. Raises PoolError. `whole`: not some objects again.
 
     Objects are read by the tables of ISO 11783-6, annex B: kinds 0, 1, 2, 4, 5, 11, 12, 20 and 23."""
     at, kinds, wanted = 0, dict[int, int](), list[tuple[int, int]]()
@@ -256,13 +272,14 @@ def _texts(pool: bytes) -> Iterator[tuple[int, bytes]]:
             width, actual, height, form, _, _, length = unpack_from("<HHHBBBI", pool, body)
             if form != 1 or length != -(-actual // 2) * height or width < 1:
                 raise PoolError(f"picture {number}: {length} bytes")
+            yield number, pool[body + 14 : body + 14 + length]
             at = body + 14 + length
         elif kind == 23:
             at = body + 5
         else:
             raise PoolError(f"object {number} has kind {kind}")
     missing = [(number, child) for number, child in wanted if child not in kinds]
-    if at != len(pool) or missing or kinds.get(0) != 0:
+    if at != len(pool) or (whole and (missing or kinds.get(0) != 0)):
         raise PoolError(f"{at} of {len(pool)} bytes; not there: {missing}")
 
 
@@ -272,8 +289,16 @@ def _texts(pool: bytes) -> Iterator[tuple[int, bytes]]:
 class RobotNode:
     """A robot on the bus that can be killed and started again with its memory."""
 
-    def __init__(self, slot: int, robots: int, seed: int, keys: Keys | None = None) -> None:
+    def __init__(
+        self, slot: int, robots: int, seed: int, keys: Keys | None = None,
+        mission: Callable[[], MissionParts] = lambda: NO_MISSION,
+    ) -> None:  # fmt: skip
+        """`mission`: its own at each boot."""
         self.slot, self.robots, self.seed, self.keys = slot, robots, seed, keys
+        self.mission = mission
+        self.place_m: tuple[float, float] | None = (
+            None  # that its receiver tells; None: it has none
+        )
         self.memory: dict[str, bytes] = {}
         self.boots, self.alive = 0, True
         self.stopped_at_us: int | None = None
@@ -288,7 +313,9 @@ class RobotNode:
         )  # fmt: skip
         rng = Random(f"{self.seed}/{self.slot}/{self.boots}")
         keyring = keyring_of(self.keys, self.slot, rng.randbytes(KEY_SIZE))
-        self.peer = make_peer(identity, rng, now_us, dict(self.memory), keyring=keyring)
+        self.peer = make_peer(
+            identity, rng, now_us, dict(self.memory), self.mission(), keyring=keyring
+        )
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
         """Take a frame, if it has power."""
@@ -299,6 +326,9 @@ class RobotNode:
         if not self.alive or now_us < self.peer.due_at_us:
             return []
         self.peer.step(BusState(Health.ACTIVE, True, now_us), now_us)
+        if self.place_m is not None and self.peer.wants_observation(now_us):
+            here = Observation(*self.place_m, 0.0, 0.0, 0.0, sensed_at_us=now_us)
+            self.peer.step(Sensed(here), now_us)
         return self._frames(self.peer.step(Timer(), now_us), now_us)
 
     def _frames(self, effects: object, now_us: int) -> list[Frame]:
@@ -337,15 +367,16 @@ class ScreenFleet:
     """A bus with a terminal and robots, in virtual time."""
 
     def __init__(
-        self, robots: int, seed: int, keyed: bool = False, members: int | None = None
-    ) -> None:
+        self, robots: int, seed: int, keyed: bool = False, members: int | None = None,
+        mission: Callable[[], MissionParts] = lambda: NO_MISSION,
+    ) -> None:  # fmt: skip
         """`members`: of the fleet, of which the first `robots` are on the bus; None: all are."""
         rng = Random(f"keys of screens/{seed}")
         self.keys = Keys(rng.randbytes(KEY_SIZE), rng.randbytes(KEY_SIZE)) if keyed else None
         self.bus, self.now_us = RigBus(seed, MS), 0
         self.terminal = Terminal()
         fleet = robots if members is None else members
-        self.robots = [RobotNode(slot, fleet, seed, self.keys) for slot in range(robots)]
+        self.robots = [RobotNode(slot, fleet, seed, self.keys, mission) for slot in range(robots)]
         self.bus.attach(self.terminal)
         for robot in self.robots:
             self.bus.attach(robot)

@@ -14,10 +14,13 @@ from protocol.terminal_client import (
     TerminalState,
 )
 from protocol.terminal_pool import (
+    BLACK,
+    GREEN,
     PICTURE_HEIGHT,
     PICTURE_WIDTH,
     RED,
     field_picture,
+    picture_object,
     screen_pool,
 )
 from protocol.units import MS, S
@@ -45,7 +48,7 @@ def shown() -> TerminalClient:
     assert [data[0] for data in sent(tell(client, "C0 04 00"))] == [0xC3]
     assert [data[0] for data in sent(tell(client, "C3 FFFFFFFF 7F 7F 0F"))] == [0xC7]
     assert tell(client, "C7 01 02 0F F000 F000") == [PoolWanted(240)]
-    pool = screen_pool("north", SHOWN.rows, 12, field_picture((), ()), 240)
+    pool = screen_pool("north", SHOWN.rows, 12, field_picture((), (), ()), 240)
     assert sent(client.upload(pool, SHOWN, 0)) == [b"\x11" + pool]
     assert sent(client.uploaded()) == [b"\x12" + b"\xff" * 7]
     tell(client, "12 00 FFFF FFFF 00")
@@ -100,9 +103,39 @@ def test_a_silent_terminal_and_one_without_memory() -> None:
 
 
 def test_the_picture_has_the_outline_and_the_robots() -> None:
-    picture = field_picture([(0, 0), (100, 0), (100, 50), (0, 50)], [(50, 25)])
+    picture = field_picture([(0, 0), (100, 0), (100, 50), (0, 50)], [], [(50, 25)])
     assert len(picture.dots) == PICTURE_WIDTH * PICTURE_HEIGHT
-    assert picture.dots.count(RED) == 1 and picture.dots.count(2) > 100
+    assert picture.dots.count(RED) == 1 and picture.dots.count(BLACK) > 100
+
+
+def test_the_picture_has_what_is_worked() -> None:
+    outline = [(0, 0), (100, 0), (100, 50), (0, 50)]
+    none = field_picture(outline, [], []).dots.count(GREEN)
+    half = field_picture(
+        outline, [[(10, y_m), (50, y_m)] for y_m in range(2, 50, 2)], []
+    ).dots.count(GREEN)
+    whole = field_picture(
+        outline, [[(2, y_m), (98, y_m)] for y_m in range(2, 50, 2)], []
+    ).dots.count(GREEN)
+    assert none == 0 and whole > 2 * half > 200
+
+
+def test_the_picture_is_sent_again_and_a_terminal_that_refuses_it_keeps_the_first_one() -> None:
+    picture = picture_object(field_picture((), (), [(1, 1)]))
+    client = shown()
+    assert sent(client.redraw(picture, 0)) == [b"\x11" + picture] and len(picture) > 1785
+    assert client.redraw(picture, 0) == [], "one at a time"
+    assert KeyPressed(TerminalKey.STOP) in tell(client, "00 01 B80B E803 01 FF"), "keys are obeyed"
+    assert sent(client.uploaded()) == [b"\x12" + b"\xff" * 7]
+    tell(client, "12 00 FFFF FFFF 00")
+    assert client.state is TerminalState.SHOWN and client.screens == 1
+    assert client.redraw(picture, 0)
+    tell(client, "12 01 FFFF FFFF 02")
+    assert client.screens == 1
+    assert client.on_message(VT, STATUS, 0), "it begins again"
+    client = shown()
+    client._refuses = VT
+    assert client.redraw(picture, 0) == []
 
 
 def test_any_bytes_in_any_state_raise_nothing() -> None:

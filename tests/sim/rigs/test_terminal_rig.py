@@ -1,16 +1,20 @@
 """The fleet's screen on a terminal that we did not write from our client: shown, killed, obeyed."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 
 import pytest
 
 from agent.interface.config import MS, S
+from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.peer.terminal_service import CONFIRM, NEW_STOP, NOT_CONFIRMED, NOTHING_HELD
+from agent.runtime.peer_factory import MissionParts
+from crdt import Progress
 from protocol.authentication import Keyring
 from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
 from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import Command
+from protocol.terminal_client import TerminalState
 from protocol.terminal_pool import ALARM_CHARACTERS
 from sim.rigs.terminal_rig import ScreenFleet, killed_screens
 from tools.operate.operator_device import OPERATOR_SLOT, Operator
@@ -193,6 +197,113 @@ def test_a_release_of_a_fleet_with_keys_that_is_not_stopped_says_so() -> None:
     assert alarm(fleet) == NOTHING_HELD and asked(fleet) == 0
     texts = (CONFIRM, NEW_STOP, NOT_CONFIRMED, NOTHING_HELD)
     assert max(map(len, texts)) <= ALARM_CHARACTERS
+
+
+OUTLINE = ((0.0, 0.0), (96.0, 0.0), (96.0, 160.0), (0.0, 160.0))  # two metres a dot, nearly
+PICTURE, RED, GREEN, WIDE = 4004, 12, 2, 48
+
+
+class DrawnField(Mission):
+    """A field that is worked line by line, without a robot that drives."""
+
+    lines = 0
+
+    @property
+    def outline(self) -> Sequence[tuple[float, float]]:
+        return OUTLINE
+
+    def worked_lines(self, progress: Progress) -> Iterable[Sequence[tuple[float, float]]]:
+        return [((4.0, 4.0 + 2 * k), (92.0, 4.0 + 2 * k)) for k in range(DrawnField.lines)]
+
+    def choose(self, view: FleetView) -> ClaimRequest | None:
+        return None
+
+    def work(self, view: FleetView) -> MotionRequest:
+        return STILL
+
+    idle = work
+
+
+@pytest.fixture
+def drawn_fleet(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], ScreenFleet]:
+    """A fleet whose screen is shown, and that looks at its picture each 3 s instead of each 30 s."""
+    monkeypatch.setattr("agent.peer.terminal_service.PICTURE_US", 3 * S)
+
+    def begun(seed: int) -> ScreenFleet:
+        DrawnField.lines = 0
+        fleet = ScreenFleet(3, seed, mission=lambda: MissionParts(DrawnField()))
+        assert fleet.until_shown(0, 10 * S) < 10.0
+        return fleet
+
+    return begun
+
+
+def dots(fleet: ScreenFleet, colour: int) -> list[tuple[int, int]]:
+    """Where the terminal's picture has a colour: column, and row from the bottom."""
+    terminal = fleet.terminal
+    assert terminal.active is not None
+    data = terminal.texts[terminal.active][PICTURE]
+    each = [dot for byte in data for dot in (byte >> 4, byte & 15)]
+    height = len(each) // WIDE
+    return [(k % WIDE, height - 1 - k // WIDE) for k, dot in enumerate(each) if dot == colour]
+
+
+def test_the_picture_of_the_field_follows_the_work_and_the_robots(
+    drawn_fleet: Callable[[int], ScreenFleet],
+) -> None:
+    """It was drawn once, when the screen came up."""
+    fleet = drawn_fleet(51)
+    assert dots(fleet, GREEN) == []
+    for slot, robot in enumerate(fleet.robots):
+        robot.place_m = 48.0, 40.0 * (1 + slot)
+    DrawnField.lines = 20
+    fleet.run(5 * S)
+    assert fleet.terminal.redrawn == 1 and not fleet.terminal.errors
+    rows = sorted(row for _, row in dots(fleet, RED))
+    assert len(rows) == 3 and all(abs(row - 20 * (1 + k)) <= 3 for k, row in enumerate(rows))
+    worked = {row for _, row in dots(fleet, GREEN)}
+    assert worked and max(worked) < 26, "the lower quarter"
+    fleet.run(7 * S)
+    assert fleet.terminal.redrawn == 1, "the same picture is not sent again"
+    assert fleet.terminal.shown_at_us and len(fleet.terminal.pools) == 1
+
+
+def test_a_robot_that_never_knew_its_place_does_not_shrink_the_field(
+    drawn_fleet: Callable[[int], ScreenFleet],
+) -> None:
+    """It tells a place 3 km away, and the whole field was one dot of the picture."""
+    fleet = drawn_fleet(54)
+    black = dots(fleet, 0)
+    assert (
+        dots(fleet, RED) == [] and max(row for _, row in black) - min(row for _, row in black) > 70
+    )
+
+
+def test_a_robot_that_dies_while_it_draws_again_is_replaced_in_time(
+    drawn_fleet: Callable[[int], ScreenFleet],
+) -> None:
+    fleet = drawn_fleet(52)
+    DrawnField.lines = 40
+    serving = fleet.serving
+    assert serving is not None
+    while serving.peer.named.terminal.client.state is TerminalState.SHOWN:
+        fleet.run(2 * MS)
+    serving.alive = False
+    assert fleet.until_shown(fleet.now_us, 5 * S) <= 3.0
+    assert len(dots(fleet, GREEN)) > 500 and fleet.terminal.twice == 0
+
+
+def test_a_terminal_that_takes_no_picture_alone_has_its_screen_back_once(
+    drawn_fleet: Callable[[int], ScreenFleet],
+) -> None:
+    fleet = drawn_fleet(53)
+    fleet.terminal.refuses = True
+    DrawnField.lines = 40
+    assert fleet.until_shown(fleet.now_us, 8 * S) < 8.0, "after the picture was refused"
+    DrawnField.lines, back_at_us = 60, fleet.now_us
+    fleet.run(8 * S)
+    active = fleet.terminal.active
+    assert active is not None and fleet.terminal.shown_at_us[active] <= back_at_us
 
 
 def test_a_terminal_that_loses_its_memory_gets_the_screen_again() -> None:
