@@ -11,7 +11,7 @@ from crdt import Phase
 from sim.fleet.scheduler import Handle, Host, Script
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
 from sim.fleet.warehouse_floor import WarehouseFloor
-from sim.runs.run import MissionRun, RunProgress, of_bodies, points_of
+from sim.runs.run import MissionRun, RunProgress, first_of, of_bodies, points_of
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.contacts import TOUCH_M
 from sim.world.ground_truth import TrackPoint
@@ -53,6 +53,7 @@ class DeliveryOutcome(NamedTuple):
     trace_hash: str
     simulated_s: float
     wall_s: float
+    first_contact: str = ""  # when, who and where; empty: none
 
     @property
     def success(self) -> bool:
@@ -171,6 +172,7 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
         return {
             **of_bodies(cluster),
             "contacts": len(touches),
+            "first_contact": first_of(touches),
             "tasks": len(truth.dropoff),
             "delivered": len(truth.delivered_at_us),
             "unreachable": tuple(sorted(cluster.unreachable)),

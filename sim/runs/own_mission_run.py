@@ -35,6 +35,7 @@ class OwnMissionOutcome(NamedTuple):
     simulated_s: float
     wall_s: float
     pymunk_steps: int
+    first_contact: str = ""  # when, who and where; empty: none
 
     @property
     def success(self) -> bool:

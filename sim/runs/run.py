@@ -20,7 +20,7 @@ from sim.fleet.settling import quiet_for_us
 from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.world.ground_truth import TrackPoint
+from sim.world.ground_truth import Contact, TrackPoint
 
 _numbers = itertools.count()
 SetupT = TypeVar("SetupT", bound=FleetSetup)
@@ -208,10 +208,22 @@ def of_bodies(cluster: Cluster) -> dict[str, Any]:
     world = cluster.world
     return {
         "contacts": len(world.contacts),
+        "first_contact": first_of(world.contacts),
         "closest_m": world.closest_m,
         "travel_m": sum(body.track.driven_m for body in world.robots.values()),
         "pymunk_steps": world.pymunk_steps,  # of 10 ms, made by pymunk
     }
+
+
+def first_of(contacts: Sequence[Contact]) -> str:
+    """When and where the first of them was, and of whom; empty without one."""
+    if not contacts:
+        return ""
+    first = min(contacts, key=lambda contact: contact.t_us)
+    return (
+        f"at {first.t_us / S:.1f} s robot {first.first} touched {first.against} "
+        f"at {first.x_m:.1f},{first.y_m:.1f}"
+    )
 
 
 def points_of(cluster: Cluster) -> dict[int, list[TrackPoint]]:

@@ -19,10 +19,16 @@ from statistics import median
 from time import perf_counter
 from typing import NamedTuple
 
+from sim.runs.field_run import FieldRun
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import load
 from tools.bench import wrong_inputs
+from tools.bench.browser import missing
 from tools.bench.figure import Figure
+from tools.bench.operator import page_rate
 from tools.bench.typos import answers
 from tools.build.prose_checker import LONG, LONG_SHARE_MAX, MEDIAN_MAX, pages, sentences
+from tools.common.run_recorder import RunRecorder
 
 ROOT = Path(__file__).parents[2]
 COLD_S_MAX, WARM_S_MAX, START_S_MAX, INSTALL_MB_MAX = 100.0, 8.0, 0.3, 100
@@ -34,13 +40,18 @@ ENDS = {  # until when it is measured: with which words
     "until its help is printed": dict.fromkeys(TOOLS, "--help"),
     "until it has worked or found no launch": dict.fromkeys(TOOLS, "") | {"say": "stop"},
 }
+RATES = {20: 30.0, 100: 20.0}  # robots: pictures a second of the map
+RATE_RUN_S, RATE_S = 12.0, 8.0  # simulated, and watched of it
 MB = 1e6
 # Tests of what a person does, by what they show.
 ROUNDS = (
     ("an operator's round by keyboard and by touch at 390 x 844, axe: findings", "every step, 0",
      "tests/tools/livemap/test_map_work.py"),
-    ("blocks of the tutorial that run as they stand", "all",
+    ("blocks of the first tutorial that run as they stand", "all",
      "tests/tools/cli/test_documented_commands.py -k tutorial"),
+    ("blocks of the other tutorials that run as they stand", "all",
+     "tests/tools/cli/test_tutorials.py"),
+    ("examples and notebooks that run as they stand", "all", "tests/tools/run/test_examples.py"),
     ("wrong inputs of the command line that are not one line", "0",
      "tests/tools/cli/test_wrong_words.py"),
 )  # fmt: skip
@@ -51,14 +62,15 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield from _typos()
     yield _inputs()
     yield from _prose()
-    yield from _starts()
+    yield from _starts(Start(sys.executable, "this environment", str(ROOT)))
+    yield from _pages(seed)
     yield _warm(seed)
     if quick:
         return
     cold = _cold()
     if cold is not None:
         yield cold
-    yield _install()
+    yield from _install()
     for name, target, test in ROUNDS:
         failed = _tests_that_fail(test)
         yield Figure(name, float(failed), "tests fail", target, failed == 0, "", test)
@@ -97,27 +109,36 @@ def _prose() -> Iterator[Figure]:
                  share <= LONG_SHARE_MAX, "", scope)  # fmt: skip
 
 
-def _starts() -> Iterator[Figure]:
+class Start(NamedTuple):
+    """From where a tool is started."""
+
+    python: str
+    where: str
+    path: str = ""  # of the layers, where they are not installed
+
+
+def _starts(start: Start) -> Iterator[Figure]:
     """CPU time: the time by the clock is that of whatever else runs here."""
     for until, ends in ENDS.items():
         slowest = max(
-            min(_cpu_s(f"{tool} {end}") for _ in range(STARTS)) for tool, end in ends.items()
+            min(_cpu_s(start, f"{tool} {end}") for _ in range(STARTS)) for tool, end in ends.items()
         )
         yield Figure(
-            f"start of a tool of the bus, {until}, the slowest", slowest, "CPU s",
+            f"start of a tool of the bus in {start.where}, {until}, the slowest", slowest, "CPU s",
             f"<= {START_S_MAX:g}", slowest <= START_S_MAX, "",
             f"{', '.join(ends)}; least of {STARTS} starts each",
         )  # fmt: skip
 
 
-def _cpu_s(words: str) -> float:
+def _cpu_s(start: Start, words: str) -> float:
     """Of one call, in a folder without a launch."""
+    environment = {**os.environ, "PYTHONPATH": start.path}
+    environment.pop("PYTHONDONTWRITEBYTECODE", None)  # a person's second start compiles nothing
     before_s = _cpu_of_children_s()
     with tempfile.TemporaryDirectory() as folder:
         subprocess.run(
-            [sys.executable, "-m", "tools.cli.headland", *words.split()], cwd=folder, check=False,
+            [start.python, "-m", "headland", *words.split()], cwd=folder, check=False, env=environment,
             stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-            env={**os.environ, "PYTHONPATH": str(ROOT)},
         )  # fmt: skip
     return _cpu_of_children_s() - before_s
 
@@ -215,8 +236,9 @@ def _cold() -> Figure | None:
     )  # fmt: skip
 
 
-def _install() -> Figure:
-    """A fresh environment with the wheel of this checkout and what it needs, as `du -sm` counts."""
+def _install() -> Iterator[Figure]:
+    """A fresh environment with the wheel of this checkout and what it needs, as `du -sm` counts, and the
+    start of its tools."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         pip = [
@@ -238,10 +260,29 @@ def _install() -> Figure:
         size = sum(
             path.lstat().st_blocks * 512 for path in (here / "env").rglob("*") if path.is_file()
         )
-    return Figure(
-        "base install: the tools of the bus, with their environment and pip", size / MB, "MB",
-        f"<= {INSTALL_MB_MAX}", size / MB <= INSTALL_MB_MAX, "", "a wheel in a fresh venv",
-    )  # fmt: skip
+        yield Figure(
+            "base install: the tools of the bus, with their environment and pip", size / MB, "MB",
+            f"<= {INSTALL_MB_MAX}", size / MB <= INSTALL_MB_MAX, "", "a wheel in a fresh venv",
+        )  # fmt: skip
+        yield from _starts(Start(folder + "/env/bin/python", "the base install"))
+
+
+def _pages(seed: int) -> Iterator[Figure]:
+    """How often the map draws in a real browser."""
+    why = missing()
+    for robots, least in RATES.items():
+        if why:
+            yield Figure(f"page at {robots} robots", 0.0, "pictures/s", f">= {least:g}", None, "",
+                         f"not measured: {why}")  # fmt: skip
+            continue
+        with tempfile.TemporaryDirectory() as folder:
+            scenario = load("oxted").changed(robots, seed)
+            limit = scenario.run.model_copy(update={"time_limit_s": RATE_RUN_S})
+            setup = FieldSetup(scenario.model_copy(update={"run": limit}))
+            keeping = RunRecorder(setup, Path(folder))
+            FieldRun(setup, Path(folder), attach=keeping).run()
+            keeping.close()
+            yield page_rate(Path(folder), robots, RATE_S, least)
 
 
 def _tests_that_fail(words: str) -> int:

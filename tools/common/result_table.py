@@ -1,9 +1,12 @@
 """The table of what came of a run: a fact a row, its name before it."""
 
 from collections.abc import Iterable, Mapping
-from typing import Protocol
+from typing import Any, Protocol
 
+from rich.markup import escape
 from rich.table import Table
+
+from tools.common.run_flaws import flaws
 
 NO_KEYS = "[bold red]NONE: any device on the bus can stop and release this fleet[/bold red]"
 Fact = tuple[str, str]  # name and text; the text may have rich's markup
@@ -27,6 +30,9 @@ class RunOutcome(Protocol):
     @property
     def success(self) -> bool:
         """Whether the exit code is 0."""
+
+    def to_dict(self) -> dict[str, Any]:
+        """The figures of its report."""
 
     @property
     def frames(self) -> Mapping[str, int]:
@@ -53,10 +59,11 @@ def fact_table(title: str, facts: Iterable[Fact]) -> Table:
 
 def run_table(ran: RunOutcome, facts: Iterable[Fact]) -> Table:
     """The table of a scenario's run: whether it was without a flaw, `facts`, how to know it again."""
+    why = escape("; ".join(flaws(ran.to_dict())))
     return fact_table(
         f"{ran.scenario}: {ran.robots} robots, seed {ran.seed}",
         [
-            ("without a flaw", "[green]yes[/green]" if ran.success else "[red]no[/red]"),
+            ("without a flaw", "[green]yes[/green]" if ran.success else f"[red]no: {why}[/red]"),
             *facts,
             ("frames", ", ".join(f"{n} {kind}" for kind, n in ran.frames.items())),
             ("trace hash", ran.trace_hash),

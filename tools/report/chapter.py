@@ -23,7 +23,7 @@ class Chapter(NamedTuple):
     name: str  # of its files
     title: str
     about: str
-    picture: bytes | None = None  # PNG
+    picture: drawing.Drawn | None = None
     table: Table | None = None  # on the page
     values: Table | None = None  # in the CSV
     missing: str = ""  # why there is nothing to see
@@ -44,14 +44,15 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
     history.close()
     faults = _faults(evidence)
     scene = recording.scene
-    marks = [*faults, *(e for e in history.seen if e.kind in ("stop", "reset"))]
+    told = sorted([*faults, *history.seen], key=lambda event: event.t_s)
+    marks = [event for event in told if drawing.is_mark(event)]
     bitrate = (scene or {}).get("bitrate", history.load.bitrate)
     yield _events(evidence, faults, history)
+    yield _sections(history, told)
     yield _stops(history)
     yield from _releases(evidence)
     yield _tracks(scene, history)
     yield from _planned(scene, followed(recording.intents, evidence.zero_at_us))
-    yield _sections(history, marks)
     yield _load(history, bitrate if isinstance(bitrate, int) and bitrate > 0 else 250_000, marks)
     yield _states(history, marks)
 
@@ -68,12 +69,15 @@ def _faults(evidence: RunEvidence) -> list[TimelineEvent]:
     return found
 
 
-def _drawn(draw: Any, scene: Scene | None, *what: Any) -> bytes:
+def _drawn(draw: Any, scene: Scene | None, *what: Any) -> drawing.Drawn:
     """Over its ground; without one where the scene cannot be read."""
     try:
-        return drawing.png_of(draw(scene, *what))
+        found = drawing.Drawn(draw(scene, *what))
+        if found.svg:  # some nonsense is noticed only when it is drawn
+            return found
     except (KeyError, TypeError, ValueError, IndexError, AttributeError):
-        return drawing.png_of(draw(None, *what))
+        pass
+    return drawing.Drawn(draw(None, *what))
 
 
 def _tracks(scene: Scene | None, history: History) -> Chapter:
@@ -124,7 +128,7 @@ def _planned(scene: Scene | None, robots: Sequence[Following]) -> Iterator[Chapt
         (r.slot, round(s.t_s, 3), round(s.x_m, 3), round(s.y_m, 3), round(s.off_m, 4), int(s.tool))
         for r in robots for s in r.samples
     ]  # fmt: skip
-    yield Chapter("errors", "The same over time", "", drawing.png_of(drawing.errors(robots)),
+    yield Chapter("errors", "The same over time", "", drawing.Drawn(drawing.errors(robots)),
                   values=(("robot", "t_s", "x_m", "y_m", "off_m", "implement_down"), rows))  # fmt: skip
 
 
@@ -139,11 +143,12 @@ def _said(value: float | None) -> str:
     return f"{value:.3f}" if isinstance(value, float) else str(value)
 
 
-def _sections(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
-    title = "Sections by owner and phase"
+def _sections(history: History, events: Sequence[TimelineEvent]) -> Chapter:
+    title = "Events and sections over time"
     about = (
-        "A row for each section (goals of errands and frontiers of a map are sections, too), in the "
-        "owner's colour: pale claimed, full begun, faint done. Red lines are faults, stops and resets."
+        "Above, what happened. Below, a row for each section (goals of errands and frontiers of a map "
+        "are sections, too), in the owner's colour: pale claimed, full begun, faint done. Red lines are "
+        "faults, stops and resets."
     )
     if not history.held:
         return Chapter("sections", title, about, missing="No section was claimed.")
@@ -159,7 +164,7 @@ def _sections(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
         if span.owner is not None and span.what == "STARTED":
             owners.setdefault(span.owner, []).append(span.until_s - span.from_s)
     table = [(slot, len(spans), f"{sum(spans):.1f}") for slot, spans in sorted(owners.items())]
-    picture = drawing.png_of(drawing.gantt(history.held, history.now_s, marks))
+    picture = drawing.Drawn(drawing.gantt(history.held, history.now_s, events))
     return Chapter("sections", title, about, picture, (("robot", "begun", "at work, s"), table),
                    (("section", "phase", "owner", "from_s", "until_s"), rows))  # fmt: skip
 
@@ -177,7 +182,7 @@ def _load(history: History, bitrate: int, marks: Sequence[TimelineEvent]) -> Cha
     ]  # fmt: skip
     shares = [bits.total() / (width_s * bitrate) for _, bits in bins]
     table = [(f"{median(shares):.1%}", f"{max(shares):.1%}", sum(history.malformed.values()))]
-    picture = drawing.png_of(drawing.load(width_s, bins, bitrate, marks))
+    picture = drawing.Drawn(drawing.load(width_s, bins, bitrate, marks))
     return Chapter("load", "Bus load", about, picture,
                    (("median", "most", "frames that nobody can read"), table),
                    (("t_s", *kinds, "all"), rows))  # fmt: skip
@@ -199,7 +204,7 @@ def _states(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
                 sums[span.what] = sums.get(span.what, 0.0) + span.until_s - span.from_s
         table.append((slot, *(f"{sums[name]:.1f}" for name in names)))
     head = ("robot", *(f"{name.lower()}, s" for name in names))
-    picture = drawing.png_of(drawing.states(history.states, history.now_s, marks))
+    picture = drawing.Drawn(drawing.states(history.states, history.now_s, marks))
     return Chapter("states", "States", about, picture, (head, table),
                    (("robot", "state", "from_s", "until_s"), rows))  # fmt: skip
 
@@ -225,7 +230,7 @@ def _stops(history: History) -> Chapter:
         for s in history.pressed for slot in s.present
     ]  # fmt: skip
     columns = ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s")
-    return Chapter("stops", "Stops", about, drawing.png_of(drawing.latencies(history.pressed)),
+    return Chapter("stops", "Stops", about, drawing.Drawn(drawing.latencies(history.pressed)),
                    (head, table), (columns, rows))  # fmt: skip
 
 

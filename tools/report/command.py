@@ -1,4 +1,4 @@
-"""`headland report`: a run as one HTML page with its pictures, and PNG and CSV beside it."""
+"""`headland report`: a run as one HTML page with its pictures, and SVG and CSV beside it."""
 
 import csv
 import sys
@@ -67,7 +67,7 @@ def write(out: Path, evidence: RunEvidence, found: Sequence[Chapter]) -> None:
     folder.mkdir(parents=True, exist_ok=True)
     for chapter in found:
         if chapter.picture is not None:
-            (folder / f"{chapter.name}.png").write_bytes(chapter.picture)
+            (folder / f"{chapter.name}.svg").write_bytes(chapter.picture.svg)
         if chapter.values is not None:
             with (folder / f"{chapter.name}.csv").open("w", newline="", encoding="utf-8") as file:
                 writer = csv.writer(file, lineterminator="\n")

@@ -2,7 +2,8 @@
 
 import io
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Sequence
+from functools import cached_property
 from math import isfinite
 from typing import Any
 
@@ -19,6 +20,9 @@ LABELS_MAX = 12  # robots in a legend
 KINDS_MAX = 7  # of frames with a colour of their own
 BINS = 1200  # most points of the bus load: about as many as there are pixels
 ROWS_MAX = 400  # most sections in the Gantt chart; more cannot be read
+EVENT_ROWS_MAX = 16  # kinds of events
+WORDS_SHARE, WORDS_MAX = 0.2, 36  # of the width for the words of an event, and their characters
+LABEL_SHARE = 0.02  # of the width between the labels of two lines
 FULL = 0.7  # share of the bus for which CAN is commonly planned
 FAULT_COLOUR = "#b00020"
 STATES = {
@@ -26,6 +30,11 @@ STATES = {
     State.SYNCHRONIZING.name: "#fdd0a2", State.WORKING.name: "#31a354",
     State.EMERGENCY_STOP.name: "#de2d26", SILENT: "#636363",
 }  # fmt: skip
+# Ground, text and plain lines of a picture where the browser is set to dark; robots keep their colours.
+DARK = b"""<style>@media (prefers-color-scheme: dark) {
+[style*="fill: #ffffff"] { fill: #12181b !important } g[id^="text_"] { fill: #e6edf0 }
+[style*="stroke: #000000"], [style*="stroke: #4c4c4c"] { stroke: #a5b4bc !important }
+[style*="stroke: #d9d9d9"] { stroke: #38474f !important } }</style>"""
 PHASES = {Phase.CLAIMED.name: 0.35, Phase.STARTED.name: 1.0, Phase.DONE.name: 0.12}
 
 
@@ -40,11 +49,29 @@ def figure_of(width: float, height: float) -> tuple[Figure, Any]:
     return figure, figure.add_subplot()
 
 
-def png_of(figure: Figure) -> bytes:
-    """The picture as bytes of a PNG."""
-    buffer = io.BytesIO()
-    figure.savefig(buffer, format="png")
-    return buffer.getvalue()
+class Drawn:
+    """A finished picture, as SVG for the page and as PNG for Python."""
+
+    def __init__(self, figure: Figure) -> None:
+        self._figure = figure
+
+    @cached_property
+    def svg(self) -> bytes:
+        """In light or dark, as the browser is set. Figures that are alike give the same bytes."""
+        from matplotlib import rc_context
+
+        buffer = io.BytesIO()
+        with rc_context({"svg.hashsalt": "headland"}):
+            self._figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
+        head, end, rest = buffer.getvalue().partition(b"<defs>")
+        return head + DARK + end + rest
+
+    @cached_property
+    def png(self) -> bytes:
+        """In light colours."""
+        buffer = io.BytesIO()
+        self._figure.savefig(buffer, format="png")
+        return buffer.getvalue()
 
 
 def colour_of(slot: int | None) -> Any:
@@ -136,27 +163,61 @@ def _runs(robot: Following) -> list[list[Any]]:
     return found
 
 
-def gantt(held: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Figure:
-    """A row for each section, in the order in which they were first claimed."""
-    order = list(dict.fromkeys(span.who for span in held))[:ROWS_MAX]
-    row_of = {section: row for row, section in enumerate(order)}
-    figure, axes = figure_of(10, min(max(2.5, 0.16 * len(order) + 1.0), 40))
-    for span in held:
-        row = row_of.get(span.who)
-        if row is not None:
-            axes.barh(row, span.until_s - span.from_s, left=span.from_s, height=0.8,
-                      color=colour_of(span.owner), alpha=PHASES.get(span.what, 0.5))  # fmt: skip
-    owners = sorted({span.owner for span in held if span.owner is not None})
+def gantt(held: Sequence[TimelineSpan], until_s: float, events: Sequence[TimelineEvent]) -> Figure:
+    """What happened, a row for each kind, and below it on the same axis a row for each section, in the
+    order in which they were first claimed."""
     from matplotlib.patches import Patch
 
+    order = list(dict.fromkeys(span.who for span in held))[:ROWS_MAX]
+    row_of = {section: row for row, section in enumerate(order)}
+    kinds = list(dict.fromkeys(event.kind for event in events))[:EVENT_ROWS_MAX]
+    heights = (0.22 * len(kinds) + 0.1, min(max(2.0, 0.16 * len(order)), 40))
+    figure, axes = figure_of(10, sum(heights) + 0.9)
+    if kinds:
+        axes.remove()
+        strip, axes = figure.subplots(2, 1, sharex=True, height_ratios=heights)
+        _strip(strip, kinds, events, until_s)
+    groups: dict[tuple[int | None, str], list[TimelineSpan]] = {}
+    for span in held:
+        if span.who in row_of:
+            groups.setdefault((span.owner, span.what), []).append(span)
+    for (owner, what), spans in groups.items():
+        axes.barh([row_of[s.who] for s in spans], [s.until_s - s.from_s for s in spans],
+                  left=[s.from_s for s in spans], height=0.8, color=colour_of(owner),
+                  alpha=PHASES.get(what, 0.5))  # fmt: skip
+    owners = sorted({span.owner for span in held if span.owner is not None})
     patches = [Patch(color=colour_of(owner), label=f"robot {owner}") for owner in owners]
     if len(owners) <= LABELS_MAX:
         axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8,
                     frameon=False)  # fmt: skip
     axes.set_yticks(range(len(order)), [f"S{section}" for section in order], fontsize=6)
     axes.set_ylim(len(order) - 0.4, -0.6)
-    _time(axes, until_s, marks)
+    _time(axes, until_s, [e for e in events if is_mark(e)], labelled=not kinds)
     return figure
+
+
+def is_mark(event: TimelineEvent) -> bool:
+    """Whether it is a line through every chart: what was done to the fleet, stops and resets."""
+    return event.kind.startswith("fault") or event.kind in ("stop", "reset")
+
+
+def _strip(
+    axes: Any, kinds: Sequence[str], events: Sequence[TimelineEvent], until_s: float
+) -> None:
+    """A mark for each event, with its words where there is room for them."""
+    row_of = {kind: row for row, kind in enumerate(kinds)}
+    room_s, free_s = until_s * WORDS_SHARE, dict.fromkeys(kinds, -1.0)
+    for event in events:
+        row = row_of.get(event.kind)
+        if row is None or not isfinite(event.t_s):
+            continue
+        axes.plot([event.t_s], [row], "|", color=FAULT_COLOUR if is_mark(event) else "#777777")
+        if event.t_s >= free_s[event.kind] and event.t_s + room_s <= until_s:
+            words = " ".join(filter(None, (event.who, event.what)))[:WORDS_MAX]
+            axes.text(event.t_s + until_s * 0.005, row, words, fontsize=6, va="center")
+            free_s[event.kind] = event.t_s + room_s
+    axes.set_yticks(range(len(kinds)), kinds, fontsize=7)
+    axes.set_ylim(len(kinds) - 0.4, -0.6)
 
 
 def states(spans: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Figure:
@@ -234,9 +295,16 @@ LATENCIES: tuple[tuple[str, str, str, Latencies], ...] = (
 )
 
 
-def _time(axes: Any, until_s: float, marks: Iterable[TimelineEvent]) -> None:
-    for event in marks:
-        if isfinite(event.t_s):
-            axes.axvline(event.t_s, color=FAULT_COLOUR, linewidth=0.8, alpha=0.6)
-    axes.set_xlim(0.0, max(until_s, 1e-3))
+def _time(axes: Any, until_s: float, marks: Sequence[TimelineEvent], labelled: bool = True) -> None:
+    """The axis of seconds, and a line for each mark. Labels that would cover each other are left out."""
+    end_s, free_s = max(until_s, 1e-3), -1.0
+    for event in sorted(marks, key=lambda event: event.t_s):
+        if not isfinite(event.t_s):
+            continue
+        axes.axvline(event.t_s, color=FAULT_COLOUR, linewidth=0.8, alpha=0.6)
+        if labelled and event.t_s >= free_s:
+            axes.text(event.t_s, 1.01, event.kind.removeprefix("fault: "), fontsize=6, rotation=60,
+                      transform=axes.get_xaxis_transform(), color=FAULT_COLOUR)  # fmt: skip
+            free_s = event.t_s + end_s * LABEL_SHARE
+    axes.set_xlim(0.0, end_s)
     axes.set_xlabel("s")

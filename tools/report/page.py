@@ -5,6 +5,7 @@ from collections.abc import Iterable, Sequence
 from html import escape
 from typing import Any
 
+from tools.common.run_flaws import flaws
 from tools.inspect.inspector import NO_KEYS
 from tools.report.chapter import ROWS_MAX, Chapter, Table
 
@@ -19,7 +20,7 @@ body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 70rem
        color: var(--text); background: var(--ground); }
 h1 { font-size: 1.6rem; }
 h2 { font-size: 1.2rem; margin-top: 2.5rem; border-bottom: 1px solid var(--edge); }
-img { max-width: 100%; height: auto; background: #fff; border-radius: 6px; }
+img { max-width: 100%; height: auto; border-radius: 6px; }
 table { border-collapse: collapse; margin: 0.7rem 0; font-size: 0.9rem; }
 th, td { text-align: left; padding: 0.15rem 0.9rem 0.15rem 0; border-bottom: 1px solid var(--edge);
          font-variant-numeric: tabular-nums; vertical-align: top; }
@@ -84,12 +85,6 @@ TILES = (  # what it is called, keys of which the first one that there is counts
 )  # fmt: skip
 TILES_MAX = 6
 FIGURE_MAX = 1e15
-# What makes a run flawed, by the figures that say so; each with what is told of it.
-FLAWS = {
-    "contacts": "{} contacts of bodies", "moved_after_stop": "{} times a robot moved after a stop",
-    "implement_contacts": "implements met {} times", "claims_lost": "{} claims lost",
-    "malformed": "{} malformed frames", "uncovered": "{} cells uncovered",
-}  # fmt: skip
 
 
 def _tiles(figures: dict[str, Any]) -> str:
@@ -107,29 +102,6 @@ def _tiles(figures: dict[str, Any]) -> str:
     return f'<dl class="tiles">{"".join(found[:TILES_MAX])}</dl>\n' if found else ""
 
 
-def flaws(figures: dict[str, Any]) -> list[str]:
-    """What was wrong with a run, in words, as far as its figures say; never empty."""
-    found = []
-    if figures.get("finished") is False:
-        found.append("not all work was done")
-    coverage = figures.get("coverage")
-    if isinstance(coverage, float) and coverage < 1.0:
-        left = f"{coverage:.2%} of the area is covered"
-        parts = figures.get("unreached")
-        if isinstance(parts, list):
-            why = "; ".join(str(p["why"]) for p in parts if isinstance(p, dict) and "why" in p)
-            left += f" ({why})" if why else ""
-        found.append(left)
-    for key, told in FLAWS.items():
-        count = figures.get(key)
-        if isinstance(count, int) and not isinstance(count, bool) and count > 0:
-            found.append(told.format(count))
-    for key in ("replicas_equal", "maps_equal"):
-        if figures.get(key) is False:
-            found.append(f"{key.split('_')[0]} differ")
-    return found or ["report.json has the figures"]
-
-
 def _chapter(chapter: Chapter, beside: str) -> str:
     parts = [f'<h2 id="{chapter.name}">{escape(chapter.title)}</h2>\n']
     if chapter.about:
@@ -137,8 +109,10 @@ def _chapter(chapter: Chapter, beside: str) -> str:
     if chapter.missing:
         parts.append(f'<p class="missing">{escape(chapter.missing)}</p>\n')
     if chapter.picture is not None:
-        data = b64encode(chapter.picture).decode()
-        parts.append(f'<img alt="{escape(chapter.title)}" src="data:image/png;base64,{data}">\n')
+        data = b64encode(chapter.picture.svg).decode()
+        parts.append(
+            f'<img alt="{escape(chapter.title)}" src="data:image/svg+xml;base64,{data}">\n'
+        )
     if chapter.table is not None:
         parts.append(table_of(chapter.table, ROWS_MAX))
     names = [f"{chapter.name}.{kind}" for kind in files(chapter)]
@@ -154,7 +128,7 @@ def _chapter(chapter: Chapter, beside: str) -> str:
 def files(chapter: Chapter) -> Iterable[str]:
     """The kinds of file that a chapter leaves beside the page."""
     if chapter.picture is not None:
-        yield "png"
+        yield "svg"
     if chapter.values is not None:
         yield "csv"
 

@@ -142,7 +142,7 @@ class Run:
         found = self._chapter(chapter)
         if found.picture is None:
             raise ValueError(found.missing or f"{chapter} is a table: run.table({chapter!r})")
-        return Picture(found.picture)
+        return Picture(found.picture.png)
 
     def report(self, path: str | Path) -> Path:
         """The page of `headland report`, and the folder of its name. Returns where it is."""

@@ -7,9 +7,9 @@ import pytest
 import typer
 from typer.testing import CliRunner
 
-from tests.tools.documented import parse
+from tests.tools.documented import ROOT, parse
 from tools.cli.headland import app
-from tools.cli.panels import PANELS, can_defaults
+from tools.cli.panels import PANELS, Panels, can_defaults
 
 OLD = (
     "explore ring --robots 4", "replay runs/latest", "warmup", "coverage drive --H 8 --W 8 --agents 3",
@@ -29,6 +29,16 @@ def test_every_command_stands_in_one_of_five_panels() -> None:
     titles = re.findall(r"^(\S.*):$", told, re.M)
     assert [title for title in titles if title != "Options"] == list(PANELS)
     assert not re.search(r"^ +(explore|replay|warmup|estop|reset) ", told, re.M)
+
+
+def test_the_page_of_the_command_line_names_every_command_in_its_panel() -> None:
+    page = (ROOT / "docs" / "use" / "command_line.md").read_text()
+    command = typer.main.get_command(app)
+    assert isinstance(command, Panels)
+    for name, own in command.commands.items():
+        panel = getattr(own, "rich_help_panel", "")
+        if not own.hidden:
+            assert re.search(rf"^\| {panel} \|.*`{name}`", page, re.M), (panel, name)
 
 
 @pytest.mark.parametrize("words", OLD)

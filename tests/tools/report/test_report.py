@@ -11,6 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Member, Pose
@@ -22,11 +23,13 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, Restart, load
 from tools.bench.browser import browser, complaints, missing
+from tools.common.run_flaws import flaws
 from tools.common.run_recorder import RunRecorder
 from tools.report.command import report
-from tools.report.page import flaws, page
+from tools.report.figures import Drawn, gantt
+from tools.report.page import page
 from tools.report.run_data import gather
-from tools.report.timeline import History
+from tools.report.timeline import History, TimelineEvent, TimelineSpan
 from tools.report.tracking_error import SAME_M, followed
 from tools.run.run_field import run as run_command
 
@@ -95,10 +98,10 @@ def test_the_page_is_whole_and_asks_for_nothing(run: Path) -> None:
     assert "script" not in reader.names, "names come from files that others wrote"
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
     for address in reader.asked:
-        local = address.startswith(("data:image/png;base64,", "#"))
+        local = address.startswith(("data:image/svg+xml;base64,", "#"))
         assert local or (run / address).is_file(), address
     pictures = sum(address.startswith("data:") for address in reader.asked)
-    assert pictures == len(list((run / "report").glob("*.png"))) == 7
+    assert pictures == len(list((run / "report").glob("*.svg"))) == 7
 
 
 def test_states_are_those_that_the_robots_wrote_down(run: Path) -> None:
@@ -320,6 +323,35 @@ def test_a_browser_shows_every_picture(run: Path) -> None:
         assert page.execute_script("return document.querySelectorAll('script').length") == 0
 
 
+@pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
+def test_pictures_are_dark_where_the_browser_is(run: Path, tmp_path: Path) -> None:
+    shades = []
+    for wish in ("light", "dark"):
+        with browser() as page:
+            media = {"features": [{"name": "prefers-color-scheme", "value": wish}]}
+            page.execute_cdp_cmd("Emulation.setEmulatedMedia", media)
+            page.get((run / "report" / "tracks.svg").absolute().as_uri())
+            assert not complaints(page)
+            page.save_screenshot(str(tmp_path / "shown.png"))
+        with Image.open(tmp_path / "shown.png") as shown:
+            shades.append(sorted(shown.convert("L").resize((100, 60)).tobytes())[3000])
+    assert shades[0] > 200 and shades[1] < 60, "the ground of the picture"
+
+
+def test_events_stand_above_the_sections_on_the_same_axis(run: Path) -> None:
+    text = (run / "report.html").read_text()
+    order = [text.index(f'<h2 id="{name}"') for name in ("events", "sections", "stops", "tracks")]
+    assert order == sorted(order)
+    told = [TimelineEvent(1.0, "stop", "robot 1", "PERSON"), TimelineEvent(2.0, "silence", "", "")]
+    held = [TimelineSpan(3, "DONE", 1, 0.0, 4.0)]
+    strip, below = gantt(held, 9.0, told).axes
+    assert strip.get_xlim() == below.get_xlim() == (0.0, 9.0)
+    assert [label.get_text() for label in strip.get_yticklabels()] == ["stop", "silence"]
+    assert "robot 1 PERSON" in [text.get_text() for text in strip.texts]
+    once, again = (Drawn(gantt(held, 9.0, told)).svg for _ in range(2))
+    assert once == again and once.startswith(b"<?xml") and b"prefers-color-scheme" in once
+
+
 def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     good = {"success": True, "coverage": 1.0, "makespan_s": 176.2, "contacts": 0, "bus_load": 0.038,
             "moved_after_stop": 0, "replicas_equal": True, "travel_m": 1009.0}  # fmt: skip
@@ -332,6 +364,8 @@ def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     bad = good | {"success": False, "coverage": 0.9981, "unreached": left, "contacts": 2}
     told = page("t", bad, [], "t")
     assert "99.81% of the area is covered (under a &lt;wreck&gt;); 2 contacts of bodies" in told
+    where = "at 61.2 s robot 1 touched robot 3 at 12.0,-3.5"
+    assert flaws({"contacts": 2, "first_contact": where}) == [f"2 contacts of bodies ({where})"]
     assert flaws({"success": False}) == ["report.json has the figures"]
 
 

@@ -1,0 +1,35 @@
+"""What was wrong with a run, in words, from its figures."""
+
+from typing import Any
+
+# What makes a run flawed, by the figures that say so; each with what is told of it.
+FLAWS = {
+    "contacts": "{} contacts of bodies", "moved_after_stop": "{} times a robot moved after a stop",
+    "implement_contacts": "implements met {} times", "claims_lost": "{} claims lost",
+    "malformed": "{} malformed frames", "uncovered": "{} cells uncovered",
+}  # fmt: skip
+
+
+def flaws(figures: dict[str, Any]) -> list[str]:
+    """What was wrong with a run, in words, as far as its figures say; never empty."""
+    found = []
+    if figures.get("finished") is False:
+        found.append("not all work was done")
+    coverage = figures.get("coverage")
+    if isinstance(coverage, float) and coverage < 1.0:
+        left = f"{coverage:.2%} of the area is covered"
+        parts = figures.get("unreached")
+        if isinstance(parts, list):
+            why = "; ".join(str(p["why"]) for p in parts if isinstance(p, dict) and "why" in p)
+            left += f" ({why})" if why else ""
+        found.append(left)
+    for key, told in FLAWS.items():
+        count = figures.get(key)
+        if isinstance(count, int) and not isinstance(count, bool) and count > 0:
+            first = figures.get("first_contact") if key == "contacts" else None
+            where = f" ({first})" if isinstance(first, str) and first else ""
+            found.append(told.format(count) + where)
+    for key in ("replicas_equal", "maps_equal"):
+        if figures.get(key) is False:
+            found.append(f"{key.split('_')[0]} differ")
+    return found or ["report.json has the figures"]
