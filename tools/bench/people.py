@@ -62,7 +62,7 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
     yield from _typos()
     yield _inputs()
     yield from _prose()
-    yield from _starts(Start(sys.executable, "this environment", str(ROOT)))
+    yield from _starts(ToolStart(sys.executable, "this environment", str(ROOT)))
     yield from _pages(seed)
     yield _warm(seed)
     if quick:
@@ -109,7 +109,7 @@ def _prose() -> Iterator[Figure]:
                  share <= LONG_SHARE_MAX, "", scope)  # fmt: skip
 
 
-class Start(NamedTuple):
+class ToolStart(NamedTuple):
     """From where a tool is started."""
 
     python: str
@@ -117,7 +117,7 @@ class Start(NamedTuple):
     path: str = ""  # of the layers, where they are not installed
 
 
-def _starts(start: Start) -> Iterator[Figure]:
+def _starts(start: ToolStart) -> Iterator[Figure]:
     """CPU time: the time by the clock is that of whatever else runs here."""
     for until, ends in ENDS.items():
         slowest = max(
@@ -130,7 +130,7 @@ def _starts(start: Start) -> Iterator[Figure]:
         )  # fmt: skip
 
 
-def _cpu_s(start: Start, words: str) -> float:
+def _cpu_s(start: ToolStart, words: str) -> float:
     """Of one call, in a folder without a launch."""
     environment = {**os.environ, "PYTHONPATH": start.path}
     environment.pop("PYTHONDONTWRITEBYTECODE", None)  # a person's second start compiles nothing
@@ -264,7 +264,7 @@ def _install() -> Iterator[Figure]:
             "base install: the tools of the bus, with their environment and pip", size / MB, "MB",
             f"<= {INSTALL_MB_MAX}", size / MB <= INSTALL_MB_MAX, "", "a wheel in a fresh venv",
         )  # fmt: skip
-        yield from _starts(Start(folder + "/env/bin/python", "the base install"))
+        yield from _starts(ToolStart(folder + "/env/bin/python", "the base install"))
 
 
 def _pages(seed: int) -> Iterator[Figure]:
