@@ -87,12 +87,16 @@ def plain(value: Any) -> Any:
     """
     if isinstance(value, np.ndarray | array):
         return value.tolist()
+    if isinstance(value, bytes) and len(value) == 1:
+        return value[0]  # a `byte` of ROS is a number to one of them
     if isinstance(value, bytes | list | tuple):
         return [plain(each) for each in value]
     if isinstance(value, str | bool | int | float):
         return value
     names = [f.name for f in fields(value)] if is_dataclass(value) else _names(value)
-    return {name: plain(getattr(value, name)) for name in names if not name.startswith("_")}
+    # Constants of a kind of message, which one of them lists among its fields, are in capitals.
+    told = [name for name in names if not (name.startswith("_") or name.isupper())]
+    return {name: plain(getattr(value, name)) for name in told}
 
 
 def _names(value: Any) -> list[str]:
