@@ -1,6 +1,6 @@
 """The `headland` command, also as `python -m headland`."""
 
-from tools.cli.headland import main
+from tools.cli.entrance import main
 
 __all__ = ["main"]
 

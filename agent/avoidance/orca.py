@@ -102,10 +102,12 @@ class OrcaSolver:
         work[WALL_HORIZON], work[DT], work[AGE_MAX] = wall_horizon_s, dt_s, age_max_s
         work[COS], work[SIN] = cos(keep_right_rad), sin(keep_right_rad)
         work[NEIGHBOURS], work[FENCE_RADIUS], work[BRAKING] = NEIGHBOURS_MAX, radius_m, braking_m_s2
-        work[FENCE_REACH] = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
+        self._reach_m = radius_m + speed_max_m_s**2 / (2 * braking_m_s2) + speed_max_m_s * dt_s
+        work[FENCE_REACH] = self._reach_m
         work[STOPPING] = stopping_m_s2
         work[GATHERED_X] = work[GATHERED_Y] = inf
         self._last = 0
+        self._more_m = 0.0  # kept from fences beyond the radius
         self._open = walls.root < 0  # no walls but fences
         self._use_known()
 
@@ -114,6 +116,15 @@ class OrcaSolver:
         is known beforehand."""
         self._fences = fences
         self._work[GATHERED_X] = self._work[GATHERED_Y] = inf
+
+    def keep_more_from_fences(self, more_m: float) -> None:
+        """Keep so many metres more than the radius from fences, from now on; not from `walls`."""
+        if more_m == self._more_m:
+            return
+        work = self._work
+        work[FENCE_RADIUS], work[FENCE_REACH] = self.radius_m + more_m, self._reach_m + more_m
+        work[GATHERED_X] = work[GATHERED_Y] = inf  # what was gathered may not reach so far
+        self._more_m = more_m
 
     def know(self, slot: int, x_m: float, y_m: float, vx_m_s: float, vy_m_s: float,
              radius_m: float, share: float, heard_at_s: float) -> None:  # fmt: skip

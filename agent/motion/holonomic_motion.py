@@ -31,8 +31,12 @@ from agent.motion.sensed_walls import fences_of
 from agent.motion.stopping_zone import StoppingZone
 from agent.motion.unexplained_echoes import UnexplainedEchoes
 
-# The margin grows with the accuracy of our own place: 19 of 20 places are within two deviations.
+# The margins grow with the accuracy of our own place: 19 of 20 places are within two deviations. Walls
+# that the range sensors see are where they are seen, whatever the place is.
 ACCURACIES: Final = 2.0
+# A place that is worse, or whose accuracy is infinite or no number, has stopped the robot already
+# (`POSITION_ACCURACY_M` of `agent/peer/sense_freshness.py`): here it counts as this.
+INACCURATE_M: Final = 0.5
 MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, wheels slip
 HORIZON_S: Final = 4.0  # how far ahead two moving robots avoid a collision
 STANDING_M_S: Final = 0.05  # slower than this a neighbour cannot be relied on to give way
@@ -47,6 +51,11 @@ _tuple = tuple.__new__  # faster than keyword arguments; one is made each period
 
 def _square(row: tuple[float, ...]) -> float:
     return row[0] * row[0] + row[1] * row[1]
+
+
+def _place_error_m(here: Observation) -> float:
+    """How far from its true place the robot may sense itself."""
+    return ACCURACIES * min(INACCURATE_M, here.position_accuracy_m)
 
 
 class HolonomicMotion(MotionController):
@@ -168,6 +177,8 @@ class HolonomicMotion(MotionController):
             wanted, tool_on = other, False
         if tool_on and self.implement.must_be_up(here, wanted, others, self.slot):
             tool_on = False
+        more_m = 0.0 if self.sensing else _place_error_m(here)
+        self.avoidance.keep_more_from_fences(more_m)
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows
         )
@@ -176,7 +187,7 @@ class HolonomicMotion(MotionController):
         if hypot(vx_m_s - here.vx_m_s, vy_m_s - here.vy_m_s) > self.sudden_m_s:
             vx_m_s, vy_m_s = braking_first(
                 here.x_m, here.y_m, here.vx_m_s, here.vy_m_s, vx_m_s, vy_m_s,
-                self.fences, self.limits.radius_m + FENCE_M / 2, self.limits.acceleration_m_s2,
+                self.fences, self.limits.radius_m + FENCE_M / 2 + more_m, self.limits.acceleration_m_s2,
             )  # fmt: skip
         return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.parcel_action))
 
@@ -193,7 +204,7 @@ class HolonomicMotion(MotionController):
         """
         near: list[tuple[float, ...]] = []
         others: list[NearbyRobot] = []
-        bodies_m = 2 * self.limits.radius_m + MARGIN_M + ACCURACIES * here.position_accuracy_m
+        bodies_m = 2 * self.limits.radius_m + MARGIN_M + _place_error_m(here)
         keeps_off = keeps_off and self.implement.has
         self.coasting.observe(neighbours, here, now_us)
         own_x_m, own_y_m, reach_m = here.x_m, here.y_m, self.reach_m
@@ -240,7 +251,7 @@ class HolonomicMotion(MotionController):
         self.strange = self.sensed.strange(here, self.reach_m / 2, bodies)
         if not self.strange:
             return rows
-        combined_m = self.limits.radius_m + MARGIN_M + ACCURACIES * here.position_accuracy_m
+        combined_m = self.limits.radius_m + MARGIN_M + _place_error_m(here)
         seen: list[tuple[float, ...]] = [
             (x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange
         ]

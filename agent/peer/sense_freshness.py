@@ -56,6 +56,13 @@ ASIDE: Final = 0.25
 TURN_RAD_S: Final = 8.0  # no body turns faster: 2.5 m/s with the wheels 0.31 m from its middle
 
 
+def blind_way_m(limits: BodyLimits) -> float:
+    """How far a body drives at most, from the last place that was right until it stands, metres."""
+    driving_for_s = (AGE_MAX_US + CONTROL_PERIOD_US) / S
+    braking_m = limits.speed_m_s**2 / (2 * limits.acceleration_m_s2)
+    return limits.speed_m_s * driving_for_s + braking_m
+
+
 class Unseen(NamedTuple):
     """How a body may have moved at most while its place did not change."""
 

@@ -32,15 +32,21 @@ def plugins() -> Mapping[str, str]:
     return {point.name: point.value for point in entry_points(group=GROUP)} | OWN
 
 
+def factory_of(plugin: str) -> str | None:
+    """The factory of a plug-in; None: it is not installed. To look for one of others takes long: the
+    metadata of every installed package is read."""
+    return OWN.get(plugin) or plugins().get(plugin)
+
+
 def made(
     plugin: str | None, factory: str | None, slot: int, options: Mapping[str, Any]
 ) -> RobotBody:
     """The body of a robot. Raises FactoryError, one line."""
     if plugin is not None:
-        known = plugins()
-        if plugin not in known:
-            raise FactoryError(f"no plug-in {plugin!r}; there are {', '.join(sorted(known))}")
-        factory = known[plugin]
+        factory = factory_of(plugin)
+        if factory is None:
+            known = ", ".join(sorted(plugins()))
+            raise FactoryError(f"no plug-in {plugin!r}; there are {known}")
     assert factory is not None
     body = called(factory, slot, **options)
     if not isinstance(body, RobotBody):

@@ -113,7 +113,7 @@ class Yard:
 
     async def _start(self, slot: int) -> None:
         start_at_s = time.monotonic()
-        words = module_command("tools.cli.headland")
+        words = module_command("tools.cli.entrance")
         robot = await asyncio.create_subprocess_exec(
             *words, "robot", "fleet.toml", "--slot", str(slot), "--first-boot",
             cwd=self.folder, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL,

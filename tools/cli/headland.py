@@ -2,7 +2,6 @@
 
 import gc
 import sys
-import traceback
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -11,6 +10,8 @@ import typer
 
 from tools.cli import bus_commands, keys, robot_commands, setup_commands, tasks
 from tools.cli import test_commands as trial_commands
+from tools.cli.entrance import GC_YOUNG
+from tools.cli.one_line_errors import INTERRUPTED, WRONG, one_line_errors, tell_origin
 from tools.cli.panels import (
     DEVELOP,
     LOOK,
@@ -21,7 +22,6 @@ from tools.cli.panels import (
     Panels,
     show_version,
 )
-from tools.common import extras
 from tools.common.compiled_caches import guard
 from tools.common.options import (
     PORT_MAX,
@@ -40,11 +40,8 @@ from tools.common.options import (
     Robots,
     Seed,
 )
-from tools.common.verbosity import Verbosity
 from tools.run import coverage
 
-WRONG, INTERRUPTED = 2, 130
-GC_YOUNG = 10_000  # objects before a collection: imports make many and no garbage; 700 costs 20 ms
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 KIND_WORDS = {  # of a scenario, in an error
@@ -471,11 +468,12 @@ def main() -> None:
     gc.set_threshold(GC_YOUNG)
     guard()
     try:
-        raise SystemExit(app(prog_name="headland", standalone_mode=False))
-    except (KeyboardInterrupt, typer.Abort):
+        with one_line_errors():
+            raise SystemExit(app(prog_name="headland", standalone_mode=False))
+    except typer.Abort:
         raise SystemExit(INTERRUPTED) from None
     except WRONG_WORDS as problem:
-        _tell_origin()
+        tell_origin()
         context = problem.ctx
         where = "headland" if context is None else context.command_path
         if (
@@ -486,23 +484,6 @@ def main() -> None:
             line = " ".join(problem.format_message().split()).rstrip(".")
             print(f"headland: {line}; see: {where} --help", file=sys.stderr)
         raise SystemExit(WRONG) from None
-    except ImportError as problem:
-        missing = extras.needed(problem)
-        if missing is None:
-            raise
-        print(f"headland: {missing}", file=sys.stderr)
-        raise SystemExit(WRONG) from None
-    except OSError as problem:  # a full disk, a folder that is none: what no command expected
-        _tell_origin()
-        name = "" if problem.filename is None else f"{problem.filename}: "
-        print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
-        raise SystemExit(WRONG) from None
-
-
-def _tell_origin() -> None:
-    """With -v: where the error came from, before its one line."""
-    if Verbosity.verbose:
-        traceback.print_exc()
 
 
 if __name__ == "__main__":

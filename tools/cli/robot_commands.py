@@ -67,15 +67,19 @@ def robot(
 
     use_ready_kernels()  # before anything is imported that has kernels
     from agent.runtime.robot_file import Changes
-    from tools.run.robot_command import robot as command
 
     changes = Changes(slot, interface, channel, body)
-    raise SystemExit(
-        command(
-            file, changes, first_boot=first_boot, check=check, dry=dry, as_json=json, metrics=metrics,
-            foxglove=foxglove,
+    if not check:
+        from tools.run.robot_command import robot as command
+
+        raise SystemExit(
+            command(
+                file, changes, first_boot=first_boot, dry=dry, metrics=metrics, foxglove=foxglove
+            )
         )
-    )  # fmt: skip
+    from tools.run.robot_check import check as look
+
+    raise SystemExit(look(file, changes, as_json=json))
 
 
 @app.command("body-check", rich_help_panel=SET_UP)

@@ -1,6 +1,6 @@
-"""The distance to others grows with the accuracy of our own place."""
+"""The distance to others and to fences grows with the accuracy of our own place."""
 
-from math import dist
+from math import dist, inf, isfinite, nan
 
 import numpy as np
 import pytest
@@ -38,3 +38,33 @@ def nearest_m(accuracy_m: float) -> float:
 def test_a_robot_with_an_inaccurate_place_keeps_further_away(accuracy_m: float) -> None:
     more_m = nearest_m(accuracy_m) - nearest_m(0.0)
     assert more_m == pytest.approx(ACCURACIES * accuracy_m, abs=0.03)
+
+
+def nearest_to_fence_m(accuracy_m: float) -> float:
+    """How near the middle of a robot comes to a fence that it is told to drive through."""
+    motion = HolonomicMotion(0, LIMITS, np.array([[10.0, -50.0, 10.0, 50.0]]))
+    x_m = vx_m_s = 0.0
+    for period in range(400):
+        now_us = period * CONTROL_PERIOD_US
+        here = Observation(
+            x_m, 0.0, 0.0, vx_m_s, 0.0, sensed_at_us=now_us, position_accuracy_m=accuracy_m
+        )
+        vx_m_s = motion.drive(here, MotionRequest(1.5, 0.0), {}, now_us).vx_m_s
+        x_m += vx_m_s * CONTROL_PERIOD_US / S
+    return 10.0 - x_m
+
+
+@pytest.mark.parametrize("accuracy_m", [0.05, 0.15])
+def test_a_robot_with_an_inaccurate_place_keeps_further_from_fences(accuracy_m: float) -> None:
+    """It kept 0.2 m from them however inaccurate its place was."""
+    more_m = nearest_to_fence_m(accuracy_m) - nearest_to_fence_m(0.0)
+    assert more_m == pytest.approx(ACCURACIES * accuracy_m, abs=0.03)
+
+
+@pytest.mark.parametrize("accuracy_m", [inf, nan])
+def test_an_accuracy_that_is_no_number_gives_a_command_that_is_one(accuracy_m: float) -> None:
+    """The gate stops such a robot; what it is asked to let through must be a number all the same."""
+    motion = HolonomicMotion(0, LIMITS, np.array([[10.0, -50.0, 10.0, 50.0]]))
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0, position_accuracy_m=accuracy_m)
+    told = motion.drive(here, MotionRequest(1.5, 0.0), {1: Neighbour(STANDS, 0)}, 0)
+    assert isfinite(told.vx_m_s) and isfinite(told.vy_m_s)

@@ -31,7 +31,9 @@ body_options = { x_m = 5.0 }
 SPY = """
 import atexit, sys
 def tell():
-    print("foreign", sorted(each for each in sys.modules if each.split(".")[0] == "sim"), file=sys.stderr)
+    tops = {each.split(".")[0] for each in sys.modules}
+    print("foreign", sorted(tops & {"sim", "pymunk"}), file=sys.stderr)
+    print("for people", sorted(tops & {"typer", "rich"}), file=sys.stderr)
 atexit.register(tell)
 """
 
@@ -46,7 +48,7 @@ def folder(tmp_path: Path) -> Iterator[Path]:
 
 def begin(folder: Path, *words: str) -> "subprocess.Popen[str]":
     return subprocess.Popen(
-        [sys.executable, "-m", "tools.cli.headland", "robot", *words], cwd=folder,
+        [sys.executable, "-m", "headland", "robot", *words], cwd=folder,
         env={**ENVIRONMENT, "PYTHONPATH": f"{folder / 'spy'}:{ROOT}"},
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
@@ -99,7 +101,7 @@ def test_it_takes_part_and_ends_with_a_farewell(dry: tuple[str, ...], folder: Pa
     assert process.stdout is not None and process.stdout.readline() == "robot 0 is up\n"
     process.send_signal(signal.SIGTERM)
     code, _, err = end(process)
-    assert code == 0 and "foreign []" in err, err
+    assert code == 0 and "foreign []" in err and "for people []" in err, err
     assert (folder / "robot0.sqlite").exists()
 
 
@@ -191,3 +193,10 @@ def test_a_port_that_is_taken_is_said_before_the_robot_starts(folder: Path) -> N
         code, _, err = end(begin(folder, "fleet.toml", "--slot", "0", "--metrics", port))
     assert code == 2 and f"--metrics {port}: Address already in use" in err
     assert list(folder.glob("*.sqlite")) == []
+
+
+def test_check_states_the_limits_of_this_body(folder: Path) -> None:
+    """2.5 m/s for 0.15 s, and 2.08 m of braking with 1.5 m/s2."""
+    code, out, _ = end(begin(folder, "fleet.toml", "--slot", "1", "--check", "--json"))
+    (said,) = (each["found"] for each in json.loads(out)["findings"] if each["what"] == "limits")
+    assert code == 0 and "for 0.1 s" in said and "from 2.5 m/s it stands after 2.5 m" in said

@@ -1,0 +1,39 @@
+"""What no command expected, but a person can cause, is one line on stderr and an exit code."""
+
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Final
+
+from tools.common import extras
+from tools.common.verbosity import Verbosity
+
+WRONG: Final = 2
+INTERRUPTED: Final = 130
+
+
+@contextmanager
+def one_line_errors() -> Iterator[None]:
+    """A missing package of an extra, a full disk, a folder that is none, Ctrl-C."""
+    try:
+        yield
+    except KeyboardInterrupt:
+        raise SystemExit(INTERRUPTED) from None
+    except ImportError as problem:
+        missing = extras.needed(problem)
+        if missing is None:
+            raise
+        print(f"headland: {missing}", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+    except OSError as problem:
+        tell_origin()
+        name = "" if problem.filename is None else f"{problem.filename}: "
+        print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
+        raise SystemExit(WRONG) from None
+
+
+def tell_origin() -> None:
+    """With -v: where the error came from, before its one line."""
+    if Verbosity.verbose:
+        traceback.print_exc()
