@@ -37,14 +37,29 @@ def use_ready_kernels(folder: Path | None = None) -> bool:
         return False
     folder = folder or place()
     try:
-        table = json.loads((folder / TABLE).read_text())
-        if any(digest(LAYERS / file) != known for file, known in table[SOURCES].items()):
-            return False
+        table = _table(folder)
         module = _loaded(extension_in(folder))
     except (OSError, ValueError, KeyError, ImportError):
         return False
     take_from(ReadyKernels(module, table[ENTRIES]))
     return True
+
+
+def are_ready() -> bool:
+    """Whether `use_ready_kernels` would find kernels of these sources. Loads nothing."""
+    try:
+        _table(place())
+    except (OSError, ValueError, KeyError):
+        return False
+    return OFF not in os.environ and extension_in(place()).exists()
+
+
+def _table(folder: Path) -> dict[str, Any]:
+    """Raises ValueError where the kernels are of other sources, and as reading a file and JSON do."""
+    table: dict[str, Any] = json.loads((folder / TABLE).read_text())
+    if any(digest(LAYERS / file) != known for file, known in table[SOURCES].items()):
+        raise ValueError("kernels of other sources")
+    return table
 
 
 def place() -> Path:

@@ -1,18 +1,17 @@
 """A driver of a differential rover: NMEA 0183 in, wheel speeds out (docs/use/own_machine.md)."""
 
-from math import cos, inf, radians, sin
+from math import cos, sin
 from typing import Any
 
 from headland.agent.interface.effects import HALT, GatedDrive
 from headland.agent.interface.observation import Observation
 from headland.agent.motion.wheel_kinematics import WheelBase, WheelDrive
 from headland.agent.runtime.bodies.line_port import LinePort
-from headland.agent.runtime.bodies.position_fixes import ReceiverClock
+from headland.agent.runtime.bodies.nmea_body import in_field
+from headland.agent.runtime.bodies.position_fixes import PositionFixes, ReceiverClock, course_rad
 from headland.agent.runtime.bodies.wheel_sentences import WheelSentence, pack
-from headland.agent.runtime.files.field_file import plane
 from headland.agent.runtime.robot_body import DeclaredMachine, RobotBody
 from pynmeagps import NMEAReader
-from pyproj import Transformer
 
 
 class Rover(RobotBody):
@@ -20,14 +19,11 @@ class Rover(RobotBody):
         self.receiver = LinePort(f"tcp://127.0.0.1:{gnss}", self.take)
         self.controller = LinePort(f"tcp://127.0.0.1:{wheels}", lambda line, at_us: None)
         self.clock = ReceiverClock(latency_us=20_000)  # a place takes this long at the shortest
-        self.accuracy_m, self.velocity = inf, (0.0, 0.0)
-        self.place: Any = None
         self.newest: Observation | None = None
 
     def declare(self, machine: DeclaredMachine) -> None:
         assert machine.origin is not None
-        to_metres = Transformer.from_crs("EPSG:4326", plane(machine.origin), always_xy=True)
-        self.to_metres = to_metres.transform
+        self.fixes = PositionFixes(in_field(machine.origin), antenna_m=(0.0, 0.0))  # ahead, left
         self.wheel_drive = WheelDrive(WheelBase.of(machine.vehicle, wheel_radius_m=0.1))
 
     async def open(self) -> None:
@@ -40,19 +36,15 @@ class Rover(RobotBody):
         if said.msgID == "GGA":
             t = said.time
             utc_us = (t.hour * 3600 + t.minute * 60 + t.second) * 1_000_000 + t.microsecond
-            sensed_at_us = self.clock.sensed_at_us(utc_us, at_us)
-            self.place = *self.to_metres(said.lon, said.lat), sensed_at_us
+            self.fixes.take_place(said.lon, said.lat, self.clock.sensed_at_us(utc_us, at_us))
         elif said.msgID == "GST":
-            self.accuracy_m = max(said.stdLat, said.stdLong)
+            self.fixes.take_accuracy(max(said.stdLat, said.stdLong), at_us)
         elif said.msgID == "VTG":
-            course, speed_m_s = radians(90 - said.cogt), said.sogk / 3.6
-            self.velocity = speed_m_s * cos(course), speed_m_s * sin(course)
-        elif said.msgID == "HDT" and self.place is not None:
-            x_m, y_m, sensed_at_us = self.place
-            place = Observation(x_m, y_m, radians(90 - said.headingT), *self.velocity)
-            self.newest = place._replace(
-                sensed_at_us=sensed_at_us, position_accuracy_m=self.accuracy_m
-            )
+            course, speed_m_s = course_rad(said.cogt), said.sogk / 3.6
+            self.fixes.take_velocity(speed_m_s * cos(course), speed_m_s * sin(course), at_us)
+        elif said.msgID == "HDT":
+            self.fixes.take_heading(course_rad(said.headingT), at_us)
+        self.newest = self.fixes.whole(at_us) or self.newest
 
     def sense(self, now_us: int) -> Observation | None:
         return self.newest

@@ -204,11 +204,14 @@ class ProtocolWorld(World):
 class TimedMission(Mission):
     """The mission: the next free section from its own start, unit after unit by the clock.
 
-    `crowded`: all robots search from the first section on, so every claim is contested.
+    `crowded`: all robots search from the first section on, so every claim is contested. `unit_for_us`: how
+    long a unit takes.
     """
 
-    def __init__(self, parade: ProtocolWorld, slot: int, crowded: bool = False) -> None:
-        self.parade, self.slot = parade, slot
+    def __init__(
+        self, parade: ProtocolWorld, slot: int, crowded: bool = False, unit_for_us: int = UNIT_US
+    ) -> None:
+        self.parade, self.slot, self._unit_for_us = parade, slot, unit_for_us
         sections = len(parade.units)
         first = 0 if crowded else slot * sections // len(parade.stands)
         self._order = [(first + k) % sections for k in range(sections)]
@@ -254,7 +257,7 @@ class TimedMission(Mission):
         assert section is not None
         down = self.parade.stands[self.slot].tool_on  # what the body did in the period that ends
         if self._lifted:
-            self._lifted, self._unit_ends_at_us = False, now_us + UNIT_US
+            self._lifted, self._unit_ends_at_us = False, now_us + self._unit_for_us
         elif down:
             self.parade.works(self.slot, section, now_us)
         if now_us < self._unit_ends_at_us:
@@ -269,7 +272,7 @@ class TimedMission(Mission):
             covered = (left.pop(0),)
             self._worked.update(covered)
             self.parade.worked.add((section, covered[0]))
-        self._unit_ends_at_us = view.now_us + UNIT_US
+        self._unit_ends_at_us = view.now_us + self._unit_for_us
         if not left:
             self._section = None
         return WORKING._replace(covered=covered, finished=not left, near_end=len(left) <= 2)

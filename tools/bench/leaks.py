@@ -4,7 +4,7 @@ Memory is the anonymous memory of each process (`RssAnon` of `/proc`), which the
 and which cannot be dropped. A page shows the map all the time, as an operator's does. Files are those
 in the folder of the launch, except those with a bound of their own: `can.log` and `run.mcap`, in parts
 up to `sim.files.log_parts.LAUNCH_LIMIT` each, and the write-ahead logs of the journals, which sqlite
-keeps at 4 MB.
+keeps at 4 MB. Open files of robots, sockets included, are counted.
 """
 
 import contextlib
@@ -48,8 +48,9 @@ class Grown(NamedTuple):
 def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterator[Figure]:
     """`seconds`: of the run, warm-up included."""
     seconds = seconds or (QUICK_S if quick else SECONDS)
+    files_held: dict[int, list[int]] = {}  # process -> how many, at each sample
     with tempfile.TemporaryDirectory() as folder:
-        samples = _run(Path(folder), seconds, seed)
+        samples = _run(Path(folder), seconds, seed, files_held)
     begin_s = min(t_s for t_s, _, _, _ in samples) + seconds * WARM_UP
     grown = list(_grown([each for each in samples if each[0] >= begin_s]))
     scope = (
@@ -64,8 +65,13 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
         size_mb = sum(each.size_bytes for each in own) / 1e6
         yield Figure(f"growth of {name} in 24 h", grown_mb, "MB", "", None, "",
                      f"{size_mb:.0f} MB at the end; {scope}")  # fmt: skip
-    total_mb = sum(each.slope_bytes_s for each in grown) * DAY_S / 1e6
+    held = [counts for counts in files_held.values() if len(counts) > 2]
+    more = sum(counts[-1] - counts[int(len(counts) * WARM_UP)] for counts in held)
     judged = seconds >= SECONDS  # a shorter run says too little about a day
+    yield Figure("growth of the open files of robots", more, "", "<= 0" if judged else "",
+                 more <= 0 if judged else None, "",
+                 f"{sum(counts[-1] for counts in held)} at the end; {scope}")  # fmt: skip
+    total_mb = sum(each.slope_bytes_s for each in grown) * DAY_S / 1e6
     yield Figure("growth of launch, robots, map and files in 24 h", total_mb, "MB",
                  f"<= {TARGET_MB:g}" if judged else "", total_mb <= TARGET_MB if judged else None, "",
                  f"extrapolated; {len(grown) - 1} processes and their files; {scope}")  # fmt: skip
@@ -106,7 +112,7 @@ silence = "continue"
 """
 
 
-def _run(folder: Path, seconds: float, seed: int) -> list[Sample]:
+def _run(folder: Path, seconds: float, seed: int, files_held: dict[int, list[int]]) -> list[Sample]:
     (folder / "leaks.toml").write_text(SCENARIO)
     words = [*module_command("tools.cli.headland"), "launch", "leaks.toml", "--seed", str(seed),
              "--map", "--page-port", "0", "--out", "launch"]  # fmt: skip
@@ -119,7 +125,7 @@ def _run(folder: Path, seconds: float, seed: int) -> list[Sample]:
     try:
         url = _url(lines)
         threading.Thread(target=_look, args=(url, over), daemon=True).start()
-        return list(_samples(process.pid, seconds, folder / "launch"))
+        return list(_samples(process.pid, seconds, folder / "launch", files_held))
     finally:
         over.set()
         process.send_signal(signal.SIGINT)
@@ -163,12 +169,17 @@ def _look(url: str, over: threading.Event) -> None:
                     page.send(json.dumps({"do": "drawn", "count": drawn}))
 
 
-def _samples(launch: int, seconds: float, files: Path) -> Iterator[Sample]:
+def _samples(
+    launch: int, seconds: float, files: Path, files_held: dict[int, list[int]]
+) -> Iterator[Sample]:
     begun_s = time.monotonic()
     while (now_s := time.monotonic()) - begun_s < seconds:
         for process, kind in _processes(launch).items():
             with contextlib.suppress(OSError, ValueError):  # it has just ended
                 yield now_s, process, kind, _anonymous_bytes(process)
+                if kind == "robot":
+                    count = sum(1 for _ in Path(f"/proc/{process}/fd").iterdir())
+                    files_held.setdefault(process, []).append(count)
         yield now_s, NO_PROCESS, "files", _file_bytes(files)
         time.sleep(SAMPLE_S)
 

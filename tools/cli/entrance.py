@@ -14,10 +14,8 @@ from typing import Final, NamedTuple
 
 from tools.cli.one_line_errors import one_line_errors
 from tools.common.compiled_caches import guard
+from tools.common.gc_collector import GC_YOUNG
 
-GC_YOUNG: Final = (
-    10_000  # objects before a collection: imports make many and no garbage; 700 costs 20 ms
-)
 NAMES: Final = {
     "--slot": "slot", "-i": "interface", "--interface": "interface", "-c": "channel",
     "--channel": "channel", "--body": "body",

@@ -137,19 +137,27 @@ def machine(
         ),
     ] = None,
     seed: Annotated[int, typer.Option(help="Of its noise.")] = 1,
+    tell: Annotated[
+        str | None,
+        typer.Option(metavar="WORDS", help="Tell the machine of --orders this, and begin none."),
+    ] = None,
     json: Json = False,
 ) -> None:
     """A simulated machine: a GNSS receiver and a wheel controller on TCP ports.
 
-    A line to the orders' port makes it fail: muted 3, frozen 3, jumped 2 0 3, late 0.5 3, deaf 3, where.
+    --tell makes one fail that runs: muted 3, frozen 3, jumped 2 0 3, late 0.5 3, deaf 3; where.
     With --bus it is a tractor on a CAN bus, for the body `isobus`.
     Exit 2 if a port is taken.
     Example: headland machine --drive ackermann --origin 52.1,5.2
+    Example: headland machine --tell "muted 3"
     """
     from math import radians
 
     from tools.run.machine_command import machine as command
+    from tools.run.machine_command import order
 
+    if tell is not None:
+        raise SystemExit(order(tell, host, orders))
     if bus is not None and (drive != "ackermann" or ":" not in bus):
         raise typer.BadParameter("--bus INTERFACE:CHANNEL needs --drive ackermann")
     x_m, y_m, heading_deg = _numbers(place, "X,Y,DEGREES")

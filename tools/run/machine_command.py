@@ -1,6 +1,7 @@
 """`headland machine`: a simulated machine, to which drivers connect."""
 
 import asyncio
+import socket
 import sys
 
 from agent.runtime.end_signals import on_end
@@ -10,6 +11,7 @@ from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
 
 WRONG = 2
 SHOWN_S = 1.0
+ANSWER_FOR_S = 3.0  # a machine answers within milliseconds
 
 
 def machine(
@@ -49,6 +51,24 @@ async def _serve_on_bus(made: IsobusMachine, host: str, port: int, as_json: bool
     )
     await end.wait()
     await made.stop()
+
+
+def order(words: str, host: str, port: int) -> int:
+    """Print what a running machine answers. 0: it obeys; 2: it does not, or is not there."""
+    try:
+        with (
+            socket.create_connection((host, port), ANSWER_FOR_S) as line,
+            line.makefile("rw", encoding="utf-8") as text,
+        ):
+            text.write(words + "\n")
+            text.flush()
+            answer = text.readline().strip()
+    except OSError as problem:
+        why = problem.strerror or problem
+        print(f"headland: no machine answers at {host}:{port}: {why}", file=sys.stderr)
+        return WRONG
+    print(answer)
+    return WRONG if answer.startswith("not understood") else 0
 
 
 async def _serve(

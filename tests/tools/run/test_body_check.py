@@ -27,6 +27,7 @@ from sim.machines.isobus_machine import IsobusMachine
 from sim.machines.nmea_machine import Dimensions, WheeledBody
 from tests.tools.launching import ENVIRONMENT, ROOT
 from tools.run.body_check import CHECKS, BodyTrial, judged
+from tools.run.machine_command import order
 
 EXAMPLE = ROOT / "examples" / "robot"
 ORIGIN = (52.0, 5.0)
@@ -106,6 +107,21 @@ def test_the_body_isobus_opens_has_its_times_and_stops_with_its_commands() -> No
 def test_the_body_isobus_passes_all_ten() -> None:
     failed, tractor = asyncio.run(tractor_tried(()))
     assert failed == {} and tractor.curvatures > 100 and tractor.speeds > 100
+
+
+def test_a_running_machine_is_told_to_fail(
+    machine: Machine, capsys: pytest.CaptureFixture[str]
+) -> None:
+    port = machine("differential")["orders"]
+    assert order("muted 0.1", "127.0.0.1", port) == 0 and capsys.readouterr().out == "ok\n"
+    assert order("where", "127.0.0.1", port) == 0
+    assert json.loads(capsys.readouterr().out)["x_m"] == pytest.approx(-2.0)
+    assert order("wrong 3", "127.0.0.1", port) == 2 and "it is one of" in capsys.readouterr().out
+    assert order("where", "127.0.0.1", 1) == 2 and "no machine answers" in capsys.readouterr().err
+
+
+def test_the_driver_of_the_tutorial_is_short() -> None:
+    assert len((EXAMPLE / "rover.py").read_text().splitlines()) <= 60
 
 
 class NewTimes(NmeaBody):

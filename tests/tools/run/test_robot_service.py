@@ -1,0 +1,81 @@
+"""The unit and the image of a robot: systemd accepts the one, and `headland` understands both."""
+
+import configparser
+import json
+import shlex
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from agent.runtime.robot_process import WRONG
+from tests.tools.launching import ROOT
+from tools.cli.entrance import robot_words
+
+EXAMPLE = ROOT / "examples" / "robot"
+UNIT = EXAMPLE / "headland@.service"
+LIMIT_S = 60
+
+
+@pytest.fixture
+def unit() -> "configparser.SectionProxy":
+    parser = configparser.ConfigParser(interpolation=None, strict=False)
+    parser.optionxform = str  # type: ignore[assignment,method-assign]
+    parser.read(UNIT)
+    return parser["Service"]
+
+
+def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
+    """With a root of its own, so that the machine need not have Headland."""
+    analyze = shutil.which("systemd-analyze")
+    if analyze is None:
+        pytest.skip("systemd-analyze is not installed")
+    units = tmp_path / "etc/systemd/system"
+    program = tmp_path / "opt/headland/bin/headland"
+    for folder in (units, program.parent, tmp_path / "usr/lib/systemd/system"):
+        folder.mkdir(parents=True)
+    program.write_text("#!/bin/sh\n")
+    program.chmod(0o755)
+    shutil.copy(UNIT, units)
+    done = subprocess.run(
+        [analyze, "verify", "--man=no", "--recursive-errors=no", f"--root={tmp_path}",
+         "headland@3.service"],
+        capture_output=True, text=True, check=False, timeout=LIMIT_S,
+    )  # fmt: skip
+    if "unrecognized option" in done.stderr or "not supported" in done.stderr:
+        pytest.skip(f"systemd-analyze is too old: {done.stderr.strip()}")
+    assert (done.returncode, done.stderr) == (0, ""), done.stderr
+
+
+def test_the_unit_starts_a_robot_and_does_not_restart_what_needs_a_person(
+    unit: "configparser.SectionProxy",
+) -> None:
+    program, *words = shlex.split(unit["ExecStart"].replace("%i", "3"))
+    told = robot_words(words)
+    assert program.endswith("/bin/headland")
+    assert told is not None and (told.slot, told.interface, told.channel) == (
+        3,
+        "socketcan",
+        "can0",
+    )
+    assert int(unit["RestartPreventExitStatus"]) == WRONG and unit["Restart"] == "on-failure"
+    assert unit["KillSignal"] == "SIGTERM"  # on which a robot says farewell
+
+
+def test_the_image_starts_a_robot_and_installs_what_is_there() -> None:
+    lines = (EXAMPLE / "Dockerfile").read_text().replace("\\\n", " ").splitlines()
+    steps = [line.split(" ", 1) for line in lines if line and not line.startswith("#")]
+    (entry,) = (json.loads(rest) for word, rest in steps if word == "ENTRYPOINT")
+    shown = next(line for line in lines if "headland-robot fleet.toml" in line)
+    words = shown.split("headland-robot ")[-1].split()
+    assert robot_words([*entry[1:], *words]) is not None
+    (run,) = (rest for word, rest in steps if word == "RUN")
+    commands = [shlex.split(each) for each in run.split("&&")]
+    assert [words[0].rpartition("/")[2] for words in commands] == ["python", "pip", "headland"]
+    assert commands[1][-2:] == ["/src[nmea]", "setuptools"]
+    copied = [rest.split() for word, rest in steps if word == "COPY"]
+    made: dict[str, Any] = {"folder": commands[0][-1]}
+    assert copied[1] == ["--from=made", made["folder"], made["folder"]]
+    assert entry[0] == f"{made['folder']}/bin/headland"
