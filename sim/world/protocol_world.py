@@ -204,8 +204,8 @@ class ProtocolWorld(World):
 class TimedMission(Mission):
     """The mission: the next free section from its own start, unit after unit by the clock.
 
-    `crowded`: all robots search from the first section on, so every claim is contested. `unit_for_us`: how
-    long a unit takes.
+    `crowded`: all robots search from the first section on, so every claim is contested. `unit_for_us`:
+    how long a unit takes.
     """
 
     def __init__(
