@@ -17,7 +17,7 @@ from agent.field.field_map import XY, Field, joins, rasterise
 from agent.field.fleet_plan import JOBS_MAX
 from agent.field.travel_times import TravelTimes
 from agent.interface.vehicle import DriveTrain, Vehicle
-from agent.motion.holonomic_motion import FENCE_M
+from agent.motion.holonomic_motion import FENCE_M, FENCE_SPARE_M
 from agent.motion.path_tracker import ALIGN_M
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.route import Route
@@ -26,8 +26,8 @@ from agent.paths.tractor_route import TurnRoute
 ROUTE_CELLS_MAX = 1_500_000  # of the path grid; larger fields get larger cells
 ROUTE_CELL_M = 0.5  # usual side of its cells
 CLEARANCE_M = 0.3  # paths keep this distance from fences and holes, in addition to the radius
-assert CLEARANCE_M > FENCE_M + ALIGN_M / 2, (
-    "avoidance permits what was planned, a little off it too"
+assert CLEARANCE_M + 1e-9 > FENCE_M + FENCE_SPARE_M + ALIGN_M / 2, (
+    "avoidance permits what was planned, a little off it too, also with an inaccurate place"
 )
 CORNER_M = 0.5  # corners of the field less far from the line past them are left out of ways
 TURN_CELL_M = 0.25  # the same for bodies that steer, because turns need decimetres

@@ -45,6 +45,9 @@ UNHEARD_US: Final = 5 * S  # a neighbour not received for this long may be anywh
 # Nearest possible places of a silent member: 1.5 m of its way, which we can meet before stopping.
 PLACES_MAX: Final = 4
 FENCE_M: Final = 0.2  # distance kept from fences and holes
+# So much further from fences, at most, with an inaccurate place: more would close ways that were planned
+# (`CLEARANCE_M` of `agent/field/field_plan.py`). A field needs 0.075 m: twice this is within `FENCE_M`.
+FENCE_SPARE_M: Final = 0.04
 FIELD_RADIUS_M: Final = 0.8  # body radius for which the distances of deadlock yielding are set
 _tuple = tuple.__new__  # faster than keyword arguments; one is made each period for each neighbour
 
@@ -94,6 +97,7 @@ class HolonomicMotion(MotionController):
         self.fences = np.asarray(fences, dtype=np.float64).reshape(-1, 4)
         # A larger change of velocity takes the body more than two control periods.
         self.sudden_m_s = 2 * limits.acceleration_m_s2 * CONTROL_PERIOD_US / S
+        self.spare_m = min(fence_m, FENCE_SPARE_M)
         self.avoidance = OrcaSolver(
             limits.radius_m + fence_m, limits.speed_m_s, 0.5 * limits.acceleration_m_s2,
             horizon_s, CONTROL_PERIOD_US / S, fences, keep_right_rad=keep_right_rad,
@@ -177,7 +181,7 @@ class HolonomicMotion(MotionController):
             wanted, tool_on = other, False
         if tool_on and self.implement.must_be_up(here, wanted, others, self.slot):
             tool_on = False
-        more_m = 0.0 if self.sensing else _place_error_m(here)
+        more_m = 0.0 if self.sensing else min(self.spare_m, _place_error_m(here))
         self.avoidance.keep_more_from_fences(more_m)
         vx_m_s, vy_m_s = self.avoidance.velocity(
             (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s), wanted, rows

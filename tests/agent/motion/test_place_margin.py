@@ -10,7 +10,7 @@ from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Neighbour, Observation
-from agent.motion.holonomic_motion import ACCURACIES, HolonomicMotion
+from agent.motion.holonomic_motion import ACCURACIES, FENCE_SPARE_M, HolonomicMotion
 from protocol.frames.fleet_frames import Pose
 
 LIMITS = BodyLimits(0.8, 2.5, 1.5)
@@ -54,11 +54,11 @@ def nearest_to_fence_m(accuracy_m: float) -> float:
     return 10.0 - x_m
 
 
-@pytest.mark.parametrize("accuracy_m", [0.05, 0.15])
+@pytest.mark.parametrize("accuracy_m", [0.01, 0.15])
 def test_a_robot_with_an_inaccurate_place_keeps_further_from_fences(accuracy_m: float) -> None:
-    """It kept 0.2 m from them however inaccurate its place was."""
+    """It kept 0.2 m from them however inaccurate its place was. Planned ways stay permitted."""
     more_m = nearest_to_fence_m(accuracy_m) - nearest_to_fence_m(0.0)
-    assert more_m == pytest.approx(ACCURACIES * accuracy_m, abs=0.03)
+    assert more_m == pytest.approx(min(ACCURACIES * accuracy_m, FENCE_SPARE_M), abs=0.01)
 
 
 @pytest.mark.parametrize("accuracy_m", [inf, nan])
