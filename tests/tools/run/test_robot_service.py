@@ -19,10 +19,16 @@ UNIT = EXAMPLE / "headland@.service"
 LIMIT_S = 60
 
 
+class UnitFile(configparser.ConfigParser):
+    """Keys of systemd have capitals."""
+
+    def optionxform(self, optionstr: str) -> str:
+        return optionstr
+
+
 @pytest.fixture
-def unit() -> "configparser.SectionProxy":
-    parser = configparser.ConfigParser(interpolation=None, strict=False)
-    parser.optionxform = str  # type: ignore[assignment,method-assign]
+def unit() -> configparser.SectionProxy:
+    parser = UnitFile(interpolation=None, strict=False)
     parser.read(UNIT)
     return parser["Service"]
 
@@ -50,7 +56,7 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
 
 
 def test_the_unit_starts_a_robot_and_does_not_restart_what_needs_a_person(
-    unit: "configparser.SectionProxy",
+    unit: configparser.SectionProxy,
 ) -> None:
     program, *words = shlex.split(unit["ExecStart"].replace("%i", "3"))
     told = robot_words(words)
