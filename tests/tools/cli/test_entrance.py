@@ -25,7 +25,8 @@ FOR_THE_COMMAND_LINE = [
     "-v robot fleet.toml",
     "robot fleet.toml --check --json", "robot fleet.toml other.toml", "robot fleet.toml --slot",
     "robot fleet.toml --slot -1", "robot fleet.toml --slot two", "robot fleet.toml --slot=2",
-    "robot fleet.toml --slot 1 --slot 2", "robot fleet.toml -q", "robot fleet.toml --metrics 0", "robot fleet.toml --wrong",
+    "robot fleet.toml --slot 1 --slot 2", "robot fleet.toml -q", "robot fleet.toml --wrong",
+    "robot fleet.toml --metrics 0", "robot fleet.toml --foxglove 8765",
     "robot fleet.toml -ican0", "robot -- fleet.toml", "robot fleet.toml --slot ²",
 ]  # fmt: skip
 
