@@ -26,7 +26,7 @@ from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
 from agent.runtime.files.release_log import ReleaseLog, key_of, path_of
-from agent.runtime.gc_tuning import freeze_gc
+from agent.runtime.gc_tuning import free_planning_memory, freeze_gc
 from agent.runtime.peer_factory import clock_zero_at_s, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody
@@ -192,6 +192,7 @@ async def _take_part(
 ) -> None:
     """From the first frame to the farewell."""
     freeze_gc()
+    free_planning_memory()
     running = asyncio.create_task(runner.run())
     watching = asyncio.create_task(body.watch(runner.peer))
     ending = asyncio.create_task(end.wait())
