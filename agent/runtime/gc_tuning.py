@@ -1,4 +1,4 @@
-"""Exclude the objects that exist at the start of work from garbage collection.
+"""What a process does with its memory before it starts work: no full collections, and no empty heap.
 
 A full collection visits every object. With the libraries of a robot imported it takes tens of
 milliseconds, at any moment, and no stop is processed meanwhile. Objects that were imported and
@@ -16,8 +16,8 @@ def freeze_gc() -> None:
 
 
 def free_planning_memory() -> None:
-    """Give what the plan of a field took, and no longer needs, back to the system, where the C library can:
-    15 of 122 MB of a robot with 25 ha."""
+    """Give what planning a field took back to the system, where the C library can: 15 of 122 MB of a robot
+    with 25 ha."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
         trim(0)
