@@ -16,7 +16,7 @@ def freeze_gc() -> None:
 
 
 def free_planning_memory() -> None:
-    """Give what planning a field took back to the system, where the C library can: 15 of 122 MB of a robot
+    """Give what planning a field took back to the system, where the C library can: 15 of 122 MB of one
     with 25 ha."""
     trim = getattr(ctypes.CDLL(None), "malloc_trim", None)
     if trim is not None:
