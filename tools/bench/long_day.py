@@ -24,7 +24,7 @@ SETTLED: Final = SAMPLES // 4
 MEMORY_MB, JOURNAL_MB, FILES = 1.0 * ROBOTS, 1.0 * ROBOTS, 0
 
 
-class Sample(NamedTuple):
+class DaySample(NamedTuple):
     """What is held at one time."""
 
     at_s: float  # simulated
@@ -34,7 +34,7 @@ class Sample(NamedTuple):
     done: int  # sections
 
 
-def samples(folder: Path, seconds: float, seed: int) -> list[Sample]:
+def samples(folder: Path, seconds: float, seed: int) -> list[DaySample]:
     """Simulate a fleet for that long. `folder`: for its journals."""
     from agent.runtime.peer_factory import NO_MEMORY, MissionParts
     from agent.runtime.sqlite_journal import SqliteJournal
@@ -61,7 +61,7 @@ def samples(folder: Path, seconds: float, seed: int) -> list[Sample]:
     journals = [SqliteJournal.opened(folder / f"robot{slot}.sqlite")[0] for slot in range(ROBOTS)]
     cluster.journals.update(enumerate(journals))
     checker = setting.parade.checker()
-    found: list[Sample] = []
+    found: list[DaySample] = []
 
     def main() -> "Script[None]":
         cluster.boot_all()
@@ -81,12 +81,12 @@ def samples(folder: Path, seconds: float, seed: int) -> list[Sample]:
     return found
 
 
-def _sample(at_s: float, folder: Path, done: int) -> Sample:
+def _sample(at_s: float, folder: Path, done: int) -> DaySample:
     status = Path("/proc/self/status").read_text()
     line = next(line for line in status.splitlines() if line.startswith("RssAnon"))
     journal_bytes = sum(path.stat().st_size for path in folder.iterdir())
     open_files = sum(1 for _ in Path("/proc/self/fd").iterdir())
-    return Sample(at_s, int(line.split()[1]) * 1024, journal_bytes, open_files, done)
+    return DaySample(at_s, int(line.split()[1]) * 1024, journal_bytes, open_files, done)
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
