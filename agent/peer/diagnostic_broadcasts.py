@@ -6,12 +6,11 @@ The standard heartbeat of ISO 11783-7: after a request for its rate.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
 from agent.peer.diagnostics import fault_of, repeated_causes, root_causes
-from agent.peer.leader_votes import LeaderVotes
 from agent.peer.member_reports import MemberReports
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder, acknowledged
@@ -31,6 +30,9 @@ from protocol.frames.fleet_frames import Standstill
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.network_frames import AcknowledgmentControl, RepetitionRateRequest
 
+if TYPE_CHECKING:  # `headland dbc` needs our periods, and has no numpy, which stored maps need
+    from agent.peer.leader_votes import LeaderVotes
+
 FAULTS_PERIOD_US: Final = 1 * S  # SAE J1939-73
 FAULTS_GAP_US: Final = 200 * MS  # a cause that comes and goes must not fill the bus
 HEARTBEAT_PERIOD_MS: Final = 100  # the only rate of ISO 11783-7
@@ -47,7 +49,7 @@ class DiagnosticBroadcasts(Part):
         self,
         safety: StopController,
         letters: PgnResponder,
-        votes: LeaderVotes,
+        votes: "LeaderVotes",
         reports: MemberReports,
         cyclic: bool,
     ) -> None:
