@@ -7,16 +7,23 @@ fence than (w - v) / 2, and ring and strips together leave nothing out
 (`tests/agent/field/test_field_division.py`).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from math import atan2, ceil, degrees
+from typing import NamedTuple
 
+import numpy as np
+import shapely
+from numpy.typing import NDArray
 from shapely import affinity
-from shapely.geometry import LineString, Polygon, box
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from agent.field.corner_cuts import cut_at_corners
 from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
-from agent.field.headland_rings import parts, pieces, rings, swinging
+from agent.field.headland_rings import pieces, rings, swinging
+
+Reals = NDArray[np.float64]
+Whole = NDArray[np.int64]
 
 SWEEP_DEG = 10.0  # step of the angles that are tried besides the directions of the edges
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
@@ -102,34 +109,54 @@ def _best_angle(polygon: Polygon, deep: BaseGeometry, strip_m: float) -> float:
     angles |= {k * SWEEP_DEG for k in range(round(180.0 / SWEEP_DEG))}
 
     def cost(angle: float) -> tuple[int, float, float]:
-        strips = list(_strips(deep, angle, strip_m))
-        total_m = sum(_length(swath) for row in strips for swath in row)
-        return sum(len(row) for row in strips), round(total_m, 3), angle
+        cut = _cut(deep, angle, strip_m)
+        total_m = sum((cut.right_m - cut.left_m).tolist())
+        return len(cut.row_of), round(total_m, 3), angle
 
     return min(angles, key=cost)
 
 
-def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> Iterator[list[Polyline]]:
-    """Rows of swaths from one side of the field to the other, each row from left to right."""
+class _Cut(NamedTuple):
+    """Pieces of strips in a field that is turned so that strips run from west to east, by row from
+    south to north, and from west to east in a row.
+    """
+
+    middles_m: Reals  # (rows,): y of each row
+    row_of: Whole  # (pieces,)
+    left_m: Reals  # (pieces,): x
+    right_m: Reals  # (pieces,): x
+
+
+def _cut(deep: BaseGeometry, angle_deg: float, strip_m: float) -> _Cut:
+    """All rows in one call of shapely: the choice of the angle cuts thousands of strips."""
     turned = affinity.rotate(deep, -angle_deg, origin=(0.0, 0.0))
     west, south, east, north = turned.bounds
     rows = max(1, ceil((north - south) / strip_m - 1e-9))
     height_m = (north - south) / rows
-    for row in range(rows):
-        low_m = south + row * height_m
-        strip = turned.intersection(box(west - 1, low_m, east + 1, low_m + height_m))
-        middle_m = low_m + height_m / 2
-        swaths = []
-        for part in sorted(parts(strip), key=lambda p: p.bounds):
-            left_m, _, right_m, _ = part.bounds
-            if part.area <= PIECE_MIN_M**2:
-                continue
-            if right_m - left_m < PIECE_MIN_M:
-                left_m, right_m = left_m - PIECE_MIN_M, right_m + PIECE_MIN_M
-            line = LineString([(left_m, middle_m), (right_m, middle_m)])
-            back = affinity.rotate(line, angle_deg, origin=(0.0, 0.0))
-            swaths.append(_points(back.coords))
-        yield swaths
+    lows_m = south + np.arange(rows) * height_m
+    strips = shapely.intersection(
+        turned, shapely.box(west - 1, lows_m, east + 1, lows_m + height_m)
+    )
+    found, row_of = shapely.get_parts(strips, return_index=True)
+    deep_enough = shapely.area(found) > PIECE_MIN_M**2
+    found, row_of = found[deep_enough], row_of[deep_enough]
+    bounds = shapely.bounds(found)
+    order = np.lexsort((*bounds.T[::-1], row_of))
+    left_m, right_m = bounds[order, 0], bounds[order, 2]
+    narrow_m = np.where(right_m - left_m < PIECE_MIN_M, PIECE_MIN_M, 0.0)
+    return _Cut(lows_m + height_m / 2, row_of[order], left_m - narrow_m, right_m + narrow_m)
+
+
+def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> list[list[Polyline]]:
+    """Rows of swaths from one side of the field to the other, each row from left to right."""
+    cut = _cut(deep, angle_deg, strip_m)
+    strips: list[list[Polyline]] = [[] for _ in cut.middles_m]
+    for row, left_m, right_m in zip(cut.row_of, cut.left_m, cut.right_m, strict=True):
+        middle_m = cut.middles_m[row]
+        line = LineString([(left_m, middle_m), (right_m, middle_m)])
+        back = affinity.rotate(line, angle_deg, origin=(0.0, 0.0))
+        strips[row].append(_points(back.coords))
+    return strips
 
 
 def _strip_bundles(
@@ -140,7 +167,7 @@ def _strip_bundles(
     A bundle is a boustrophedon cell (Choset and Pignon 1998): each swath is driven against the one
     before.
     """
-    rows = list(_strips(deep, angle_deg, strip_m))
+    rows = _strips(deep, angle_deg, strip_m)
     bundles: list[list[Polyline]] = []
     open_bundles: list[list[Polyline]] = []
     for row in rows:
