@@ -20,7 +20,7 @@ from typing import Final
 
 import can
 
-from sim.machines.nmea_machine import LATENCY_S, NmeaMachine, WheeledBody
+from sim.machines.nmea_machine import LATENCY_S, LINE_MAX, NmeaMachine, WheeledBody
 
 RECEIVER, TRACTOR = 28, 240  # addresses
 TELL_S: Final = 0.1
@@ -59,7 +59,9 @@ class IsobusMachine(NmeaMachine):
 
     async def start_on_bus(self, host: str, control: int) -> int:
         """Serve the TCP port `control` for orders (0: any free one); returns it. Raises OSError."""
-        server = await asyncio.start_server(self._seated(self._orders), host, control)
+        server = await asyncio.start_server(
+            self._seated(self._orders), host, control, limit=LINE_MAX
+        )
         self._servers.append(server)
         loop = asyncio.get_running_loop()
         for task in (self._moves(), self._sends(), self._tells()):

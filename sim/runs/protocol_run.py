@@ -18,6 +18,6 @@ class ProtocolRun(WorkRun[ProtocolSetup]):
             **super().measure(cluster),
             "coverage": share, "reachable": 1.0, "reached": share, "unreached": (),
             "makespan_s": cluster.host.now_us() / S,
-            "contacts": 0, "implement_contacts": 0, "closest_m": inf, "worked_twice": 0.0,
-            "work_m": 0.0, "travel_m": 0.0, "pymunk_steps": 0,
+            "contacts": 0, "first_contact": "", "implement_contacts": 0, "closest_m": inf,
+            "worked_twice": 0.0, "work_m": 0.0, "travel_m": 0.0, "pymunk_steps": 0,
         }  # fmt: skip

@@ -69,7 +69,7 @@ import atexit, json, sys
 def tell():
     loaded = {each.removeprefix("headland.") for each in sys.modules}
     foreign = sorted(each for each in loaded if each.split(".")[0] in ("sim", "pymunk"))
-    print(json.dumps(foreign), file=sys.stderr)
+    print(json.dumps(foreign, allow_nan=False), file=sys.stderr)
 atexit.register(tell)
 """
 # 25 ha: six robots need two hours, longer than all trials. A robot without work does not go on.

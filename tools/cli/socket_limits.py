@@ -107,6 +107,16 @@ SOCKETS: tuple[SocketRow, ...] = (
         "tests/sim/machines/test_nmea_ports.py::test_hostile_clients_of_a_machine_keep_no_robot_out",
     ),
     SocketRow(
+        "sim/machines/isobus_machine.py IsobusMachine.start_on_bus",
+        "simulated tractor: TCP port of control, loopback unless a host is named",
+        f"{nmea_machine.CLIENTS_MAX}; a newcomer takes the seat of the oldest",
+        f"line of {_kib(nmea_machine.LINE_MAX)}",
+        f"{_kib(nmea_machine.LATE_MAX * nmea_machine.LINE_MAX)} unread",
+        f"{NONE}: a person who looks may stay",
+        "its checks, and people who look",
+        "tests/sim/machines/test_nmea_ports.py::test_hostile_clients_of_a_tractor_keep_no_order_out",
+    ),
+    SocketRow(
         "agent/runtime/bodies/line_port.py _udp", "robot's receiver: UDP datagrams",
         "one socket; any sender, as receivers broadcast",
         f"line of {_kib(line_port.LINE_MAX)}; longer ones are counted",

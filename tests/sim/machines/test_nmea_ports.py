@@ -3,6 +3,9 @@
 import asyncio
 from contextlib import suppress
 
+import can
+
+from sim.machines.isobus_machine import IsobusMachine
 from sim.machines.nmea_machine import CLIENTS_MAX, LINE_MAX, Dimensions, NmeaMachine, WheeledBody
 
 ORIGIN = (52.0, 11.0)
@@ -36,6 +39,25 @@ def test_hostile_clients_of_a_machine_keep_no_robot_out() -> None:
             talker.write(bytes(65_536))
         with suppress(ConnectionError):
             await asyncio.wait_for(talker.drain(), WAIT_S)
+        long, writer = await _opened(control)
+        writer.write(b"x" * (4 * LINE_MAX) + b"\n")
+        with suppress(ConnectionError):
+            assert await asyncio.wait_for(long.read(), WAIT_S) == b"", "a long line ends it"
+        assert b"x_m" in await _where(control)
+        for _, each in (*idle,):
+            each.close()
+        await made.stop()
+
+    asyncio.run(story())
+
+
+def test_hostile_clients_of_a_tractor_keep_no_order_out() -> None:
+    async def story() -> None:
+        bus = can.Bus("hostile clients of a tractor", interface="virtual")
+        body = WheeledBody(Dimensions(drive="ackermann"), 0.0, 0.0, 0.0)
+        made = IsobusMachine(body, ORIGIN, bus)
+        control = await made.start_on_bus("127.0.0.1", 0)
+        idle = [await _opened(control) for _ in range(4 * CLIENTS_MAX)]
         long, writer = await _opened(control)
         writer.write(b"x" * (4 * LINE_MAX) + b"\n")
         with suppress(ConnectionError):

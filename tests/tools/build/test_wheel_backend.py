@@ -104,6 +104,8 @@ NAMED = {
     "tools.bench.vda5050.figures", "tools.bench.mapf", "tools.bench.systems",
     "tools.bench.vda5050.many_robots", "tools.bench.ros2_door", "tools.bench.foxglove_door",
     "tools.bench.prometheus_door", "tools.build.warmup", "tools.build.kernel_module",
+    "tools.bench.bag_door", "tools.bench.ros2_field", "tools.cli.entrance",
+    "tools.run.robot_viewers",
 }  # fmt: skip
 
 
