@@ -38,7 +38,7 @@ from tools.operate.operator_device import Operator
 from tools.operate.order_proofs import proofs_of
 from tools.operate.reset import operator_keyring
 from tools.vda5050.factsheet import factsheet_of
-from tools.vda5050.fleet_vehicle import FleetVehicle, HeardRobot
+from tools.vda5050.fleet_vehicle import UNHEARD, FleetVehicle, HeardRobot
 from tools.vda5050.order_book import BookedOrder, OrderBook
 from tools.vda5050.transport_rules import OrderRefused, transport_of
 
@@ -105,7 +105,9 @@ class MasterGateway:
             while not end.is_set():
                 now_s = loop.time()
                 self.operator.now_s = self.inspector.now_s = now_s
-                for slot in self.inspector.robots.keys() - self.ports.keys():
+                # A robot that died while the gateway was away still has an order to be told of.
+                known = self.inspector.robots.keys() | self.book.orders.keys()
+                for slot in sorted(known - self.ports.keys()):
                     self._add(slot)
                 if now_s - said_s >= SAY_S:
                     said_s = now_s
@@ -142,8 +144,8 @@ class MasterGateway:
 
     def _observe(self, port: "_Port") -> None:
         vehicle = port.vehicle
-        seen = self.inspector.robots[vehicle.slot]
-        vehicle.robot = self._heard(seen)
+        seen = self.inspector.robots.get(vehicle.slot)
+        vehicle.robot = UNHEARD if seen is None else self._heard(seen)
         booked = vehicle.booked
         if booked is None or booked.number is None:
             return
