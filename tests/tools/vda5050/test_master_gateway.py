@@ -32,14 +32,11 @@ def test_a_robot_that_died_while_the_gateway_was_away_is_still_told_of(tmp_path:
         bus = CanBus(can.Bus("gateway without robots", interface="virtual"))
         named = FleetNames("uagv", "Headland", "yard", Vehicle(), "2.0.0")
         broker = Broker.read("mqtt://127.0.0.1:1")  # nobody serves there
-        gateway = MasterGateway(bus, HOUSE, book, broker, named, None, told=lambda line: None)
-        end = asyncio.Event()
+        made, end = asyncio.Event(), asyncio.Event()
+        gateway = MasterGateway(bus, HOUSE, book, broker, named, None, told=lambda line: made.set())
         running = asyncio.create_task(gateway.run(end))
         async with asyncio.timeout(WAIT_S):
-            while not running.done() and not any(
-                port.vehicle.outcome is not None for port in gateway.ports.values()
-            ):
-                await asyncio.sleep(0)
+            await made.wait()
         vehicle = gateway.ports[1].vehicle
         assert (
             vehicle.robot is UNHEARD and vehicle.booked is not None and vehicle.booked.number == 5
