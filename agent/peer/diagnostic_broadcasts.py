@@ -103,7 +103,7 @@ class DiagnosticBroadcasts(Part):
         return self.letters.sends(DM1.pgn, content, GLOBAL_ADDRESS, ctx.now_us)
 
     def _leader_tells(self, ctx: StepContext) -> Sequence[Standstill]:
-        """Why the leader stands; nothing if that is we, or nobody who is heard."""
+        """The causes that hold the leader; none if we lead, or if no leader is heard."""
         leader = self.votes.leader
         if leader is None or leader == ctx.slot or leader not in ctx.live:
             return ()

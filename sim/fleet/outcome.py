@@ -52,7 +52,7 @@ class FieldOutcome(NamedTuple):
     # Contacts of lowered implements with each other or with bodies. They do not count for
     # `success`: robots that steer, and robots that lose frames, do not avoid all of them.
     implement_contacts: int = 0
-    first_contact: str = ""  # when, who and where; empty: none
+    first_contact: str = ""  # its time, robots and place; empty: none
 
     @property
     def success(self) -> bool:

@@ -53,7 +53,7 @@ class DeliveryOutcome(NamedTuple):
     trace_hash: str
     simulated_s: float
     wall_s: float
-    first_contact: str = ""  # when, who and where; empty: none
+    first_contact: str = ""  # its time, robots and place; empty: none
 
     @property
     def success(self) -> bool:

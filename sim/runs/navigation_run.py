@@ -56,7 +56,7 @@ class NavigationOutcome(NamedTuple):
     pymunk_steps: int  # steps of 10 ms made by pymunk
     trace_hash: str
     wall_s: float
-    first_contact: str = ""  # when, who and where; empty: none
+    first_contact: str = ""  # its time, robots and place; empty: none
 
     @property
     def success(self) -> bool:

@@ -35,7 +35,7 @@ class OwnMissionOutcome(NamedTuple):
     simulated_s: float
     wall_s: float
     pymunk_steps: int
-    first_contact: str = ""  # when, who and where; empty: none
+    first_contact: str = ""  # its time, robots and place; empty: none
 
     @property
     def success(self) -> bool:

@@ -50,7 +50,7 @@ def quality_key(quality: Quality) -> str:
 
 
 def attachment(number: int, at_ns: int, gid: bytes) -> bytes:
-    """What rmw_zenoh wants with a message: its number, its time since 1970, who sends it."""
+    """What rmw_zenoh wants with a message: its number, its time since 1970, and its sender."""
     return (
         number.to_bytes(8, "little", signed=True)
         + at_ns.to_bytes(8, "little", signed=True)

@@ -67,7 +67,7 @@ def _keys(declared: RobotFile) -> Finding:
     except RobotError as problem:
         return Finding("keys", False, str(problem))
     if keys is None:
-        return Finding("keys", None, "none: who is on the bus can reset and order it")
+        return Finding("keys", None, "none: every device on the bus can reset and order it")
     return Finding("keys", True, str(declared.fleet.keys))
 
 

@@ -109,7 +109,7 @@ def test_a13_identification_goes_by_the_transport_protocol(pgn: int) -> None:
 
 
 def test_a_request_that_is_filled_up_to_eight_bytes_is_answered() -> None:
-    """Many tools send all frames with eight bytes; a robot was silent, also for who has this address."""
+    """Many tools send all frames with eight bytes; robots did not answer such requests."""
     peer, now_us = joined()
     for pgn, kind in ((65226, ActiveFaults), (0xEE00, AddressClaimed)):
         data = pgn.to_bytes(3, "little") + b"\xff" * 5

@@ -39,7 +39,9 @@ def test_what_holds_the_whole_fleet_is_repeated_by_its_leader_and_told_by_all_wh
         rig.fleet.run(S // 2)
         asked = [one for one in rig.tool.read if one.was_asked]
         assert asked[-1].source == robot.peer.address
-        assert set(asked[-1].faults) == {STOPPED, BUTTON}, "who is asked tells all"
+        assert set(asked[-1].faults) == {STOPPED, BUTTON}, (
+            "a robot that is asked tells all of its causes"
+        )
     assert not rig.tool.errors
 
 

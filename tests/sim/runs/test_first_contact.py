@@ -1,4 +1,4 @@
-"""A run with a contact says when, who and where it was first."""
+"""A run with a contact says the time, the robots and the place of the first one."""
 
 from sim.runs.run import first_of
 from sim.world.ground_truth import Contact
