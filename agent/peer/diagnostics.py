@@ -2,7 +2,8 @@
 
 A fault is a cause for which the robot stands or creeps now, the same as in STANDSTILL. A cause that only
 follows from another one is no fault of its own (`CONSEQUENCES`). A cause that holds a whole fleet is
-repeated by the elected leader alone (`SHARED`, `repeated_causes`); a robot that is asked tells all of its causes.
+repeated by the elected leader alone (`SHARED`, `repeated_causes`). A robot that is asked tells all of its
+causes.
 """
 
 from collections.abc import Collection, Sequence
