@@ -6,10 +6,6 @@ from collections.abc import Awaitable, Callable
 from math import hypot
 from pathlib import Path
 
-import pytest
-
-pytest.importorskip("lark", reason="the extra `operator` is not installed")
-
 from agent.interface.lifecycle import State
 from agent.peer import fleet_summary as bulletin
 from protocol.links.bus import CanBus

@@ -8,9 +8,6 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from tests.examples import examples
-
-pytest.importorskip("lark", reason="the extra `operator` is not installed")
-
 from tools.bench.phrases import Case, misspelt, phrases, understood
 from tools.language.alarm import may_be_alarm
 from tools.language.authorize import Authorization, weigh

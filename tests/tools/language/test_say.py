@@ -12,8 +12,6 @@ from typing import Any
 
 import pytest
 
-pytest.importorskip("lark", reason="the extra `operator` is not installed")
-
 from sim.files.candump import CandumpWriter
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual

@@ -2,8 +2,6 @@
 
 import pytest
 
-pytest.importorskip("websockets", reason="the extra `operator` is not installed")
-
 from crdt.claim_register import Phase
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member

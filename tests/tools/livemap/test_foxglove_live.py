@@ -21,7 +21,6 @@ import numpy as np
 import pytest
 
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
-pytest.importorskip("websockets", reason="the extra `operator` is not installed")
 pytest.importorskip("google.protobuf", reason="protobuf is not installed")
 
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory

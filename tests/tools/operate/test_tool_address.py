@@ -180,9 +180,6 @@ COMMANDS = {
 def test_a3_every_command_speaks_from_an_address_that_it_claimed(
     words: tuple[str, ...], tmp_path: Path
 ) -> None:
-    if words[0] == "say":
-        pytest.importorskip("lark", reason="the extra `operator` is not installed")
-
     async def main() -> list[Frame]:
         heard = Heard(f"command {words[0]}")
         hub = Hub(heard.segment)

@@ -5,7 +5,6 @@ from pathlib import Path
 import pytest
 
 pytest.importorskip("PIL", reason="Pillow is not installed")
-pytest.importorskip("websockets", reason="the extra `operator` is not installed")
 
 from PIL import Image
 

@@ -13,6 +13,8 @@ from typing import Any
 from urllib.request import urlopen
 
 import pytest
+from websockets.sync.client import connect
+from websockets.typing import Subprotocol
 
 from tests.tools.launching import ENVIRONMENT, ROOT
 
@@ -154,7 +156,6 @@ def test_figures_and_viewers_are_served_beside_the_robot_and_end_with_it(folder:
     """Also where it is killed: nobody then closes the process that serves."""
     pytest.importorskip("prometheus_client", reason="the extra `metrics` is not installed")
     pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
-    client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
     group = f"239.74.163.{1 + randbelow(250)}"
     words = ("fleet.toml", "--slot", "0", "-i", "udp_multicast", "-c", group, "--first-boot")
     robot = begin(folder, *words, "--metrics", "0", "--foxglove", "0")
@@ -174,7 +175,7 @@ def test_figures_and_viewers_are_served_beside_the_robot_and_end_with_it(folder:
             assert time.monotonic() < ends_at_s, page
             with urlopen(said["metrics"], timeout=LIMIT_S) as answer:
                 page = answer.read().decode()
-        with client.connect(said["foxglove"], subprotocols=["foxglove.sdk.v1"]) as viewer:
+        with connect(said["foxglove"], subprotocols=[Subprotocol("foxglove.sdk.v1")]) as viewer:
             topics: set[str] = set()
             while not topics >= {"/tf", "/fleet", "/can/HEARTBEAT"}:
                 told = json.loads(viewer.recv(timeout=LIMIT_S))
