@@ -13,14 +13,16 @@ takes the engage switch off for 3 s. Nothing is shared with the driver that it t
 """
 
 import asyncio
+from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from math import atan, inf, radians, tan
 from struct import pack, unpack_from
 from typing import Final
 
 import can
 
-from sim.machines.nmea_machine import LATENCY_S, LINE_MAX, NmeaMachine, WheeledBody
+from sim.machines.nmea_machine import NmeaMachine, WheeledBody
 
 RECEIVER, TRACTOR = 28, 240  # addresses
 TELL_S: Final = 0.1
@@ -59,14 +61,10 @@ class IsobusMachine(NmeaMachine):
 
     async def start_on_bus(self, host: str, control: int) -> int:
         """Serve the TCP port `control` for orders (0: any free one); returns it. Raises OSError."""
-        server = await asyncio.start_server(
-            self._seated(self._orders), host, control, limit=LINE_MAX
-        )
-        self._servers.append(server)
+        port = await self._serve(self._orders, host, control)
         loop = asyncio.get_running_loop()
         for task in (self._moves(), self._sends(), self._tells()):
             self._tasks.append(loop.create_task(task))
-        port: int = server.sockets[0].getsockname()[1]
         return port
 
     async def stop(self) -> None:
@@ -109,23 +107,8 @@ class IsobusMachine(NmeaMachine):
                 self._speed_m_s = speed_m_s if data[7] & 3 == 1 else -speed_m_s
                 self._driven_at_s = self.clock()
 
-    async def _sends(self) -> None:
-        """The messages of each fix, at an even pace."""
-        loop, due_at_s = asyncio.get_running_loop(), self.clock()
-        while True:
-            due_at_s += 1 / self.body.dimensions.rate_hz
-            await asyncio.sleep(max(due_at_s - self.clock(), 0.0))
-            self.move()
-            if self.has("muted"):
-                continue
-            late_for_s = LATENCY_S
-            if self.has("late"):
-                late_for_s += self.faults["late"].values[0]
-            loop.call_later(late_for_s, self._say_fix, self.fix_frames())
-
-    def _say_fix(self, frames: list[tuple[int, bytes]]) -> None:
-        if not self.has("muted"):
-            self._say(frames)
+    def fix_teller(self) -> Callable[[], None]:
+        return partial(self._say, self.fix_frames())
 
     def _say(self, frames: list[tuple[int, bytes]]) -> None:
         for identifier, data in frames:

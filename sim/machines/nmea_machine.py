@@ -20,7 +20,7 @@ import time
 from collections.abc import Callable, Coroutine
 from contextlib import suppress
 from datetime import UTC, datetime
-from functools import reduce
+from functools import partial, reduce
 from math import atan2, cos, degrees, hypot, inf, isfinite, pi, sin, tan
 from operator import xor
 from random import Random
@@ -181,14 +181,19 @@ class NmeaMachine:
         """Serve the TCP ports `gnss`, `wheels` and `control` (0: any free one); returns them.
 
         Raises OSError."""
-        for port, serve in ((gnss, self._receiver), (wheels, self._controller),
-                            (control, self._orders)):  # fmt: skip
-            seated = self._seated(serve)
-            self._servers.append(await asyncio.start_server(seated, host, port, limit=LINE_MAX))
+        one = await self._serve(self._receiver, host, gnss)
+        two = await self._serve(self._controller, host, wheels)
+        three = await self._serve(self._orders, host, control)
         loop = asyncio.get_running_loop()
         self._tasks = [loop.create_task(self._moves()), loop.create_task(self._sends())]
-        one, two, three = (server.sockets[0].getsockname()[1] for server in self._servers)
         return one, two, three
+
+    async def _serve(self, serve: Serve, host: str, port: int) -> int:
+        """Open a port with the limits of all ports of machines; returns its number."""
+        server = await asyncio.start_server(self._seated(serve), host, port, limit=LINE_MAX)
+        self._servers.append(server)
+        number: int = server.sockets[0].getsockname()[1]
+        return number
 
     async def stop(self) -> None:
         """Close the ports."""
@@ -231,7 +236,7 @@ class NmeaMachine:
             await asyncio.sleep(STEP_S)
 
     async def _sends(self) -> None:
-        """The sentences of each fix, at an even pace."""
+        """What tells each fix, at an even pace."""
         loop, due_at_s = asyncio.get_running_loop(), self.clock()
         while True:
             due_at_s += 1 / self.body.dimensions.rate_hz
@@ -242,11 +247,17 @@ class NmeaMachine:
             late_for_s = LATENCY_S
             if self.has("late"):
                 late_for_s += self.faults["late"].values[0]
-            loop.call_later(late_for_s, self._send, self.fix())
+            loop.call_later(late_for_s, self._tell, self.fix_teller())
+
+    def _tell(self, tell: Callable[[], None]) -> None:
+        if not self.has("muted"):
+            tell()
+
+    def fix_teller(self) -> Callable[[], None]:
+        """Tells the fix of now, when it is called."""
+        return partial(self._send, self.fix())
 
     def _send(self, sentences: bytes) -> None:
-        if self.has("muted"):
-            return
         for writer in list(self._receivers):
             if writer.transport.get_write_buffer_size() < LATE_MAX * LINE_MAX:
                 writer.write(sentences)

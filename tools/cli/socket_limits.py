@@ -96,8 +96,8 @@ SOCKETS: tuple[SocketRow, ...] = (
         "tests/sim/record/test_local_link.py::test_many_links_and_long_messages_keep_a_robot_served",
     ),
     SocketRow(
-        "sim/machines/nmea_machine.py NmeaMachine.start",
-        "simulated machine: three TCP ports of receiver, wheels, control",
+        "sim/machines/nmea_machine.py NmeaMachine._serve",
+        "simulated machine: TCP ports of receiver, wheels and control; a tractor has control only",
         f"{nmea_machine.CLIENTS_MAX} a port; a newcomer takes the seat of the oldest",
         f"line of {_kib(nmea_machine.LINE_MAX)}",
         f"{_kib(nmea_machine.LATE_MAX * nmea_machine.LINE_MAX)} unread; of what the receiver is told "
@@ -105,16 +105,6 @@ SOCKETS: tuple[SocketRow, ...] = (
         "command: 0.1 s, then the machine stands",
         "its robot, one that restarts, and people who look",
         "tests/sim/machines/test_nmea_ports.py::test_hostile_clients_of_a_machine_keep_no_robot_out",
-    ),
-    SocketRow(
-        "sim/machines/isobus_machine.py IsobusMachine.start_on_bus",
-        "simulated tractor: TCP port of control, loopback unless a host is named",
-        f"{nmea_machine.CLIENTS_MAX}; a newcomer takes the seat of the oldest",
-        f"line of {_kib(nmea_machine.LINE_MAX)}",
-        f"{_kib(nmea_machine.LATE_MAX * nmea_machine.LINE_MAX)} unread",
-        f"{NONE}: a person who looks may stay",
-        "its checks, and people who look",
-        "tests/sim/machines/test_nmea_ports.py::test_hostile_clients_of_a_tractor_keep_no_order_out",
     ),
     SocketRow(
         "agent/runtime/bodies/line_port.py _udp", "robot's receiver: UDP datagrams",
