@@ -6,7 +6,6 @@ What became of parcels is read from the world of the launch.
 import asyncio
 import json
 import signal
-from asyncio.subprocess import Process
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final, NamedTuple
@@ -16,12 +15,10 @@ from tools.bench.vda5050.counterparts import (
     Mosquitto,
     NodeProgram,
     Witness,
-    drain,
     end,
-    said,
     start,
 )
-from tools.bench.vda5050.masters_orders import SCENARIO, serve
+from tools.bench.vda5050.masters_orders import SCENARIO, vehicles
 
 VEHICLES: Final = 2
 RUN_S: Final = 240.0
@@ -53,27 +50,17 @@ async def trial(folder: Path, node: Path) -> MastersActions:
     await broker.start()
     launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", "--no-keys")
     witness = Witness(broker, "Headland")
-    gateway: Process | None = None
     try:
-        port = await said(launch, r"socketcand \S+:(\d+)")
-        await said(launch, rf"(robot {VEHICLES - 1}: process)")
-        reading = asyncio.create_task(drain(launch))
-        gateway = await serve(folder, port, broker.url)
-        for _ in range(VEHICLES):
-            await said(gateway, r"(a vehicle at)")
-        listening = asyncio.create_task(drain(gateway))
-        await master.start(node, "actions.js", broker.url, "yard", str(VEHICLES))
-        with suppress(TimeoutError):  # what came until then is the result
-            await master.until(lambda events: {"over": True} in events, RUN_S)
-        launch.send_signal(signal.SIGINT)
-        async with asyncio.timeout(WAIT_S):
-            await reading
-            await launch.wait()
-        listening.cancel()
+        async with vehicles(folder, launch, VEHICLES, broker.url):
+            await master.start(node, "actions.js", broker.url, "yard", str(VEHICLES))
+            with suppress(TimeoutError):  # what came until then is the result
+                await master.until(lambda events: {"over": True} in events, RUN_S)
+            launch.send_signal(signal.SIGINT)
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
     finally:
         await master.kill()
         await witness.close()
-        await end(gateway)
         await end(launch)
         await broker.kill()
     report = json.loads((folder / "out" / "report.json").read_text())

@@ -8,6 +8,8 @@ import json
 import os
 import signal
 from asyncio.subprocess import Process
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -62,6 +64,24 @@ async def serve(folder: Path, port: str, url: str) -> Process:
     """`headland vda5050` for the launch at this port."""
     words = ("--broker", url, "--scenario", "yard.toml", "--port", port, "--book", "book.jsonl")
     return await start(folder, "vda5050", *words)
+
+
+@asynccontextmanager
+async def vehicles(folder: Path, launch: Process, robots: int, url: str) -> AsyncIterator[str]:
+    """A gateway that shows all robots of this launch as vehicles; gives the port of the launch."""
+    port = await said(launch, r"socketcand \S+:(\d+)")
+    await said(launch, rf"(robot {robots - 1}: process)")
+    readings = [asyncio.create_task(drain(launch))]
+    gateway = await serve(folder, port, url)
+    try:
+        for _ in range(robots):
+            await said(gateway, r"(a vehicle at)")
+        readings.append(asyncio.create_task(drain(gateway)))
+        yield port
+    finally:
+        for reading in readings:
+            reading.cancel()
+        await end(gateway)
 
 
 async def trial(folder: Path, node: Path, orders: int, deaths: bool = True) -> MastersOrders:

@@ -13,8 +13,8 @@ from typing import NamedTuple
 
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from tools.bench.stopped_beats import BUS_BOUND_MS, REPEAT_S, TIMEOUT_S, Beats
-from tools.bench.vda5050.counterparts import WAIT_S, Mosquitto, drain, end, said, start
-from tools.bench.vda5050.masters_orders import ROBOTS, SCENARIO, serve
+from tools.bench.vda5050.counterparts import WAIT_S, Mosquitto, end, said, start
+from tools.bench.vda5050.masters_orders import ROBOTS, SCENARIO, vehicles
 from tools.common.bus_attach import CHANNEL, attach
 from tools.operate.operator_device import Operator
 
@@ -36,55 +36,45 @@ async def trial(folder: Path, node: Path) -> StopLatency:
     broker = Mosquitto(folder)
     await broker.start()
     launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", "--no-keys")
-    gateway: Process | None = None
     master: Process | None = None
     beats = Beats(ROBOTS)
     took: dict[str, list[float]] = {"master": [], "bus": []}
     try:
-        port = await said(launch, r"socketcand \S+:(\d+)")
-        await said(launch, rf"(robot {ROBOTS - 1}: process)")
-        reading = asyncio.create_task(drain(launch))
-        gateway = await serve(folder, port, broker.url)
-        for _ in range(ROBOTS):
-            await said(gateway, r"(a vehicle at)")
-        listening = asyncio.create_task(drain(gateway))
-        master = await asyncio.create_subprocess_exec(
-            "node", str(node / "stop.js"), broker.url, stdin=PIPE, stdout=PIPE, stderr=STDOUT
-        )
-        await said(master, "(ready)")
-        bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", int(port))
-        bus.subscribe(beats.hear)
-        operator = Operator(bus, None)
-        await operator.device.held()
-        await beats.until(False)
-        loop = asyncio.get_running_loop()
-        for _ in range(PRESSES):
-            for side, times in took.items():
-                beats.all_at_s = None
-                if side == "master":
-                    assert master.stdin is not None
-                    master.stdin.write(b"stop\n")
-                    pressed_at_s = loop.time()
-                else:
-                    stop: EmergencyStop = operator.new_stop(Reason.OPERATOR_INTERVENTION)
-                    operator.stop(stop)
-                    pressed_at_s = loop.time()
-                async with asyncio.timeout(TIMEOUT_S):
-                    while beats.all_at_s is None:
-                        await asyncio.sleep(REPEAT_S)
-                        if side == "bus":
-                            operator.stop(stop)
-                times.append(1000 * (beats.all_at_s - pressed_at_s))
-                await _release(folder, port)
-                await beats.until(False)
-        bus.close()
-        listening.cancel()
-        reading.cancel()
+        async with vehicles(folder, launch, ROBOTS, broker.url) as port:
+            master = await asyncio.create_subprocess_exec(
+                "node", str(node / "stop.js"), broker.url, stdin=PIPE, stdout=PIPE, stderr=STDOUT
+            )
+            await said(master, "(ready)")
+            bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", int(port))
+            bus.subscribe(beats.hear)
+            operator = Operator(bus, None)
+            await operator.device.held()
+            await beats.until(False)
+            loop = asyncio.get_running_loop()
+            for _ in range(PRESSES):
+                for side, times in took.items():
+                    beats.all_at_s = None
+                    if side == "master":
+                        assert master.stdin is not None
+                        master.stdin.write(b"stop\n")
+                        pressed_at_s = loop.time()
+                    else:
+                        stop: EmergencyStop = operator.new_stop(Reason.OPERATOR_INTERVENTION)
+                        operator.stop(stop)
+                        pressed_at_s = loop.time()
+                    async with asyncio.timeout(TIMEOUT_S):
+                        while beats.all_at_s is None:
+                            await asyncio.sleep(REPEAT_S)
+                            if side == "bus":
+                                operator.stop(stop)
+                    times.append(1000 * (beats.all_at_s - pressed_at_s))
+                    await _release(folder, port)
+                    await beats.until(False)
+            bus.close()
     finally:
         if master is not None and master.returncode is None:
             master.kill()
             await master.wait()
-        await end(gateway)
         await end(launch)
         await broker.kill()
     (folder / "took.json").write_text(json.dumps(took))
