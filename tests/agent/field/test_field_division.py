@@ -6,11 +6,13 @@ still covers what `sim/world/coverage_truth.py` asks for: `polygon.buffer(-w / 2
 """
 
 import json
+import math
 from collections.abc import Iterator
 from itertools import pairwise
 from math import atan2, cos, dist, pi, radians, sin, tan
 from pathlib import Path
 
+import numpy as np
 import pytest
 import shapely
 from hypothesis import assume, given, settings
@@ -20,7 +22,7 @@ from shapely import affinity, unary_union
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from agent.field.field_division import divide
+from agent.field.field_division import PIECE_MIN_M, _strips, divide
 from agent.field.field_map import Field, Polyline
 from sim.world.coverage_truth import BACK_COS
 from tests.examples import examples
@@ -232,3 +234,45 @@ def test_a_narrow_part_is_covered_at_a_large_overlap() -> None:
 def test_a_field_narrower_than_the_implement_is_refused() -> None:
     with pytest.raises(ValueError, match="nowhere as wide as the implement"):
         check(Polygon([(0, 0), (100, 0), (100, 3), (0, 3)]))
+
+
+def strips_one_by_one(deep: BaseGeometry, angle_deg: float, strip_m: float) -> list[list[Polyline]]:
+    """A slow model of `_strips`: each strip is cut by itself, its pieces from west to east."""
+    turned = affinity.rotate(deep, -angle_deg, origin=(0.0, 0.0))
+    west, south, east, north = turned.bounds
+    rows = max(1, math.ceil((north - south) / strip_m - 1e-9))
+    found = []
+    for row in range(rows):
+        low_m, high_m = (south + (north - south) / rows * at for at in (row, row + 1))
+        cut = turned.intersection(box(west - 1, low_m, east + 1, high_m))
+        swaths = []
+        for piece in sorted(getattr(cut, "geoms", [cut]), key=lambda piece: piece.bounds):
+            left_m, _, right_m, _ = piece.bounds
+            if piece.area > PIECE_MIN_M**2:
+                more_m = PIECE_MIN_M * (right_m - left_m < PIECE_MIN_M)
+                ends = [
+                    (left_m - more_m, (low_m + high_m) / 2),
+                    (right_m + more_m, (low_m + high_m) / 2),
+                ]
+                back = affinity.rotate(LineString(ends), angle_deg, origin=(0.0, 0.0))
+                swaths.append(tuple((x, y) for x, y in back.coords))
+        found.append(swaths)
+    return found
+
+
+@given(
+    st.lists(st.floats(8.0, 60.0), min_size=5, max_size=13), st.floats(0.0, 180.0),
+    st.sampled_from([1.8, 3.7, 5.8]), st.booleans(),
+)  # fmt: skip
+@settings(max_examples=examples(40))
+def test_strips_of_one_call_are_those_that_are_cut_one_by_one(
+    radii_m: list[float], angle_deg: float, strip_m: float, hole: bool
+) -> None:
+    """Rows of a star have several pieces, and their order is that in which they are driven."""
+    turns = [2 * pi * k / len(radii_m) for k in range(len(radii_m))]
+    star = Polygon([(r * cos(a), r * sin(a)) for r, a in zip(radii_m, turns, strict=True)])
+    deep = star.difference(box(-3.0, -2.0, 3.0, 2.0)) if hole else star
+    made, model = (cut(deep, angle_deg, strip_m) for cut in (_strips, strips_one_by_one))
+    assert [len(row) for row in made] == [len(row) for row in model]
+    for swaths, wanted in zip(made, model, strict=True):
+        assert np.allclose(np.asarray(swaths), np.asarray(wanted), atol=1e-9)
