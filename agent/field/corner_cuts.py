@@ -5,6 +5,11 @@ as the middle of the body may go. An implement that swings sweeps a corner by tu
 to go past the corner in both directions. At a corner about as sharp as a right angle with a fence
 ahead, the piece ends in a bend away from that fence. The outer end of the bar then runs ahead of
 the body, into the corner.
+
+A body that turns on the spot drives a corner in one go instead, where it has room for that. Ways are
+rounded before they are driven, so the line swings out first: the rounded one then passes the corner
+itself, and the bar swings over all that it can reach from there. Cut pieces leave a part of the corner
+where the body is nearly as wide as the implement, because it cannot go past the corner.
 """
 
 from math import atan2, copysign, cos, hypot, pi, sin
@@ -13,6 +18,7 @@ from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
 from agent.field.field_map import XY, Polyline
+from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
 
 BEND_RAD = 0.3  # a smaller corner is rounded, within half the usual tolerance
 WINDOW_M = 1.2  # the length over which it is rounded
@@ -23,15 +29,21 @@ ACUTE_RAD = 1.9  # in a corner that turns by more there is no room to leave a be
 TURN_IN_RAD = 0.42  # at the end of a piece: the bar's outer end is then 40 % of its half ahead
 RUN_M = 0.8  # the bend, and straight on after it where it is tight: the body's course settles there
 CHORDS = 5  # number of chords of the bend at the end
+# So far past a corner a rounded way goes: half the usual overlap, for errors of tracking.
+PAST_M = 0.1
+OUT_SHARE = 0.8  # of the reach: a longer way out leaves ground beside the line
+SIDE_SHARE = 0.4  # of the shorter side of a corner, for the way out
 
 
 def cut_at_corners(
-    ring: Polyline, turn_radius_m: float, reach_m: float, free: BaseGeometry
-) -> list[Polyline]:
+    ring: Polyline, turn_radius_m: float, reach_m: float, free: BaseGeometry,
+    room: BaseGeometry | None = None,
+) -> list[Polyline]:  # fmt: skip
     """The pieces of a ring in its order, as polylines of (x, y) metres.
 
     `turn_radius_m`: the smallest of the body. `reach_m`: half the implement width. `free`: where
-    the middle of the body may be.
+    the middle of the body may be at the end of a piece. `room`: where it may be in a corner, if the body
+    can turn on the spot.
     """
     pieces: list[list[XY]] = [[ring[0]]]
     most_rad = SPARE * WINDOW_M / turn_radius_m + SPARE_RAD
@@ -46,6 +58,11 @@ def cut_at_corners(
             turned_rad, run_m = 0.0, 0.0
         turned_rad += turn_rad
         if abs(turn_rad) > BEND_RAD or abs(turned_rad) > most_rad:
+            out = _swung_out(ring[k - 1], ring[k], ring[k + 1], reach_m, room)
+            if out:
+                pieces[-1][-1:] = out
+                turned_rad = run_m = 0.0
+                continue
             pieces.append([ring[k]])
             turned_rad = run_m = 0.0
     bend_m = max(turn_radius_m * SPARE, reach_m / 2)
@@ -60,6 +77,27 @@ def cut_at_corners(
         line = LineString(piece).simplify(0.001)
         result.append(tuple((float(x), float(y)) for x, y in line.coords))
     return result
+
+
+def _swung_out(a: XY, b: XY, c: XY, reach_m: float, room: BaseGeometry | None) -> list[XY]:
+    """Three points instead of the corner b of a, b, c, for a body that turns on the spot; none if it has
+    no room for them.
+    """
+    turn_rad = _turn(a, b, c)
+    into, onward = atan2(b[1] - a[1], b[0] - a[0]), atan2(c[1] - b[1], c[0] - b[0])
+    side_m = min(hypot(b[0] - a[0], b[1] - a[1]), hypot(c[0] - b[0], c[1] - b[1]))
+    way_m = min(max(BEND_HALF_M, OUT_SHARE * reach_m), SIDE_SHARE * side_m)
+    if room is None or way_m < BEND_HALF_M or abs(turn_rad) > ACUTE_RAD:
+        return []
+    before = b[0] - way_m * cos(into), b[1] - way_m * sin(into)
+    after = b[0] + way_m * cos(onward), b[1] + way_m * sin(onward)
+    aside = into + turn_rad / 2 - copysign(pi / 2, turn_rad)  # away from the inside of the corner
+    out_m = (
+        BEND_HALF_M / 2 * sin(abs(turn_rad) / 2) + PAST_M
+    )  # rounding takes the first summand off
+    out = b[0] + out_m * cos(aside), b[1] + out_m * sin(aside)
+    way = smooth_way([a, before, out, after, c], BEND_HALF_M)
+    return [before, out, after] if room.contains(LineString(way[:, :2])) else []
 
 
 def _on(

@@ -30,6 +30,7 @@ EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no
 UNITS_LEAST = 8  # of a whole field, so that in a tiny one, work beside a standing robot counts
 UNIT_LEAST_M = 1.0  # shortest unit: three times the lead of a stretch
 KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
+ASTRAY_M = 0.1  # how far off its way a body may drive a corner
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
 
@@ -44,6 +45,7 @@ def divide(
     unit_m: float = 5.0,
     turn_radius_m: float = 0.0,
     keep_m: float = 0.0,
+    pivots: bool = False,
 ) -> Field:
     """The field with its sections. Raises ValueError if no part of it can be worked.
 
@@ -51,7 +53,7 @@ def divide(
     `gate`: (x, y) metres. `section_length_m`, `unit_m`: wanted lengths of swath in a section and in
     a unit. For a body that steers (`turn_radius_m` > 0) the rings are cut at the corners that it
     cannot follow; every piece goes on straight while the middle of the body keeps `keep_m` from
-    fences.
+    fences. `pivots`: the body can turn on the spot, and drives corners in one go.
     """
     width_m, strip_m = implement_width_m, implement_width_m - overlap_m
     assert 0.0 < overlap_m < implement_width_m / 2
@@ -64,7 +66,10 @@ def divide(
     bundles = [[piece] for line in lines for piece in pieces(line, section_length_m, width_m)]
     if turn_radius_m > 0.0:
         free = polygon.buffer(-(keep_m + KEEP_MORE_M))
-        bundles = [cut_at_corners(ring, turn_radius_m, width_m / 2, free) for (ring,) in bundles]
+        room = polygon.buffer(-(keep_m + ASTRAY_M)) if pivots else None
+        bundles = [
+            cut_at_corners(ring, turn_radius_m, width_m / 2, free, room) for (ring,) in bundles
+        ]
     if not deep.is_empty:
         bundles += _strip_bundles(
             deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m

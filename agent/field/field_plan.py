@@ -90,7 +90,7 @@ def divided(
         return divide(
             name, polygon, origin, gate, values.implement_width_m, values.overlap_m,
             _section_m(polygon, values), values.unit_m, planned_radius_m(vehicle),
-            vehicle.radius_m + FENCE_M,
+            vehicle.radius_m + FENCE_M, vehicle.drive is DriveTrain.DIFFERENTIAL,
         )  # fmt: skip
     except ValueError as problem:
         raise FieldError("field.implement_width_m", str(problem)) from None

@@ -16,6 +16,7 @@ from agent.interface.lifecycle import State
 from agent.interface.mission import STILL, FleetView, MotionRequest
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import (
+    BEND_HALF_M,
     SteeringLimits,
     TractorTracker,
     distance_m,
@@ -26,7 +27,6 @@ from agent.paths.dubins import shortest_m
 from agent.paths.route import Route
 from agent.paths.tractor_route import Piece, TurnRoute, VehiclePose, sampled
 
-BEND_HALF_M = 0.6  # a bend is rounded over this length on both sides
 BESIDE_M = 0.5  # further from the leg the implement is up: that may be another robot's section
 JOIN_M_S = 1.5  # speed from a turn into a stretch
 # Speed into a stretch that begins in a bend. Off its course, the bar would miss the corner.

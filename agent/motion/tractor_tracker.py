@@ -25,6 +25,7 @@ SHIFT_M, SHIFT_M_S = 0.25, 0.35  # within this distance of a change of gear, at 
 CREEP_M_S = 0.15  # lowest speed that is commanded
 ARRIVED_M = 0.08  # this near to the end, the path is driven
 LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another path
+BEND_HALF_M = 0.6  # a bend of a swath is rounded over this length on both sides
 SEARCH = 40  # samples searched ahead of the last position
 GEAR = 4  # column of the gear: 1 forward, -1 backward
 
