@@ -29,6 +29,7 @@ LOOK_S, LOOK_QUICK_S = 30.0, 5.0
 PRESSES, PRESSES_QUICK = 10, 1
 RELEASES_MAX, RELEASED_S = 5, 10.0  # a release is said again to robots that are stopped after this
 RATE_MIN_HZ, CPU_MAX = 20.0, 0.05
+SETTLED_SHARE = 0.95  # of the rate, from which on a fleet counts as started
 ROUNDING_HZ = 0.05  # of a count over the time that was looked
 MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 CALL = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
@@ -137,6 +138,7 @@ async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watch
             while len(beats.stopped) < robots:
                 await asyncio.sleep(0.1)
         await beats.until(False)
+        await beats.settled(SETTLED_SHARE * RATE_MIN_HZ)  # if they never do, the figure says it
         async with connect(
             told["foxglove"], subprotocols=[Subprotocol(PROTOCOL)], max_size=None, close_timeout=0.3
         ) as connection:

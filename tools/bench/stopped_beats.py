@@ -13,6 +13,7 @@ BUS_BOUND_MS = 320.0  # docs/how/safety_case.md, S1
 LOOK_S = 0.01
 REPEAT_S = 0.005  # as a stop panel repeats its press
 TIMEOUT_S = 10.0
+SETTLED_S = 2.0  # a fleet whose places came at their rate for so long has started
 READY_S = 120.0  # for a whole fleet to start again, on a machine that does much else
 
 
@@ -43,6 +44,21 @@ class Beats:
         async with asyncio.timeout(READY_S):
             while not self._all(stopped):
                 await asyncio.sleep(LOOK_S)
+
+    async def settled(self, rate_hz: float) -> bool:
+        """Wait until every robot has said so many places a second for a while; whether they did.
+
+        Twenty processes that start on two cores beat too, but rarely.
+        """
+        loop = asyncio.get_running_loop()
+        ends_at_s = loop.time() + READY_S
+        while loop.time() < ends_at_s:
+            before, begun_at_s = self.placed, loop.time()
+            await asyncio.sleep(SETTLED_S)
+            for_s = loop.time() - begun_at_s
+            if self.placed - before >= rate_hz * for_s * self.robots:
+                return True
+        return False
 
     async def since(self, pressed_at_s: float) -> float:
         """Milliseconds from a press to the last robot. Raises TimeoutError."""
