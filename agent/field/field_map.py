@@ -9,12 +9,13 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from math import hypot
+from typing import Final
 from zlib import crc32
 
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import LineString, MultiPolygon, Point, Polygon
 from shapely.ops import substring
 
 from agent.paths.regions import regions_of
@@ -148,6 +149,10 @@ class Field:
         return crc32(text.encode()) & 0xFFFFFF
 
 
+BESIDE_M: Final = 1e-6  # the crossing of an edge and a row is known far better
+BESIDE: Final = np.array([[-BESIDE_M], [BESIDE_M]])
+
+
 def rasterise(
     field: Field, cell_m: float, clearance_m: float, whole: bool = False
 ) -> tuple[NDArray[np.bool_], float, float, float]:
@@ -164,17 +169,59 @@ def rasterise(
     rows = int(np.ceil((north - origin_y_m) / cell_m)) + 2
     x_m = origin_x_m + (np.arange(columns) + 0.5) * cell_m
     y_m = origin_y_m + (np.arange(rows) + 0.5) * cell_m
-    grid_x, grid_y = np.meshgrid(x_m, y_m)
     shapely.prepare(free)
-    blocked = ~shapely.contains_xy(free, grid_x, grid_y)
+    blocked = ~grid_inside(free, x_m, y_m)
     if whole:
         inner = field.polygon.buffer(-clearance_m - CORNER * cell_m)
-        shapely.prepare(inner)
-        border = ~blocked & ~shapely.contains_xy(inner, grid_x, grid_y)
-        x_m, y_m, half_m = grid_x[border], grid_y[border], cell_m / 2
+        border = ~blocked & ~grid_inside(inner, x_m, y_m)
+        border_rows, border_columns = np.nonzero(border)
+        x_m, y_m, half_m = x_m[border_columns], y_m[border_rows], cell_m / 2
         squares = shapely.box(x_m - half_m, y_m - half_m, x_m + half_m, y_m + half_m)
         blocked[border] = ~shapely.covers(free, squares)
     return blocked, origin_x_m, origin_y_m, cell_m
+
+
+def grid_inside(
+    area: Polygon | MultiPolygon, x_m: NDArray[np.float64], y_m: NDArray[np.float64]
+) -> NDArray[np.bool_]:
+    """Which points of a grid, [row, column], are inside of an area, not on its border.
+
+    `x_m` (columns,) and `y_m` (rows,), metres, ascending. The same as `shapely.contains_xy` of all
+    points, in a fraction of the time: along each row the area begins and ends where edges cross it. Only
+    points nearer than `BESIDE_M` to a crossing, and rows through a corner, are asked for one by one.
+    """
+    rings = [
+        shapely.get_coordinates(ring)
+        for part in getattr(area, "geoms", [area])
+        if not part.is_empty
+        for ring in (part.exterior, *part.interiors)
+    ]
+    toggles = np.zeros((len(y_m), len(x_m) + 1), np.uint8)
+    asked = np.zeros((len(y_m), len(x_m)), np.bool_)
+    for ring in rings:
+        at_corner = np.searchsorted(y_m, ring[:, 1] + BESIDE)
+        for first, last in at_corner.T:
+            asked[first:last] = True
+        low, high = ring[:-1], ring[1:]
+        down = low[:, 1] > high[:, 1]
+        low, high = np.where(down[:, None], high, low), np.where(down[:, None], low, high)
+        # Half-open: a row through a corner crosses one of its edges, or both or none.
+        first_rows = np.searchsorted(y_m, low[:, 1])
+        counts = np.searchsorted(y_m, high[:, 1]) - first_rows
+        edges = np.repeat(np.arange(len(low)), counts)
+        rows = np.arange(len(edges)) - np.repeat(np.cumsum(counts) - counts, counts)
+        rows += first_rows[edges]
+        run, rise = (high - low)[edges].T
+        crossings_m = low[edges, 0] + (y_m[rows] - low[edges, 1]) / rise * run
+        np.add.at(toggles, (rows, np.searchsorted(x_m, crossings_m)), 1)
+        first, last = np.searchsorted(x_m, crossings_m + BESIDE)
+        for near in np.flatnonzero(last > first):
+            asked[rows[near], first[near] : last[near]] = True
+    inside: NDArray[np.bool_] = np.cumsum(toggles[:, :-1], axis=1, dtype=np.uint8) % 2 == 1
+    asked_rows, asked_columns = np.nonzero(asked)
+    shapely.prepare(area)
+    inside[asked] = shapely.contains_xy(area, x_m[asked_columns], y_m[asked_rows])
+    return inside
 
 
 def joins(
