@@ -58,9 +58,12 @@ BODIES = (
     "noisy_rays",
     "stuck_implement",
 )
-# Drawn in their own profile only: the seeds of the others stay what they were.
 RAYS = ("no_rays", "stuck_rays", "noisy_rays")
+# Not drawn by the weights of most profiles, but for every run with bodies, by a random source of their
+# own: the other faults of a seed stay what they were.
 SENSES = ("jumped", "drifting", "deaf_wheels", "slipping", *RAYS, "stuck_implement")
+SENSOR_FAULTS = ("blind", "frozen", "late", *SENSES)
+SENSOR_FAULTS_MAX = 3  # of a run
 ATTACKS = ("forger", "thief")
 TRAFFIC = ("person", "vehicle")
 LINKS = (kinds.Partition, kinds.Heal, kinds.OneWay, kinds.Loss, kinds.Omission, kinds.Errors,
@@ -97,7 +100,7 @@ PROFILES = {
         (2, 5), (2, 12),
         dict.fromkeys(("partition", "one_way", "loss", "omission", "duplicate", "errors", "bus_off",
                        "babble", "clone"), 1.0),
-        "the wire alone",
+        "the wire",
     ),
     "crash": Profile((2, 4), (1, 8), {"crash": 2.0, "crash_working": 2.0, "freeze": 1.0,
                                       "drift": 0.5, "clock_jump": 0.5, "join": 0.5, "estop": 1.0,
@@ -112,8 +115,7 @@ PROFILES = {
                                      "freeze": 1.0, "estop": 1.0, "blind": 1.5, "frozen": 1.5,
                                      "late": 1.0},
                     "dropped boxes, pushed robots, lost senses, dead robots in the way"),
-    # A robot that restarts while its place is wrong cannot know it: no crashes. It does not sense its
-    # implement, which rises when no command arrives: no deaf wheels.
+    # A robot that restarts while its place is wrong cannot know it: no crashes.
     "senses": Profile((2, 4), (2, 8), {"blind": 2.0, "frozen": 2.0, "jumped": 4.0, "late": 2.0,
                                        "drifting": 2.0, "slipping": 2.0,
                                        "estop": 0.5, "loss": 0.5, "freeze": 0.5},
@@ -187,12 +189,58 @@ def draw(seed: int, profile: str = "all") -> Scenario:
             at_s = min(rng.choice(faults).at_s + rng.uniform(0.0, CLOSE_S), span.calm_at_s - 0.5)
         at_s = round(at_s, 3)
         faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_at_s)
+    if kind.mission == "field":
+        faults += sensor_faults(seed, profile, robots, span, faults)
     keys = DRAWN if kind.keyed else None
     if kind.mission == "field":
         yard = load("yard").changed(robots, seed)
         fleet = yard.fleet.model_copy(update={"keys": keys})
         return with_faults(yard.model_copy(update={"fleet": fleet}), faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
+
+
+def sensor_faults(
+    seed: int, profile: str, robots: int, span: Span, others: list[Fault]
+) -> list[Fault]:
+    """Some faults of senses, wheels or implements for the run of a seed with these other faults.
+
+    One whose effect no robot could notice, or go round, is left out.
+    """
+    rng, found = Random(f"{seed}/senses/{profile}"), list[Fault]()
+    for name in rng.choices(SENSOR_FAULTS, k=rng.randint(1, SENSOR_FAULTS_MAX)):
+        at_s = round(rng.uniform(span.first_at_s, span.calm_at_s - 0.5), 3)
+        drawn = DRAWS[name](rng, robots, at_s, span.calm_at_s)
+        found += [fault for fault in drawn if not is_beyond_notice(fault, others)]
+    return found
+
+
+def is_beyond_notice(fault: Fault, others: list[Fault]) -> bool:
+    """Whether nothing on a robot shows this fault of its senses, because of what else happens.
+
+    A robot that starts while its place is wrong cannot know it. One that starts without a scan has no
+    range sensors, and says so. One with a stuck scan does not see what comes into its way.
+    """
+    match fault:
+        case kinds.Jumped(robot=robot) | kinds.NoRays(robot=robot):
+            ends_at_s = fault.at_s + fault.for_s
+            return any(
+                getattr(each, "robot", None) == robot and begun_at_s < ends_at_s
+                for each in others
+                if (begun_at_s := _starts_from(each)) is not None
+            )
+        case kinds.StuckRays():
+            return any(isinstance(each, MOVERS) for each in others)
+    return False
+
+
+MOVERS = (kinds.Box, kinds.Person, kinds.PassingVehicle, kinds.Pushed)
+
+
+def _starts_from(fault: Fault) -> float | None:
+    """From when on a robot may start because of this fault; none: it does not."""
+    return (
+        fault.at_s if isinstance(fault, kinds.Restart | kinds.CrashWorking | kinds.Join) else None
+    )
 
 
 def span_of(scenario: Scenario) -> Span:

@@ -12,12 +12,19 @@ import pytest
 from pydantic import BaseModel
 
 from sim.chaos.fault_generators import DRAWS
-from sim.chaos.fault_profiles import PROFILES, draw, span_of, with_faults
+from sim.chaos.fault_profiles import (
+    PROFILES,
+    SENSOR_FAULTS,
+    draw,
+    is_beyond_notice,
+    span_of,
+    with_faults,
+)
 from sim.chaos.golden_story import difference, golden_path, tell
 from sim.chaos.planted_bugs import MUTANTS, planted
 from sim.chaos.shrink import shrink
 from sim.chaos.verdict import RULES, judge
-from sim.scenarios.scenario import Crash, Fault, Scenario, load
+from sim.scenarios.scenario import Box, Crash, Fault, Jumped, Restart, Scenario, StuckRays, load
 from sim.scenarios.toml_writer import to_toml
 
 ROOT = Path(__file__).parents[2]
@@ -110,6 +117,29 @@ def test_what_is_drawn_can_be_written_by_hand(profile: str, tmp_path: Path) -> N
         assert draw(seed, profile) == scenario, "the same seed, the same luck"
         seen.update(fault.kind for fault in scenario.fault)
     assert all(_kinds_of(name) & set(seen) for name in PROFILES[profile].weights)
+
+
+@pytest.mark.parametrize("profile", [n for n, p in PROFILES.items() if p.mission == "field"])
+def test_faults_of_senses_are_drawn_in_every_profile_with_bodies(profile: str) -> None:
+    """Stuck scans are not drawn where something comes into the way in nearly every run."""
+    seen: Counter[str] = Counter()
+    for seed in range(150):
+        drawn = [f for f in draw(seed, profile).fault if f.kind in SENSOR_FAULTS]
+        seen.update(f.kind for f in drawn)
+    assert set(SENSOR_FAULTS) - set(seen) <= ({"stuck_rays"} if profile == "traffic" else set())
+
+
+def test_a_fault_that_no_robot_could_notice_is_not_drawn() -> None:
+    def jumped(robot: int) -> Jumped:
+        return Jumped(at_s=20.0, kind="jumped", robot=robot, dx_m=3.0, dy_m=0.0, for_s=2.0)
+
+    starts = [Restart(at_s=21.0, kind="restart", robot=1)]
+    assert is_beyond_notice(jumped(1), [*starts]) and not is_beyond_notice(jumped(0), [*starts])
+    late = [Restart(at_s=22.5, kind="restart", robot=1)]
+    assert not is_beyond_notice(jumped(1), [*late]), "the place is right again when it starts"
+    stuck = StuckRays(at_s=20.0, kind="stuck_rays", robot=0, for_s=2.0)
+    box = Box(at_s=5.0, kind="box", x_m=0.0, y_m=0.0, for_s=9.0)
+    assert is_beyond_notice(stuck, [box]) and not is_beyond_notice(stuck, [*starts])
 
 
 def _kinds_of(name: str) -> set[str]:
