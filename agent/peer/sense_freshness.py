@@ -3,8 +3,11 @@
 An observation carries the time at which it was sensed. Without one younger than `AGE_MAX_US` the
 robot does not know where it is. A receiver with a hung filter sends the same place with new times.
 This shows when the wheels are commanded to drive and the place does not change: two control periods
-at full speed are enough to detect it, and a tenth of a metre from standstill. Spinning wheels look
-the same as a frozen place, so the robot stops in this case as well.
+at full speed are enough to detect it, and a tenth of a metre from standstill. A body that turns on the
+spot shows it by its heading. Spinning wheels look the same as a frozen place, so the robot stops in this
+case as well. What is limited is the way without a believed place, not the time: a slow body takes longer
+for a tenth of a metre. `frozen_way_m` says how far it drives, which is less than the plan leaves before
+a fence at that speed.
 
 A place is lost when its accuracy is worse than the clearances allow, or when it changes by more than the
 wheels can drive in that time. After a step back of its own clock that time is not known, and only the
@@ -33,9 +36,15 @@ from protocol.frames.fleet_frames import NOWHERE_M
 AGE_MAX_US: Final = 2 * CONTROL_PERIOD_US
 STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
 STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
-FROZEN_M: Final = 0.1  # expected displacement without a change of place, over two periods at least
+# Expected displacement without a change of place, over this many periods at least.
+FROZEN_M: Final = 0.1
+FROZEN_PERIODS: Final = 2
 FOLLOWS: Final = 0.1  # share of the expected displacement; a hung filter may still drift
 TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not frozen with the place
+# Expected turn without a change of heading or place: what a heading may be wrong by (`JUMP_RAD`). Half of
+# the commanded turn is expected, because nothing is known of how fast a body begins to turn.
+FROZEN_RAD: Final = radians(20.0)
+TURNS_SHARE: Final = 0.5
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 ACCELERATION_SHARE: Final = 0.5
 ACCELERATION_M_S2: Final = 0.5  # used if the acceleration of the body is not known
@@ -61,6 +70,30 @@ def blind_way_m(limits: BodyLimits) -> float:
     driving_for_s = (AGE_MAX_US + CONTROL_PERIOD_US) / S
     braking_m = limits.speed_m_s**2 / (2 * limits.acceleration_m_s2)
     return limits.speed_m_s * driving_for_s + braking_m
+
+
+def frozen_way_m(speed_m_s: float, limits: BodyLimits, late_for_s: float) -> float:
+    """How far a body drives at most, from the moment at which its place freezes until it stands, metres.
+
+    `speed_m_s`: its greatest speed meanwhile. `late_for_s`: from a place to its arrival. The first
+    frozen place is sensed up to a period later. What the last one decides is sent `late_for_s` and up to
+    a period later. In between the body drives what is expected, or twice that while it speeds up, and up
+    to a period more. The rest is braking.
+    """
+    period_s = CONTROL_PERIOD_US / S
+    unnoticed_m = max(FROZEN_M / ACCELERATION_SHARE, FROZEN_PERIODS * period_s * speed_m_s)
+    braking_m = speed_m_s**2 / (2 * limits.acceleration_m_s2)
+    return unnoticed_m + speed_m_s * (3 * period_s + late_for_s) + braking_m
+
+
+def frozen_for_s(speed_m_s: float, late_for_s: float) -> float:
+    """How long a body is commanded to move at most after its place has frozen, seconds.
+
+    `speed_m_s`: at which it drives all that time, above zero. `late_for_s`: as above.
+    """
+    period_s = CONTROL_PERIOD_US / S
+    unnoticed_for_s = max(FROZEN_M / speed_m_s + period_s, FROZEN_PERIODS * period_s)
+    return unnoticed_for_s + 2 * period_s + late_for_s
 
 
 class Unseen(NamedTuple):
@@ -108,10 +141,15 @@ class Senses(Part):
         self._periods = 0  # observations since the anchor
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
+        self._step_m_s = 0.0  # at which the place changed to the anchor
         # The displacement expected since then, (x, y) metres. Small commands to and fro, as of a robot
         # that waits before another one, lead nowhere.
         self._expected: tuple[float, float] = (0.0, 0.0)
         self._told_rad = 0.0  # sum of the turns commanded since the anchor
+        # The heading when it or the place changed last, and the turn expected since then. Small turns to
+        # and fro lead nowhere.
+        self._turn_anchor_rad = self._expected_rad = 0.0
+        self._turn_frozen = False  # PLACE_FROZEN was noticed by the heading
         self._unseen = NOTHING_UNSEEN  # when the place was frozen, until it changes
         self._accurate: Observation | None = None  # the last observation with an accurate place
         self._gap = False  # how long ago the last accurate place was is not known
@@ -316,12 +354,24 @@ class Senses(Part):
         if anchor is not None:
             away_m = hypot(here.x_m - anchor.x_m, here.y_m - anchor.y_m)
         self._changed = away_m > max(STAYS_M, FOLLOWS * hypot(*self._expected))
+        heading_rad = remainder(here.heading_rad - self._turn_anchor_rad, 2 * pi)
+        turned = abs(heading_rad) > max(TURNED_RAD, FOLLOWS * abs(self._expected_rad))
+        if anchor is None or self._changed or turned:
+            self._turn_anchor_rad, self._expected_rad = here.heading_rad, 0.0
         if anchor is None or self._changed:
             passed_for_us = sensed_at_us - self._anchor_at_us
-            self._expected_m_s = away_m * S / passed_for_us if passed_for_us > 0 else 0.0
+            step_m_s = away_m * S / passed_for_us if passed_for_us > 0 else 0.0
+            # A place that freezes between two fixes cuts the last step short: the one before tells
+            # how fast the body was.
+            before_m_s = self._step_m_s if anchor and passed_for_us <= AGE_MAX_US else 0.0
+            self._expected_m_s, self._step_m_s = max(step_m_s, before_m_s), step_m_s
             self._anchor, self._anchor_at_us = here, sensed_at_us
             self._periods, self._expected_m, self._told_rad = 0, 0.0, 0.0
             self._expected = (0.0, 0.0)
+            self._turn_frozen = False
+            return ""
+        if turned and self._turn_frozen:
+            self._changed, self._turn_frozen = True, False
             return ""
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         # After the lifetime of the command it is void.
@@ -332,10 +382,13 @@ class Senses(Part):
         step_m = self._expected_m_s * passed_for_s
         self._expected_m += step_m
         self._expected = self._expected[0] + step_m * ux, self._expected[1] + step_m * uy
-        self._told_rad += abs(self._drive.turn_rad_s) * passed_for_s
+        turn_rad = self._drive.turn_rad_s * passed_for_s
+        self._told_rad += abs(turn_rad)
+        self._expected_rad += TURNS_SHARE * turn_rad
         self._periods += 1
         expected_m = hypot(*self._expected)
-        if expected_m < FROZEN_M or self._periods < 2:
+        by_turn = abs(self._expected_rad) >= FROZEN_RAD
+        if (expected_m < FROZEN_M and not by_turn) or self._periods < FROZEN_PERIODS:
             return ""
         # A body with the acceleration of its limits is faster than expected by this.
         self._unseen = Unseen(
@@ -343,6 +396,12 @@ class Senses(Part):
             self._expected_m_s / ACCELERATION_SHARE,
             self._told_rad,
         )
+        if expected_m < FROZEN_M:
+            self._turn_frozen = True
+            return (
+                f"told to turn by {degrees(abs(self._expected_rad) / TURNS_SHARE):.0f} degrees, "
+                f"turned by {degrees(abs(heading_rad)):.1f}"
+            )
         return f"told to drive {expected_m:.2f} m, moved {away_m * 1000:.0f} mm"
 
     def _told(self, here: Observation, anchor: Observation) -> tuple[tuple[float, float], float]:

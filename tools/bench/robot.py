@@ -26,10 +26,13 @@ from typing import Final, NamedTuple
 
 from shapely.geometry import Point, Polygon
 
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.vehicle import Vehicle
+from agent.peer.sense_freshness import blind_way_m, frozen_way_m
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.ready_kernels import are_ready
 from sim.files.strict_json import dumps
-from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
+from sim.machines.nmea_machine import LATENCY_S, Dimensions, NmeaMachine, WheeledBody
 from tools.bench import long_day
 from tools.bench.figure import Figure, percentile
 from tools.common.child_process import ROOT, module_command
@@ -39,15 +42,16 @@ ROBOTS: Final = 6
 TRIALS, QUICK_TRIALS = 500, 1  # of each fault, in all robots together
 FAULTS: Final = ("muted", "frozen", "jumped", "late")
 RADIUS_M, SPEED_M_S = 0.8, 1.5
+ACCELERATION_M_S2: Final = Vehicle().acceleration_m_s2  # declared; the machines brake harder
 MARGIN_M: Final = (
     0.3  # of the clearance to a fence: what a robot drives before it knows, and its accuracy
 )
 STOPS_S: Final = 0.3  # from the fault to the last command to move
-# A frozen place shows after 0.1 m of expected travel: at `DRIVES_M_S`, and two periods of noticing it. A
-# robot that brakes for a turn meanwhile takes longer, so its way counts as well: expected is half of what
-# its acceleration allows (0.2 m), and it drives for two periods and the life of a command more (0.3 m).
+# What is limited is the way without a believed place, from the fault until the machine stands, by its
+# greatest speed (`agent.peer.sense_freshness`). The time of a frozen place is limited from this speed on:
+# it takes 0.42 s at most (`frozen_for_s`), and the system and this process may take 0.03 s.
 FROZEN_STOPS_S: Final = 0.45
-FROZEN_WAY_M: Final = 0.5
+WORKS_M_S: Final = 0.4
 DRIVES_M_S: Final = 0.3  # a trial begins at this speed
 POLL_S: Final = 0.005
 BETWEEN_S: Final = 0.3, 1.5  # of driving, before the next fault
@@ -119,10 +123,13 @@ class LostPlaceTrial(NamedTuple):
 
     fault: str
     stopped_after_s: float  # until the last command to move
-    driven_m: float  # until then
+    driven_m: float  # until it stands, or until the fault is over
+    fastest_m_s: float  # meanwhile
+    slowest_m_s: float  # until the last command to move
     outside_m: float  # of the body, beyond the field
     returned: bool  # it went on by itself
     witness_went_on: bool  # the robot that has no trials
+    order: str = ""  # that its machine was given
 
 
 class Yard:
@@ -227,7 +234,7 @@ class Yard:
             await asyncio.sleep(self.rng.uniform(*BETWEEN_S))
             if not await self.until_drives(slot, UP_S):
                 self.trials.append(
-                    LostPlaceTrial(fault, 0.0, 0.0, self.outside_m(machine), False, True)
+                    LostPlaceTrial(fault, 0.0, 0.0, 0.0, 0.0, self.outside_m(machine), False, True)
                 )
                 continue
             await self._trial(slot, machine, fault)
@@ -240,20 +247,31 @@ class Yard:
         }.get(fault, [])  # fmt: skip
         before_m = self.machines[WITNESS].truth().driven_m
         start_at_s = time.monotonic()
-        assert machine.order([fault, *map(str, values), str(for_s)]) == b"ok"
+        order = [fault, *map(str, values), str(for_s)]
+        assert machine.order(order) == b"ok"
         told_at_s, outside_m = start_at_s, 0.0
-        from_m = driven_m = machine.truth().driven_m
+        truth = before = machine.truth()
+        fastest_m_s = slowest_m_s = abs(truth.ahead_m_s)
         while (now_s := time.monotonic()) < start_at_s + for_s:
             truth = machine.truth()
+            fastest_m_s = max(fastest_m_s, abs(truth.ahead_m_s))
             if truth.is_told_to_move:
-                told_at_s, driven_m = now_s, truth.driven_m
+                told_at_s, slowest_m_s = now_s, min(slowest_m_s, abs(truth.ahead_m_s))
             outside_m = max(outside_m, self.outside_m(machine))
             await asyncio.sleep(POLL_S)
         returned = await self.until_drives(slot, BACK_S)
         went_on = await self._until_witness(before_m + WENT_ON_M)
         self.trials.append(
             LostPlaceTrial(
-                fault, told_at_s - start_at_s, driven_m - from_m, outside_m, returned, went_on
+                fault,
+                told_at_s - start_at_s,
+                truth.driven_m - before.driven_m,
+                fastest_m_s,
+                slowest_m_s,
+                outside_m,
+                returned,
+                went_on,
+                " ".join([fault, *(f"{each:.2f}" for each in (*values, for_s))]),
             )
         )
 
@@ -309,18 +327,7 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
         own = [trial for trial in yard.trials if trial.fault == fault]
         if not own:
             continue
-        stops_s = [trial.stopped_after_s for trial in own]
-        limit_s = FROZEN_STOPS_S if fault == "frozen" else STOPS_S
-        yield Figure(
-            f"{fault}: last command to move after the fault, worst of {len(own)}", max(stops_s), "s",
-            f"<= {limit_s}", max(stops_s) <= limit_s, "",
-            f"median {percentile(stops_s, 0.5):.3f} s; {scope}",
-        )  # fmt: skip
-        way_m = max(trial.driven_m for trial in own)
-        judged = fault == "frozen"
-        yield Figure(f"{fault}: driven until then, worst of {len(own)}", way_m, "m",
-                     f"<= {FROZEN_WAY_M}" if judged else "", way_m <= FROZEN_WAY_M if judged else None,
-                     "", scope)  # fmt: skip
+        yield from way_figures(fault, own, scope)
         outside_m = max(max(trial.outside_m - MARGIN_M, 0.0) for trial in own)
         yield Figure(f"{fault}: beyond the margin of {MARGIN_M} m, worst of {len(own)}", outside_m, "m",
                      "0", outside_m == 0.0, "", scope)  # fmt: skip
@@ -348,6 +355,43 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
         yield from driver_figures()
     if not quick:
         yield from long_day.figures(quick, seed)
+
+
+def way_limit_m(trial: LostPlaceTrial) -> float:
+    """How far a machine may drive without a believed place until it stands, by its greatest speed."""
+    limits = BodyLimits(RADIUS_M, trial.fastest_m_s, ACCELERATION_M_S2)
+    if trial.fault == "frozen":
+        return frozen_way_m(trial.fastest_m_s, limits, LATENCY_S)
+    return blind_way_m(limits)
+
+
+def way_figures(fault: str, trials: list[LostPlaceTrial], scope: str) -> Iterator[Figure]:
+    """Of one fault: the way that machines drove without a believed place, and how long they were told
+    to."""
+    ways = [(trial.driven_m / max(way_limit_m(trial), 1e-9), trial) for trial in trials]
+    share, worst = max(ways)
+    yield Figure(
+        f"{fault}: way until it stands, share of what its speed allows, worst of {len(trials)}",
+        share, "", "<= 1", share <= 1.0, "",
+        f"{worst.driven_m:.3f} m of {way_limit_m(worst):.3f} m at {worst.fastest_m_s:.2f} m/s; longest "
+        f"way of all {max(trial.driven_m for trial in trials):.3f} m; {scope}",
+    )  # fmt: skip
+    limit_s, timed = STOPS_S, [trial.stopped_after_s for trial in trials]
+    about, note = "", f"median {percentile(timed, 0.5):.3f} s; "
+    if fault == "frozen":
+        slow = [t.stopped_after_s for t in trials if t.slowest_m_s < WORKS_M_S]
+        timed = [t.stopped_after_s for t in trials if t.slowest_m_s >= WORKS_M_S]
+        limit_s, about = FROZEN_STOPS_S, f" at {WORKS_M_S} m/s or more"
+        note += f"slower, worst of {len(slow)}: {max(slow, default=0.0):.3f} s; "
+    slowest = max(trials, key=lambda trial: trial.stopped_after_s)
+    note += f"the longest of all {slowest.stopped_after_s:.3f} s, after {slowest.order!r}; "
+    gone = [trial.order for trial in trials if not trial.returned]
+    note += f"did not go on after {gone}; " if gone else ""
+    if timed:
+        yield Figure(
+            f"{fault}{about}: last command to move after the fault, worst of {len(timed)}", max(timed),
+            "s", f"<= {limit_s}", max(timed) <= limit_s, "", note + scope,
+        )  # fmt: skip
 
 
 def process_figures(field: str, yard: Yard, memory_mb: list[float], scope: str) -> Iterator[Figure]:

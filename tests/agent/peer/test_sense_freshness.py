@@ -3,18 +3,27 @@
 from collections.abc import Callable, Iterable
 from math import hypot, inf, nan, pi, radians
 from random import Random
+from typing import NamedTuple
 
 import numpy as np
 import pytest
 
+from agent.avoidance.orca_kernel import FENCE_S
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, GONE_QUIET_US, MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
-from agent.motion.holonomic_motion import HolonomicMotion
+from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
 from agent.peer.inputs import BusState, Heard, Hold, Sensed, Start, Timer
-from agent.peer.sense_freshness import AGE_MAX_US, FROZEN_M, STEADY_US, Senses
+from agent.peer.sense_freshness import (
+    AGE_MAX_US,
+    FROZEN_M,
+    STEADY_US,
+    Senses,
+    frozen_for_s,
+    frozen_way_m,
+)
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
@@ -358,3 +367,130 @@ def test_a_frozen_place_that_drifts_slowly_is_frozen(drift_m_s: float) -> None:
         robot.period()
     assert robot.held == {StopCause.PLACE_FROZEN}
     assert robot.x_m - hung_x_m <= SPEED_M_S * 0.2
+
+
+LATE_FOR_S, STEP_US = 0.02, 5 * MS  # of a receiver; of the integrator below
+
+
+class FrozenDrive(NamedTuple):
+    """What an integrator says of a body whose place froze."""
+
+    way_m: float  # from then until it stands
+    told_for_s: float  # from then until it was last told to move
+    fastest_m_s: float
+    slowest_m_s: float  # until it was last told to move
+
+
+def frozen_drive(
+    from_m_s: float, told_m_s: float, turn_rad_s: float, phase_us: int, limit_m_s2: float
+) -> FrozenDrive:
+    """A body is told one speed and turn while its place is frozen; its senses alone decide.
+
+    Fixes come each period, `phase_us` after the control, and `LATE_FOR_S` late. The wheels do what the
+    limits of the body allow."""
+    safety = peer_in(State.WORKING, None).safety
+    motion = HolonomicMotion(0, BodyLimits(0.8, SPEED_M_S, limit_m_s2), np.empty((0, 4)))
+    senses = Senses(safety, motion, drives=True)
+    freezes_at_us = 2 * S + phase_us + 1 * MS  # a moment after a fix: the next one comes latest
+    x_m, heading_rad, v_m_s, told = 0.0, 0.0, from_m_s, told_m_s
+    way_m = told_until_us = 0.0
+    fastest_m_s, slowest_m_s = 0.0, inf
+    fixes: list[Observation] = []
+    hung: Observation | None = None
+    for now_us in range(0, 20 * S, STEP_US):
+        frozen = now_us >= freezes_at_us
+        goal_m_s = told if frozen else from_m_s  # it drives steadily before
+        most_m_s = limit_m_s2 * STEP_US / S
+        v_m_s += min(max(goal_m_s - v_m_s, -most_m_s), most_m_s)
+        x_m += v_m_s * STEP_US / S
+        heading_rad += (turn_rad_s if told else 0.0) * STEP_US / S
+        if frozen:
+            way_m += v_m_s * STEP_US / S
+            fastest_m_s = max(fastest_m_s, v_m_s)
+        fix = Observation(x_m, 0.0, heading_rad, v_m_s, 0.0, sensed_at_us=now_us)
+        if frozen:
+            hung = hung or fix
+            fix = hung._replace(sensed_at_us=now_us)
+        if now_us % CONTROL_PERIOD_US == phase_us:
+            fixes.append(fix)
+        if now_us % CONTROL_PERIOD_US == 0:
+            arrived = [f for f in fixes if f.sensed_at_us + LATE_FOR_S * S <= now_us]
+            if not arrived:
+                continue
+            senses.listens_direct[Sensed](Sensed(arrived[-1]), now_us)
+            senses.look(now_us)
+            if safety.holds(StopCause.PLACE_FROZEN):
+                told = 0.0
+            elif frozen:
+                told_until_us, slowest_m_s = now_us - freezes_at_us, min(slowest_m_s, v_m_s)
+            drive_m_s = told if frozen else from_m_s
+            senses.drove(HALT._replace(vx_m_s=drive_m_s, turn_rad_s=turn_rad_s if told else 0.0))
+        if frozen and told == v_m_s == 0.0:
+            break
+    period_s = CONTROL_PERIOD_US / S  # a command is in force until the next one
+    return FrozenDrive(
+        way_m, told_until_us / S + period_s, fastest_m_s, min(slowest_m_s, v_m_s or inf)
+    )
+
+
+@pytest.mark.parametrize("phase_us", [0, 15 * MS, 35 * MS])
+@pytest.mark.parametrize("told_m_s", [0.05, 0.13, 0.3, 0.4, 0.7, 1.5, 2.5])
+@pytest.mark.parametrize("from_m_s", [0.0, 0.13, 0.5, 1.5, 2.5])
+@pytest.mark.parametrize("limit_m_s2", [0.5, 1.5])
+def test_the_way_without_a_place_that_froze_is_limited_at_every_speed(
+    from_m_s: float, told_m_s: float, phase_us: int, limit_m_s2: float
+) -> None:
+    """Found by `headland bench robot`: a machine that braked for a turn was told to move for 0.788 s. It
+    was slow. The way counts, and what the time is at its speed follows."""
+    found = frozen_drive(from_m_s, told_m_s, 0.0, phase_us, limit_m_s2)
+    limits = BodyLimits(0.8, SPEED_M_S, limit_m_s2)
+    assert 0.0 < found.way_m <= frozen_way_m(found.fastest_m_s, limits, LATE_FOR_S)
+    if from_m_s >= told_m_s:  # at the speed that it is told, or faster
+        assert found.told_for_s <= frozen_for_s(told_m_s, LATE_FOR_S)
+
+
+@pytest.mark.parametrize("limit_m_s2", [0.3, 0.5, 1.5, 3.0])
+def test_the_way_without_a_place_that_froze_ends_before_the_fence(limit_m_s2: float) -> None:
+    """The plan is towards a fence no faster than half of the acceleration can brake, nor than the
+    distance to it over `FENCE_S`, from `FENCE_M` before it."""
+    for speed_m_s in np.linspace(0.0, SPEED_M_S, 101):
+        room_m = FENCE_M + max(speed_m_s**2 / limit_m_s2, FENCE_S * speed_m_s)
+        limits = BodyLimits(0.8, SPEED_M_S, limit_m_s2)
+        assert frozen_way_m(speed_m_s, limits, LATE_FOR_S) <= room_m + 1e-9
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.3, -1.0, 3.0])
+def test_a_frozen_place_stops_a_robot_that_turns_on_the_spot(turn_rad_s: float) -> None:
+    """It has no way to miss: before, it turned for ever."""
+    found = frozen_drive(0.0, 0.0, turn_rad_s, 0, 1.5)
+    assert found.told_for_s <= 2 * radians(20.0) / abs(turn_rad_s) + 0.4
+
+
+def test_small_turns_to_and_fro_and_a_heading_that_follows_are_not_frozen() -> None:
+    safety = peer_in(State.WORKING, None).safety
+    senses = Senses(safety, None, drives=True)
+    heading_rad = 0.0
+    for period in range(1, 1_000):
+        now_us = period * CONTROL_PERIOD_US
+        turn_rad_s = 1.0 if period < 500 or period % 2 else -1.0
+        heading_rad += 0.2 * turn_rad_s * CONTROL_PERIOD_US / S if period < 500 else 0.0
+        seen = Observation(0.0, 0.0, heading_rad, 0.0, 0.0, sensed_at_us=now_us)
+        senses.listens_direct[Sensed](Sensed(seen), now_us)
+        senses.look(now_us)
+        senses.drove(HALT._replace(turn_rad_s=turn_rad_s))
+        assert not safety.holds(StopCause.PLACE_FROZEN)
+
+
+def test_a_place_that_froze_while_it_turned_is_believed_when_the_heading_changes() -> None:
+    safety = peer_in(State.WORKING, None).safety
+    senses = Senses(safety, None, drives=True)
+    held = []
+    for period in range(1, 60):
+        now_us = period * CONTROL_PERIOD_US
+        heading_rad = 1.0 if period >= 50 else 0.0  # the true one; it stands by then
+        seen = Observation(0.0, 0.0, heading_rad, 0.0, 0.0, sensed_at_us=now_us)
+        senses.listens_direct[Sensed](Sensed(seen), now_us)
+        senses.look(now_us)
+        held.append(safety.holds(StopCause.PLACE_FROZEN))
+        senses.drove(HALT if held[-1] else HALT._replace(turn_rad_s=1.0))
+    assert held[40] and not held[-1] and not safety.holds(StopCause.PLACE_LOST)
