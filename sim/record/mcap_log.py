@@ -12,7 +12,7 @@ topics use the same clock.
 """
 
 import json
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -39,7 +39,7 @@ CHUNK_BYTES = 256 * 1024
 SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
 MAGIC = b"\x89MCAP0\r\n"  # a file begins with it; a file that was closed also ends with it
 SAID_MAX = 120  # characters quoted from a reader's message on a damaged file
-CAN_TOPIC = "/can"
+CAN_TOPIC, THINGS_TOPIC, ROBOT_TOPICS = "/can", "/things", "/robots/"
 MCAP = "run.mcap"  # in the folder of a run
 CAN_FRAME = """std_msgs/Header header
 uint32 id
@@ -116,7 +116,7 @@ class McapLog:
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
         """Append an intent to the topic of its robot, and now and then its picture to `/scene`."""
         slot = int(intent["slot"])
-        self._add(f"/robots/{slot}", INTENT, t_us, intent_message(intent))
+        self._add(f"{ROBOT_TOPICS}{slot}", INTENT, t_us, intent_message(intent))
         if t_us - self._drawn_at_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
             self._drawn_at_us[slot] = t_us
             radius_m = float((self.scene or {}).get("radius_m", 0.5))
@@ -125,7 +125,7 @@ class McapLog:
 
     def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
         """Append the obstacles that stand from `t_us` on: rows of `sim.world.walls`, metres."""
-        self._add("/things", THINGS, t_us, things_message([list(row) for row in rows]))
+        self._add(THINGS_TOPIC, THINGS, t_us, things_message([list(row) for row in rows]))
 
     def effect(self, slot: int, t_us: int, effect: Effect) -> None:
         """Write only the effects that are meant for people."""
@@ -155,8 +155,8 @@ class McapLog:
 
 def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
     """(microseconds, frame), in order. ValueError if the file is no MCAP."""
-    for t_us, topic, data in _messages(path, [CAN_TOPIC]):
-        if topic == CAN_TOPIC and len(data) == CDR.size:
+    for t_us, _, data in _messages(path, CAN_TOPIC.__eq__):
+        if len(data) == CDR.size:
             *_, identifier, _, _, _, length, payload = CDR.unpack(data)
             yield t_us, Frame(identifier & 0x1FFFFFFF, payload[: min(length, 8)])
 
@@ -179,14 +179,19 @@ def add_notes(recording: Recording, path: Path) -> None:
 
 
 def _add_notes(recording: Recording, path: Path) -> None:
-    for t_us, topic, data in _messages(path, None):
+    for t_us, topic, data in _messages(path, _is_note):
         try:
-            if topic.startswith("/robots/"):
-                recording.tell(t_us, intent_of_message(dict(json.loads(data))))
-            elif topic == "/things":
+            if topic == THINGS_TOPIC:
                 recording.place(t_us, things_of_message(json.loads(data)))
+            else:
+                recording.tell(t_us, intent_of_message(dict(json.loads(data))))
         except (KeyError, TypeError, ValueError, RecursionError):
             raise ValueError(f"{topic} is damaged") from None
+
+
+def _is_note(topic: str) -> bool:
+    """What a `Recording` keeps beside frames."""
+    return topic == THINGS_TOPIC or topic.startswith(ROBOT_TOPICS)
 
 
 def _scene(path: Path) -> Scene | None:
@@ -203,11 +208,11 @@ def _scene(path: Path) -> Scene | None:
     return None
 
 
-def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, bytes]]:
-    """Messages in the order of writing; a truncated end is skipped. ValueError if a part in the
-    middle is damaged, OSError."""
+def _messages(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[int, str, bytes]]:
+    """Messages of the topics that are wanted, in the order of writing; a truncated end is skipped.
+    ValueError if a part in the middle is damaged, OSError."""
     _import()
-    from mcap.reader import NonSeekingReader
+    from sim.record.mcap_chunks import messages_of
 
     check_regular(path)
     size = path.stat().st_size
@@ -215,11 +220,10 @@ def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, 
         file.seek(max(0, size - len(MAGIC)))
         whole = file.read() == MAGIC
         file.seek(0)
-        reader = NonSeekingReader(file, validate_crcs=True)
-        messages = reader.iter_messages(topics=topics, log_time_order=False)
+        messages = messages_of(file, wanted)
         while True:
             try:
-                _, channel, message = next(messages)
+                log_time_ns, topic, data = next(messages)
             except StopIteration:
                 return
             # The reader and its decompressors raise undocumented exceptions.
@@ -228,4 +232,4 @@ def _messages(path: Path, topics: list[str] | None) -> Iterator[tuple[int, str, 
                     return
                 said = " ".join(str(problem).split()) or type(problem).__name__
                 raise ValueError(f"not an MCAP file, or damaged: {said[:SAID_MAX]}") from None
-            yield message.log_time // 1000, channel.topic, message.data
+            yield log_time_ns // 1000, topic, data

@@ -156,7 +156,7 @@ def intent_message(intent: dict[str, Any]) -> dict[str, Any]:
 
 def intent_of_message(message: dict[str, Any]) -> dict[str, Any]:
     """The inverse; also for files with pairs. KeyError, TypeError, ValueError."""
-    lists = {name: [_pair(point) for point in message[name]] for name in POINTS if name in message}
+    lists = {name: _pairs(message[name]) for name in POINTS if name in message}
     wanted = {WANTED: _pair(message[WANTED])} if WANTED in message else {}
     return {**message, **wanted, **lists}
 
@@ -179,6 +179,13 @@ def things_of_message(message: dict[str, Any]) -> list[list[float]]:
 def _xy(point: XY | list[float]) -> dict[str, float]:
     x, y = point
     return {"x": x, "y": y}
+
+
+def _pairs(points: Any) -> list[list[float]]:
+    try:
+        return [[point["x"], point["y"]] for point in points]
+    except TypeError:  # pairs, or a mixture
+        return [_pair(point) for point in points]
 
 
 def _pair(point: Any) -> list[float]:

@@ -139,6 +139,10 @@ class Inspector:
             self.limits = SenderLimits(round(t_s * 1e6))
         self.bits += bits_of(len(frame.data))
         self.load.hear(t_s, len(frame.data))
+        self._read(t_s, frame)
+
+    def _read(self, t_s: float, frame: Frame) -> None:
+        """What a frame says, once it is counted."""
         if self.makers.refuse(frame):
             return
         source, message = decode(frame)
@@ -156,7 +160,7 @@ class Inspector:
         if isinstance(message, Member):
             self._member(t_s, source, message)
         slot = self.slot_of.get(source)
-        self.causality.hear(t_s, frame, slot, message)
+        self._explain(t_s, frame, slot, message)
         if isinstance(message, EmergencyStop):
             if not message.spent:
                 self.stops.setdefault(message[:3], t_s)
@@ -175,6 +179,10 @@ class Inspector:
         robot.frames[kind] += 1
         self._suspect(slot, message, round(t_s * 1e6))
         self._robot(t_s, robot, kind, message)
+
+    def _explain(self, t_s: float, frame: Frame, slot: int | None, message: Any) -> None:
+        """Keep what may have led to a claim."""
+        self.causality.hear(t_s, frame, slot, message)
 
     def _suspect(self, slot: int, message: Any, now_us: int) -> None:
         """Count what is more than this robot can honestly say, before it is taken in."""

@@ -2,13 +2,15 @@
 
 import sys
 from collections.abc import Callable, Iterator
-from itertools import count
+from itertools import count, islice
 from pathlib import Path
 
 from agent.runtime.files.given_file import check_regular
 from protocol.frames.frame import Frame
-from sim.files.candump import read_candump
+from sim.files.candump import FrameColumns, read_columns
 from sim.files.log_parts import parts_of
+
+ROWS = 4096  # of a log that is read frame by frame
 
 
 class SourceError(Exception):
@@ -19,35 +21,52 @@ def frames_of(
     source: Path, other: Callable[[], object] = lambda: None
 ) -> Iterator[tuple[int, Frame]]:
     """Frames of a run folder, a candump log, an MCAP, or any log python-can reads (.asc .blf .csv
-    .trc). `other` is called for each frame with an 11-bit identifier, and for each remote or error
-    frame. SourceError, also where there is no frame in it."""
-    empty = True
-    for row in _frames_of(source, other):
-        empty = False
-        yield row
-    if empty:
-        raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
+    .trc). `other` is called for each frame with an 11-bit identifier, and for each remote, error or
+    CAN FD frame. SourceError, also where there is no frame in it."""
+    for columns in columns_of(source, other):
+        yield from columns.rows()
 
 
-def _frames_of(source: Path, other: Callable[[], object]) -> Iterator[tuple[int, Frame]]:
+def columns_of(source: Path, other: Callable[[], object] = lambda: None) -> Iterator[FrameColumns]:
+    """The frames of `frames_of`, some thousand at a time. SourceError."""
     path = source / "can.log" if source.is_dir() else source
     if source.is_dir() and not path.is_file():
         path = source / "run.mcap"
     if not path.is_file():
         raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
-    if path.suffix == ".log":
-        damaged = count()
-        try:
-            frames = False
-            for part in parts_of(path):
-                for row in read_candump(part, lambda: next(damaged), other):
-                    frames = True
-                    yield row
-        except OSError as problem:
-            raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
-        if (lines := next(damaged)) and frames:
-            print(f"headland: {path}: {lines} damaged lines are left out", file=sys.stderr)
-        return
+    empty = True
+    for columns in _of_candump(path, other) if path.suffix == ".log" else _of_rows(path, other):
+        empty = empty and not columns.t_us
+        yield columns
+    if empty:
+        raise SourceError(f"{source}: no CAN frame is in it: not a log, or nothing was said")
+
+
+def _of_candump(path: Path, other: Callable[[], object]) -> Iterator[FrameColumns]:
+    damaged, frames = count(), False
+    try:
+        for part in parts_of(path):
+            for columns in read_columns(part, lambda: next(damaged), other):
+                frames = frames or bool(columns.t_us)
+                yield columns
+    except OSError as problem:
+        raise SourceError(f"{path}: cannot be read: {problem.strerror}") from None
+    if (lines := next(damaged)) and frames:
+        print(f"headland: {path}: {lines} damaged lines are left out", file=sys.stderr)
+
+
+def _of_rows(path: Path, other: Callable[[], object]) -> Iterator[FrameColumns]:
+    rows = _frames_of(path, other)
+    while some := list(islice(rows, ROWS)):
+        yield FrameColumns(
+            [t_us for t_us, _ in some],
+            [frame.identifier for _, frame in some],
+            bytes([len(frame.data) for _, frame in some]),
+            b"".join([frame.data.ljust(8, b"\0") for _, frame in some]),
+        )
+
+
+def _frames_of(path: Path, other: Callable[[], object]) -> Iterator[tuple[int, Frame]]:
     if path.suffix == ".mcap":
         from sim.record.mcap_log import McapMissing, read_frames
 
@@ -64,7 +83,8 @@ def _frames_of(source: Path, other: Callable[[], object]) -> Iterator[tuple[int,
     try:
         check_regular(path)
         for message in can.LogReader(path):
-            if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
+            beyond = message.is_error_frame or message.is_remote_frame or message.is_fd
+            if message.is_extended_id and not beyond:
                 yield (
                     round(message.timestamp * 1e6),
                     Frame(message.arbitration_id, bytes(message.data)),

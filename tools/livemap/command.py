@@ -30,7 +30,7 @@ from sim.record.scene import Scene, in_folder
 from tools.common.bus_attach import LAUNCH, AttachError, attach
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
-from tools.inspect.log_frames import SourceError, frames_of
+from tools.inspect.log_frames import SourceError, columns_of
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port
@@ -206,8 +206,8 @@ def recorded(source: Path, scene: Scene | None) -> Recording:
             recording = read_recording(path)
         else:
             recording = Recording(_scene_beside(source))
-            for t_us, frame in frames_of(source):
-                recording.write(t_us, frame)
+            for columns in columns_of(source):
+                recording.extend(columns)
             beside = (source if source.is_dir() else source.parent) / MCAP
             if beside.is_file():
                 add_notes(recording, beside)

@@ -37,11 +37,7 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
                       "its reproduction with headland run, and report that.")  # fmt: skip
         yield _campaign(evidence)
         return
-    history = History(evidence.zero_at_us)
-    for number in range(recording.first, recording.count):
-        t_us, frame = recording[number]
-        history.hear(t_us / 1e6, frame)
-    history.close()
+    history = History(evidence.zero_at_us).hear_all(recording)
     faults = _faults(evidence)
     scene = recording.scene
     told = sorted([*faults, *history.seen], key=lambda event: event.t_s)

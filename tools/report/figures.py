@@ -42,9 +42,10 @@ def figure_of(width: float, height: float) -> tuple[Figure, Any]:
     """A figure of this width and height, in inches of `DPI` pixels, and its axes. Without pyplot:
     nothing is kept, and no screen is looked for."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure as Plain
 
-    figure = Plain(figsize=(width, height), dpi=DPI, layout="constrained")
+    from tools.report.laid_out_figure import LaidOutFigure
+
+    figure = LaidOutFigure(figsize=(width, height), dpi=DPI, layout="constrained")
     FigureCanvasAgg(figure)
     return figure, figure.add_subplot()
 

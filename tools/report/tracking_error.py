@@ -6,20 +6,24 @@ place to the piece it is on and all later pieces. Where a new path begins there 
 that stands is not counted, because it would count for as long as it stands.
 """
 
-from collections.abc import Iterable
-from math import hypot, sqrt
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+from math import hypot, inf, isfinite, sqrt
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 Points = NDArray[np.float64]  # (n, 2)
+# While it is followed, a line is a list: of five points, numpy takes ten times as long.
+XY = tuple[float, float]
+Line = list[XY]
 
 SAME_M = 0.05  # intents are rounded to a centimetre, and paths with bends are thinned to a metre
 MOVES_M_S = 0.05
 SKIP_M = 0.5  # between two intents a robot drives at most this: 0.2 s at 2.5 m/s
-NONE: Points = np.empty((0, 2))
 STALE_US = 1_000_000  # after a longer silence the line that it followed is unknown
+SHORT_M2 = 1e-12  # a shorter piece of a line is a point
 
 
 class Sample(NamedTuple):
@@ -50,77 +54,105 @@ class Following(NamedTuple):
         return max((sample.off_m for sample in self.samples), default=float("nan"))
 
 
+class _Robot(NamedTuple):
+    lines: list[Line]
+    samples: list[Sample]
+
+
 def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_at_us: int) -> list[Following]:
     """From a recording's intents; what makes no sense in them is passed over."""
-    robots: dict[int, Following] = {}
+    robots: dict[int, _Robot] = {}
     # When it was sent, and the line from the piece it is on.
-    now: dict[int, tuple[int, Points]] = {}
+    now: dict[int, tuple[int, Line]] = {}
     for t_us, intent in intents:
         told = _told(intent)
         if told is None:
             continue
         slot, here, speed_m_s, path, tool = told
-        robot = robots.setdefault(slot, Following(slot, [], []))
-        at_us, line = now.pop(slot, (t_us, NONE))
-        if not len(path):
+        robot = robots.get(slot)
+        if robot is None:
+            robot = robots[slot] = _Robot([], [])
+        at_us, line = now.pop(slot, (t_us, []))
+        if not path:
             continue
-        rest, more = _rest(line, path) if t_us - at_us <= STALE_US else (NONE, path)
-        if not len(rest) or _skips(here, line, rest):
-            rest = np.vstack([here, path])
+        gone, rest, more = _rest(line, path) if t_us - at_us <= STALE_US else ([], [], path)
+        off_m = _off_m(here, rest)
+        if not rest or off_m - min(_off_m(here, gone), off_m) > SKIP_M:
+            # A short cut of a new plan rejoins the old line: the robot is on what the rest leaves out.
+            rest = [here, *path]
             robot.lines.append(rest)
         else:
-            robot.lines[-1] = np.vstack([robot.lines[-1], more])
+            if more:
+                robot.lines[-1] = [*robot.lines[-1], *more]
             if speed_m_s >= MOVES_M_S:
-                off_m = float(_distances(here[None, :], rest).min())
-                robot.samples.append(
-                    Sample((t_us - zero_at_us) / 1e6, float(here[0]), float(here[1]), off_m, tool)
-                )
+                robot.samples.append(Sample((t_us - zero_at_us) / 1e6, *here, off_m, tool))
         now[slot] = (t_us, rest)
-    return [robots[slot] for slot in sorted(robots)]
+    return [
+        Following(slot, [np.array(line) for line in robot.lines], robot.samples)
+        for slot, robot in sorted(robots.items())
+    ]
 
 
-def _told(intent: dict[str, Any]) -> tuple[int, Points, float, Points, bool] | None:
+def _told(intent: dict[str, Any]) -> tuple[int, XY, float, Line, bool] | None:
     try:
-        here = np.array([intent["x"], intent["y"]], dtype=float)
-        path = np.array(intent["path"], dtype=float).reshape(-1, 2)
+        here = (float(intent["x"]), float(intent["y"]))
+        path = _line(intent["path"])
         speed_m_s = hypot(intent["vx"], intent["vy"])
         slot = int(intent["slot"])
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, OverflowError):
         return None
-    if not (np.isfinite(here).all() and np.isfinite(path).all()):
+    if not all(isfinite(x) and isfinite(y) for x, y in (here, *path)):
         return None
     return slot, here, speed_m_s, path, bool(intent.get("tool", False))
 
 
-def _rest(line: Points, path: Points) -> tuple[Points, Points]:
-    """The piece that is being driven with what is left, and by what it has grown; none: another way.
+def _line(path: Any) -> Line:
+    try:
+        return [(x * 1.0, y * 1.0) for x, y in path]
+    except (ValueError, TypeError):  # no list of pairs of numbers; numpy may still make sense of it
+        return [(x, y) for x, y in np.array(path, dtype=float).reshape(-1, 2).tolist()]
+
+
+def _rest(line: Line, path: Line) -> tuple[Line, Line, Line]:
+    """What is left out of the line; the piece that is being driven with what is left; and by what it has
+    grown. Without a rest: another way.
 
     The end of a long way is not told at first (`sim.record.robot_intent.POINTS_MAX`), so it may grow.
     """
     if len(line) < 2:
-        return NONE, path
+        return [], [], path
     keep = len(line) - len(path)
-    if keep >= 1 and np.array_equal(line[keep:], path):
-        return line[keep - 1 :], NONE
-    to_end = _distances(line[-1:], np.vstack([path, path[-1:]]))[0]
+    if keep >= 1 and line[keep:] == path:
+        return line[:keep], line[keep - 1 :], []
+    to_end = _distances(line[-1:], [*path, path[-1]])[0]
     known = int(to_end.argmin()) + 1  # points of the path up to where the line ends
+    if to_end.min() > SAME_M:
+        return [], [], path
     distances = _distances(path[:known], line)
-    if to_end.min() > SAME_M or distances.min(axis=1).max() > SAME_M:
-        return NONE, path
-    return np.vstack([line[int(distances[0].argmin())], path]), path[known:]
+    if distances.min(axis=1).max() > SAME_M:
+        return [], [], path
+    return line, [line[int(distances[0].argmin())], *path], path[known:]
 
 
-def _skips(here: Points, line: Points, rest: Points) -> bool:
-    """A short cut of a new plan rejoins the old line: the robot is on what the rest leaves out."""
-    off_line, off_rest = (_distances(here[None, :], each).min() for each in (line, rest))
-    return bool(off_rest - off_line > SKIP_M)
+def _off_m(here: XY, line: Line) -> float:
+    """From a place to a line; infinite where the line has no piece."""
+    (x, y), least_m2 = here, inf
+    for (ax, ay), (bx, by) in pairwise(line):
+        along_x, along_y, from_x, from_y = bx - ax, by - ay, x - ax, y - ay
+        square = along_x * along_x + along_y * along_y
+        t = (from_x * along_x + from_y * along_y) / (square if square > SHORT_M2 else SHORT_M2)
+        t = 0.0 if t < 0.0 else 1.0 if t > 1.0 else t
+        off_x, off_y = from_x - t * along_x, from_y - t * along_y
+        least_m2 = min(least_m2, off_x * off_x + off_y * off_y)
+    return sqrt(least_m2)
 
 
-def _distances(points: Points, line: Points) -> Points:
+def _distances(points: Sequence[XY], line: Line) -> Points:
     """(points, segments), metres."""
-    a, b = line[:-1], line[1:]
+    of, corners = np.array(points), np.array(line)
+    a, b = corners[:-1], corners[1:]
     along = b - a
-    square = np.maximum((along**2).sum(axis=1), 1e-12)
-    from_a = points[:, None, :] - a[None, :, :]
+    square = np.maximum((along**2).sum(axis=1), SHORT_M2)
+    from_a = of[:, None, :] - a[None, :, :]
     t = np.clip((from_a * along[None, :, :]).sum(axis=2) / square, 0.0, 1.0)
     return np.asarray(np.linalg.norm(from_a - t[:, :, None] * along[None, :, :], axis=2))

@@ -1,0 +1,93 @@
+"""What a report leaves out or computes in another way changes none of its figures."""
+
+import io
+from random import Random
+
+import numpy as np
+import pytest
+from matplotlib import rc_context
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
+from protocol.frames.frame import Frame
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
+from sim.record.recording import Recording
+from tools.report import timeline
+from tools.report.laid_out_figure import LaidOutFigure
+from tools.report.timeline import History
+from tools.report.tracking_error import _distances, _off_m
+
+
+def heard(seed: int) -> Recording:
+    """Robots that pose, are silent, stop, come back under another address, and a foreign device."""
+    rng, recording, t_us = Random(seed), Recording(), 0
+    for _ in range(3000):
+        t_us += rng.choice(
+            [10_000, 20_000, 20_000, 20_000, 1_500_000 if rng.random() < 0.02 else 0]
+        )
+        slot = rng.randrange(4)
+        source = 0x80 + slot + (rng.random() < 0.05)
+        say = rng.random()
+        if say < 0.8:
+            data = encode(
+                Pose(rng.uniform(-9, 9), 1.0, 0.0, rng.choice([0.0, 1.0, 12.75]), rng.randrange(5),
+                     rng.random() < 0.1, 255), source,
+            )  # fmt: skip
+            if rng.random() < 0.02:
+                data = Frame(data.identifier, rng.randbytes(rng.randrange(9)))
+        elif say < 0.88:
+            data = encode(Member(slot, rng.randrange(3), 7), source)
+        elif say < 0.94:
+            leaving = rng.random() < 0.1
+            beat = Heartbeat(1, rng.randrange(5), False, False, True, leaving, 1.0, 3, 4)
+            data = encode(beat, source)
+        elif say < 0.97:
+            data = encode(EmergencyStop(slot, 1, rng.randrange(9), 1), source)
+        elif say < 0.99:
+            data = encode(EmergencyReset(slot, 1, rng.randrange(9), 201), 0xF1)
+        else:
+            data = encode(AddressClaimed(rng.getrandbits(63)), source)
+        recording.write(t_us, data)
+    return recording
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_poses_by_the_short_way_say_what_they_say_as_all_frames_do(
+    seed: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = heard(seed)
+    short = History().hear_all(recording)
+    monkeypatch.setattr(timeline, "POSE_PGN", -1)
+    long = History().hear_all(recording)
+    assert short.places and short.pressed and short.malformed, f"seed {seed}"
+    for name in ("places", "states", "held", "pressed", "seen", "loads", "malformed", "now_s"):
+        assert getattr(short, name) == getattr(long, name), f"seed {seed}, {name}"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_distance_is_that_of_numpy_to_the_last_bit(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    line = [(x, y) for x, y in (rng.integers(-300, 300, (rng.integers(2, 9), 2)) / 7).tolist()]
+    line.insert(1, line[0])  # a piece without a length
+    for x, y in (rng.integers(-400, 400, (20, 2)) / 11).tolist():
+        assert _off_m((x, y), line) == _distances([(x, y)], line).min(), f"seed {seed}"
+
+
+def test_a_figure_that_is_drawn_once_is_the_one_that_is_drawn_twice() -> None:
+    def svg(kind: type[Figure]) -> bytes:
+        figure = kind(figsize=(6, 3), layout="constrained")
+        FigureCanvasAgg(figure)
+        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
+        above.plot([0, 3], [5, 1], label="a long name beside it")
+        below.barh([1, 2, 3], [4, 5, 6], left=[0, 1, 2])
+        below.set_ylabel("rows")
+        above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
+        buffer = io.BytesIO()
+        with rc_context({"svg.hashsalt": "headland"}):
+            figure.savefig(buffer, format="svg", metadata={"Date": None})
+        return buffer.getvalue()
+
+    assert svg(LaidOutFigure) == svg(Figure)
