@@ -1,4 +1,8 @@
-"""The only module that imports python-can here: wraps a `can.BusABC` as the `Bus` of a runner."""
+"""The only module that imports python-can here: wraps a `can.BusABC` as the `Bus` of a runner.
+
+python-can looks for plug-ins in every installed package when it is imported, which is a third of the
+start of a tool. So it is imported with the first bus, and not by a tool that finds none, or reads a log.
+"""
 
 import asyncio
 import os
@@ -6,15 +10,13 @@ import socket
 import sys
 from collections import deque
 from collections.abc import Callable
-from typing import Any, Final
-
-import can
+from typing import TYPE_CHECKING, Any, Final
 
 from protocol.controller_health import Health, told_by
 from protocol.frames.frame import Frame
 
-ACTIVE = can.BusState.ACTIVE
-
+if TYPE_CHECKING:
+    import can
 
 # Interfaces that return an own frame when it has been sent, and mark it. SocketCAN does so by the
 # echo of the driver, the others by the receipt of the controller. `virtual` is a queue in this
@@ -31,9 +33,11 @@ class CanBus:
     """Any python-can bus. Frames that cannot be used are counted; nothing here raises while
     running."""
 
-    def __init__(self, bus: can.BusABC, confirms: bool = False) -> None:
+    def __init__(self, bus: "can.BusABC", confirms: bool = False) -> None:
         """`confirms`: whether the bus was opened with `receive_own_messages`."""
-        self.bus = bus
+        import can
+
+        self.bus, self._can = bus, can
         self._direct_sent = hasattr(bus, "sent")
         self._confirmed: int | None = 0 if confirms else None
         self._unconfirmed: deque[Frame] = deque(maxlen=UNCONFIRMED_MAX)
@@ -48,7 +52,7 @@ class CanBus:
         if self._submit is not None:
             taken = self._submit(frame)
         else:
-            message = can.Message(
+            message = self._can.Message(
                 arbitration_id=frame.identifier, data=frame.data, is_extended_id=True, check=False
             )
             try:
@@ -56,7 +60,7 @@ class CanBus:
                     self._unconfirmed.append(frame)
                 self.bus.send(message, timeout=0)
                 taken = True
-            except (can.CanError, OSError, ValueError):
+            except (self._can.CanError, OSError, ValueError):
                 taken = False
                 if self._unconfirmed:
                     self._unconfirmed.pop()
@@ -66,13 +70,14 @@ class CanBus:
     @property
     def health(self) -> Health:
         """Health of the controller, from the interface or else from its error frames."""
+        states = self._can.BusState
         try:
             state = self.bus.state
-        except (NotImplementedError, can.CanError, OSError):
+        except (NotImplementedError, self._can.CanError, OSError):
             return self._told
-        if state is ACTIVE:
+        if state is states.ACTIVE:
             return self._told
-        return Health.OFF if state is can.BusState.ERROR else Health.PASSIVE
+        return Health.OFF if state is states.ERROR else Health.PASSIVE
 
     @property
     def sent(self) -> int | None:
@@ -82,7 +87,7 @@ class CanBus:
             return told
         return self._confirmed
 
-    def _is_own(self, message: can.Message) -> bool:
+    def _is_own(self, message: "can.Message") -> bool:
         """Whether this is our own frame returned. SocketCAN marks frames of other local programs
         too."""
         if message.is_rx or self._confirmed is None:
@@ -102,7 +107,7 @@ class CanBus:
             direct(callback)
             return
 
-        def heard(message: can.Message) -> None:
+        def heard(message: "can.Message") -> None:
             if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
                 if self._is_own(message):
                     return
@@ -112,7 +117,7 @@ class CanBus:
             if message.is_error_frame:
                 self._told = told_by(message.arbitration_id, bytes(message.data), self._told)
 
-        self._notifier = can.Notifier(self.bus, [heard], loop=asyncio.get_running_loop())
+        self._notifier = self._can.Notifier(self.bus, [heard], loop=asyncio.get_running_loop())
 
     def close(self) -> None:
         """Stop receiving and close the interface; the bus cannot be used afterwards."""
@@ -125,6 +130,8 @@ class CanBus:
 def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: Any) -> CanBus:
     """Open a bus by python-can's own options, at `bitrate` bit/s where the interface has one;
     raises the interface's exceptions."""
+    import can
+
     # The interface has no bit rate of its own. Without tcp_tune, TCP delays small frames.
     if interface == "socketcand":
         bus = can.Bus(interface=interface, channel=channel, tcp_tune=True, **options)
@@ -137,7 +144,7 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
     return CanBus(bus, bool(options.get("receive_own_messages")) and interface in CONFIRMING)
 
 
-def _hear_own_group_alone(bus: can.BusABC) -> None:
+def _hear_own_group_alone(bus: "can.BusABC") -> None:
     """Linux gives a socket the messages of every group that any program of the machine has joined. Two
     fleets on one machine would hear each other, with equal addresses, stops and all."""
     if sys.platform != "linux":

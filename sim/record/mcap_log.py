@@ -161,13 +161,15 @@ def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
             yield t_us, Frame(identifier & 0x1FFFFFFF, payload[: min(length, 8)])
 
 
-def read_recording(path: Path) -> Recording:
-    """The whole recording, all parts. McapMissing; ValueError if the file is no MCAP."""
+def read_recording(path: Path, notes: bool = True) -> Recording:
+    """The whole recording, all parts; its intents and things only with `notes`. McapMissing; ValueError
+    if the file is no MCAP."""
     recording = Recording(_scene(path))
     for part in parts_of(path):
         for t_us, frame in read_frames(part):
             recording.write(t_us, frame)
-    add_notes(recording, path)
+    if notes:
+        add_notes(recording, path)
     recording.close()
     return recording
 

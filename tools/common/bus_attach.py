@@ -13,6 +13,7 @@ from tools.common.process_identity import lives
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
+Attached = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
 # What python-can logs when an interface cannot be opened, it also raises: one line is enough.
 logging.getLogger("can").addHandler(logging.NullHandler())

@@ -27,3 +27,15 @@ def patient() -> Iterator[None]:
     finally:
         gc.collect()
         gc.set_threshold(*before)
+
+
+@contextmanager
+def uncollected() -> Iterator[None]:
+    """While a command makes many objects and keeps them: looking through them finds nothing."""
+    enabled = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if enabled:
+            gc.enable()

@@ -198,26 +198,53 @@ class MapThread:
 # -------------------------------------------------------------------- recordings
 
 
-def recorded(source: Path, scene: Scene | None) -> Recording:
-    """Of a run folder or any log. Raises SourceError and McapMissing."""
+def recorded(source: Path, scene: Scene | None, notes: bool = True) -> Recording:
+    """Of a run folder or any log; its intents and things only with `notes`. Raises SourceError and
+    McapMissing."""
     path = source / MCAP if source.is_dir() and not (source / "can.log").is_file() else source
-    try:
+    with _one_line(source):
         if path.suffix == ".mcap":
-            recording = read_recording(path)
+            recording = read_recording(path, notes)
         else:
             recording = Recording(_scene_beside(source))
             for columns in columns_of(source):
                 recording.extend(columns)
-            beside = (source if source.is_dir() else source.parent) / MCAP
-            if beside.is_file():
-                add_notes(recording, beside)
+            if notes:
+                _note(recording, source)
+    recording.scene = scene or recording.scene
+    recording.close()
+    return recording
+
+
+def recorded_notes(source: Path) -> Recording:
+    """What `recorded` leaves out without notes. Raises SourceError and McapMissing."""
+    recording = Recording()
+    with _one_line(source):
+        _note(recording, source)
+    return recording
+
+
+def _note(recording: Recording, source: Path) -> None:
+    path = notes_file(source)
+    if path.is_file():
+        add_notes(recording, path)
+
+
+def notes_file(source: Path) -> Path:
+    """Where a recording has what does not go over the bus."""
+    if source.suffix == ".mcap" and not source.is_dir():
+        return source
+    return (source if source.is_dir() else source.parent) / MCAP
+
+
+@contextlib.contextmanager
+def _one_line(source: Path) -> Iterator[None]:
+    try:
+        yield
     except ValueError as problem:
         raise SourceError(f"{source}: {problem}") from None
     except OSError as problem:
         raise SourceError(f"{source}: cannot be read: {problem.strerror}") from None
-    recording.scene = scene or recording.scene
-    recording.close()
-    return recording
 
 
 def _scene_of(scenario: str) -> Scene:

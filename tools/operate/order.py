@@ -7,7 +7,7 @@ from pathlib import Path
 from protocol.frames.operator_frames import ReportKind, goal_frames
 from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_attach import Attached, AttachError, attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG, listen_to
@@ -26,7 +26,6 @@ CONFIRMED = {
     "set-goal": (Command.SET_GOAL, (ReportKind.UNDER_WAY, ReportKind.ARRIVED)),
     "start": (Command.START, ()),
 }
-Attached = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
 def order(

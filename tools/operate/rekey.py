@@ -12,12 +12,11 @@ from protocol.frames.frame import Frame
 from protocol.frames.key_frames import KeysHeld
 from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_attach import Attached, AttachError, attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG
 from tools.operate.operator_device import Operator
-from tools.operate.order import Attached
 
 LISTEN_S = 0.7  # every robot has beaten by then
 PART_S = 0.004  # between two frames: seven for each of 108 robots take 3 s, an eighth of the bus

@@ -1,17 +1,18 @@
 """The chapters of a report: a picture, a short table, all values as CSV; or why there is none."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from math import isfinite
 from statistics import median
 from typing import Any, NamedTuple
 
+from sim.record.recording import Recording
 from sim.record.scene import Scene
 from tools.common.release_records import records_or_none
 from tools.report import figures as drawing
 from tools.report.run_data import RunEvidence
 from tools.report.timeline import SILENT, History, Stop, TimelineEvent
-from tools.report.tracking_error import Following, followed
+from tools.report.tracking_error import followed
 
 ROWS_MAX = 40  # most rows of a table on the page; the CSV has them all
 Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
@@ -29,8 +30,14 @@ class Chapter(NamedTuple):
     missing: str = ""  # why there is nothing to see
 
 
-def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
-    """Every chapter that this evidence has something for, in the order of the page."""
+Planned = Callable[[Scene | None, int], Iterable[Chapter]]  # as `planned_chapters`
+
+
+def chapters(evidence: RunEvidence, planned: Planned | None = None) -> Iterator[Chapter]:
+    """Every chapter that this evidence has something for, in the order of the page.
+
+    `planned`: gives the chapters of planned ways, from elsewhere than the intents of the evidence.
+    """
     recording = evidence.recording
     if recording is None:
         yield Chapter("frames", "The run", "", missing="A campaign keeps verdicts and no frames: run "
@@ -48,7 +55,10 @@ def chapters(evidence: RunEvidence) -> Iterator[Chapter]:
     yield _stops(history)
     yield from _releases(evidence)
     yield _tracks(scene, history)
-    yield from _planned(scene, followed(recording.intents, evidence.zero_at_us))
+    if planned is None:
+        yield from planned_chapters(recording, scene, evidence.zero_at_us)
+    else:
+        yield from planned(scene, evidence.zero_at_us)
     yield _load(history, bitrate if isinstance(bitrate, int) and bitrate > 0 else 250_000, marks)
     yield _states(history, marks)
 
@@ -92,7 +102,11 @@ def _tracks(scene: Scene | None, history: History) -> Chapter:
                    values=(head, rows))  # fmt: skip
 
 
-def _planned(scene: Scene | None, robots: Sequence[Following]) -> Iterator[Chapter]:
+def planned_chapters(
+    recording: Recording, scene: Scene | None, zero_at_us: int
+) -> Iterator[Chapter]:
+    """What robots meant to drive, and how they kept to it."""
+    robots = followed(recording.intents, zero_at_us)
     title = "Planned against executed"
     about = (
         "Dotted: the ways that the robots planned. Solid: where they drove on them. The error is the "

@@ -1,19 +1,24 @@
-"""`headland report`: a run as one HTML page with its pictures, and SVG and CSV beside it."""
+"""`headland report`: a run as one HTML page with its pictures, and SVG and CSV beside it.
+
+numpy and matplotlib are imported behind the start of the second process, which needs them, too.
+"""
 
 import csv
 import sys
 from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
 from urllib.parse import quote
-
-from rich.console import Console
 
 from sim.files.strict_json import dumps
 from sim.record.mcap_log import McapMissing
+from tools.common.gc_collector import uncollected
 from tools.inspect.log_frames import SourceError
-from tools.report.chapter import Chapter, chapters
-from tools.report.page import page
-from tools.report.run_data import RunEvidence, gather
+from tools.report.planned_aside import planned_aside
+
+if TYPE_CHECKING:
+    from tools.report.chapter import Chapter
+    from tools.report.run_data import RunEvidence
 
 WRONG = 2
 PAGE = "report.html"
@@ -22,19 +27,13 @@ PAGE = "report.html"
 def report(source: Path, out: Path | None, as_json: bool) -> int:
     """The exit code of `headland report`: 0, or 2 where the source cannot be read or the page
     cannot be written. A SourceError becomes a line."""
-    console = Console(stderr=True)
     out = _place(source) if out is None else out
     try:
         if out.suffix not in (".html", ".htm"):
             raise SourceError(
                 f"-o {out}: a page ends in .html; its pictures go into a folder beside"
             )
-        with console.status(f"reading {source}") as status:
-            evidence = gather(source)
-            found = []
-            for chapter in chapters(evidence):
-                status.update(f"{source}: {chapter.title.lower()}")
-                found.append(chapter)
+        evidence, found = _read(source)
         write(out, evidence, found)
     except (SourceError, McapMissing) as problem:
         print(f"headland: {problem}", file=sys.stderr)
@@ -56,13 +55,32 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
     return 0
 
 
+def _read(source: Path) -> "tuple[RunEvidence, list[Chapter]]":
+    """Raises SourceError and McapMissing."""
+    with uncollected(), planned_aside(source) as planned:
+        from rich.console import Console
+
+        from tools.report.chapter import chapters
+        from tools.report.run_data import gather
+
+        with Console(stderr=True).status(f"reading {source}") as status:
+            evidence = gather(source, intents=planned is None)
+            found = []
+            for chapter in chapters(evidence, planned):
+                status.update(f"{source}: {chapter.title.lower()}")
+                found.append(chapter)
+    return evidence, found
+
+
 def _place(source: Path) -> Path:
     """In the run's folder; beside a log, with its name, so that two logs have two pages."""
     return source / PAGE if source.is_dir() else source.with_suffix(".html")
 
 
-def write(out: Path, evidence: RunEvidence, found: Sequence[Chapter]) -> None:
+def write(out: Path, evidence: "RunEvidence", found: "Sequence[Chapter]") -> None:
     """The page, and the folder of its name beside it. OSError."""
+    from tools.report.page import page
+
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
     for chapter in found:

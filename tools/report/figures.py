@@ -51,10 +51,14 @@ def figure_of(width: float, height: float) -> tuple[Figure, Any]:
 
 
 class Drawn:
-    """A finished picture, as SVG for the page and as PNG for Python."""
+    """A finished picture, as SVG for the page and as PNG for Python. What another process gets of it is
+    the SVG."""
 
     def __init__(self, figure: Figure) -> None:
         self._figure = figure
+
+    def __getstate__(self) -> dict[str, bytes]:
+        return {"svg": self.svg}
 
     @cached_property
     def svg(self) -> bytes:

@@ -38,15 +38,16 @@ class RunEvidence(NamedTuple):
         return [f for f in faults if isinstance(f, dict) and isinstance(f.get("t_s"), int | float)]
 
 
-def gather(source: Path) -> RunEvidence:
-    """Of a run folder or a log. Raises SourceError and McapMissing."""
+def gather(source: Path, intents: bool = True) -> RunEvidence:
+    """Of a run folder or a log; with the intents of its robots, or without. Raises SourceError and
+    McapMissing."""
     folder = source if source.is_dir() else source.parent
     figures = _plain(folder / REPORT)
     campaign = _plain(source / CAMPAIGN) if source.is_dir() else {}
     logs = ("can.log", "run.mcap")
     if campaign and not any((source / log).is_file() for log in logs):
         return RunEvidence(source, None, figures, campaign, 0)
-    recording = recorded(source, None)
+    recording = recorded(source, None, intents)
     if not recording.count:
         raise SourceError(f"{source}: there is no frame in it: not a CAN log, or nothing was said")
     # Virtual time begins at 0; a launch or a real bus has the clock of its computer.

@@ -1,6 +1,10 @@
 """What a report leaves out or computes in another way changes none of its figures."""
 
 import io
+import os
+import signal
+import sys
+from pathlib import Path
 from random import Random
 
 import numpy as np
@@ -15,7 +19,13 @@ from protocol.frames.frame import Frame
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from sim.record.recording import Recording
+from sim.runs.field_run import FieldRun
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import load
+from tools.common.run_recorder import RunRecorder
+from tools.report import planned_aside as aside
 from tools.report import timeline
+from tools.report.command import report
 from tools.report.laid_out_figure import LaidOutFigure
 from tools.report.timeline import History
 from tools.report.tracking_error import _distances, _off_m
@@ -91,3 +101,67 @@ def test_a_figure_that_is_drawn_once_is_the_one_that_is_drawn_twice() -> None:
         return buffer.getvalue()
 
     assert svg(LaidOutFigure) == svg(Figure)
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Ten seconds of three robots."""
+    pytest.importorskip("mcap", reason="the extra `operator` is not installed")
+    out = tmp_path_factory.mktemp("run")
+    scenario = load("small").changed(3, 31)
+    limit = scenario.run.model_copy(update={"time_limit_s": 10.0})
+    setting = FieldSetup(scenario.model_copy(update={"run": limit}))
+    keeping = RunRecorder(setting, out)
+    FieldRun(setting, out, attach=keeping).run()
+    keeping.close()
+    return out
+
+
+def use_two_processes(monkeypatch: pytest.MonkeyPatch, two: bool) -> None:
+    """The tests have threads of their own, which only wait."""
+    monkeypatch.setattr(aside.threading, "active_count", lambda: 1 if two else 2)
+    monkeypatch.setattr(aside.os, "cpu_count", lambda: 2)
+
+
+LINUX = pytest.mark.skipif(sys.platform != "linux", reason="a report forks on Linux alone")
+
+
+@LINUX
+def test_a_report_by_two_processes_is_the_same(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name, both in (("one", False), ("two", True)):
+        use_two_processes(monkeypatch, both)
+        with aside.planned_aside(run) as planned:
+            assert (planned is not None) is both
+        (tmp_path / name).mkdir()
+        assert report(run, tmp_path / name / "page.html", True) == 0
+    one, two = tmp_path / "one", tmp_path / "two"
+    for path in filter(Path.is_file, one.rglob("*")):
+        assert path.read_bytes() == (two / path.relative_to(one)).read_bytes(), path.name
+    assert (two / "page" / "planned.svg").is_file()
+
+
+@LINUX
+def test_what_the_second_process_cannot_read_is_one_line(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_two_processes(monkeypatch, True)
+    data = (run / "run.mcap").read_bytes()
+    middle = data.index(b"zstd") + 400
+    (tmp_path / "run.mcap").write_bytes(data[:middle] + b"\xff" * 400 + data[middle + 400 :])
+    (tmp_path / "can.log").write_bytes((run / "can.log").read_bytes())
+    assert report(tmp_path, None, False) == 2
+    said = capsys.readouterr().err
+    assert said.startswith("headland: ") and "damaged" in said and said.count("\n") == 1
+
+
+@LINUX
+def test_a_second_process_that_is_killed_is_one_line(
+    run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    use_two_processes(monkeypatch, True)
+    monkeypatch.setattr(aside, "_work", lambda source, pipe: os.kill(os.getpid(), signal.SIGKILL))
+    assert report(run, tmp_path / "page.html", False) == 2
+    said = capsys.readouterr().err
+    assert "was ended" in said and said.count("\n") == 1
