@@ -61,10 +61,10 @@ def _of_chunk(
         if end > size:
             raise ValueError("a record of a chunk ends outside of it")
         if opcode == message:
-            channel, _, log_time_ns, _ = read_message(data, at)
+            channel, _, written_at_ns, _ = read_message(data, at)
             topic = topics[channel] if channel in topics else _topic(topics, channel)
             if topic is not None:
-                yield log_time_ns, topic, data[at + own_head : end]
+                yield written_at_ns, topic, data[at + own_head : end]
         elif opcode == Opcode.CHANNEL:
             for each in breakup_chunk(_alone(chunk, data[at - head : end])):
                 assert isinstance(each, Channel)

@@ -225,7 +225,7 @@ def _messages(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[int, 
         messages = messages_of(file, wanted)
         while True:
             try:
-                log_time_ns, topic, data = next(messages)
+                written_at_ns, topic, data = next(messages)
             except StopIteration:
                 return
             # The reader and its decompressors raise undocumented exceptions.
@@ -234,4 +234,4 @@ def _messages(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[int, 
                     return
                 said = " ".join(str(problem).split()) or type(problem).__name__
                 raise ValueError(f"not an MCAP file, or damaged: {said[:SAID_MAX]}") from None
-            yield log_time_ns // 1000, topic, data
+            yield written_at_ns // 1000, topic, data

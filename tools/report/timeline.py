@@ -144,7 +144,8 @@ class History(Inspector):
         elif slot is not None:
             robot = self.robots[slot]
             robot.last_s = t_s
-            self._robot(t_s, robot, "Pose", message)
+            assert isinstance(message, Pose)
+            self._placed(t_s, robot, message)
 
     def _explain(self, t_s: float, frame: Frame, slot: int | None, message: Any) -> None:
         """A report does not ask for causes, nor who is suspected."""
@@ -200,7 +201,7 @@ class History(Inspector):
 
     def _robot(self, t_s: float, robot: Seen, kind: str, message: Any) -> None:
         if type(message) is Pose:
-            self._placed(t_s, robot, kind, message)
+            self._placed(t_s, robot, message)
             return
         super()._robot(t_s, robot, kind, message)
         match message:
@@ -219,14 +220,17 @@ class History(Inspector):
                     self.seen.append(TimelineEvent(t_s, "question", f"robot {robot.slot}", what))
                 self._release_asked_s = t_s
 
-    def _placed(self, t_s: float, robot: Seen, kind: str, pose: Pose) -> None:
+    def _placed(self, t_s: float, robot: Seen, pose: Pose) -> None:
         x_m, y_m, _, speed_m_s, state, stopped, *_ = pose
-        if pose.placed:
-            place = BusAddress(t_s, x_m, y_m, speed_m_s, stopped)
-            self.places.setdefault(robot.slot, []).append(place)
+        placed = pose.placed
+        if placed:
+            track = self.places.get(robot.slot)
+            if track is None:
+                track = self.places[robot.slot] = []
+            track.append(BusAddress(t_s, x_m, y_m, speed_m_s, stopped))
         if STATE_NAMES[state] != robot.state:
-            self._state(t_s, robot, state, kind)
-        if stopped and pose.placed:
+            self._state(t_s, robot, state, "Pose")
+        if stopped and placed:
             self._stands(t_s, robot.slot, speed_m_s <= STANDS_M_S / 2)
 
     def _section(self, t_s: float, section: int) -> None:

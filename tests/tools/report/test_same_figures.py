@@ -119,8 +119,8 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def use_two_processes(monkeypatch: pytest.MonkeyPatch, two: bool) -> None:
     """The tests have threads of their own, which only wait."""
-    monkeypatch.setattr(aside.threading, "active_count", lambda: 1 if two else 2)
-    monkeypatch.setattr(aside.os, "cpu_count", lambda: 2)
+    monkeypatch.setattr("threading.active_count", lambda: 1 if two else 2)
+    monkeypatch.setattr("os.cpu_count", lambda: 2)
 
 
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="a report forks on Linux alone")
