@@ -30,7 +30,8 @@ class Chapter(NamedTuple):
     missing: str = ""  # why there is nothing to see
 
 
-Planned = Callable[[Scene | None, int], Iterable[Chapter]]  # as `planned_chapters`
+# As `planned_chapters`, but of somebody who is told early and asked for the chapters later.
+Planned = Callable[[Scene | None, int], Callable[[], Iterable[Chapter]]]
 
 
 def chapters(evidence: RunEvidence, planned: Planned | None = None) -> Iterator[Chapter]:
@@ -44,9 +45,10 @@ def chapters(evidence: RunEvidence, planned: Planned | None = None) -> Iterator[
                       "its reproduction with headland run, and report that.")  # fmt: skip
         yield _campaign(evidence)
         return
-    history = History(evidence.zero_at_us).hear_all(recording)
+    scene, zero_at_us = recording.scene, evidence.zero_at_us
+    begun = None if planned is None else planned(scene, zero_at_us)
+    history = History(zero_at_us).hear_all(recording)
     faults = _faults(evidence)
-    scene = recording.scene
     told = sorted([*faults, *history.seen], key=lambda event: event.t_s)
     marks = [event for event in told if drawing.is_mark(event)]
     bitrate = (scene or {}).get("bitrate", history.load.bitrate)
@@ -55,10 +57,7 @@ def chapters(evidence: RunEvidence, planned: Planned | None = None) -> Iterator[
     yield _stops(history)
     yield from _releases(evidence)
     yield _tracks(scene, history)
-    if planned is None:
-        yield from planned_chapters(recording, scene, evidence.zero_at_us)
-    else:
-        yield from planned(scene, evidence.zero_at_us)
+    yield from planned_chapters(recording, scene, zero_at_us) if begun is None else begun()
     yield _load(history, bitrate if isinstance(bitrate, int) and bitrate > 0 else 250_000, marks)
     yield _states(history, marks)
 

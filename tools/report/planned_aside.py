@@ -8,8 +8,8 @@ or where there is one core, `planned_aside` gives None, and everything is done h
 import os
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 @contextmanager
 def planned_aside(source: Path) -> "Iterator[Planned | None]":
-    """Begin with the planned ways of a run or log; what is given waits for their chapters.
+    """Begin with the planned ways of a run or log. What is given is told the scene and the beginning;
+    what that returns waits for the chapters.
 
     It raises what `gather` raises for a damaged file, and SourceError if the process was ended.
     """
@@ -37,11 +38,15 @@ def planned_aside(source: Path) -> "Iterator[Planned | None]":
     process.start()
     there.close()
 
-    def planned(scene: Any, zero_at_us: int) -> "list[Chapter]":
+    def planned(scene: Any, zero_at_us: int) -> "Callable[[], list[Chapter]]":
+        with suppress(OSError):  # it was ended; that is told where its chapters are waited for
+            here.send((scene, zero_at_us))
+        return chapters
+
+    def chapters() -> "list[Chapter]":
         from tools.inspect.log_frames import SourceError
 
         try:
-            here.send((scene, zero_at_us))
             found = here.recv()
         except (EOFError, OSError):
             raise SourceError(
@@ -49,8 +54,8 @@ def planned_aside(source: Path) -> "Iterator[Planned | None]":
             ) from None
         if isinstance(found, Exception):
             raise found
-        chapters: list[Chapter] = found
-        return chapters
+        drawn: list[Chapter] = found
+        return drawn
 
     try:
         yield planned
