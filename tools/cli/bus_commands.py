@@ -170,8 +170,8 @@ def say(
 
     Example: headland say "send the nearest robot to the gate"
     """
-    from tools.language.say import Options
     from tools.language.say import say as command
+    from tools.language.say_options import Options
 
     bus = (interface, channel, bitrate, host, port)
     options = Options(

@@ -24,7 +24,7 @@ from tools.language.outcome import Outcome
 from tools.language.parse import read
 from tools.language.places import Places, PlacesError
 from tools.language.question import Question, QuestionReason
-from tools.language.say import Options, own_queue
+from tools.language.say_options import Options, own_queue
 from tools.language.view import as_heard
 from tools.operate.reset import operator_keyring
 

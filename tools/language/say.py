@@ -6,31 +6,11 @@ What reads phrases is imported once a bus is there: it is half of the start of t
 import asyncio
 import sys
 from importlib.util import find_spec
-from pathlib import Path
-from typing import NamedTuple
 
-from tools.common.bus_attach import Attached, AttachError, address_of_launch, folder_of_launch
-from tools.common.run_folder import QUEUE, RUNS
+from tools.common.bus_attach import AttachError, address_of_launch
+from tools.language.say_options import Options
 
 WRONG = 2
-
-
-class Options(NamedTuple):
-    """As given on the command line."""
-
-    bus: Attached
-    key: Path | None = None
-    places: Path | None = None
-    queue: Path | None = None  # None: in the folder of the launch whose bus it is
-    by: str | None = None
-    endpoint: str | None = None
-    model: str = "default"
-    timeout_s: float = 5.0
-    wait: bool = True  # until goals that are queued were given
-    yes: bool = False
-    read_only: bool = False  # show how phrases are read, and do nothing
-    log: Path | None = None
-    as_json: bool = False
 
 
 def say(words: list[str], options: Options) -> int:
@@ -64,9 +44,3 @@ def _find_launch(options: Options) -> None:
 def _wrong(message: str) -> int:
     print(f"headland: {message}", file=sys.stderr)
     return WRONG
-
-
-def own_queue(bus: Attached) -> Path:
-    """Goals of a launch are in its folder: the next fleet, on another field, does not get them."""
-    interface, _, _, host, port = bus
-    return (folder_of_launch(interface, host, port) or RUNS) / QUEUE

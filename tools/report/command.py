@@ -33,8 +33,9 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
             raise SourceError(
                 f"-o {out}: a page ends in .html; its pictures go into a folder beside"
             )
-        evidence, found = _read(source)
-        write(out, evidence, found)
+        with uncollected():
+            evidence, found = _read(source)
+            write(out, evidence, found)
     except (SourceError, McapMissing) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -57,7 +58,7 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
 
 def _read(source: Path) -> "tuple[RunEvidence, list[Chapter]]":
     """Raises SourceError and McapMissing."""
-    with uncollected(), planned_aside(source) as planned:
+    with planned_aside(source) as planned:
         from rich.console import Console
 
         from tools.report.chapter import chapters

@@ -7,7 +7,7 @@ import pytest
 
 from tools.common.bus_attach import LAUNCH
 from tools.common.run_folder import QUEUE, RUNS
-from tools.language.say import Options, own_queue
+from tools.language.say_options import Options, own_queue
 
 
 def bus(port: int, interface: str = "socketcand") -> Options:

@@ -22,7 +22,8 @@ from tools.language.endpoint import ANSWER_BYTES_MAX, Endpoint, EndpointError, m
 from tools.language.intent import Goal
 from tools.language.places import Places
 from tools.language.question import Question
-from tools.language.say import Options, say
+from tools.language.say import say
+from tools.language.say_options import Options
 
 ROOT = Path(__file__).parents[3]
 
