@@ -14,8 +14,8 @@ from agent.field.field_map import grid_inside
 def same(area: Polygon | MultiPolygon, cell_m: float) -> int:
     """How many points are inside; both ways must agree on each."""
     west, south, east, north = (0.0, 0.0, 1.0, 1.0) if area.is_empty else area.bounds
-    x_m = np.arange(west - 1.0, east + 1.0, cell_m, np.float64)
-    y_m = np.arange(south - 1.0, north + 1.0, cell_m, np.float64)
+    x_m = np.arange(west - 1.0, east + 1.0, cell_m, dtype=np.float64)
+    y_m = np.arange(south - 1.0, north + 1.0, cell_m, dtype=np.float64)
     found = grid_inside(area, x_m, y_m)
     assert np.array_equal(found, shapely.contains_xy(area, *np.meshgrid(x_m, y_m)))
     return int(found.sum())
