@@ -107,9 +107,7 @@ class FieldMission(Mission):
         self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m, speed_m_s)
-        bar_m = 0.0
-        if self.turns_on_the_spot:  # steered robots do not keep clear of implements
-            bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
+        bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
         self.blockage = FieldObstructions(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 
     @property

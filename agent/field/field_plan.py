@@ -15,6 +15,7 @@ from shapely.geometry.polygon import orient
 from agent.field.field_division import divide
 from agent.field.field_map import XY, Field, joins, rasterise
 from agent.field.fleet_plan import JOBS_MAX
+from agent.field.steered_travel_times import SteeredTravelTimes
 from agent.field.travel_times import TravelTimes
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.holonomic_motion import FENCE_M, FENCE_SPARE_M
@@ -148,6 +149,11 @@ class FieldPlan:
     def travel(self) -> TravelTimes:
         """How long the vehicle takes in each section and between them."""
         vehicle = self.vehicle
+        if self.turn_radius_m:
+            return SteeredTravelTimes(
+                self.field, self.route, self.steering, vehicle.acceleration_m_s2, self.turn_radius_m,
+                self._corners(),
+            )  # fmt: skip
         return TravelTimes(
             self.field,
             self.route,

@@ -10,6 +10,7 @@ from math import cos, hypot, pi, sin
 from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
 from agent.field.section_shares import Point
+from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import WorkLeg
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
@@ -56,12 +57,18 @@ class TractorMission(FieldMission):
     plans_without_headway = False
 
     def __init__(
-        self, field: Field, route: Route, turns: TurnRoute, radius_m: float, limits: SteeringLimits
+        self,
+        field: Field,
+        route: Route,
+        turns: TurnRoute,
+        radius_m: float,
+        limits: SteeringLimits,
+        travel: TravelTimes | None = None,
     ) -> None:
         """`route`: plans paths of a point in the field. `turns`: plans paths of our body.
         `radius_m`: of every body. `limits`: of our chassis.
         """
-        super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2)
+        super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2, travel)
         self.turns, self.limits = turns, limits
         self.reach_m = 2 * radius_m + BODY_M
         self.follow: TractorTracker | None = None
@@ -81,12 +88,12 @@ class TractorMission(FieldMission):
         return self._drive(view, only_approach=True)[0]
 
     def begin(self, section: int, view: FleetView) -> None:
-        going = self.heading_to == section
-        self.section, self.heading_to = self.field.section(section), None
-        self.worked.clear()
-        self.headway.begin()
-        if not (going and self.legs):
-            self.legs, self.follow, self.joined = self._legs(self.section, view), None, False
+        going, legs = self.heading_to == section, self.legs
+        super().begin(section, view)
+        if going and legs:
+            self.legs = legs  # the approach led to the first of them
+        else:
+            self.follow, self.joined = None, False
         self.tracker = self.follow  # type: ignore[assignment]
 
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:

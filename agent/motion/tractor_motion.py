@@ -41,13 +41,13 @@ class TractorMotion(HolonomicMotion):
 
     def __init__(
         self, slot: int, limits: Body, turns: TurnRoute, steering: SteeringLimits,
-        fences: NDArray[np.float64],
+        fences: NDArray[np.float64], half_bar_m: float = 0.0,
     ) -> None:  # fmt: skip
         """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `turns`: knows which
         arcs stay on free ground. `steering`: our chassis. `fences`: known segments (n, 4) of ax,
-        ay, bx, by in metres; only the obstacle detector uses them.
+        ay, bx, by in metres; only the obstacle detector uses them. `half_bar_m`: see `Implement`.
         """
-        super().__init__(slot, limits, np.empty((0, 4)))
+        super().__init__(slot, limits, np.empty((0, 4)), half_bar_m=half_bar_m)
         self.lookout = ObstacleDetector(
             limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
         )
@@ -78,10 +78,11 @@ class TractorMotion(HolonomicMotion):
             close = [o for o in others if o.distance_m < 2 * self.limits.radius_m + NEAR_M]
             wish = self._decide(pose, wish, close, places, now_us)
         share = self._permitted(here, wish, rows)
-        return Drive(
-            wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share,
-            wish.tool_on,  # down while it waits, too: the ground under it is then not worked twice
-        )  # fmt: skip
+        # Down while it waits, too: the ground under it is then not worked twice.
+        tool_on = wish.tool_on and not self.implement.must_be_up(
+            here, (wish.vx_m_s, wish.vy_m_s), others, self.slot
+        )
+        return Drive(wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share, tool_on)
 
     def _permitted(
         self, here: Observation, wish: MotionRequest, rows: list[tuple[float, ...]]

@@ -181,6 +181,11 @@ def smooth_way(points: list[tuple[float, float]], half_m: float) -> NDArray[np.f
     return np.column_stack([x, y, heading, curvature, np.ones(count)])
 
 
+def bend_speed_m_s(limits: SteeringLimits, radius_m: float) -> float:
+    """The speed in an arc of this radius."""
+    return min(limits.speed_m_s, sqrt(LATERAL_M_S2 * radius_m))
+
+
 def heading_of(a: tuple[float, float], b: tuple[float, float]) -> float:
     """Direction from a to b, radians counter-clockwise from east."""
     return atan2(b[1] - a[1], b[0] - a[0])

@@ -103,3 +103,34 @@ def shortest_m(
     lengths, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))
     words(*start, *goal, radius_m, lengths, curvatures)
     return float(lengths.sum(axis=1).min())
+
+
+@njit(cache=True, error_model="numpy")
+def soonest_for_s(
+    starts: Floats, goals: Floats, radius: float, speed: float, bend_speed: float, bend_for_s: float
+) -> Floats:
+    """Seconds of the soonest word from each start to each goal, forwards, (starts, goals).
+
+    `starts`, `goals`: (n, 3), poses x, y, heading. `speed`, `bend_speed`: metres a second on straight
+    pieces and on arcs. `bend_for_s`: seconds that each arc takes more, because wheels have to be turned.
+    """
+    lengths, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))
+    found = np.empty((starts.shape[0], goals.shape[0]))
+    for i in range(starts.shape[0]):
+        for j in range(goals.shape[0]):
+            words(
+                starts[i, 0], starts[i, 1], starts[i, 2], goals[j, 0], goals[j, 1], goals[j, 2],
+                radius, lengths, curvatures,
+            )  # fmt: skip
+            least = np.inf
+            for word in range(WORDS):
+                for_s = 0.0
+                for piece in range(3):
+                    length = lengths[word, piece]
+                    if abs(curvatures[word, piece]) < STRAIGHT_1_M:
+                        for_s += length / speed
+                    elif length > 1e-6:
+                        for_s += length / bend_speed + bend_for_s
+                least = min(least, for_s)
+            found[i, j] = least
+    return found

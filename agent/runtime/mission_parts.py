@@ -66,12 +66,14 @@ def carrier_of(table: WarehouseTable, fleet: FleetTable, battery: BatteryTable) 
 def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
     """Work in a field, by a vehicle that moves in any direction or by one that steers."""
     vehicle, field = plan.vehicle, plan.field
+    half_bar_m = field.implement_width_m / 2 - field.overlap_m
     if plan.turn_radius_m:
         return MissionParts(
-            TractorMission(field, plan.route, plan.turns, vehicle.radius_m, plan.steering),
-            TractorMotion(slot, vehicle.limits, plan.turns, plan.steering, plan.fences),
+            TractorMission(
+                field, plan.route, plan.turns, vehicle.radius_m, plan.steering, plan.travel
+            ),
+            TractorMotion(slot, vehicle.limits, plan.turns, plan.steering, plan.fences, half_bar_m),
         )
-    half_bar_m = field.implement_width_m / 2 - field.overlap_m
     return MissionParts(
         FieldMission(
             field,

@@ -70,3 +70,17 @@ def test_passing_in_the_next_row_slows_nobody() -> None:
     assert all(motion.given == 0 for motion in motions)
     east_m = world.body(0).sense(20_000_000).x_m
     assert east_m > -12.0 + 0.9 * SPEED_M_S * 18.0
+
+
+@pytest.mark.parametrize("ahead_m", [0.6, 1.0])
+def test_the_implement_is_up_before_it_meets_a_body(ahead_m: float) -> None:
+    """A working robot passes a body that stands beside its row, within reach of the bar."""
+    motion = TractorMotion(0, BODY, TURNS, STEERING, np.empty((0, 4)), half_bar_m=1.8)
+    world = World([], 1)
+    body = world.add_robot(0, (0.0, 0.0), RADIUS_M, TRACTOR, 0.0)
+    standing = Beat(ahead_m, 2.5, 0.0, 0.0, State.IDLE, False, 0)
+    wish = MotionRequest(SPEED_M_S, 0.0, 0.0, True)
+    here = body.sense(0)
+    assert not motion.drive(here, wish, {1: Neighbour(standing, 0)}, 0).tool_on
+    far = standing._replace(y_m=3.8)  # the next row
+    assert motion.drive(here, wish, {1: Neighbour(far, 0)}, 0).tool_on

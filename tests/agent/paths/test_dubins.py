@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from agent.paths.dubins import WORDS, shortest_m, step, words
+from agent.paths.dubins import WORDS, shortest_m, soonest_for_s, step, words
 
 pose = st.tuples(st.floats(-20.0, 20.0), st.floats(-20.0, 20.0), st.floats(-pi, pi))
 
@@ -40,3 +40,20 @@ def test_known_ways() -> None:
     assert u_turn == pytest.approx(2 * pi), "a half circle"
     bulb = shortest_m((0, 0, 0), (0, 1, pi), 2.0)
     assert bulb > 3 * pi, "rows nearer than two radii need a bulb"
+
+
+@settings(deadline=None, max_examples=30)
+@given(pose, pose, st.floats(0.5, 6.0))
+def test_the_soonest_word_at_one_speed_is_the_shortest(
+    start: tuple[float, float, float], goal: tuple[float, float, float], radius_m: float
+) -> None:
+    for_s = soonest_for_s(np.array([start]), np.array([goal]), radius_m, 2.0, 2.0, 0.0)
+    assert for_s.shape == (1, 1)
+    assert for_s[0, 0] == pytest.approx(shortest_m(start, goal, radius_m) / 2.0)
+
+
+def test_a_half_circle_takes_its_length_and_the_turning_of_the_wheels() -> None:
+    starts, goals = np.array([[0.0, 0.0, 0.0]]), np.array([[0.0, 4.0, pi], [10.0, 0.0, 0.0]])
+    for_s = soonest_for_s(starts, goals, 2.0, 2.5, 1.0, 0.7)
+    assert for_s[0, 0] == pytest.approx(2 * pi + 0.7), "one arc"
+    assert for_s[0, 1] == pytest.approx(4.0), "straight on"

@@ -12,6 +12,7 @@ from sim.scenarios.scenario import Crash, ScenarioError, load
 def test_m5_a_fleet_that_steers_finishes_a_field(drive: str) -> None:
     outcome = FieldRun(FieldSetup(load("small").changed(drive=drive))).run()
     assert outcome.success and outcome.units_twice == 0, outcome
+    assert outcome.implement_contacts == 0, outcome
 
 
 def test_an_unknown_drive_is_one_line() -> None:
