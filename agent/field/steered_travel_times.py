@@ -5,7 +5,6 @@ places (`TravelTimes`).
 """
 
 from collections.abc import Sequence
-from functools import cached_property
 from itertools import pairwise
 from math import hypot
 
@@ -39,14 +38,15 @@ class SteeredTravelTimes(TravelTimes):
         # From straight to the arc and back, for a body that goes on as fast as in the arc.
         self._bend_for_s = 1.0 / radius_m / limits.steer_1_m_s
 
-    @cached_property
-    def link_for_ms(self) -> Whole:
-        """(2 sections, 2 sections): from each end, on the way out, to each other one, on the way in."""
+    def _links_for_ms(self) -> Whole:
+        """From each end, on the way out, to each other one, on the way in."""
         inward = np.array(
             [_pose(line) for section in self.field.sections for line in _both(section.swaths)]
         ).reshape(-1, 3)
         outward = inward + np.array([0.0, 0.0, np.pi])
-        links_for_ms: Whole = np.maximum(self._turns_for_ms(outward, inward), super().link_for_ms)
+        links_for_ms: Whole = np.maximum(
+            self._turns_for_ms(outward, inward), super()._links_for_ms()
+        )
         return links_for_ms
 
     def driven_for_ms(self, lines: Sequence[Polyline]) -> int:

@@ -139,7 +139,11 @@ class TravelTimes:
     @cached_property
     def link_for_ms(self) -> Whole:
         """(2 sections, 2 sections): from each end to each other one."""
-        return np.rint(self._ways_for_ms[: len(self.ends)]).astype(np.int64)
+        return self._links_for_ms()
+
+    def _links_for_ms(self) -> Whole:
+        links_for_ms: Whole = np.rint(self._ways_for_ms[: len(self.ends)]).astype(np.int64)
+        return links_for_ms
 
     @cached_property
     def _ways_for_ms(self) -> Floats:

@@ -33,7 +33,8 @@ GROUP = {
     "transport",
     "agent": "avoidance.orca field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
-    "field.section_shares field.tractor_mission field.travel_times field.work_leg "
+    "field.section_shares field.steered_travel_times field.tractor_mission "
+    "field.travel_times field.work_leg "
     "interface.effects motion.deadlock_yield motion.holonomic_motion motion.obstacle_detector "
     "motion.obstacle_stop motion.path_tracker motion.right_of_way motion.stopping_zone "
     "motion.tractor_motion peer.announcements peer.control_cycle peer.departure "
