@@ -37,7 +37,9 @@ class CanBus:
         """`confirms`: whether the bus was opened with `receive_own_messages`."""
         import can
 
-        self.bus, self._can = bus, can
+        # Without a type, mypyc takes the attribute for a name of the module, and makes none.
+        self._can: Any = can
+        self.bus = bus
         self._direct_sent = hasattr(bus, "sent")
         self._confirmed: int | None = 0 if confirms else None
         self._unconfirmed: deque[Frame] = deque(maxlen=UNCONFIRMED_MAX)
