@@ -1,7 +1,7 @@
 """CAN logs in candump format, as can-utils writes them and python-can reads them."""
 
 import re
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from io import BytesIO
 from pathlib import Path
 from typing import NamedTuple, TextIO
@@ -25,8 +25,8 @@ EXTENDED_MAX = 0x1FFFFFFF
 class FrameColumns(NamedTuple):
     """Frames in the order in which they were heard, as `sim.record.recording` keeps them."""
 
-    t_us: list[int]
-    identifiers: list[int]
+    t_us: Sequence[int]
+    identifiers: Sequence[int]
     lengths: bytes
     data: bytes  # eight bytes of each frame, filled up with zeros
 

@@ -70,10 +70,8 @@ class Recording:
 
     def rows(self) -> Iterator[Row]:
         """All frames that are kept; of a recording that is not written meanwhile."""
-        columns = self._t_us, self._identifiers, self._lengths
-        data = bytes(self._data)
-        for at, (t_us, identifier, length) in enumerate(zip(*columns, strict=True)):
-            yield t_us, Frame(identifier, data[8 * at : 8 * at + length])
+        lengths, data = bytes(self._lengths), bytes(self._data)
+        return FrameColumns(self._t_us, self._identifiers, lengths, data).rows()
 
     def follow(self, clock: Callable[[], int]) -> None:
         """`clock`: microseconds, on the clock of the coming frames. Time continues on a silent
