@@ -34,7 +34,7 @@ class SteeredTravelTimes(TravelTimes):
             field, route, limits.speed_m_s, acceleration_m_s2, limits.deceleration_m_s2, corners
         )
         self.radius_m = radius_m
-        self._bend_m_s = bend_speed_m_s(limits, radius_m)
+        self._bend_m_s = bend_speed_m_s(self.speed_m_s, radius_m)
         # From straight to the arc and back, for a body that goes on as fast as in the arc.
         self._bend_for_s = 1.0 / radius_m / limits.steer_1_m_s
 

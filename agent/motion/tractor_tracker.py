@@ -181,9 +181,9 @@ def smooth_way(points: list[tuple[float, float]], half_m: float) -> NDArray[np.f
     return np.column_stack([x, y, heading, curvature, np.ones(count)])
 
 
-def bend_speed_m_s(limits: SteeringLimits, radius_m: float) -> float:
-    """The speed in an arc of this radius."""
-    return min(limits.speed_m_s, sqrt(LATERAL_M_S2 * radius_m))
+def bend_speed_m_s(speed_m_s: float, radius_m: float) -> float:
+    """The speed in an arc of this radius, for a body that drives straight at `speed_m_s`."""
+    return min(speed_m_s, sqrt(LATERAL_M_S2 * radius_m))
 
 
 def heading_of(a: tuple[float, float], b: tuple[float, float]) -> float:

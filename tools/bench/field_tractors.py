@@ -7,11 +7,11 @@ wheels and for changes of direction. So no fleet can drive its plan.
 """
 
 from collections.abc import Sequence
-from math import atan2, inf, pi, sqrt
+from math import atan2, inf, pi
 
 import numpy as np
 
-from agent.motion.tractor_tracker import LATERAL_M_S2
+from agent.motion.tractor_tracker import bend_speed_m_s
 from agent.paths.dubins import STRAIGHT_1_M, WORDS, words
 from sim.scenarios.field_setup import FieldSetup
 from tools.bench.field_opponent import FleetProblem, Point, ticks
@@ -24,7 +24,7 @@ def dubins_s(start: Pose, goal: Pose, radius_m: float, speed_m_s: float) -> floa
 
     Straight pieces take `speed_m_s`, arcs the lateral acceleration that the fleet's tractors permit.
     """
-    bend_m_s = min(speed_m_s, sqrt(LATERAL_M_S2 * radius_m))
+    bend_m_s = bend_speed_m_s(speed_m_s, radius_m)
     soonest_s = inf
     for a, b in ((start, goal), (_turned(start), _turned(goal))):
         lengths_m, curvatures = np.empty((WORDS, 3)), np.empty((WORDS, 3))

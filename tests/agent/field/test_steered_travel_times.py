@@ -49,12 +49,18 @@ def test_a_way_takes_as_long_as_a_dubins_word_and_a_point_at_least() -> None:
             assert links[a, b] >= 1000 * shortest_m(out, into, RADIUS_M) / SPEED_M_S - 1, (a, b)
 
 
+def test_a_section_is_left_as_it_was_driven() -> None:
+    """From the end of the second row to the beginning of the next section: a half circle."""
+    turn_s = pi * RADIUS_M / bend_speed_m_s(SPEED_M_S, RADIUS_M) + 1 / RADIUS_M / 0.67
+    assert TIMES.link_for_ms[1, 2] == round(1000 * turn_s)
+
+
 def test_a_way_takes_as_long_there_as_back() -> None:
     assert np.abs(TIMES.link_for_ms - TIMES.link_for_ms.T).max() <= 1
 
 
 def test_work_is_its_rows_at_full_speed_and_the_turns_between_them() -> None:
-    bend_m_s = bend_speed_m_s(LIMITS, RADIUS_M)
+    bend_m_s = bend_speed_m_s(SPEED_M_S, RADIUS_M)
     assert bend_m_s == pytest.approx((LATERAL_M_S2 * RADIUS_M) ** 0.5)
     turn_s = pi * RADIUS_M / bend_m_s + 1 / RADIUS_M / 0.67  # a half circle: the rows are 4 m apart
     assert TIMES.driven_for_ms([EAST]) == round(1000 * 80.0 / SPEED_M_S)
