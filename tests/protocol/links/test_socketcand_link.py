@@ -169,7 +169,8 @@ def test_item_2_a_hub_tells_what_has_left_and_what_it_refuses() -> None:
         assert link.sent == 1 and link.malformed == 0
         wire.flood(flooder.node, None, segment(name).now_us())
         segment(name).arm()
-        await until(lambda: link.sent == 1 + QUEUE_MAX, link)
+        # Refused frames that were still under way to the hub may be accepted now.
+        await until(lambda: (link.sent or 0) >= 1 + QUEUE_MAX, link)
         assert link.send(BEAT), "it takes frames again"
         flooder.shutdown()
         await hub.stop()
