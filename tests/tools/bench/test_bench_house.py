@@ -2,9 +2,12 @@
 
 import ast
 
+import pytest
+
 from tools.bench.house import figures, lines_of_code, modules_in_cycles, twice
 
 
+@pytest.mark.slow
 def test_every_figure_about_the_sources_holds() -> None:
     missed = [figure for figure in figures(quick=True) if figure.holds is False]
     assert not missed, missed

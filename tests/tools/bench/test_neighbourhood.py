@@ -1,6 +1,7 @@
 """Neighbours carried from step to step are those of a search from scratch, ties included."""
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -25,6 +26,7 @@ def agents(rng: np.random.Generator, spread: float, step: float) -> column.Agent
     return made
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 2**32 - 1), st.sampled_from([4.0, 20.0, 60.0]), st.sampled_from([0.0, 1.0]))
 def test_what_is_kept_changes_nothing(seed: int, spread: float, step: float) -> None:

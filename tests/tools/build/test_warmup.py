@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from tools.build.warmup import FIELD_BESIDE, FIELD_HERE, FIELD_LATER, PARTS
 
 CHECK = """
@@ -32,6 +34,7 @@ print(len(kernels), "kernels")
 """
 
 
+@pytest.mark.slow
 def test_every_kernel_that_a_robot_calls_is_compiled() -> None:
     done = subprocess.run(
         [sys.executable, "-c", CHECK], capture_output=True, text=True, timeout=1200

@@ -37,6 +37,7 @@ def test_results_do_not_depend_on_where_they_ran(scheduler: str) -> None:
     assert len(set(there)) > 1
 
 
+@pytest.mark.slow
 def test_chaos_on_a_cluster(scheduler: str, tmp_path: Path) -> None:
     assert chaos("3", "crash", 1, None, tmp_path / "far", False, True, scheduler) == 0
     assert (tmp_path / "far" / "chaos.json").exists()

@@ -149,6 +149,7 @@ async def cut_and_heal(yard: Yard) -> None:
     assert yard.world.contacts == []
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("spaces")
 def test_a_bus_is_cut_in_two_and_healed(tmp_path: Path) -> None:
     async def story() -> None:

@@ -25,6 +25,7 @@ def headland(
     )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_run_leaves_report_picture_and_logs(tmp_path: Path) -> None:
     done = headland("run", "small", "--out", "out", "--json", folder=tmp_path)
     assert done.returncode == 0, done.stderr

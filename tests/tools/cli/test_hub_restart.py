@@ -49,6 +49,7 @@ async def stands_and_goes_on(watch: Watch, told: str) -> None:
     assert moved_m < MOVED_M and stand(watch), watch
 
 
+@pytest.mark.slow
 def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
     async def story() -> None:
         bus, port = await hub(tmp_path, 0)

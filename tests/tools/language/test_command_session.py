@@ -6,6 +6,8 @@ from collections.abc import Awaitable, Callable
 from math import hypot
 from pathlib import Path
 
+import pytest
+
 from agent.interface.lifecycle import State
 from agent.peer import fleet_summary as bulletin
 from protocol.links.bus import CanBus
@@ -174,6 +176,7 @@ def test_a_stop_that_is_not_heard_is_told(tmp_path: Path) -> None:
     play(story, tmp_path)
 
 
+@pytest.mark.slow
 def test_a_goal_waits_for_an_idle_robot(tmp_path: Path) -> None:
     async def story(cluster: Cluster, speaker: CommandSession) -> None:
         told = await speaker.say("send the nearest robot to the shelf")

@@ -210,6 +210,7 @@ def moved(viewer: Viewer) -> dict[str, Callable[[], bool]]:
     }
 
 
+@pytest.mark.slow
 def test_an_independent_viewer_sees_a_launch_work_and_stop(tmp_path: Path) -> None:
     async def story() -> None:
         async with (
@@ -237,6 +238,7 @@ def test_an_independent_viewer_sees_a_launch_work_and_stop(tmp_path: Path) -> No
     asyncio.run(story())
 
 
+@pytest.mark.slow
 def test_a_viewer_of_a_map_stops_and_releases_a_fleet_with_the_key(tmp_path: Path) -> None:
     async def story() -> None:
         words = ("map", "--page-port", "0", "--foxglove", "0", "--json")

@@ -194,6 +194,7 @@ def test_a_recording_is_looked_through(shown: str) -> None:
         assert complaints(page) == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_launch_is_stopped_and_released_from_the_page(tmp_path: Path) -> None:
     fleet, operator = tmp_path / "fleet.json", tmp_path / "operator.json"

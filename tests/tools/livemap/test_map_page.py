@@ -71,6 +71,7 @@ def fleet(folder: Path) -> Iterator[Live]:
 # -------------------------------------------------------------------- keys
 
 
+@pytest.mark.slow
 @needs_browser
 def test_b1_space_on_the_focused_stop_latches_every_robot(fleet: Live, folder: Path) -> None:
     with browser() as page:
@@ -128,6 +129,7 @@ def test_b1_space_acts_on_what_has_the_focus_and_escape_stops(fleet: Live, folde
 # -------------------------------------------------------------------- start
 
 
+@pytest.mark.slow
 @needs_browser
 def test_b5_a_fleet_released_without_a_start_is_started_from_the_page(
     fleet: Live, folder: Path
@@ -156,6 +158,7 @@ def test_b5_a_fleet_released_without_a_start_is_started_from_the_page(
 # -------------------------------------------------------------------- old pictures
 
 
+@pytest.mark.slow
 @needs_browser
 def test_b4_an_old_picture_says_so(tmp_path: Path) -> None:
     with launched(tmp_path) as live, browser() as page:
@@ -224,6 +227,7 @@ def test_b8_nothing_moves_the_stop_and_it_covers_nothing(fleet: Live, folder: Pa
     freed(fleet, folder)
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("size", [PHONE, ACROSS], ids=["upright", "across"])
 def test_b7_a_phone_shows_all_of_it(fleet: Live, folder: Path, size: tuple[int, int]) -> None:
@@ -265,6 +269,7 @@ def test_b7_a_phone_shows_all_of_it(fleet: Live, folder: Path, size: tuple[int, 
     freed(fleet, folder)
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("light", ["dark", "light"])
 def test_text_is_told_from_its_ground_and_controls_have_names(fleet: Live, light: str) -> None:
@@ -324,6 +329,7 @@ def test_l1_nobody_releases_a_fleet_without_the_printed_token(fleet: Live, folde
         assert json.loads(told.recv())["kind"] == "scene"
 
 
+@pytest.mark.slow
 def test_l1_a_keyed_fleet_is_released_by_the_key_that_the_map_was_started_with(
     tmp_path: Path,
 ) -> None:

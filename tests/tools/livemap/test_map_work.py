@@ -211,6 +211,7 @@ def by_touch(page: "Chrome", selector: str) -> None:
     page.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
 
 
+@pytest.mark.slow
 @needs_browser
 @pytest.mark.parametrize("hand", ["keyboard", "touch"])
 def test_an_operator_s_round(fleet: Live, folder: Path, hand: str) -> None:

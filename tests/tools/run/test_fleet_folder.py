@@ -72,6 +72,7 @@ def test_e2_a_latched_fleet_stays_latched_after_kill_9_and_the_same_command(tmp_
     asyncio.run(story())
 
 
+@pytest.mark.slow
 def test_t3_a_launch_is_judged_by_the_ground_not_by_what_robots_say(tmp_path: Path) -> None:
     """DONE of every section, forged in the name of a robot, ends a launch: not with exit 0."""
 

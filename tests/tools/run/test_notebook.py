@@ -29,6 +29,7 @@ robots = 2
 """
 
 
+@pytest.mark.slow
 def test_ten_lines_are_ten_and_run(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -43,6 +44,7 @@ def test_ten_lines_are_ten_and_run(
     assert "PERSON_IN_FIELD" in (tmp_path / "ten_lines.html").read_text()
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_top_to_bottom() -> None:
     notebook = json.loads((EXAMPLES / "ten_lines.ipynb").read_text())
     assert notebook["nbformat"] == 4
@@ -63,6 +65,7 @@ def test_the_notebook_runs_from_top_to_bottom() -> None:
     assert isinstance(stops, list) and {row["robot"] for row in stops} == {0, 1, 3}
 
 
+@pytest.mark.slow
 def test_it_is_the_run_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert run_command("small", 2, 5, tmp_path, True) == 0
     told = json.loads(capsys.readouterr().out)
