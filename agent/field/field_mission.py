@@ -102,7 +102,7 @@ class FieldMission(Mission):
         self.advanced = False  # a unit of the section was worked since it was begun
         self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
-        self.shove = DisplacementDetector()
+        self.shove = DisplacementDetector(speed_m_s, deceleration_m_s2)
         self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
@@ -338,7 +338,7 @@ class FieldMission(Mission):
         """The motion along the legs, and the units that were completed."""
         here = view.here
         covered: list[int] = []
-        if self.shove.observe((here.x_m, here.y_m), view.now_us, self.speed_m_s):
+        if self.shove.observe(here, view.now_us):
             self.on_implement_raised()
         while True:
             if self.tracker is None:
