@@ -22,7 +22,14 @@ from shapely import affinity, unary_union
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon, box
 from shapely.geometry.base import BaseGeometry
 
-from agent.field.field_division import PIECE_MIN_M, _strips, divide
+from agent.field.field_division import (
+    PIECE_MIN_M,
+    _best_angle,
+    _cut,
+    _strips,
+    _swaths_least,
+    divide,
+)
 from agent.field.field_map import Field, Polyline
 from sim.world.coverage_truth import BACK_COS
 from tests.examples import examples
@@ -269,10 +276,47 @@ def test_strips_of_one_call_are_those_that_are_cut_one_by_one(
     radii_m: list[float], angle_deg: float, strip_m: float, hole: bool
 ) -> None:
     """Rows of a star have several pieces, and their order is that in which they are driven."""
-    turns = [2 * pi * k / len(radii_m) for k in range(len(radii_m))]
-    star = Polygon([(r * cos(a), r * sin(a)) for r, a in zip(radii_m, turns, strict=True)])
-    deep = star.difference(box(-3.0, -2.0, 3.0, 2.0)) if hole else star
+    deep = drawn_star(radii_m, hole)
     made, model = (cut(deep, angle_deg, strip_m) for cut in (_strips, strips_one_by_one))
     assert [len(row) for row in made] == [len(row) for row in model]
     for swaths, wanted in zip(made, model, strict=True):
         assert np.allclose(np.asarray(swaths), np.asarray(wanted), atol=1e-9)
+
+
+def drawn_star(radii_m: list[float], hole: bool) -> Polygon:
+    turns = [2 * pi * k / len(radii_m) for k in range(len(radii_m))]
+    star = Polygon([(r * cos(a), r * sin(a)) for r, a in zip(radii_m, turns, strict=True)])
+    return star.difference(box(-3.0, -2.0, 3.0, 2.0)) if hole else star
+
+
+def check_angle(polygon: Polygon, strip_m: float) -> None:
+    """The angle against a slow model, which cuts the field at every angle."""
+    deep = polygon.buffer(-strip_m)
+    if deep.is_empty:
+        return
+    angles = {k * 10.0 for k in range(18)}
+    for a, b in pairwise(polygon.exterior.coords):
+        if dist(a, b) >= 0.05 * polygon.exterior.length:
+            angles.add(round(math.degrees(atan2(b[1] - a[1], b[0] - a[0])) % 180.0, 3))
+    costs = []
+    for angle in angles:
+        cut = _cut(deep, angle, strip_m)
+        assert _swaths_least(deep, angle, strip_m) <= len(cut.row_of)
+        costs.append((len(cut.row_of), round(sum((cut.right_m - cut.left_m).tolist()), 3), angle))
+    assert _best_angle(polygon, deep, strip_m) == min(costs)[2]
+
+
+@given(
+    st.lists(st.floats(8.0, 60.0), min_size=5, max_size=13),
+    st.sampled_from([1.8, 3.8, 5.8]), st.booleans(),
+)  # fmt: skip
+@settings(max_examples=examples(30))
+def test_the_angle_is_that_of_all_angles_cut(
+    radii_m: list[float], strip_m: float, hole: bool
+) -> None:
+    check_angle(drawn_star(radii_m, hole), strip_m)
+
+
+@pytest.mark.parametrize("name", sorted(outlines()))
+def test_the_angle_of_a_real_field_is_that_of_all_angles_cut(name: str) -> None:
+    check_angle(outlines()[name], 6.8)
