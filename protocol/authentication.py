@@ -19,13 +19,9 @@ none.
 """
 
 from collections import deque
-from typing import Any, NamedTuple, TypeVar
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
-from cryptography.hazmat.primitives.ciphers.algorithms import AES
-from cryptography.hazmat.primitives.cmac import CMAC
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
-
+from protocol.ciphers import derived_key, load, mac_of
 from protocol.frames.layout import FrameLayout
 from protocol.frames.operator_frames import OPERATOR_GOAL, OperatorGoal
 from protocol.frames.safety_frames import (
@@ -42,6 +38,9 @@ from protocol.frames.safety_frames import (
     OperatorCommand,
 )  # fmt: skip
 from protocol.operator_badges import Badge, BadgeBook
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.cmac import CMAC
 
 Signed = TypeVar("Signed", EmergencyStop, EmergencyReset, HeldReset, OperatorCommand, OperatorGoal)
 AnySigned = EmergencyStop | EmergencyReset | HeldReset | OperatorCommand | OperatorGoal
@@ -103,6 +102,7 @@ class Keyring:
         self.heard: dict[int, int] = {}
         self.accepted = self.bad = self.stale = self.ignored = self.unproven = self.expired = 0
         self._keys, self._lot = keys, lot
+        load()
         self._macs: dict[tuple[int, Badge | None], CMAC] = {}
         self._bad_at_us: dict[int, deque[int]] = {}
         self._asked: dict[int, bytes] = {}  # sender -> the nonce that its proof must cover
@@ -283,7 +283,7 @@ class Keyring:
         mac.update(head + number + counter.to_bytes(8, "little"))
         return int.from_bytes(mac.finalize()[:3], "little")
 
-    def _mac(self, sender: int) -> CMAC:
+    def _mac(self, sender: int) -> "CMAC":
         badge = self.badges.of(sender) if sender >= OPERATOR_FIRST else None
         mac = self._macs.get((sender, badge))
         if mac is None:
@@ -292,6 +292,5 @@ class Keyring:
             secret = self._secret(sender)
             assert secret is not None, "a sender whose secret is not held is not verified"
             info = b"headland sender" + bytes((sender,))
-            key = HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=info).derive(secret)
-            mac = self._macs[sender, badge] = CMAC(AES(key))
+            mac = self._macs[sender, badge] = mac_of(derived_key(secret, info, KEY_SIZE))
         return mac

@@ -11,22 +11,23 @@ that holds the fleet's secrets can make both tags. Robots hold them; gateways an
 backbone do not.
 """
 
-from cryptography.hazmat.primitives.ciphers.algorithms import AES
-from cryptography.hazmat.primitives.cmac import CMAC
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+from typing import TYPE_CHECKING
 
 from crdt.stops import RemoteStopDot
 from protocol.authentication import KEY_SIZE, Keys
+from protocol.ciphers import derived_key, mac_of
 from protocol.frames.safety_frames import STOPS_HELD, StopsHeld
 from protocol.frames.segment_frames import FleetReset, FleetStop
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.cmac import CMAC
 
 HELD_INFO = b"headland stops held"
 
 
 def held_key(operators: bytes) -> bytes:
     """The key of `HeldTags`, for key files of devices that may release."""
-    return HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=HELD_INFO).derive(operators)
+    return derived_key(operators, HELD_INFO, KEY_SIZE)
 
 
 class FleetTags:
@@ -57,7 +58,7 @@ class HeldTags:
     stops. Robots hold the operator's secret; an operator's device holds no other secret."""
 
     def __init__(self, keys: Keys) -> None:
-        self._held = None if keys.held is None else CMAC(AES(keys.held))
+        self._held = None if keys.held is None else mac_of(keys.held)
         if self._held is None:
             self._held = _mac(keys.operator, HELD_INFO)
 
@@ -81,14 +82,13 @@ def plain_reset(dot: RemoteStopDot) -> tuple[FleetReset, FleetReset]:
     return FleetReset(dot.segment, 0, *dot[:3]), FleetReset(dot.segment, 1, *dot[:3])
 
 
-def _mac(secret: bytes | None, info: bytes) -> CMAC | None:
+def _mac(secret: bytes | None, info: bytes) -> "CMAC | None":
     if secret is None:
         return None
-    key = HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=info).derive(secret)
-    return CMAC(AES(key))
+    return mac_of(derived_key(secret, info, KEY_SIZE))
 
 
-def _sum(mac: CMAC | None, dot: RemoteStopDot) -> bytes:
+def _sum(mac: "CMAC | None", dot: RemoteStopDot) -> bytes:
     if mac is None:
         raise ValueError("the secret for this tag is not held here")
     running = mac.copy()

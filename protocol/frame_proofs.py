@@ -20,14 +20,10 @@ The tag has 40 bits, and at most `TRIES_MAX` sets of frames are tried against on
 from collections.abc import Iterator, Sequence
 from functools import lru_cache
 from itertools import combinations
-from typing import Any, Final, NamedTuple
-
-from cryptography.hazmat.primitives.ciphers.algorithms import AES
-from cryptography.hazmat.primitives.cmac import CMAC
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keys
+from protocol.ciphers import derived_key, mac_of
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.trust_frames import (
     COUNT_BITS,
@@ -41,6 +37,9 @@ from protocol.frames.trust_frames import (
 )
 from protocol.operator_badges import Badge, BadgeBook
 from protocol.units import MS, S
+
+if TYPE_CHECKING:
+    from cryptography.hazmat.primitives.cmac import CMAC
 
 TICK_US: Final = 8 * MS  # a burst of sync has a proof every 17 ms
 BATCH_MAX: Final = 8  # frames under one proof; they take 17 ms of the share that sync may use
@@ -63,12 +62,12 @@ Words = tuple[bytes, ...]  # groups and data of frames, each once, in order
 
 @lru_cache(maxsize=1024)
 def _key(secret: bytes, info: bytes) -> bytes:
-    return HKDF(algorithm=SHA256(), length=KEY_SIZE, salt=None, info=info).derive(secret)
+    return derived_key(secret, info, KEY_SIZE)
 
 
 @lru_cache(maxsize=1024)
-def _running(key: bytes) -> CMAC:
-    return CMAC(AES(key))
+def _running(key: bytes) -> "CMAC":
+    return mac_of(key)
 
 
 @lru_cache(maxsize=4096)

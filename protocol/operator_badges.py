@@ -12,9 +12,7 @@ again. It does so at each challenge, and a badge that was proven stays for `PROV
 from enum import IntFlag
 from typing import Final, NamedTuple
 
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
-
+from protocol.ciphers import derived_key
 from protocol.frames.trust_frames import OperatorBadge
 from protocol.units import S
 
@@ -54,7 +52,7 @@ class Badge(NamedTuple):
             return operators
         info = b"headland badge" + bytes((self.device, self.roles))
         info += self.expires_day.to_bytes(2, "little")
-        return HKDF(algorithm=SHA256(), length=SECRET_SIZE, salt=None, info=info).derive(operators)
+        return derived_key(operators, info, SECRET_SIZE)
 
     def told(self) -> OperatorBadge:
         """The frame that tells it."""

@@ -14,14 +14,8 @@ from collections.abc import Mapping, Sequence
 from struct import Struct
 from typing import Final, NamedTuple
 
-from cryptography.exceptions import InvalidTag
-from cryptography.hazmat.primitives.ciphers.aead import AESSIV
-from cryptography.hazmat.primitives.ciphers.algorithms import AES
-from cryptography.hazmat.primitives.cmac import CMAC
-from cryptography.hazmat.primitives.hashes import SHA256
-from cryptography.hazmat.primitives.kdf.hkdf import HKDF
-
 from protocol.authentication import KEY_SIZE, Keys
+from protocol.ciphers import derived_key, mac_of, siv_opened, siv_sealed
 from protocol.frames.key_frames import (
     GENERATION_BITS,
     GENERATION_SHORT_BITS,
@@ -71,7 +65,7 @@ class Rekeying(NamedTuple):
         return KeysHeld(slot, self.generation, switched, tag)
 
     def _tag(self, content: bytes, bits: int) -> int:
-        mac = CMAC(AES(_derived(self.secret, b"headland rekeying")))
+        mac = mac_of(_derived(self.secret, b"headland rekeying"))
         mac.update(content + self.generation.to_bytes(2, "little"))
         return int.from_bytes(mac.finalize()[: bits // 8], "little")
 
@@ -86,7 +80,7 @@ def seal(rekeying: Rekeying, own: bytes, slot: int) -> list[KeyPart]:
     content = CONTENT.pack(
         rekeying.secret, rekeying.generation, rekeying.revoked, rekeying.void_for_s
     )
-    sealed = AESSIV(own).encrypt(content, [_about(slot)])
+    sealed = siv_sealed(own, content, _about(slot))
     short = rekeying.generation & AHEAD_MAX
     return [
         KeyPart(slot, short, part, sealed[part * PART_BYTES : (part + 1) * PART_BYTES])
@@ -97,9 +91,8 @@ def seal(rekeying: Rekeying, own: bytes, slot: int) -> list[KeyPart]:
 def opened(parts: Mapping[int, bytes], own: bytes, slot: int) -> Rekeying | None:
     """The new secret from all its parts; None if they are not those of the owner for this robot."""
     sealed = b"".join(parts[part] for part in range(PARTS))[: CONTENT.size + TAG_SIZE]
-    try:
-        content = AESSIV(own).decrypt(sealed, [_about(slot)])
-    except InvalidTag:
+    content = siv_opened(own, sealed, _about(slot))
+    if content is None:
         return None
     secret, generation, revoked, void_for_s = CONTENT.unpack(content)
     return Rekeying(generation, secret, revoked, void_for_s)
@@ -144,4 +137,4 @@ def _about(slot: int) -> bytes:
 
 
 def _derived(secret: bytes, info: bytes, size: int = KEY_SIZE) -> bytes:
-    return HKDF(algorithm=SHA256(), length=size, salt=None, info=info).derive(secret)
+    return derived_key(secret, info, size)

@@ -58,6 +58,10 @@ BEATS: Final = (
     BeaconTiming(50, 100 * MS, 1 * S, 500 * MS, 2_200 * MS),
     BeaconTiming(PEERS_MAX, 200 * MS, 1_400 * MS, 1 * S, 3 * S),
 )
+MEMBER_EVERY: Final = 20  # heartbeats between two MEMBER announcements, for robots that missed one
+STANDSTILL_US: Final = 1 * S  # between two reported causes: 7 % of the bus if 108 robots stand
+FAULTS_PERIOD_US: Final = 1 * S  # of DM1 (SAE J1939-73)
+STANDARD_HEARTBEAT_US: Final = 100 * MS  # the only rate of ISO 11783-7
 # A pose is extrapolated until it is this old. By then a robot that fell silent has braked.
 GONE_QUIET_US: Final = 1 * S
 # The farewell of a member that moves faster is not believed. POSE has steps of 0.05 m/s; at this speed

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from math import atan2, hypot
 from typing import Any, Final
 
-from agent.interface.config import BeaconTiming, S
+from agent.interface.config import MEMBER_EVERY, STANDSTILL_US, BeaconTiming
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.identity import Identity
 from agent.interface.lifecycle import EMERGENCY_STOP
@@ -32,11 +32,9 @@ from protocol.frames.fleet_frames import (
 )  # fmt: skip
 from protocol.sync.synchronizer import Synchronizer
 
-MEMBER_EVERY: Final = 20  # heartbeats between two MEMBER announcements, for robots that missed one
 FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 heartbeat
 # Below the resolution of POSE the course is noise, so the heading is sent instead.
 STANDS_M_S: Final = 0.02
-STANDSTILL_US: Final = 1 * S  # between two reported causes: 7 % of the bus if 108 robots stand
 CAUSES_MAX: Final = 15  # causes reported by one robot: four bits
 
 NOWHERE: Final = NOWHERE_M, NOWHERE_M, 0.0

@@ -6,11 +6,12 @@ The standard heartbeat of ISO 11783-7: after a request for its rate.
 """
 
 from collections.abc import Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
-from agent.interface.config import MS, S
+from agent.interface.config import FAULTS_PERIOD_US, MS, STANDARD_HEARTBEAT_US
 from agent.interface.effects import Effect, Send
 from agent.peer.diagnostics import fault_of, repeated_causes, root_causes
+from agent.peer.leader_votes import LeaderVotes
 from agent.peer.member_reports import MemberReports
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder, acknowledged
@@ -30,12 +31,7 @@ from protocol.frames.fleet_frames import Standstill
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.network_frames import AcknowledgmentControl, RepetitionRateRequest
 
-if TYPE_CHECKING:  # `headland dbc` needs our periods, and has no numpy, which stored maps need
-    from agent.peer.leader_votes import LeaderVotes
-
-FAULTS_PERIOD_US: Final = 1 * S  # SAE J1939-73
 FAULTS_GAP_US: Final = 200 * MS  # a cause that comes and goes must not fill the bus
-HEARTBEAT_PERIOD_MS: Final = 100  # the only rate of ISO 11783-7
 FIRST_SEQUENCE: Final = 251
 LAST_SEQUENCE: Final = 250
 END_SEQUENCE: Final = 255
@@ -49,7 +45,7 @@ class DiagnosticBroadcasts(Part):
         self,
         safety: StopController,
         letters: PgnResponder,
-        votes: "LeaderVotes",
+        votes: LeaderVotes,
         reports: MemberReports,
         cyclic: bool,
     ) -> None:
@@ -111,7 +107,7 @@ class DiagnosticBroadcasts(Part):
         return () if told is None else told.fresh(ctx.now_us)
 
     def _beat(self, ctx: StepContext) -> Sequence[Effect]:
-        self._beat_at_us = ctx.now_us + HEARTBEAT_PERIOD_MS * MS
+        self._beat_at_us = ctx.now_us + STANDARD_HEARTBEAT_US
         if not ctx.joined:
             return ()
         sequence = self._sequence
@@ -121,7 +117,7 @@ class DiagnosticBroadcasts(Part):
     def _rate(self, ctx: StepContext, header: Header, m: RepetitionRateRequest) -> Outputs:
         if not ctx.joined:
             return NOTHING
-        allowed = (0, HEARTBEAT_PERIOD_MS, OWN_RATE)
+        allowed = (0, STANDARD_HEARTBEAT_US // MS, OWN_RATE)
         if m.pgn != STANDARD_HEARTBEAT.pgn or m.rate_ms not in allowed:
             return acknowledged(
                 AcknowledgmentControl.NACK, header.source, header.destination, m.pgn

@@ -13,7 +13,8 @@ from crdt.claim_register import pack
 from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim
-from tools.common.bus_attach import CHANNEL, attach
+from tools.common.bus_address import CHANNEL
+from tools.common.bus_attach import attach
 
 ROOT = Path(__file__).parents[2]
 WAIT_S = 180.0  # for what takes a second on a quiet machine with warm kernels

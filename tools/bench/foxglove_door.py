@@ -21,7 +21,8 @@ from tools.bench.figure import Figure
 from tools.bench.stopped_beats import BUS_BOUND_MS, Beats
 from tools.bench.systems import ADDED_MS, CounterpartAbsent
 from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
-from tools.common.bus_attach import CHANNEL, attach
+from tools.common.bus_address import CHANNEL
+from tools.common.bus_attach import attach
 from tools.operate.operator_device import Operator
 
 ROBOTS, ROBOTS_QUICK = 20, 2

@@ -16,7 +16,8 @@ from tools.bench.ros2_field import LIMIT_S, POSES_MIN, worked_field
 from tools.bench.stopped_beats import BUS_BOUND_MS, READY_S, Beats
 from tools.bench.systems import ADDED_MS, CounterpartAbsent
 from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
-from tools.common.bus_attach import CHANNEL, attach
+from tools.common.bus_address import CHANNEL
+from tools.common.bus_attach import attach
 from tools.operate.operator_device import Operator
 
 AGAINST = "rclpy (Jazzy) and rmw_fastrtps"

@@ -29,7 +29,8 @@ from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach, keep_attached
+from tools.common.bus_address import AttachError
+from tools.common.bus_attach import attach, keep_attached
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 
 if TYPE_CHECKING:

@@ -5,7 +5,9 @@ from typing import Annotated, Literal
 
 import typer
 
+from tools.cli.one_line_errors import WRONG
 from tools.cli.panels import LOOK, OPERATE, SET_UP
+from tools.common.bus_address import AttachError, find_launch
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
@@ -27,7 +29,23 @@ REASONS = (
     "OBSTACLE_DETECTED, OPERATOR_INTERVENTION, SYSTEM_FAULT, COLLISION_DETECTED, PERSON_IN_FIELD, "
     "EQUIPMENT_MALFUNCTION or MAINTENANCE_REQUIRED"
 )
+BY_A_PERSON = "OPERATOR_INTERVENTION"
 app = typer.Typer()
+
+
+def _find_launch(interface: str, port: int, *given: object) -> None:
+    """End with one line where the bus is that of a launch, and there is none.
+
+    Called before a tool is imported, which takes longer than all else. `given`: files and words of the
+    person. Where there is any, the tool looks at it first, and for the launch by itself.
+    """
+    if any(given):
+        return
+    try:
+        find_launch(interface, port)
+    except AttachError as problem:
+        typer.echo(f"headland: {problem}", err=True)
+        raise SystemExit(WRONG) from None
 
 
 @app.command("stop", rich_help_panel=OPERATE)
@@ -35,7 +53,7 @@ app = typer.Typer()
 def stop(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
-    reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = "OPERATOR_INTERVENTION",
+    reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = BY_A_PERSON,
     timeout_s: Timeout = 2.0,
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
     json: Json = False,
@@ -44,6 +62,7 @@ def stop(
 
     Example: headland stop -i socketcan -c can0
     """
+    _find_launch(interface, port, keys, reason != BY_A_PERSON)
     from tools.operate.estop import estop as command
 
     raise SystemExit(
@@ -64,6 +83,7 @@ def release(
 
     Example: headland release --start
     """
+    _find_launch(interface, port, key)
     from tools.operate.reset import reset as command
 
     raise SystemExit(command(interface, channel, bitrate, host, port, key, start, timeout_s, json))
@@ -170,6 +190,7 @@ def say(
 
     Example: headland say "send the nearest robot to the gate"
     """
+    _find_launch(interface, port, key, places, by, endpoint, log, read)
     from tools.language.say import say as command
     from tools.language.say_options import Options
 
@@ -227,6 +248,7 @@ def inspect(
 
     Example: headland inspect runs/latest --why S7
     """
+    _find_launch(interface, port, source, mermaid, why, picture, traces)
     from tools.inspect.inspection import inspect as command
 
     bus = (interface, channel, bitrate, host, port)
@@ -253,6 +275,7 @@ def show_map(
 
     Example: headland map runs/latest, or on a real bus: headland map -i socketcan -c can0
     """
+    _find_launch(interface, port, source, keys, scenario, operator_key, metrics, foxglove)
     from tools.livemap.command import show_map as command
 
     raise SystemExit(

@@ -11,7 +11,6 @@ from pathlib import Path
 
 from protocol.frames.layout import Signal
 from protocol.frames.messages import GROUPS
-from tools.cli.arxml import to_arxml
 from tools.cli.defined_frames import (
     CYCLE_MS,
     AddressesError,
@@ -39,7 +38,12 @@ def dbc(out: Path | None, addresses: str | None = None) -> int:
             return 2
         suffix = "" if out is None else out.suffix.lower()
         robots = addresses_of(addresses) if addresses else ()
-        text = to_arxml(robots) if suffix == ".arxml" else to_dbc(robots, suffix == ".sym")
+        if suffix == ".arxml":
+            from tools.cli.arxml import to_arxml  # and a parser of XML
+
+            text = to_arxml(robots)
+        else:
+            text = to_dbc(robots, suffix == ".sym")
         if out is None:
             print(text, end="")
             return 0

@@ -8,9 +8,13 @@ addresses, the tools' address 249, and all.
 from collections.abc import Iterator, Sequence
 from typing import Any, Final, NamedTuple
 
-from agent.interface.config import beat_of
-from agent.peer.announcements import MEMBER_EVERY, STANDSTILL_US
-from agent.peer.diagnostic_broadcasts import FAULTS_PERIOD_US, HEARTBEAT_PERIOD_MS
+from agent.interface.config import (
+    FAULTS_PERIOD_US,
+    MEMBER_EVERY,
+    STANDARD_HEARTBEAT_US,
+    STANDSTILL_US,
+    beat_of,
+)
 from protocol.frames.diagnostic_frames import DM1, STANDARD_HEARTBEAT
 from protocol.frames.fleet_frames import HEARTBEAT, MEMBER, POSE, STANDSTILL
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
@@ -31,7 +35,7 @@ CYCLE_MS: dict[FrameLayout[Any], int] = {
     STANDSTILL: STANDSTILL_US // 1000,
     ALL_IMPLEMENTS_STOP: 1000,
     DM1: FAULTS_PERIOD_US // 1000,
-    STANDARD_HEARTBEAT: HEARTBEAT_PERIOD_MS,
+    STANDARD_HEARTBEAT: STANDARD_HEARTBEAT_US // 1000,
 }
 
 

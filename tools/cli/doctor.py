@@ -14,7 +14,7 @@ from sim.files.strict_json import dumps
 from tools.build.compiled_core import place
 from tools.build.kernel_cache import kernels_kept
 from tools.cli.panels import CAN_FILES, can_defaults, version_text
-from tools.common.bus_attach import AttachError, address_of_launch
+from tools.common.bus_address import AttachError, address_of_launch
 from tools.common.extras import EXTRA_OF
 from tools.common.findings import Finding, print_findings
 

@@ -19,6 +19,7 @@ from tools.cli.panels import (
     SET_UP,
     SETTINGS,
     Panels,
+    only_asked,
     show_version,
 )
 from tools.common.compiled_caches import guard
@@ -469,7 +470,8 @@ def main() -> None:
     guard()
     try:
         with one_line_errors():
-            raise SystemExit(app(prog_name="headland", standalone_mode=False))
+            asked = only_asked(app, sys.argv[1:])
+            raise SystemExit(asked(prog_name="headland", standalone_mode=False))
     except typer.Abort:
         raise SystemExit(INTERRUPTED) from None
     except WRONG_WORDS as problem:

@@ -18,7 +18,7 @@ from sim.can.simulated_bus import segment
 from sim.can.socketcand_beacon import announce
 from sim.can.socketcand_server import Hub
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import CHANNEL
+from tools.common.bus_address import CHANNEL
 
 WRONG, INTERRUPTED = 2, 130
 OPEN = (

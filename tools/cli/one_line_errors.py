@@ -1,7 +1,6 @@
 """What no command expected, but a person can cause, is one line on stderr and an exit code."""
 
 import sys
-import traceback
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Final
@@ -36,4 +35,6 @@ def one_line_errors() -> Iterator[None]:
 def tell_origin() -> None:
     """With -v: where the error came from, before its one line."""
     if Verbosity.verbose:
+        import traceback
+
         traceback.print_exc()

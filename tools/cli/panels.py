@@ -8,12 +8,15 @@ import configparser
 import os
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
+from copy import copy
 from math import isfinite
 from pathlib import Path
 from typing import Any
 
 import typer
 from typer.core import TyperGroup
+from typer.main import get_command_name
+from typer.models import CommandInfo
 
 from tools.cli.plain_values import take_plain_values
 from tools.common.verbosity import Verbosity, taken_from
@@ -27,6 +30,7 @@ CAN_FILES = ("can.ini", "~/.canrc", "~/.can", "/etc/can.conf", "~/can.conf")
 CAN_KEYS = ("interface", "channel", "bitrate")
 # Options whose number is never negative: spans of time, and a factor of it.
 SPANS = {"--seconds", "--timeout", "--wait", "--delay", "--limit", "--since", "--speed"}
+COMPLETION = "_HEADLAND_COMPLETE"  # set by a shell that asks for completion
 SHORT_MAX = 200  # characters of a command in the list: its first sentence, wrapped
 SETTINGS: dict[str, Any] = {
     "help_option_names": ["-h", "--help"],
@@ -74,6 +78,34 @@ class Panels(TyperGroup):
                 ctx.default_map = {name: can_defaults()}
         take_plain_values(command.get_params(ctx))
         return name, command, [_renamed(word, known) for word in rest]
+
+
+def only_asked(app: typer.Typer, words: Sequence[str]) -> typer.Typer:
+    """The application with the one command that `words` ask for, or the whole one where none is found.
+
+    Typer makes all commands with all their options before it runs one, which takes as long as a tool of
+    the bus. Help, suggestions and completion need all of them.
+    """
+    name = next((word for word in words if not word.startswith("-")), "")
+    command = _command_called(name, app)
+    group = next((each for each in app.registered_groups if each.name == name), None)
+    if (command is None and group is None) or COMPLETION in os.environ:
+        return app
+    asked = copy(app)
+    asked.registered_commands = [] if command is None else [command]
+    asked.registered_groups = [] if group is None else [group]
+    return asked
+
+
+def _command_called(name: str, app: typer.Typer) -> CommandInfo | None:
+    """Of the application, or of those that were added to it without a name of their own."""
+    for each in app.registered_commands:
+        function = each.callback
+        if name == (each.name or (function and get_command_name(function.__name__))):
+            return each
+    inner = (each.typer_instance for each in app.registered_groups if not each.name)
+    found = (_command_called(name, each) for each in inner if each is not None)
+    return next((each for each in found if each is not None), None)
 
 
 class _Number:

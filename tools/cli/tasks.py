@@ -52,7 +52,7 @@ def add(
 
 def _house(scenario: str | None, interface: str, host: str, port: int) -> "Warehouse | None":
     from sim.scenarios.scenario import ScenarioError
-    from tools.common.bus_attach import scenario_of_launch
+    from tools.common.bus_address import scenario_of_launch
     from tools.operate.transport_order import house_of
 
     scenario = scenario or scenario_of_launch(interface, host, port)

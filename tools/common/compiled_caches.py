@@ -9,7 +9,6 @@ replace it. Who can write the sources needs no cache: caches beside such sources
 import os
 import stat
 import sys
-import tempfile
 from collections.abc import Iterable, MutableMapping
 from pathlib import Path
 
@@ -59,6 +58,8 @@ def guard_kernels(environment: MutableMapping[str, str], root: Path = ROOT) -> P
         found = [beside_sources(folder, root) for folder in kernel_caches(root)]
     for writable in found:
         if writable is not None:
+            import tempfile  # rarely needed; its import takes as long as all that is judged here
+
             environment[CACHE] = tempfile.mkdtemp(prefix="headland-kernels-")
             return writable
     return None

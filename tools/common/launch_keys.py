@@ -13,7 +13,7 @@ from typing import Any
 
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
 from agent.runtime.files.key_file import DEVICE, FLEET, NAMES, OPERATOR, fresh, write
-from tools.common.bus_attach import LAUNCH
+from tools.common.bus_address import LAUNCH
 
 KEYS = "keys"  # the folder in that of a fleet, and its name in bus.json
 # Windows has no numbers of users, and modes there say nothing: no file is then private.

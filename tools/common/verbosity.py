@@ -3,8 +3,6 @@
 Both may stand before or behind the command's name. They are set once, when the command line is read.
 """
 
-import logging
-
 QUIET_WORDS, VERBOSE_WORDS = ("-q", "--quiet"), ("-v", "--verbose")
 
 
@@ -21,6 +19,8 @@ def taken_from(words: list[str]) -> list[str]:
     Verbosity.quiet = any(word in QUIET_WORDS for word in own)
     Verbosity.verbose = any(word in VERBOSE_WORDS for word in own)
     if Verbosity.verbose:
+        import logging
+
         logging.basicConfig(level=logging.INFO, format="%(name)s: %(message)s")
     kept = [word for word in own if word not in (*QUIET_WORDS, *VERBOSE_WORDS)]
     return kept + words[len(own) :]

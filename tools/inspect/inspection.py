@@ -16,7 +16,8 @@ from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_address import AttachError
+from tools.common.bus_attach import attach
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of

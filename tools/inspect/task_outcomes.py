@@ -12,7 +12,8 @@ from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOr
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_address import AttachError
+from tools.common.bus_attach import attach
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator

@@ -9,7 +9,8 @@ from contextlib import suppress
 from protocol.authentication import Keyring
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.bus_address import LAUNCH, AttachError
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of

@@ -1,13 +1,12 @@
 """`headland say`: plain language to a fleet, and its answers; without a phrase, a conversation.
 
-What reads phrases is imported once a bus is there: it is half of the start of this command.
+What reads phrases is imported when the options are sound: it is half of the start of this command.
 """
 
 import asyncio
 import sys
 from importlib.util import find_spec
 
-from tools.common.bus_attach import AttachError, address_of_launch
 from tools.language.say_options import Options
 
 WRONG = 2
@@ -20,25 +19,12 @@ def say(words: list[str], options: Options) -> int:
         return _wrong("the language needs lark: pip install 'headland[operator]'")
     if options.by is not None and options.by != "any" and not options.by.isdigit():
         return _wrong(f"--by {options.by}: needs the number of a robot, or any")
-    try:
-        _find_launch(options)
-    except AttachError as problem:
-        return _wrong(str(problem))
     from tools.language.conversation import WRONG_WORDS, Conversation
 
     try:
         return asyncio.run(Conversation(options).hold(" ".join(words) or None))
     except WRONG_WORDS as problem:
         return _wrong(str(problem))
-
-
-def _find_launch(options: Options) -> None:
-    """Raises AttachError where the bus is that of a launch, and there is none. Files and addresses that
-    were given are looked at first."""
-    interface, _, _, _, port = options.bus
-    given = options.key or options.places or options.endpoint or options.log or options.read_only
-    if interface == "socketcand" and port == 0 and not given:
-        address_of_launch()
 
 
 def _wrong(message: str) -> int:

@@ -3,7 +3,7 @@
 from pathlib import Path
 from typing import NamedTuple
 
-from tools.common.bus_attach import Attached, folder_of_launch
+from tools.common.bus_address import Attached, folder_of_launch
 from tools.common.run_folder import QUEUE, RUNS
 
 

@@ -27,7 +27,8 @@ from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
 from sim.record.scene import Scene, in_folder
-from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.bus_address import LAUNCH, AttachError
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.log_frames import SourceError, columns_of

@@ -8,7 +8,7 @@ from agent.interface.ports import Bus
 from protocol.authentication import Keyring
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
-from tools.common.bus_attach import AttachError
+from tools.common.bus_address import AttachError
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
 from tools.operate.reset import LISTEN_S, STEP_S, operator_keyring, release

@@ -9,7 +9,8 @@ from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach, robots_of_launch
+from tools.common.bus_address import AttachError, robots_of_launch
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.operator_device import KnownRobot, Operator

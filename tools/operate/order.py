@@ -7,7 +7,8 @@ from pathlib import Path
 from protocol.frames.operator_frames import ReportKind, goal_frames
 from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import Attached, AttachError, attach
+from tools.common.bus_address import Attached, AttachError
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG, listen_to

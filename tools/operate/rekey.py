@@ -12,7 +12,8 @@ from protocol.frames.frame import Frame
 from protocol.frames.key_frames import KeysHeld
 from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import Attached, AttachError, attach
+from tools.common.bus_address import Attached, AttachError
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG

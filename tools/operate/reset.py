@@ -12,7 +12,8 @@ from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
 from protocol.operator_badges import ALL_ROLES, DAY_S, Role
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach, robots_of_launch
+from tools.common.bus_address import AttachError, robots_of_launch
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, WRONG, listen_to

@@ -17,7 +17,8 @@ from sim.fleet.transport_orders import TransportClient
 from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_attach import AttachError, attach, scenario_of_launch
+from tools.common.bus_address import AttachError, scenario_of_launch
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of

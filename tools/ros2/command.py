@@ -16,7 +16,8 @@ from agent.runtime.files.given_file import (
 from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
-from tools.common.bus_attach import LAUNCH, AttachError, attach
+from tools.common.bus_address import LAUNCH, AttachError
+from tools.common.bus_attach import attach
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import check_operator_key

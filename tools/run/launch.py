@@ -30,7 +30,7 @@ from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import implement_contacts
 from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
-from tools.common.bus_attach import CHANNEL, absolute
+from tools.common.bus_address import CHANNEL, absolute
 from tools.common.child_process import module_command
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity

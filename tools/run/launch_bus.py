@@ -11,7 +11,7 @@ from protocol.links.socketcand_link import ANSWER_S, SocketcandLink
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_beacon import announce
 from sim.can.socketcand_server import Hub
-from tools.common.bus_attach import CHANNEL
+from tools.common.bus_address import CHANNEL
 
 Tap = Callable[[int, Frame], None]  # microseconds of the monotonic clock, as the event loop's
 

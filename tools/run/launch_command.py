@@ -11,7 +11,7 @@ from sim.files.strict_json import dumps
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError
 from tools.build.warmup import warm
-from tools.common.bus_attach import AttachError
+from tools.common.bus_address import AttachError
 from tools.common.launch_keys import fleet_keys
 from tools.common.run_folder import FolderError
 from tools.inspect.metrics_address import MetricsError, metrics_address

@@ -11,7 +11,7 @@ from random import Random
 from protocol.frames.frame import Frame
 from protocol.links.socketcand_link import SocketcandLink
 from sim.record.scene import Scene
-from tools.common.bus_attach import CHANNEL
+from tools.common.bus_address import CHANNEL
 from tools.livemap.foxglove_live import start_feed
 from tools.livemap.foxglove_services import services_of
 from tools.livemap.stop_panel import Panel

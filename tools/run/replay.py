@@ -12,7 +12,8 @@ from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from sim.record.recording import FramesDigest
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_address import AttachError
+from tools.common.bus_attach import attach
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
 from tools.inspect.robot_table import table_of

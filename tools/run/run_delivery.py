@@ -13,7 +13,7 @@ from sim.fleet.virtual_clock import WallLoop
 from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
-from tools.common.bus_attach import CHANNEL, absolute
+from tools.common.bus_address import CHANNEL, absolute
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
 from tools.common.run_folder import LAUNCH, RUNS, link

@@ -36,7 +36,8 @@ from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 from protocol.name import fleet_name
 from sim.files.strict_json import dumps
-from tools.common.bus_attach import AttachError, attach
+from tools.common.bus_address import AttachError
+from tools.common.bus_attach import attach
 
 WRONG = 2
 TICK_S = 0.005

@@ -13,7 +13,8 @@ from protocol.links.socketcand_link import SocketcandLink
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_attach import AttachError, attach, keep_attached
+from tools.common.bus_address import AttachError
+from tools.common.bus_attach import attach, keep_attached
 from tools.common.launch_keys import own_keys
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookError, OrderBook

@@ -9,7 +9,6 @@ import json
 import os
 import re
 import stat
-import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -106,6 +105,8 @@ def parse_toml(text: str) -> dict[str, Any]:
 
     Raises GivenFileError if it is not TOML, is nested too deep, or has a key of too many parts.
     """
+    import tomllib  # files of TOML are fewer than those of JSON, which every tool of the bus reads
+
     if any(run.group().count(".") > DOTS_MAX for run in _DOTTED.finditer(_STRINGS.sub("q", text))):
         raise GivenFileError(f"not TOML of ours: a key of more than {DOTS_MAX} parts")
     try:

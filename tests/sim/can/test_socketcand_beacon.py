@@ -14,7 +14,7 @@ from can.interfaces.socketcand import socketcand
 
 from sim.can import socketcand_beacon as beacon
 from tools.cli.hub import _serve
-from tools.common.bus_attach import CHANNEL
+from tools.common.bus_address import CHANNEL
 from tools.run.launch_bus import OwnHub
 
 HEARD_S = 5.0  # the first beacon comes at once, the second after three seconds

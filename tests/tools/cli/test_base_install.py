@@ -11,8 +11,8 @@ import pytest
 
 from tests.tools.launching import ENVIRONMENT, ROOT
 from tools.cli.hub import loopback
-from tools.common import bus_attach as attachment
-from tools.common.bus_attach import AttachError, address_of_launch
+from tools.common import bus_address
+from tools.common.bus_address import AttachError, address_of_launch
 from tools.common.extras import EXTRA_OF
 from tools.common.process_identity import identity, lives
 
@@ -116,7 +116,7 @@ def test_g_a_launch_that_was_killed_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Somebody else may have its port by now, and would say that all have stopped."""
-    monkeypatch.setattr(attachment, "LAUNCH", tmp_path / "bus.json")
+    monkeypatch.setattr(bus_address, "LAUNCH", tmp_path / "bus.json")
     where = {"host": "127.0.0.1", "port": 5, "channel": "can0"}
     (tmp_path / "bus.json").write_text(json.dumps({**where, **identity()}))
     assert address_of_launch() == ("127.0.0.1", 5, "can0")

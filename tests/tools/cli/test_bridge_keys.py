@@ -7,7 +7,7 @@ import pytest
 
 from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, fresh, write
 from tools.cli.bridge import GatewayKeys
-from tools.common.bus_attach import AttachError
+from tools.common.bus_address import AttachError
 
 
 def keys_in(folder: Path) -> Path:

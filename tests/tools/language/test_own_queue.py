@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from tools.common.bus_attach import LAUNCH
+from tools.common.bus_address import LAUNCH
 from tools.common.run_folder import QUEUE, RUNS
 from tools.language.say_options import Options, own_queue
 

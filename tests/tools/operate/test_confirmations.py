@@ -22,8 +22,8 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
-from tools.common import bus_attach as attachment
-from tools.common.bus_attach import robots_of_launch
+from tools.common import bus_address
+from tools.common.bus_address import robots_of_launch
 from tools.operate.estop import press
 from tools.operate.operator_device import ECHOES_TRIED, Operator
 from tools.operate.reset import word
@@ -118,7 +118,7 @@ def test_t14_in_a_fleet_with_keys_only_a_signed_echo_confirms() -> None:
 def test_t14_the_robots_of_a_launch_are_known_from_its_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(attachment, "LAUNCH", tmp_path / "bus.json")
+    monkeypatch.setattr(bus_address, "LAUNCH", tmp_path / "bus.json")
     assert robots_of_launch("socketcand", "127.0.0.1", 0) == []
     where = {"host": "127.0.0.1", "port": 5, "channel": "can0", "robots": [0, 1, 2]}
     (tmp_path / "bus.json").write_text(json.dumps(where))

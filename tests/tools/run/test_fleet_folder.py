@@ -22,7 +22,8 @@ from sim.world.robot_body import SimulatedBody
 from sim.world.world_memory import TRACK_DIGITS, WorldMemory
 from tests.tools.complaint import Complaints
 from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
-from tools.common.bus_attach import CHANNEL, attach
+from tools.common.bus_address import CHANNEL
+from tools.common.bus_attach import attach
 from tools.common.run_folder import QUEUE, FolderError, folder_for
 from tools.run.fleet_folder import end_fleet, fleet_folder
 from tools.run.launch import STRAIGHT_M

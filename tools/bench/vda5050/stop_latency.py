@@ -15,7 +15,8 @@ from protocol.frames.safety_frames import EmergencyStop, Reason
 from tools.bench.stopped_beats import BUS_BOUND_MS, REPEAT_S, TIMEOUT_S, Beats
 from tools.bench.vda5050.counterparts import WAIT_S, Mosquitto, end, said, start
 from tools.bench.vda5050.masters_orders import ROBOTS, SCENARIO, vehicles
-from tools.common.bus_attach import CHANNEL, attach
+from tools.common.bus_address import CHANNEL
+from tools.common.bus_attach import attach
 from tools.operate.operator_device import Operator
 
 PRESSES = 10
