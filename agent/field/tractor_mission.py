@@ -17,9 +17,12 @@ from agent.interface.lifecycle import State
 from agent.interface.mission import STILL, FleetView, MotionRequest
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import (
+    AT_WORK,
     BEND_HALF_M,
+    ON_THE_WAY,
     SteeringLimits,
     TractorTracker,
+    bend_speed_m_s,
     distance_m,
     heading_of,
     smooth_way,
@@ -35,6 +38,7 @@ JOIN_BENT_M_S = 0.4
 BENT_M = 1.0  # a stretch whose first straight is shorter begins in a bend
 LEAVE_M_S = 0.8  # speed from a stretch into a turn that is not planned yet
 ROOM_M = 1.5  # free length beyond the end of a stretch that this speed needs
+SLOW_WHEELS_S = 0.5  # from straight to the planned circle; wheels of tractors take 0.9 s
 STUCK_US = 5_000_000
 MOVED_M = 0.5  # a robot that moves less within `STUCK_US` is stuck
 BODY_M = 0.5  # between hulls on a path round a body: more than ORCA's disc takes
@@ -71,6 +75,13 @@ class TractorMission(FieldMission):
         super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2, travel)
         self.turns, self.limits = turns, limits
         self.reach_m = 2 * radius_m + BODY_M
+        self.on_the_way, self.run_out_m = AT_WORK, 0.0
+        if 1.0 / (turns.radius_m * limits.steer_1_m_s) > SLOW_WHEELS_S:
+            self.on_the_way = ON_THE_WAY
+            # The command looks ahead by this. A path that bends at once would be left by 0.2 m.
+            self.run_out_m = ON_THE_WAY.preview_for_s * bend_speed_m_s(
+                limits.speed_m_s, turns.radius_m
+            )
         self.follow: TractorTracker | None = None
         self.bodies: list[tuple[float, float]] = []  # paths go round these since we were stuck
         self.joined = False  # we are at the beginning of the first leg and point along it
@@ -176,7 +187,7 @@ class TractorMission(FieldMission):
             if view.now_us < self._again_at_us:
                 return False
             standing = [*self.bodies, *self.blockage.bodies, *view.things]
-            pieces = self.turns.way(here, start, standing, self.reach_m)
+            pieces = self.turns.way(here, start, standing, self.reach_m, self.run_out_m)
             if pieces == []:  # we are there
                 self.joined = True
                 return self._next(view, here, only_approach)
@@ -188,7 +199,8 @@ class TractorMission(FieldMission):
             self.headway.again()  # the remaining distance did not include the turn
             joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
             way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
-        self.follow = TractorTracker(way, self.limits, end_m_s)
+        manner = AT_WORK if self.leg.units else self.on_the_way
+        self.follow = TractorTracker(way, self.limits, end_m_s, manner)
         self.tracker = self.follow  # type: ignore[assignment]  # what `_passed` asks is the same
         self.unit, self.worst_m = 0, 0.0
         return True

@@ -6,6 +6,7 @@ path is the same at any speed.
 """
 
 from math import atan2, cos, hypot, pi, remainder, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,9 +18,7 @@ CLOSE_1_M = 0.33
 CLOSE_RAD_MAX = 0.5  # largest angle to the path while an error is closed
 LATERAL_M_S2 = 1.0  # lateral acceleration that is comfortable, and far from tipping or slipping
 WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
-STEER_SHARE = 0.7  # share of the steering rate that plans use; the rest is for corrections
 SLOWEST_M_S = 0.4  # bends are not planned slower than this
-PREVIEW_S = 0.25  # half the time from lock to straight, and the delay of the command
 BACK_M_S = 0.9  # highest speed backward
 SHIFT_M, SHIFT_M_S = 0.25, 0.35  # within this distance of a change of gear, at most this speed
 CREEP_M_S = 0.15  # lowest speed that is commanded
@@ -28,6 +27,21 @@ LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another 
 BEND_HALF_M = 0.6  # a bend of a swath is rounded over this length on both sides
 SEARCH = 40  # samples searched ahead of the last position
 GEAR = 4  # column of the gear: 1 forward, -1 backward
+
+
+class SteeringManner(NamedTuple):
+    """How a path is steered: at work exactly, on the way soon."""
+
+    share: float  # of the steering rate that plans use; the rest is for corrections
+    preview_for_s: float  # the command is for the place where the body is after this
+    astray_rad: float  # off the path by more, the body slows down
+    astray_m: float
+
+
+AT_WORK = SteeringManner(0.7, 0.25, 0.0, 0.0)
+# The preview is half the time from lock to straight, and the delay of the command. Where wheels are
+# turned, a path of arcs is left by 0.2 rad at any speed.
+ON_THE_WAY = SteeringManner(0.85, 0.35, 0.2, 0.1)
 
 
 class SteeringLimits:
@@ -46,18 +60,20 @@ class TractorTracker:
     """
 
     def __init__(
-        self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0
-    ) -> None:
+        self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0,
+        manner: SteeringManner = AT_WORK,
+    ) -> None:  # fmt: skip
         """`way`: (n, 5) rows of x, y in metres, heading in radians, curvature in 1/m, and gear (1
         or -1), as `tractor_route.sampled` makes them; at least two. `limits`: of the chassis.
-        `end_m_s`: speed at the end, for a path that another one continues.
+        `end_m_s`: speed at the end, for a path that another one continues. `manner`: how bends
+        are steered.
         """
         assert way.shape[0] >= 2
-        self.way, self.limits = way, limits
+        self.way, self.limits, self.manner = way, limits, manner
         gaps = np.hypot(np.diff(way[:, 0]), np.diff(way[:, 1]))
         self.along = np.concatenate([[0.0], np.cumsum(gaps)])
         self.total_m = float(self.along[-1])
-        self.speeds = _speeds(way, self.along, limits, end_m_s)
+        self.speeds = _speeds(way, self.along, limits, end_m_s, manner.share)
         self.points = [(float(x), float(y)) for x, y in way[[0, -1], :2]]
         self.row = 0
         self.along_m = self.off_m = self.off_rad = self.gap_m = 0.0
@@ -111,10 +127,11 @@ class TractorTracker:
         speed_m_s = float(self.speeds[self.row])
         if self.row + 1 < self.speeds.size:
             speed_m_s = min(speed_m_s, float(self.speeds[self.row + 1]) + 0.1)
-        astray = min(1.5 * abs(self.off_rad) + abs(self.off_m), 0.7)
+        astray = 1.5 * max(abs(self.off_rad) - self.manner.astray_rad, 0.0)
+        astray = min(astray + max(abs(self.off_m) - self.manner.astray_m, 0.0), 0.7)
         speed_m_s = max(speed_m_s * (1.0 - astray), CREEP_M_S)
         close_m = CLOSE_M + CLOSE_1_M / self.limits.steer_1_m_s * speed_m_s
-        reach = self.row + 1 + int(speed_m_s * PREVIEW_S / 0.1)
+        reach = self.row + 1 + int(speed_m_s * self.manner.preview_for_s / 0.1)
         ahead = self.way[self.row : reach + 1]
         same = ahead[ahead[:, GEAR] == gear]
         curvature = float(same[-1, 3]) if same.size else 0.0
@@ -127,7 +144,11 @@ class TractorTracker:
 
 
 def _speeds(
-    way: NDArray[np.float64], along: NDArray[np.float64], limits: SteeringLimits, end_m_s: float
+    way: NDArray[np.float64],
+    along: NDArray[np.float64],
+    limits: SteeringLimits,
+    end_m_s: float,
+    steer_share: float,
 ) -> NDArray[np.float64]:
     """Allowed speed at each sample (n,), metres a second: bends, changes of curvature and of gear,
     and braking for them.
@@ -140,12 +161,13 @@ def _speeds(
     before = np.interp(along - WINDOW_M / 2, along, way[:, 3])
     after = np.interp(along + WINDOW_M / 2, along, way[:, 3])
     rate = np.abs(after - before) / WINDOW_M
-    speeds = np.minimum(speeds, STEER_SHARE * limits.steer_1_m_s / np.maximum(rate, 1e-6))
+    speeds = np.minimum(speeds, steer_share * limits.steer_1_m_s / np.maximum(rate, 1e-6))
     speeds = np.maximum(speeds, SLOWEST_M_S)
     for k in range(1, count):
-        if way[k, GEAR] != way[k - 1, GEAR]:  # the wheels turn while it creeps
-            near = np.abs(along - along[k]) < SHIFT_M
-            speeds[near] = np.minimum(speeds[near], SHIFT_M_S)
+        if way[k, GEAR] != way[k - 1, GEAR]:
+            if way[k, 3] != way[k - 1, 3]:  # the wheels turn while it creeps
+                near = np.abs(along - along[k]) < SHIFT_M
+                speeds[near] = np.minimum(speeds[near], SHIFT_M_S)
             speeds[k - 1] = 0.0
     speeds[-1] = min(speeds[-1], end_m_s)
     for k in range(count - 2, -1, -1):

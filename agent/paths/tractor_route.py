@@ -17,6 +17,7 @@ from agent.paths.hybrid_a_star import BACK_COST, SHIFT_M, is_free, piece_is_free
 Point = tuple[float, float]  # metres (x, y)
 SAMPLE_M = 0.1
 RUN_UPS_M = (1.5, 1.0, 0.5)  # lengths of the straight before the goal that are tried
+RUN_OUT_COST_M = 3.0  # a run-out that makes the rest longer by more is left out
 RUN_UP_M = 1.0  # a shorter run-up is taken only if it saves more than this
 
 
@@ -52,15 +53,33 @@ class TurnRoute:
         goal: VehiclePose,
         bodies: Sequence[Point] = (),
         reach_m: float = 0.0,
+        run_out_m: float = 0.0,
     ) -> list[Piece] | None:
         """Pieces from start to goal, with a straight run-up where there is room; None: no way was
         found.
+
+        `run_out_m`: of the straight before a first bend ahead, where there is room. Wheels that are
+        straight at the start take time to turn.
 
         Cells nearer than `reach_m` to one of the `bodies` count as blocked. A start on a blocked
         cell may be left: the cells round it count as free.
         """
         blocked = self._without(bodies, reach_m)
         self._open(blocked, start)
+        best = self._with_run_up(blocked, start, goal)
+        if not best or best[0].length_m < 0.0 or best[0].curvature_1_m == 0.0:
+            return best
+        if not run_out_m or not piece_is_free(blocked, self.place, *start, 0.0, run_out_m):
+            return best
+        after = VehiclePose(*step(*start, 0.0, run_out_m))
+        later = self._with_run_up(blocked, after, goal)
+        if not later or later[0].length_m < 0.0 or cost_m(later) > cost_m(best) + RUN_OUT_COST_M:
+            return best
+        return [Piece(0.0, run_out_m), *later]
+
+    def _with_run_up(
+        self, blocked: NDArray[np.bool_], start: VehiclePose, goal: VehiclePose
+    ) -> list[Piece] | None:
         best: list[Piece] | None = None
         for run_up_m in RUN_UPS_M:
             if not piece_is_free(blocked, self.place, *goal, 0.0, -run_up_m):

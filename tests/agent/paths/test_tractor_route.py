@@ -109,3 +109,14 @@ def test_bodies_are_gone_round() -> None:
     way = check(route, start, goal, route.way(start, goal, [(20.0, 15.0)], 2.0))
     assert np.hypot(way[:, 0] - 20.0, way[:, 1] - 15.0).min() > 1.7
     assert len(route.way(start, goal) or []) <= 4, "and are forgotten with the question"
+
+
+def test_a_way_that_bends_begins_with_a_run_out_where_there_is_room() -> None:
+    start, goal = VehiclePose(20.0, 10.0, pi / 2), VehiclePose(16.2, 10.0, -pi / 2)
+    route = turns()
+    bends, straight = route.way(start, goal), route.way(start, goal, run_out_m=0.5)
+    assert bends and bends[0].curvature_1_m > 0.0
+    assert straight and straight[0] == Piece(0.0, 0.5)
+    check(route, start, goal, straight)
+    nose_to_fence = VehiclePose(20.0, HEIGHT_M - BORDER_M - 0.3, pi / 2)
+    assert route.way(nose_to_fence, goal, run_out_m=0.5) == route.way(nose_to_fence, goal)
