@@ -78,6 +78,7 @@ def _peers(cluster: Cluster) -> list[Peer]:
     return [robot.peer for robot in cluster.robots.values()]
 
 
+@pytest.mark.slow
 def test_f_nothing_in_a_peer_grows_with_time(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(replica, "HISTORY_MAX", 32)  # memories of the newest are full early
     monkeypatch.setattr(letters, "LINES_MAX", 8)

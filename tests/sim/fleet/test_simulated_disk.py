@@ -61,6 +61,7 @@ def test_any_bytes_are_some_journal_and_can_be_written_on(image: bytes, value: b
     assert LogJournal(Disk(disk.read())).load() == {**known, "key": value}
 
 
+@pytest.mark.slow
 def test_no_acknowledged_record_is_lost_to_a_power_cut(tapes: dict[int, Tape]) -> None:
     for slot, tape in tapes.items():
         rng = Random(f"{SEED}/{slot}")

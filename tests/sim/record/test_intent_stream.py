@@ -70,6 +70,7 @@ def test_what_follows_or_lacks_makes_it_no_intent() -> None:
     assert all(read_intent(whole[:n]) is None for n in range(len(whole)))
 
 
+@pytest.mark.slow
 def test_hostile_bytes_neither_raise_nor_fill_memory() -> None:
     rng, read = Random(12), 0
     small = FULL._replace(path=((1.0, 2.0),), hears=(1, 2), strange=(), holds=("CREEP",))

@@ -59,6 +59,7 @@ def test_a_ring_of_notes_holds_the_newest_that_fit() -> None:
     assert ring.count == before
 
 
+@pytest.mark.slow
 def test_a_day_of_a_live_bus_is_kept_in_fixed_memory() -> None:
     """It was 13 GB: every intent and a snapshot each ten seconds, for good."""
     recording = LiveRecording()

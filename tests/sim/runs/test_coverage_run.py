@@ -111,6 +111,7 @@ def test_corridors_full_of_robots() -> None:
     assert outcome.success and outcome.closest_m >= 2.0, outcome
 
 
+@pytest.mark.slow
 def test_a_death_among_aisles_of_one_robot() -> None:
     """Who follows another round a corner comes after it: three once met at a crossing, and stood."""
     walls = rack_walls(22, 22)

@@ -39,6 +39,7 @@ def played(
     return outcome, {s: np.array(t) for s, t in expedition.tracks.items()}, worlds[0]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("robots", "seed"), [(3, 1), (4, 2), (6, 3)])
 def test_m23_both_engines_agree_in_runs_without_contacts(robots: int, seed: int) -> None:
     print("seed", seed)

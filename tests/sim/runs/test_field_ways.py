@@ -46,6 +46,7 @@ def test_a11_a_fleet_finishes_a_field_with_inner_corners(
     assert outcome.success, outcome
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a11_a_fleet_finishes_round_the_corner_of_a_hole(seed: int, tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(90.0, 60.0), 3, seed, hole=WEDGE)

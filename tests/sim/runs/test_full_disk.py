@@ -67,6 +67,7 @@ def small_disk(tmp_path: Path) -> Iterator[Path]:
     subprocess.run(["umount", "-l", str(folder)], check=True)
 
 
+@pytest.mark.slow
 def test_f6_a_launch_on_a_full_disk_ends_with_its_verdict(small_disk: Path) -> None:
     (small_disk / "taken").write_bytes(bytes(TAKEN_BYTES))
     words = ["launch", "small", "--robots", "2", "--seconds", "25", "--port", "0", "--out",
