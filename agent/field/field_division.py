@@ -15,7 +15,7 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely import affinity
-from shapely.geometry import LineString, Polygon
+from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from agent.field.corner_cuts import cut_at_corners
@@ -202,12 +202,12 @@ def _cut(deep: BaseGeometry, angle_deg: float, strip_m: float) -> _Cut:
 def _strips(deep: BaseGeometry, angle_deg: float, strip_m: float) -> list[list[Polyline]]:
     """Rows of swaths from one side of the field to the other, each row from left to right."""
     cut = _cut(deep, angle_deg, strip_m)
+    middle_m = cut.middles_m[cut.row_of]
+    ends = np.stack((cut.left_m, middle_m, cut.right_m, middle_m), axis=1).reshape(-1, 2, 2)
+    lines = affinity.rotate(MultiLineString(list(ends)), angle_deg, origin=(0.0, 0.0))
     strips: list[list[Polyline]] = [[] for _ in cut.middles_m]
-    for row, left_m, right_m in zip(cut.row_of, cut.left_m, cut.right_m, strict=True):
-        middle_m = cut.middles_m[row]
-        line = LineString([(left_m, middle_m), (right_m, middle_m)])
-        back = affinity.rotate(line, angle_deg, origin=(0.0, 0.0))
-        strips[row].append(_points(back.coords))
+    for row, line in zip(cut.row_of, shapely.get_coordinates(lines).reshape(-1, 2, 2), strict=True):
+        strips[row].append(_points(line.tolist()))
     return strips
 
 

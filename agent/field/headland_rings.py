@@ -12,7 +12,7 @@ It leaves the line by half the overlap at most, the tolerance of driving.
 import itertools
 from collections.abc import Iterator, Sequence
 from math import atan2, dist, hypot, pi, radians
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
@@ -67,7 +67,8 @@ def pieces(ring: LineString, section_length_m: float, width_m: float) -> Iterato
     """
     count = max(1, round(ring.length / section_length_m))
     wanted = [ring.length * k / count for k in range(count)]
-    cuts = sorted({round(_straight(ring, cut, count, width_m), 6) for cut in wanted})
+    turns = _turns(ring)
+    cuts = sorted({round(_straight(ring, cut, count, width_m, turns), 6) for cut in wanted})
     for start, end in zip(cuts, [*cuts[1:], cuts[0] + ring.length], strict=True):
         yield tuple((float(p[0]), float(p[1])) for p in _along(ring, start, end))
 
@@ -80,22 +81,35 @@ def _along(ring: LineString, start: float, end: float) -> list[tuple[float, ...]
     return first + list(substring(ring, 0.0, end - ring.length).coords)[1:]
 
 
-def _straight(ring: LineString, cut: float, count: int, width_m: float) -> float:
+class _Turns(NamedTuple):
+    """Where a ring turns, metres along it."""
+
+    corners: list[float]
+    bends: list[float]  # corners are bends, too
+
+
+def _turns(ring: LineString) -> _Turns:
+    places = shapely.get_coordinates(ring)
+    edges_m = shapely.length(shapely.linestrings(np.stack((places[:-1], places[1:]), axis=1)))
+    points = [(x_m, y_m) for x_m, y_m in places.tolist()]
+    found, along = _Turns([], []), 0.0
+    for k, (a, b) in enumerate(itertools.pairwise(points)):
+        turn_rad = abs(_turn(points[k - 1] if k else points[-2], a, b))
+        if turn_rad > CORNER_RAD:
+            found.corners.append(along)
+        if turn_rad > BENT_RAD:
+            found.bends.append(along)
+        along += float(edges_m[k])
+    return found
+
+
+def _straight(ring: LineString, cut: float, count: int, width_m: float, turns: _Turns) -> float:
     """The arc length nearest to `cut` that is half a width from every corner.
 
     If there is none, it is the one furthest from any turn in this one of `count` equal pieces of
     the ring.
     """
-    points = list(ring.coords)
-    length = float(ring.length)
-    corners, bends, along = [], [], 0.0
-    for k, (a, b) in enumerate(itertools.pairwise(points)):
-        turn_rad = abs(_turn(points[k - 1] if k else points[-2], a, b))
-        if turn_rad > CORNER_RAD:
-            corners.append(along)
-        if turn_rad > BENT_RAD:
-            bends.append(along)
-        along += float(LineString((a, b)).length)
+    length, (corners, bends) = float(ring.length), turns
 
     def apart(at: float, other: float) -> float:
         return abs((at - other + length / 2) % length - length / 2)
@@ -105,9 +119,7 @@ def _straight(ring: LineString, cut: float, count: int, width_m: float) -> float
             apart(at, b) >= BENT_M for b in bends
         )
 
-    steps = sorted(
-        (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1)), key=abs
-    )
+    steps = (k * CUT_STEP_M * sign for k in range(int(length / 2)) for sign in (1, -1))
     found = next((cut + step for step in steps if is_straight((cut + step) % length)), None)
     if found is None and bends:
         gaps = list(itertools.pairwise([*bends, bends[0] + length]))
