@@ -10,12 +10,14 @@ from typing import Any
 
 import pytest
 
+from agent.runtime.ready_kernels import CACHE
 from agent.runtime.robot_process import WRONG
 from tests.tools.launching import ROOT
 from tools.cli.entrance import robot_words
 
 EXAMPLE = ROOT / "examples" / "robot"
 UNIT = EXAMPLE / "headland@.service"
+KERNELS = EXAMPLE / "headland-kernels.service"
 LIMIT_S = 60
 
 
@@ -44,10 +46,11 @@ def test_systemd_accepts_the_unit(tmp_path: Path) -> None:
         folder.mkdir(parents=True)
     program.write_text("#!/bin/sh\n")
     program.chmod(0o755)
-    shutil.copy(UNIT, units)
+    for each in (UNIT, KERNELS):
+        shutil.copy(each, units)
     done = subprocess.run(
         [analyze, "verify", "--man=no", "--recursive-errors=no", f"--root={tmp_path}",
-         "headland@3.service"],
+         "headland@3.service", KERNELS.name],
         capture_output=True, text=True, check=False, timeout=LIMIT_S,
     )  # fmt: skip
     if "unrecognized option" in done.stderr or "not supported" in done.stderr:
@@ -68,6 +71,23 @@ def test_the_unit_starts_a_robot_and_does_not_restart_what_needs_a_person(
     )
     assert int(unit["RestartPreventExitStatus"]) == WRONG and unit["Restart"] == "on-failure"
     assert unit["KillSignal"] == "SIGTERM"  # on which a robot says farewell
+
+
+def test_kernels_are_made_ready_before_a_robot_starts_and_where_it_looks_for_them(
+    unit: configparser.SectionProxy,
+) -> None:
+    """A base install without them took 223 MB: nobody had called `headland compile --kernels`."""
+    robots, kernels = UnitFile(interpolation=None, strict=False), UnitFile(interpolation=None)
+    robots.read(UNIT)
+    kernels.read(KERNELS)
+    for order in ("After", "Wants"):
+        assert KERNELS.name in robots["Unit"][order].split()
+    made = kernels["Service"]
+    assert shlex.split(made["ExecStart"])[1:] == ["compile", "--kernels"]
+    assert Path(made["ExecStart"].split()[0]).name == "headland"
+    for key in ("User", "CacheDirectory", "Environment"):
+        assert made[key] == unit[key]
+    assert unit["Environment"] == f"{CACHE}=/var/cache/{unit['CacheDirectory']}"
 
 
 def test_the_image_starts_a_robot_and_installs_what_is_there() -> None:
