@@ -17,8 +17,6 @@ from crdt import Phase
 class GoalWork(GridWork):
     """One robot's way to its goal."""
 
-    agreement: GoalAgreement
-
     def __init__(
         self, slot: int, ground: CellMap, speed_m_s: float, rng: Random, goal: int, robots: int
     ) -> None:

@@ -19,6 +19,7 @@ import can
 from can import BusABC, CanOperationError, CanProtocol, Message
 
 from agent.interface.observation import Neighbour
+from protocol.frames.agreement_frames import AgreementMessage
 from protocol.frames.codec import decode_once
 from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.frame import Frame
@@ -34,6 +35,7 @@ POLL_S = 0.002  # how often a program without an event loop polls the wire
 ACTIVE, SHAKEN, OFF = can.BusState.ACTIVE, can.BusState.PASSIVE, can.BusState.ERROR
 POSE_PGN: Final = GROUP_OF[Pose].pgn
 HEARTBEAT_PGN: Final = GROUP_OF[Heartbeat].pgn
+AGREEMENT_PGN: Final = GROUP_OF[AgreementMessage].pgn
 _tuple = tuple.__new__
 Tap = Callable[[int, Frame], None]  # microseconds, frame
 NONE_LOST: Sequence[tuple[Tap, OSError]] = ()
@@ -41,7 +43,8 @@ log = logging.getLogger(__name__)
 
 
 class BufferedBeacon(NamedTuple):
-    """A beacon or heartbeat of a robot that is neither stopped nor leaving, kept for a receiver."""
+    """A beacon or heartbeat of a robot that is neither stopped nor leaving, or its word in a round of
+    agreement, kept for a receiver."""
 
     source: int
     message: AnyMessage
@@ -67,15 +70,18 @@ class Alarm(Protocol):
 
 
 def calm(frame: Frame, t_us: int) -> BufferedBeacon | None:
-    """A beat that may wait until its receivers take their turns; None for other frames."""
+    """A beat that may wait until its receivers take their turns; None for other frames.
+
+    So may what missions agree on: it is answered with the next beat."""
     group = frame[0] >> 8 & 0x3FFFF
-    if group != POSE_PGN and group != HEARTBEAT_PGN:
+    if group != POSE_PGN and group != HEARTBEAT_PGN and group != AGREEMENT_PGN:
         return None
     source, message = decode_once(frame)
     if type(message) is Pose and not message.stopped and message.placed:
         seen = _tuple(Neighbour, (message, t_us))
         return _tuple(BufferedBeacon, (source, message, t_us, seen))
-    if type(message) is Heartbeat and not message.stopped and not message.leaving:
+    routine = type(message) is Heartbeat and not message.stopped and not message.leaving
+    if routine or type(message) is AgreementMessage:
         return _tuple(BufferedBeacon, (source, message, t_us, None))
     return None
 

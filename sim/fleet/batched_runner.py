@@ -7,12 +7,13 @@ robot works like this: what a robot does with each frame is `PeerRunner`, and th
 
 from collections.abc import Callable, Sequence
 
-from agent.interface.effects import Effect
+from agent.interface.effects import Effect, Persist
 from agent.interface.observation import Neighbour
 from agent.interface.ports import Body, Bus, Journal
 from agent.peer.inputs import Heard, Input
 from agent.peer.peer import Peer
 from agent.runtime.peer_runner import PeerRunner
+from protocol.frames.agreement_frames import AgreementMessage
 from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
@@ -85,8 +86,8 @@ class BatchedRunner(PeerRunner):
     def _take(self, beacons: Sequence[BufferedBeacon]) -> list[Effect]:
         """What the peer does with beacons of live members while no stop holds it, without the calls.
 
-        A pose is `Membership.on_pose`, a heartbeat what listens to `HeartbeatHeard`. Everything else
-        goes through `Peer.step`."""
+        A pose is `Membership.on_pose`, a heartbeat what listens to `HeartbeatHeard`, a word of an
+        agreement `MissionMessages`. Everything else goes through `Peer.step`."""
         peer, local = self.peer, self._local
         effects: list[Effect] = []
         reports, sync, safety = peer.reports, peer.sync, peer.safety
@@ -96,6 +97,7 @@ class BatchedRunner(PeerRunner):
             membership.last_sign_at_us,
             membership.neighbours,
         )
+        mission = peer.mission
         # After a step back of our clock the peer is told by the first of them.
         back = local is not None and local(beacons[0][2]) < peer.reached_at_us
         for beacon in beacons:
@@ -109,11 +111,15 @@ class BatchedRunner(PeerRunner):
                     membership.reflected_at_us = seen.heard_at_us
             else:
                 t_us = bus_at_us if local is None else local(bus_at_us)
-                beats = type(message) is Heartbeat and not proven and not safety.latched
-                if slot in signs and type(message) is Heartbeat and beats and not back:
+                plain = not proven and not safety.latched and not back
+                if slot in signs and type(message) is Heartbeat and plain:
                     signs[slot] = t_us
                     reports.heard(slot, message)
                     sync.heard_digest(slot, message.digest, t_us)
+                elif slot in signs and type(message) is AgreementMessage and plain:
+                    signs[slot] = t_us
+                    records = () if mission is None else mission.on_message(slot, message, t_us)
+                    effects += [Persist(*record) for record in records]
                 else:
                     effects += peer.step(Heard(source, message), t_us)
                     back = False

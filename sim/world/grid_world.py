@@ -120,9 +120,10 @@ class GridWorld(World):
         """Other robots within sight, as metres east and north of the position."""
         sight_m = SIGHT * self.ground.cell_m
         # Positions at the command; a cell of margin covers the motion since.
-        gaps = self.positions - (x_m, y_m)
         spare_m = sight_m + self.ground.cell_m
-        near = np.flatnonzero((np.abs(gaps) < spare_m).all(axis=1)).tolist()
+        beside = np.abs(self.positions[:, 0] - x_m) < spare_m
+        beside &= np.abs(self.positions[:, 1] - y_m) < spare_m
+        near = beside.nonzero()[0].tolist()
         found = []
         for other in near:
             if other != row:

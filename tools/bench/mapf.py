@@ -1,18 +1,22 @@
 """Whole peers on MAPF instances: success, sum of costs and collisions, by lost frames and crashes.
 
 The sum of costs is compared with that of the shortest paths, which no solver can beat. A hundred peers on
-one instance take three minutes of CPU, so the whole bench takes hours; `--quick` has smaller maps.
+one instance take minutes of CPU, so the whole bench takes hours; `--quick` has smaller maps. A part of
+it, with a line for each instance, on the compiled core (`headland compile`) if there is one:
+
+    python -m tools.bench.mapf random --trouble "2 % loss" --instances 1:5
 """
 
+import argparse
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from sim.files.grid_map import Walls, random_walls, read_map
 from sim.files.mapf_scenario import drawn_scenario
-from sim.runs.mapf_run import MapfRun
+from sim.files.strict_json import dumps
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import data_folder
-from tools.run.mapf import judged, setting_of
+from tools.build.compiled_core import use
 
 PUBLIC = ("room-64-64-8", "warehouse-10-20-10-2-1")
 ROBOTS, INSTANCES, SIDE = 100, 25, 64
@@ -44,26 +48,51 @@ def maps(quick: bool) -> Iterator[tuple[str, Walls]]:
             yield name, read_map(path)
 
 
+class Driven(NamedTuple):
+    """What came of one instance."""
+
+    map: str
+    robots: int
+    trouble: str
+    instance: int
+    success: bool  # all that could arrive did, nothing touched, and the judge has no remark
+    arrived: int
+    solvable: int
+    collisions: int  # by true positions, and remarks of the judge of path files
+    ratio: float  # the sum of costs by that of the shortest paths
+    before_for_s: float  # until the first robot set out
+    simulated_s: float
+    cpu_s: float
+
+
+def driven(name: str, walls: Walls, robots: int, trouble: Trouble, instance: int) -> Driven:
+    """One instance, whose starts, goals, lost frames and crashes are drawn by its number."""
+    from sim.runs.mapf_run import MapfRun
+    from tools.run.mapf import judged, setting_of
+
+    mapf = drawn_scenario(name, walls, robots, instance)
+    run = MapfRun(setting_of(mapf, instance, trouble.loss, trouble.crashes))
+    outcome = run.run()
+    faults = len(judged(run, outcome, walls).faults)
+    return Driven(
+        name, robots, trouble.name, instance, outcome.success and not faults, outcome.arrived,
+        outcome.solvable, outcome.collisions + faults, round(outcome.ratio, 4),
+        round(outcome.before_for_s, 1), outcome.simulated_s, round(outcome.cpu_s, 1),
+    )  # fmt: skip
+
+
 def figures(quick: bool) -> Iterator[Figure]:
     """Three figures for each map and each kind of trouble."""
     robots, count = (QUICK_ROBOTS, QUICK_INSTANCES) if quick else (ROBOTS, INSTANCES)
     for name, walls in maps(quick):
         for trouble in TROUBLES:
-            done = arrived = solvable = collisions = 0
-            ratios = []
-            for seed in range(1, count + 1):
-                mapf = drawn_scenario(name, walls, robots, seed)
-                run = MapfRun(setting_of(mapf, seed, trouble.loss, trouble.crashes))
-                outcome = run.run()
-                verdict = judged(run, outcome, walls)
-                done += outcome.success and not verdict.faults
-                arrived, solvable = arrived + outcome.arrived, solvable + outcome.solvable
-                collisions += outcome.collisions + len(verdict.faults)
-                ratios.append(outcome.ratio)
+            runs = [driven(name, walls, robots, trouble, seed) for seed in range(1, count + 1)]
+            arrived, solvable = sum(r.arrived for r in runs), sum(r.solvable for r in runs)
+            done, collisions = sum(r.success for r in runs), sum(r.collisions for r in runs)
             what = f"MAPF, {name}, {robots} peers, {trouble.name}"
             scope = f"{count} instances drawn by seed; {arrived} of {solvable} robots arrived"
             yield Figure(f"{what}: success", done / count, "share", "= 1", done == count, "", scope)
-            mean = sum(ratios) / count
+            mean = sum(r.ratio for r in runs) / count
             yield Figure(
                 f"{what}: sum of costs", mean, "of the shortest paths", f"<= {RATIO_MAX:g}",
                 mean <= RATIO_MAX, "sum of shortest paths: LaCAM* cannot be below it",
@@ -73,3 +102,28 @@ def figures(quick: bool) -> Iterator[Figure]:
                 f"{what}: collisions", collisions, "", "= 0", not collisions,
                 "true positions, and a judge of path files", scope,
             )  # fmt: skip
+
+
+def lines(map_name: str, robots: int, troubles: list[str], first: int, last: int) -> Iterator[Any]:
+    """A line for each instance `first` to `last` of each kind of trouble."""
+    for name, walls in maps(quick=False):
+        if not name.startswith(map_name):
+            continue
+        for trouble in TROUBLES:
+            if trouble.name in troubles:
+                for instance in range(first, last + 1):
+                    yield driven(name, walls, robots, trouble, instance)._asdict()
+
+
+if __name__ == "__main__":
+    use()
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("map", help="the beginning of its name")
+    parser.add_argument("--robots", type=int, default=ROBOTS)
+    parser.add_argument("--trouble", action="append", choices=[each.name for each in TROUBLES])
+    parser.add_argument("--instances", default=f"1:{INSTANCES}", help="first:last")
+    given = parser.parse_args()
+    from_to = [int(part) for part in given.instances.split(":")]
+    wanted = given.trouble or [each.name for each in TROUBLES]
+    for line in lines(given.map, given.robots, wanted, from_to[0], from_to[-1]):
+        print(dumps(line), flush=True)
