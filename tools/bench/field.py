@@ -25,6 +25,7 @@ from tools.bench.field_changes import FleetChange, changed_run
 from tools.bench.field_opponent import central_plan_s, problem_at, problem_of, snake_s
 from tools.bench.field_tractors import tractor_problem
 from tools.bench.figure import Figure
+from tools.bench.last_sections import ideal_split
 
 SEARCH_S, QUICK_SEARCH_S = 40.0, 5.0
 QUICK: Final = (("small", 3),)
@@ -73,6 +74,11 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
         yield Figure(f"time standing, {name}, {robots} robots", idle, "",
                      "" if most is None else f"<= {most:g}", None if most is None else idle <= most,
                      "", f"mean share of the robots until the fleet's end; seed {seed}")  # fmt: skip
+        split = ideal_split(run.tracks, setup.vehicle.speed_m_s)
+        yield Figure(f"end if last sections were split, {name}, {robots} robots",
+                     split.split_end_s / split.end_s, "x", "", None, "",
+                     f"of {split.end_s:.0f} s, {split.splits} splits with hindsight; a robot's last work "
+                     f"ends after {split.mean_end_s:.0f} s in the mean; seed {seed}")  # fmt: skip
     mean = float(np.mean(ratios))
     yield Figure("makespan, mean of all", mean, "x", f"<= {MEAN_MAX:g}", mean <= MEAN_MAX, against,
                  f"{len(ratios)} fleets, seed {seed}")  # fmt: skip
