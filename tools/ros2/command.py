@@ -16,6 +16,7 @@ from agent.runtime.files.given_file import (
 from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
+from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import LAUNCH, AttachError
 from tools.common.bus_attach import attach
 from tools.common.launch_keys import keys_in
@@ -97,7 +98,6 @@ def _launch() -> dict[str, Any]:
 def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
     if scenario is not None:
         from sim.record.scene_builder import scene_named
-        from sim.scenarios.scenario import ScenarioError
 
         try:
             return scene_named(scenario)
@@ -114,6 +114,7 @@ async def _serve(
     where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
     namespace: str, domain: int | None, seconds: float | None, zenoh: str | None,
 ) -> None:  # fmt: skip
+    from tools.ros2.goal_desk import GoalDesk
     from tools.ros2.ros2_feed import Ros2Feed
 
     interface, channel, bitrate, host, port = where
@@ -147,15 +148,18 @@ async def _serve(
         late = found["late"]
         return bool(found["heard"]) and not late, f"not released: {late}" if late else "released"
 
-    feed = Ros2Feed(await _joined(namespace, domain, zenoh), scene, stop, release)
+    graph = await _joined(namespace, domain, zenoh)
+    feed = Ros2Feed(graph, scene, stop, release)
+    goals = GoalDesk(bus, panel.stopper.device, operator_key, feed, graph)
 
     def heard(frame: Frame) -> None:
         now_s = loop.time()
         feed.hear(now_s, frame)
         panel.hear(now_s, frame)
+        goals.hear(now_s, frame)
 
     bus.subscribe(heard)
-    beside = [loop.create_task(panel.keep_asking())]
+    beside = [loop.create_task(panel.keep_asking()), loop.create_task(goals.run())]
     if launch.get("bodies"):
         beside.append(loop.create_task(_watch(feed, Path(str(launch["bodies"])))))
     print(f"ROS 2: node /{namespace.strip('/')}/{NODE}   (Ctrl-C ends it)", flush=True)
@@ -164,8 +168,8 @@ async def _serve(
     finally:
         for task in beside:
             task.cancel()
+        bus.close()  # first: a frame that comes now would be published by a node that is gone
         feed.close()
-        bus.close()
 
 
 async def _watch(feed: Any, bodies: Path) -> None:

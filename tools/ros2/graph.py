@@ -6,7 +6,7 @@ Two graphs have it: `dds_graph` by rclpy, and `zenoh_graph` without ROS, on the 
 from collections.abc import Callable
 from enum import Enum
 from types import SimpleNamespace
-from typing import Any, Final, Protocol
+from typing import Any, Final, NamedTuple, Protocol
 
 from numpy import int8
 from numpy.typing import NDArray
@@ -39,6 +39,40 @@ class Publisher(Protocol):
         """To all that read it."""
 
 
+class GoalPlace(NamedTuple):
+    """A place that a client asks for."""
+
+    frame: str  # of its coordinates; empty: the client does not say
+    x_m: float
+    y_m: float
+
+
+class Ended(Enum):
+    """How a goal of an action ended."""
+
+    SUCCEEDED = "the robot is there"
+    CANCELLED = "the client took it back, and the fleet has confirmed that"
+    ABORTED = "it will not be reached"
+
+
+class ActionGoal(Protocol):
+    """A goal of an action that was accepted and has not ended."""
+
+    places: list[GoalPlace]
+
+    @property
+    def cancelled(self) -> bool:
+        """Whether the client wants it to be given up."""
+
+    def tell(self, at: GoalPlace, left_m: float, places_left: int) -> None:
+        """Feedback: where the robot is, and the straight way to the next place in metres.
+
+        `places_left`: poses still to be reached, this one included."""
+
+    def end(self, how: Ended, why: str) -> None:
+        """Give the client its result, once. `why`: for people."""
+
+
 class Graph(Protocol):
     """A node in a graph of ROS 2."""
 
@@ -52,6 +86,13 @@ class Graph(Protocol):
 
     def serve(self, name: str, answer: Callable[[Any, Any], Any]) -> None:
         """Serve a std_srvs/Trigger, in another thread; a graph without services leaves it out."""
+
+    def act(
+        self, name: str, kind: str, accepts: Callable[[list[GoalPlace]], bool],
+        taken: Callable[[ActionGoal], None],
+    ) -> None:  # fmt: skip
+        """Serve an action of nav2_msgs; `accepts` and `taken` are called in another thread. A graph that
+        does not know the kind leaves it out."""
 
     def octets(self, cells: NDArray[int8]) -> Any:
         """`cells` (rows, columns) of a grid as its message takes them: row by row, (rows * columns,)."""

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from protocol.links.zenoh_link import LinkError, configure
 from tools.ros2.bag_messages import jazzy, kinds_of
-from tools.ros2.graph import KINDS, TAKEN, Publisher, Quality
+from tools.ros2.graph import KINDS, TAKEN, ActionGoal, GoalPlace, Publisher, Quality
 
 ROUTER: Final = "tcp/localhost:7447"  # where rmw_zenoh looks for its router
 TOKENS: Final = "@ros2_lv"
@@ -168,6 +168,12 @@ class ZenohGraph:
 
     def serve(self, name: str, answer: Callable[[Any, Any], Any]) -> None:
         """Left out: a stop has its topic, and a release `headland release`."""
+
+    def act(
+        self, name: str, kind: str, accepts: Callable[[list[GoalPlace]], bool],
+        taken: Callable[[ActionGoal], None],
+    ) -> None:  # fmt: skip
+        """Left out: `headland order` does the same."""
 
     def octets(self, cells: NDArray[int8]) -> NDArray[int8]:
         """`cells` (rows, columns) as an array (rows * columns,), which rosbags takes."""

@@ -39,6 +39,7 @@ from agent.motion.wheel_kinematics import (
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 
 if TYPE_CHECKING:
+    from agent.runtime.ros2_goals import NavigateGoals
     from agent.runtime.ros2_node import Ros2Node
 
 FIRST_S: Final = 10.0  # for the first odometry; discovery of other nodes takes up to some seconds
@@ -47,6 +48,7 @@ RAYS: Final = 36
 WHEEL_M: Final = 1.0  # any radius: wheel speeds are turned back into a velocity of the body
 NO_ROS: Final = "the body ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'"
 TTL_S: Final = ACTUATOR_TTL_US / 1e6
+CANCEL_S: Final = 0.2  # for a goal on its way to be cancelled, before the node leaves
 CHECK_S: Final = 10 * MS / 1e6  # between two looks whether the command has expired
 Twist3 = tuple[float, float, float]  # forward and left m/s, turn rad/s
 
@@ -67,15 +69,19 @@ class Ros2Body(RobotBody):
         y_m: float = 0.0,
         heading_rad: float = 0.0,
         implement_state: str = "",
+        navigate: str = "",
     ) -> None:
         """Names of topics are relative to `namespace`; without one it is `/robot_N`. `scan`,
-        `implement_state`: none if empty. `domain`: ROS_DOMAIN_ID. Metres and radians: the origin of
+        `implement_state`: none if empty. `navigate`: an action NavigateToPose by which the robot is
+        driven, in place of velocities. `domain`: ROS_DOMAIN_ID. Metres and radians: the origin of
         the odometry in the field."""
         if not 1 <= rays <= 360:
             raise ValueError(f"rays: {rays} is not 1 to 360")
         self.slot, self.namespace = slot, namespace or f"/robot_{slot}"
         self.topics = (odom, cmd_vel, scan)
-        self.implement_state = implement_state
+        self.implement_state, self.navigate = implement_state, navigate
+        self.goals: NavigateGoals | None = None
+        self._odom: tuple[float, float, str] = (0.0, 0.0, "")  # place and frame of the odometry
         self.rays, self.domain = rays, domain
         self.origin = (x_m, y_m, heading_rad)
         self.wheels: WheelDrive | None = None
@@ -108,6 +114,10 @@ class Ros2Body(RobotBody):
         odom, cmd_vel, scan = self.topics
         self._twist, self._bool = Twist, Bool
         self._commands = node.node.create_publisher(Twist, cmd_vel, RELIABLE)
+        if self.navigate:
+            from agent.runtime.ros2_goals import NavigateGoals
+
+            self.goals = NavigateGoals(node.node, self.navigate)
         self._implement = node.node.create_publisher(Bool, "implement", RELIABLE)
         node.node.create_subscription(Odometry, odom, self._placed, SENSED)
         if scan:
@@ -117,12 +127,20 @@ class Ros2Body(RobotBody):
         node.node.create_timer(CHECK_S, self._expire)
         loop = asyncio.get_running_loop()
         ends_at_s = loop.time() + FIRST_S
-        while self._seen is None or (scan and not self._scan[1]):
+        while missing := self._missing():
             if loop.time() > ends_at_s:
                 self.close()
-                missing = f"{self.namespace}/{odom if self._seen is None else scan}"
-                raise OSError(f"ROS 2: nothing on {missing} in {FIRST_S:.0f} s")
+                raise OSError(f"ROS 2: nothing on {self.namespace}/{missing} in {FIRST_S:.0f} s")
             await asyncio.sleep(LOOK_S)
+
+    def _missing(self) -> str:
+        """What the robot does not have yet: a topic or an action; empty: all is there."""
+        odom, _, scan = self.topics
+        if self._seen is None:
+            return odom
+        if scan and not self._scan[1]:
+            return scan
+        return self.navigate if self.goals is not None and not self.goals.is_served else ""
 
     # ---------------------------------------------------------------- what the robot says
 
@@ -148,6 +166,7 @@ class Ros2Body(RobotBody):
         )  # fmt: skip
         if not all(map(isfinite, values)):
             return  # not a place; the robot stands when the last one is old
+        self._odom = at.x, at.y, message.header.frame_id
         spread = message.pose.covariance
         accuracy_m = sqrt(max(spread[0], spread[7], 0.0))
         self._seen = Observation(
@@ -212,10 +231,29 @@ class Ros2Body(RobotBody):
         return ahead, 0.0, turn
 
     def _publish(self, velocity: Twist3, tool_on: bool) -> None:
+        self._implement.publish(self._bool(data=tool_on))
+        if self.goals is not None:
+            self._send_ahead(velocity)
+            return
         twist = self._twist()
         twist.linear.x, twist.linear.y, twist.angular.z = map(float, velocity)
         self._commands.publish(twist)
-        self._implement.publish(self._bool(data=tool_on))
+
+    def _send_ahead(self, velocity: Twist3) -> None:
+        """The course that is wanted, as a place on it; turning on the spot is left to the robot."""
+        assert self.goals is not None
+        command, _ = self._told
+        if command == HALT or velocity == (0.0, 0.0, 0.0):
+            self.goals.stand()
+            return
+        x_m, y_m, frame = self._odom
+        turn_rad = -self.origin[2]
+        cos_0, sin_0 = cos(turn_rad), sin(turn_rad)
+        wanted = (
+            cos_0 * command.vx_m_s - sin_0 * command.vy_m_s,
+            sin_0 * command.vx_m_s + cos_0 * command.vy_m_s,
+        )
+        self.goals.want((x_m, y_m), wanted, frame)
 
     def _expire(self) -> None:
         """In the thread of the node: a command that nobody renews is over."""
@@ -231,5 +269,8 @@ class Ros2Body(RobotBody):
             return
         self._told = (HALT, 0.0)
         self._publish((0.0, 0.0, 0.0), False)
+        if self.goals is not None:
+            time.sleep(CANCEL_S)  # the node's thread takes the answer of a goal, and sends on
+            self.goals = None
         self.node.close()
         self.node = None

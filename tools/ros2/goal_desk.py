@@ -1,0 +1,201 @@
+"""Goals that ROS 2 clients send as actions, as orders of an operator.
+
+A place is `headland order N set-goal`. So it needs the operator's key, and a client is told what robots
+say: the fleet itself knows nothing of actions.
+"""
+
+import asyncio
+from collections.abc import Callable
+from math import hypot, isfinite
+from pathlib import Path
+from typing import Any, Final
+
+from agent.interface.ports import Bus
+from protocol.frames.frame import Frame
+from protocol.frames.operator_frames import ReportKind, goal_frames
+from tools.common.bus_address import AttachError
+from tools.inspect.inspector import SILENT_S, Inspector
+from tools.operate.operator_device import OPERATOR_SLOT, KnownRobot, Operator
+from tools.operate.order import LISTEN_S, convey
+from tools.operate.reset import operator_keyring
+from tools.operate.tool_address import DeviceAddress
+from tools.ros2.graph import ActionGoal, Ended, GoalPlace, Graph
+
+FIELD: Final = "map"
+GO_TO: Final = "NavigateToPose"
+OFFER_S: Final = 1.0  # between two looks for robots that are new
+TELL_S: Final = 0.2  # between two words to a client
+OBEY_S: Final = 10.0  # for a robot to obey; a few tries are lost on a loaded machine
+# Stopped or silent for this long: it gives the goal up. A protective stop ends 2 s after its cause.
+GIVEN_UP_S: Final = 10.0
+OVER: Final = (ReportKind.REFUSED, ReportKind.STOPPED, ReportKind.WORKING)
+
+
+class GoalDesk:
+    """Offers an action for each robot, and conveys what clients ask."""
+
+    def __init__(
+        self, bus: Bus, device: DeviceAddress, key: Path | None, inspector: Inspector, graph: Graph
+    ) -> None:  # fmt: skip
+        """`device`: whose address it speaks from. `key`: the operator's; without one every goal is
+        rejected."""
+        self.bus, self.device, self.key = bus, device, key
+        self.inspector, self.graph = inspector, graph
+        self._listeners: list[Operator] = []
+        self._newest: dict[int, ActionGoal] = {}  # by robot: a later goal replaces an earlier one
+        self._loop = asyncio.get_running_loop()
+        self._speaking = asyncio.Lock()
+        self._working: set[asyncio.Task[None]] = set()
+
+    def hear(self, now_s: float, frame: Frame) -> None:
+        """Take one frame of the bus."""
+        for operator in self._listeners:
+            operator.hear(now_s, frame)
+
+    async def run(self) -> None:
+        """Offer actions as robots are heard, until it is cancelled."""
+        offered: set[int] = set()
+        try:
+            while True:
+                for slot in sorted(self.inspector.robots.keys() - offered):
+                    offered.add(slot)
+                    self._offer(slot)
+                await asyncio.sleep(OFFER_S)
+        finally:
+            for task in self._working:
+                task.cancel()
+
+    def _offer(self, slot: int) -> None:
+        async def go(goal: ActionGoal) -> None:
+            await self._go(slot, goal)
+
+        name = f"robot_{slot}/navigate_to_pose"
+        self.graph.act(name, GO_TO, lambda places: self._may_go(slot, places), self._taken(go))
+
+    def _taken(self, serve: Callable[[ActionGoal], Any]) -> Callable[[ActionGoal], None]:
+        """Called in the thread of the graph with a goal that was accepted."""
+
+        def begin(goal: ActionGoal) -> None:
+            task = self._loop.create_task(self._whole(serve, goal))
+            self._working.add(task)
+            task.add_done_callback(self._working.discard)
+
+        def take(goal: ActionGoal) -> None:
+            self._loop.call_soon_threadsafe(begin, goal)
+
+        return take
+
+    async def _whole(self, serve: Callable[[ActionGoal], Any], goal: ActionGoal) -> None:
+        try:
+            await serve(goal)
+        except AttachError as problem:  # the key has ended, or its file is gone
+            self._abort(goal, str(problem))
+
+    def _abort(self, goal: ActionGoal, why: str) -> None:
+        """Results of Nav2 in Jazzy have no room for a reason, so people read it here."""
+        print(f"goal aborted: {why}", flush=True)
+        goal.end(Ended.ABORTED, why)
+
+    # ---------------------------------------------------------------- a place
+
+    def _may_go(self, slot: int, places: list[GoalPlace]) -> bool:
+        """In the thread of the graph: whether a goal makes sense and somebody may order it."""
+        return self.key is not None and len(places) == 1 and _in_field(places[0])
+
+    async def _go(self, slot: int, goal: ActionGoal) -> None:
+        place = goal.places[0]
+        self._newest[slot] = goal
+        operator, robot, why = await self._ordered(slot, "set-goal", (place.x_m, place.y_m))
+        try:
+            if robot is None:
+                self._abort(goal, why)
+                return
+            fine_s = self._loop.time()
+            while True:
+                if goal.cancelled:
+                    why = await self._conveyed(operator, robot, "continue", None)
+                    if not why:
+                        goal.end(Ended.CANCELLED, "")
+                        return
+                    print(f"goal not taken back yet: {why}", flush=True)
+                matter = None if robot.report is None else robot.report.matter
+                if matter is ReportKind.ARRIVED:
+                    goal.end(Ended.SUCCEEDED, "")
+                    return
+                held = self._held(slot)
+                fine_s = fine_s if held else self._loop.time()
+                why = self._ended(slot, goal, matter)
+                if not why and self._loop.time() - fine_s > GIVEN_UP_S:
+                    why = held
+                if why:
+                    self._abort(goal, why)
+                    return
+                self._tell(goal, slot, place, 1)
+                await asyncio.sleep(TELL_S)
+        finally:
+            self._listeners.remove(operator)
+            if self._newest.get(slot) is goal:
+                del self._newest[slot]
+
+    def _ended(self, slot: int, goal: ActionGoal, matter: ReportKind | None) -> str:
+        """Why a robot will not arrive; empty while it may."""
+        if self._newest.get(slot) is not goal:
+            return "a later goal has replaced it"
+        if matter in OVER:
+            return f"robot {slot} says: {matter.name}" if matter is not None else ""
+        return f"robot {slot} has left" if self.inspector.robots[slot].left else ""
+
+    def _held(self, slot: int) -> str:
+        """What keeps a robot from its goal at present; empty: nothing."""
+        seen = self.inspector.robots[slot]
+        if seen.stopped:
+            return f"robot {slot} is stopped"
+        return f"robot {slot} is silent" if self._loop.time() - seen.last_s > SILENT_S else ""
+
+    async def _ordered(
+        self, slot: int, what: str, place: tuple[float, float] | None
+    ) -> tuple[Operator, KnownRobot | None, str]:
+        """The operator that ordered it, which goes on listening, and the robot if it obeys, or why it
+        does not."""
+        operator = Operator(self.bus, None, self.device)
+        self._listeners.append(operator)
+        await operator.listen(LISTEN_S)
+        robot = next((known for known in operator.live if known.slot == slot), None)
+        if robot is None:
+            return operator, None, f"robot {slot} is not heard"
+        why = await self._conveyed(operator, robot, what, place)
+        return operator, None if why else robot, why
+
+    async def _conveyed(
+        self, operator: Operator, robot: KnownRobot, what: str, place: tuple[float, float] | None
+    ) -> str:
+        """Why a robot does not obey; empty: it does.
+
+        One order at a time, and only then with a keyring: robots ask for the newest counter of this
+        operator, and an older keyring would answer too."""
+        async with self._speaking:
+            operator.keyring = operator_keyring(self.key, OBEY_S)
+            operator.slot = OPERATOR_SLOT if operator.keyring is None else operator.keyring.sender
+            try:
+                if await convey(operator, robot, what, place, OBEY_S):
+                    return ""
+            finally:
+                operator.keyring = None
+        said = "nothing" if robot.report is None else robot.report.matter.name
+        return f"robot {robot.slot} does not obey {what}; it says: {said}"
+
+    def _tell(self, goal: ActionGoal, slot: int, to: GoalPlace, places_left: int) -> None:
+        seen = self.inspector.robots[slot]
+        left_m = hypot(to.x_m - seen.x_m, to.y_m - seen.y_m)
+        goal.tell(GoalPlace(FIELD, seen.x_m, seen.y_m), left_m, places_left)
+
+
+def _in_field(place: GoalPlace) -> bool:
+    """Whether a place can be ordered: in the frame of the fleet, and within what a frame can say."""
+    if place.frame not in ("", FIELD) or not (isfinite(place.x_m) and isfinite(place.y_m)):
+        return False
+    try:
+        goal_frames(0, 0, place.x_m, place.y_m)
+    except (ValueError, OverflowError):
+        return False
+    return True
