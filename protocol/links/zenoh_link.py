@@ -56,6 +56,9 @@ def configure(
     router carries nothing between peers). Raises LinkError.
     """
     connect, listen = list(connect), list(listen)
+    for endpoint in (*connect, *listen):
+        if "/" not in endpoint:
+            raise LinkError(f"{endpoint}: no endpoint; write tcp/HOST:PORT or tls/HOST:PORT")
     try:
         config = zenoh.Config() if file is None else zenoh.Config.from_file(str(file))
     except Exception as problem:  # the binding raises undocumented exceptions

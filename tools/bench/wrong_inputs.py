@@ -101,6 +101,41 @@ machine --gnss 0 --orders 0 --wheels TAKEN | TAKEN
 chaos --scenario nan.toml | line 4
 fuzz frame --input folder | folder
 bench people --seed x | --seed
+stop --timeout 2s | '2s' is not a number
+stop --port 70000 | '70000' should be
+stop --host "" --port 5 | :5
+order two wait --port 1 | 'two' is not a whole number
+order 2 wiat --port 1 | go-home
+order 2 set-goal 12,5m --port 1 | 12,5m
+release --start yes | yes
+task add 1;2 3,4 --port 1 | 1;2
+say "" --read | headland say
+say --log absent.log status | absent.log
+inspect empty.log --why 7x | 7x
+inspect noise.asc | noise.asc: not a CAN log: it is no text
+map --metrics 1:2:3 --port 1 | 1:2:3: a port
+report folder | folder: no such log
+map folder | folder: no such log
+export folder --bag y --storage sqlite | 'sqlite' is not one of 'mcap', 'sqlite3'
+plan small --drive tank | tank
+plan small --done absent.geojson | absent.geojson
+dbc headland.dbc --addresses 128..133 | 128..133
+keys operator bob --folder folder --roles king | king
+keys make | keys --help
+new file | .toml
+run smal | small
+run small --film | small is a field
+run small --out file | --out file: is a file; name a folder
+run small --limit 5min | '5min' is not a number
+run small --feature nosuch | nosuch
+run small --robots 1000 | 108
+launch small --seconds 5s | '5s' is not a number
+launch small --hub 99999 | '99999' should be
+hub --bitrate fast | 'fast' is not a whole number
+hub --bitrate 0 | 1000
+bridge --segment 1 --zenoh nonsense --port 1 | nonsense: no endpoint
+vda5050 | --broker
+chaos --seeds a:b | a:b
 doctor now | now
 dbc headland.dbc --addresses 300 | 300
 dbc folder/x.cdd | x.cdd
@@ -139,6 +174,7 @@ def make_place(folder: Path) -> None:
     for name, text in TEXTS.items():
         (folder / name).write_text(text, encoding="utf-8")
     (folder / "bin.zip").write_bytes(NOISE)
+    (folder / "noise.asc").write_bytes(NOISE)
     (folder / "latin.toml").write_bytes('name = "Grün"'.encode("latin-1"))
     for name in ("folder", "dir.toml", "runx/can.log"):
         (folder / name).mkdir(parents=True)

@@ -46,7 +46,8 @@ from tools.run import coverage
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
 KIND_WORDS = {  # of a scenario, in an error
-    "delivery": "a warehouse", "exploration": "an arena", "grid": "a grid map",
+    "field": "a field", "errands": "a field of errands", "delivery": "a warehouse",
+    "exploration": "an arena", "grid": "a grid map", "protocol": "a fleet without a field",
 }  # fmt: skip
 WORDS = "Words such as beat, dot, lease and unit: docs/glossary.md in the repository."
 app = typer.Typer(
@@ -130,7 +131,7 @@ def run(
         "--limit": limit is not None and (live or not (worked or warehouse)),
         "--keys": keys is not None and not (worked or warehouse), "--film": film and not arena,
     }  # fmt: skip
-    _refuse(scenario, KIND_WORDS.get(kind.value, "no warehouse"), live, unfit)
+    _refuse(scenario, KIND_WORDS[kind.value], live, unfit)
     if warehouse:
         from tools.run.run_delivery import haul
 

@@ -10,9 +10,12 @@ import re
 from pathlib import Path
 from typing import Any, Final, Literal, get_args, get_origin
 
+import typer
+
 UNSURE: Final = object()  # for typer to decide
 INT: Final = re.compile(r"[+-]?[0-9]{1,18}")
 FLOAT: Final = re.compile(r"[+-]?[0-9]{1,15}(\.[0-9]{1,15})?")
+NUMBERS: Final = {"number": "not a number", "integer": "not a whole number"}  # kind: what to say
 # What a command may ask of a path beyond its name; all of them are false where it does not.
 PATH_CHECKS: Final = ("exists", "writable", "resolve_path", "allow_dash")
 
@@ -28,9 +31,30 @@ class PlainValue:
         """The value for the command; whatever `process_value` of typer raises if it cannot be one."""
         plain = plain_value(self.param, value)
         if plain is UNSURE:
-            return self.by_typer(ctx, value)
+            try:
+                return self.by_typer(ctx, value)
+            except typer.BadParameter as problem:
+                if not isinstance(value, str):
+                    raise
+                raise typer.BadParameter(plainly(problem.message, value), ctx, self.param) from None
         callback = self.param.callback
         return plain if callback is None else callback(ctx, self.param, plain)
+
+
+def plainly(message: str, value: str) -> str:
+    """What the validator says of one word, in words for people, with the word itself.
+
+    >>> plainly("Input should be a valid number, unable to parse string as a number", "5min")
+    "'5min' is not a number; write it in digits, without a unit"
+    >>> plainly("Input should be less than or equal to 65535", "70000")
+    "'70000' should be less than or equal to 65535"
+    """
+    for kind, told in NUMBERS.items():
+        if message.startswith(f"Input should be a valid {kind}"):
+            return f"'{value}' is {told}; write it in digits, without a unit"
+    if message.startswith("Input should be "):
+        return f"'{value}' {message.removeprefix('Input ')}"
+    return message.removeprefix("Value error, ")
 
 
 def take_plain_values(params: list[Any]) -> None:

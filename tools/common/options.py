@@ -24,9 +24,14 @@ Channel = Annotated[
     str,
     typer.Option("-c", "--channel", envvar="CAN_CHANNEL", help="Channel of the interface."),
 ]
+BITRATE_MIN = (
+    1_000  # bit/s, a tenth of the slowest of CiA 301: a frame takes 0.13 s, more than two beats
+)
 Bitrate = Annotated[
     int,
-    typer.Option("-b", "--bitrate", envvar="CAN_BITRATE", help="Bit rate of the bus, bit/s."),
+    typer.Option(
+        "-b", "--bitrate", min=BITRATE_MIN, envvar="CAN_BITRATE", help="Bit rate of the bus, bit/s."
+    ),
 ]
 Host = Annotated[str, typer.Option("--host", help="Host of a socketcand interface.")]
 Port = Annotated[

@@ -28,15 +28,16 @@ class FolderError(Exception):
 def folder_for(out: Path | None, name: str) -> Path:
     """The empty folder of a run: `out`, or a new one that is named after the scenario.
 
-    Raises FolderError where `out` holds a fleet that is not done, OSError where it cannot be used.
+    Raises FolderError where `out` is a file or holds a fleet that is not done, OSError where it cannot
+    be used.
     """
     if out is None:
         folder = numbered(RUNS, name)
         link(RUNS / LATEST, folder)
         return folder
+    if out.exists() and not out.is_dir():
+        raise FolderError(f"--out {out}: is a file; name a folder, or one that is to be made")
     out.mkdir(parents=True, exist_ok=True)
-    if not out.is_dir():
-        raise OSError(f"{out} is not a folder")
     if any(out.glob("robot*.sqlite")):
         raise FolderError(f"{out} holds the journals of a launch; choose another folder with --out")
     if (out / MARK).is_file():

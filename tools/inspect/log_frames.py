@@ -13,6 +13,9 @@ from sim.files.log_parts import parts_of
 ROWS = 4096  # of a log that is read frame by frame
 
 
+NO_LOG = "no such log, and no run folder with a can.log or run.mcap in it"
+
+
 class SourceError(Exception):
     """One line for the person."""
 
@@ -33,7 +36,7 @@ def columns_of(source: Path, other: Callable[[], object] = lambda: None) -> Iter
     if source.is_dir() and not path.is_file():
         path = source / "run.mcap"
     if not path.is_file():
-        raise SourceError(f"{source}: no such log, and no run folder with a can.log in it")
+        raise SourceError(f"{source}: {NO_LOG}")
     empty = True
     for columns in _of_candump(path, other) if path.suffix == ".log" else _of_rows(path, other):
         empty = empty and not columns.t_us
@@ -91,6 +94,8 @@ def _frames_of(path: Path, other: Callable[[], object]) -> Iterator[tuple[int, F
                 )
             else:
                 other()
+    except UnicodeDecodeError:
+        raise SourceError(f"{path}: not a CAN log: it is no text, as {path.suffix} is") from None
     except Exception as problem:  # log readers raise any exception on files of another kind
         raise SourceError(f"{path}: not a CAN log: {_first_line(problem)}") from None
 

@@ -19,6 +19,8 @@ def say(words: list[str], options: Options) -> int:
         return _wrong("the language needs lark: pip install 'headland[operator]'")
     if options.by is not None and options.by != "any" and not options.by.isdigit():
         return _wrong(f"--by {options.by}: needs the number of a robot, or any")
+    if words and not "".join(words).strip():
+        return _wrong('nothing is said; say what you want: headland say "where is robot 2"')
     from tools.language.conversation import WRONG_WORDS, Conversation
 
     try:

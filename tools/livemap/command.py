@@ -31,7 +31,7 @@ from tools.common.bus_address import LAUNCH, AttachError
 from tools.common.bus_attach import attach
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
-from tools.inspect.log_frames import SourceError, columns_of
+from tools.inspect.log_frames import NO_LOG, SourceError, columns_of
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port
@@ -203,6 +203,8 @@ def recorded(source: Path, scene: Scene | None, notes: bool = True) -> Recording
     """Of a run folder or any log; its intents and things only with `notes`. Raises SourceError and
     McapMissing."""
     path = source / MCAP if source.is_dir() and not (source / "can.log").is_file() else source
+    if not path.exists():
+        raise SourceError(f"{source}: {NO_LOG}")
     with _one_line(source):
         if path.suffix == ".mcap":
             recording = read_recording(path, notes)
