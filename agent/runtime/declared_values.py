@@ -167,7 +167,7 @@ def first_error(problem: ValidationError, model: type[BaseModel], text: str = ""
     """
     errors = problem.errors()
     error = next((each for each in errors if each["type"] == "extra_forbidden"), errors[0])
-    path = [part for part in error["loc"] if not isinstance(part, str) or part not in _tags(model)]
+    path = _without_tags(error["loc"], model)
     key = ".".join(map(str, path))
     number = line_of(text, path)
     where = key if number is None else f"line {number}: {key}"
@@ -238,6 +238,16 @@ def _tags(model: type[BaseModel]) -> dict[str, type[BaseModel]]:
             if kind is not None:
                 found |= {str(word): each for word in get_args(kind.annotation)}
     return found
+
+
+def _without_tags(loc: Sequence[str | int], model: type[BaseModel]) -> list[str | int]:
+    """The keys of a path of pydantic, without the word of `kind` that it puts behind a list's index."""
+    tags = _tags(model)
+    return [
+        part
+        for before, part in zip([None, *loc[:-1]], loc, strict=True)
+        if not (isinstance(before, int) and part in tags)
+    ]
 
 
 def _models(annotation: Any) -> list[type[BaseModel]]:

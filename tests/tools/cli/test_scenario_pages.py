@@ -14,6 +14,8 @@ from tools.cli.scenario_pages import KINDS, meaning, schema
 FIELD = 'name = "x"\n[field]\nfile = "small.geojson"\n'
 WRONG = {
     'name = "x"\n[feild]\nfile = "small.geojson"\n': "line 2: feild: unknown key; did you mean 'field'",
+    FIELD + '[vehicle]\ndrive = "ackermann"\n': "line 4: vehicle: unknown key",  # also a kind of fault
+    FIELD + '[[fault]]\nkind = "heal"\nat_s = 1\ncrash = 2\n': "line 7: fault.0.crash: unknown key",
     FIELD + "[fleet]\nrobotz = 3\n": "line 5: fleet.robotz: unknown key; did you mean 'robots'",
     FIELD + '[fleet]\nrobots = "six"\n': "line 5: fleet.robots: not a whole number: 'six'",
     FIELD + '[fleet]\ndrive = "mecanun"\n': "did you mean 'mecanum'",
