@@ -26,6 +26,9 @@ ARRIVED_M = 0.08  # this near to the end, the path is driven
 LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another path
 BEND_HALF_M = 0.6  # a bend of a swath is rounded over this length on both sides
 SEARCH = 40  # samples searched ahead of the last position
+SETTLED_M = (
+    2.0  # before the end of a path no error is allowed: work begins behind a run-up of 1.5 m
+)
 GEAR = 4  # column of the gear: 1 forward, -1 backward
 
 
@@ -127,8 +130,11 @@ class TractorTracker:
         speed_m_s = float(self.speeds[self.row])
         if self.row + 1 < self.speeds.size:
             speed_m_s = min(speed_m_s, float(self.speeds[self.row + 1]) + 0.1)
-        astray = 1.5 * max(abs(self.off_rad) - self.manner.astray_rad, 0.0)
-        astray = min(astray + max(abs(self.off_m) - self.manner.astray_m, 0.0), 0.7)
+        allowed_rad, allowed_m = self.manner.astray_rad, self.manner.astray_m
+        if self.total_m - self.along_m < SETTLED_M:
+            allowed_rad = allowed_m = 0.0
+        astray = 1.5 * max(abs(self.off_rad) - allowed_rad, 0.0)
+        astray = min(astray + max(abs(self.off_m) - allowed_m, 0.0), 0.7)
         speed_m_s = max(speed_m_s * (1.0 - astray), CREEP_M_S)
         close_m = CLOSE_M + CLOSE_1_M / self.limits.steer_1_m_s * speed_m_s
         reach = self.row + 1 + int(speed_m_s * self.manner.preview_for_s / 0.1)

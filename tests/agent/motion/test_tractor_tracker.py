@@ -12,6 +12,7 @@ from agent.interface.vehicle import DriveTrain
 from agent.motion.tractor_tracker import (
     AT_WORK,
     ON_THE_WAY,
+    SETTLED_M,
     SteeringLimits,
     SteeringManner,
     TractorTracker,
@@ -86,6 +87,16 @@ def test_a_turn_with_a_run_out_takes_as_long_as_planned(seed: int) -> None:
     # It begins at a stand, which takes a second longer.
     assert len(rows) * 0.05 < planned_s + 1.5, seed
     assert np.abs(rows[:, 1]).max() < 0.1, seed
+
+
+def test_i26_a_body_beside_its_path_slows_down_before_work_begins() -> None:
+    way = sampled(VehiclePose(0.0, 0.0, 0.0), [Piece(0.0, 20.0)])
+    speeds_m_s = []
+    for x_m in (10.0, 20.0 - SETTLED_M + 0.2):
+        tracker = TractorTracker(way, LIMITS, 2.5, ON_THE_WAY)
+        tracker.locate(x_m, 0.0, 0.15)
+        speeds_m_s.append(tracker.command()[0])
+    assert speeds_m_s[0] == pytest.approx(2.5) and speeds_m_s[1] < 2.2
 
 
 def test_a_three_point_turn() -> None:
