@@ -1,7 +1,7 @@
 """Moves a steered body out of another robot's way: one arc or straight, forward or backward."""
 
 from collections.abc import Iterable
-from math import hypot
+from math import copysign, hypot
 
 from agent.motion.tractor_tracker import SteeringLimits, TractorTracker
 from agent.paths.dubins import step
@@ -11,6 +11,10 @@ LENGTHS_M = (3.0, 5.0, 8.0)  # of the arcs and straights that are tried
 ENOUGH_M = 9.0  # a larger distance from the other robot is no better
 STEP_M = 0.5  # between places where the piece is checked for collisions
 SPARE_M = 0.35  # between hulls
+# Its wheels take 0.9 s to turn, and longer where they were turned the other way. Meanwhile a tractor goes
+# straight on: one backed into a fence so. A piece that is free then, too, is preferred.
+LATE_M = 0.5
+BEGIN_M, BEGIN_M_S = 0.4, 0.25  # so far it drives slowly while the wheels turn
 
 
 class EscapeManoeuvre:
@@ -41,7 +45,11 @@ class EscapeManoeuvre:
         if self.follow.arrived or self.follow.lost:
             self.follow = None
             return None
-        return self.follow.command()
+        speed_m_s, turn_rad_s = self.follow.command()
+        if self.follow.along_m < BEGIN_M and abs(speed_m_s) > BEGIN_M_S:
+            turn_rad_s *= BEGIN_M_S / abs(speed_m_s)
+            speed_m_s = copysign(BEGIN_M_S, speed_m_s)
+        return speed_m_s, turn_rad_s
 
     def find(
         self, here: VehiclePose, away_from: list[Point], everybody: list[Point]
@@ -51,14 +59,24 @@ class EscapeManoeuvre:
         None if no piece brings us further away, within a metre. Forward is preferred to backward by
         half a metre.
         """
+        best = self._best(here, away_from, everybody, LATE_M)
+        best = best or self._best(here, away_from, everybody, 0.0)
+        return best[1] if best is not None and best[0] > _gap(here[:2], away_from) - 1.0 else None
+
+    def _best(
+        self, here: VehiclePose, away_from: list[Point], everybody: list[Point], late_m: float
+    ) -> tuple[float, Piece] | None:
+        """The best piece with its score, of those that are free even if they begin `late_m` late."""
         bend = 1.0 / self.turns.radius_m
-        now_m = _gap(here[:2], away_from)
         best: tuple[float, Piece] | None = None
         for length_m in LENGTHS_M:
             for gear in (1.0, -1.0):
                 for curvature in (0.0, bend, -bend, bend / 2, -bend / 2):
                     piece = Piece(curvature, gear * length_m)
                     if not self.turns.piece_is_free(here, piece):
+                        continue
+                    late = VehiclePose(*step(*here, 0.0, gear * late_m))
+                    if late_m and not self.turns.piece_is_free(late, piece):
                         continue
                     if not self._clear(here, piece, everybody):
                         continue
@@ -67,7 +85,7 @@ class EscapeManoeuvre:
                     score -= 0.5 if gear < 0.0 else 0.0
                     if best is None or score > best[0] + 1e-9:
                         best = (score, piece)
-        return best[1] if best is not None and best[0] > now_m - 1.0 else None
+        return best
 
     def _clear(self, here: VehiclePose, piece: Piece, everybody: list[Point]) -> bool:
         steps = max(1, int(abs(piece.length_m) / STEP_M))

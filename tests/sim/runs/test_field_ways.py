@@ -10,6 +10,7 @@ from shapely.geometry import LineString, Point
 from agent.motion.holonomic_motion import FENCE_M
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import load
 from tests.sim.drawn_fields import SHAPES, rectangle, scenario
 
 WEDGE = [(24.0, 31.0), (66.4, 33.9), (45.0, 38.0)]
@@ -106,6 +107,14 @@ def test_m26_a_tractor_is_not_made_to_plan_again_in_its_turns(tmp_path: Path) ->
     made = scenario(tmp_path, rectangle(100.0, 9.0), 1, 1, drive="ackermann", time_limit_s=700.0)
     outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success and outcome.makespan_s < 250.0, outcome
+
+
+@pytest.mark.slow
+def test_i26_a_tractor_that_backs_out_of_a_crowd_meets_no_fence() -> None:
+    """It backed out with its wheels still turned the other way, 0.3 m beside its arc."""
+    made = load("small").changed(robots=6, seed=3, drive="ackermann", time_limit_s=12.0)
+    outcome = FieldRun(FieldSetup(made)).run()
+    assert outcome.contacts == 0, outcome.first_contact
 
 
 def test_m4_a_field_hardly_wider_than_the_implement_is_finished(tmp_path: Path) -> None:
