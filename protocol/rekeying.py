@@ -51,7 +51,8 @@ class Rekeying(NamedTuple):
     def keys(self) -> Keys:
         """The fleet's keys of this generation, without a robot's own."""
         return Keys(
-            _derived(self.secret, b"headland master"), _derived(self.secret, b"headland operators"),
+            derived_key(self.secret, b"headland master", KEY_SIZE),
+            derived_key(self.secret, b"headland operators", KEY_SIZE),
             generation=self.generation,
         )  # fmt: skip
 
@@ -65,14 +66,14 @@ class Rekeying(NamedTuple):
         return KeysHeld(slot, self.generation, switched, tag)
 
     def _tag(self, content: bytes, bits: int) -> int:
-        mac = mac_of(_derived(self.secret, b"headland rekeying"))
+        mac = mac_of(derived_key(self.secret, b"headland rekeying", KEY_SIZE))
         mac.update(content + self.generation.to_bytes(2, "little"))
         return int.from_bytes(mac.finalize()[: bits // 8], "little")
 
 
 def own_key(root: bytes, slot: int) -> bytes:
     """The key that only robot `slot` and the owner of `root` hold."""
-    return _derived(root, b"headland robot" + bytes((slot,)), OWN_SIZE)
+    return derived_key(root, b"headland robot" + bytes((slot,)), OWN_SIZE)
 
 
 def seal(rekeying: Rekeying, own: bytes, slot: int) -> list[KeyPart]:
@@ -134,7 +135,3 @@ def confirmed(rekeying: Rekeying, heard: Sequence[KeysHeld], switched: bool) -> 
 
 def _about(slot: int) -> bytes:
     return b"headland rekeying" + bytes((slot,))
-
-
-def _derived(secret: bytes, info: bytes, size: int = KEY_SIZE) -> bytes:
-    return derived_key(secret, info, size)

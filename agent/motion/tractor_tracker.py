@@ -26,9 +26,8 @@ ARRIVED_M = 0.08  # this near to the end, the path is driven
 LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another path
 BEND_HALF_M = 0.6  # a bend of a swath is rounded over this length on both sides
 SEARCH = 40  # samples searched ahead of the last position
-SETTLED_M = (
-    2.0  # before the end of a path no error is allowed: work begins behind a run-up of 1.5 m
-)
+# Before the end of a path no error is allowed: work begins behind a run-up of 1.5 m.
+SETTLED_M = 2.0
 GEAR = 4  # column of the gear: 1 forward, -1 backward
 
 
