@@ -35,6 +35,7 @@ SHARE: Final = 0.3  # a speed may be off by this share
 WINDOW_S: Final = 0.4  # speeds are taken over this time, for noise of a centimetre
 SLEW_S: Final = 0.11  # two places at 20 Hz; twice the declared acceleration is allowed in it
 DETECTED_S: Final = 0.25  # for standing to show in places that are noisy
+TIMES_TRIALS: Final = 3  # of two seconds: other work seldom delays each of them
 MUTED_S: Final = 0.8
 LATE_S: Final = 0.5
 
@@ -151,17 +152,27 @@ async def opens(trial: BodyTrial) -> str:
 
 
 async def has_current_times(trial: BodyTrial) -> str:
-    """Each place has the time at which it was true, on our clock, and is never old. Raises WrongError."""
-    samples = await trial.run(HALT, 2.0)
-    seen_in(samples)
-    ages_us = [s.at_us - s.seen.sensed_at_us for s in samples if s.seen is not None]
-    if min(ages_us) < 0:
-        raise WrongError(f"sensed {-min(ages_us) / 1000:.0f} ms in the future")
-    if max(ages_us) > AGE_MAX_US:
-        raise WrongError(
-            f"up to {max(ages_us) / 1000:.0f} ms old; {AGE_MAX_US / 1000:.0f} ms stop a robot"
-        )
-    return f"{min(ages_us) / 1000:.0f} to {max(ages_us) / 1000:.0f} ms old"
+    """Each place has the time at which it was true, on our clock, and is never old.
+
+    A busy computer makes one place old. A driver makes places old again and again, so one of
+    `TIMES_TRIALS` trials without an old place is enough, and the others are told. Raises WrongError.
+    """
+    old_ms: list[str] = []
+    for _ in range(TIMES_TRIALS):
+        samples = await trial.run(HALT, 2.0)
+        seen_in(samples)
+        ages_us = [s.at_us - s.seen.sensed_at_us for s in samples if s.seen is not None]
+        if min(ages_us) < 0:
+            raise WrongError(f"sensed {-min(ages_us) / 1000:.0f} ms in the future")
+        if max(ages_us) <= AGE_MAX_US:
+            said = f"{min(ages_us) / 1000:.0f} to {max(ages_us) / 1000:.0f} ms old"
+            return (
+                f"{said}; {', '.join(old_ms)} ms in trials before: is this computer busy?"
+                if old_ms
+                else said
+            )
+        old_ms.append(f"{max(ages_us) / 1000:.0f}")
+    raise WrongError(f"up to {', '.join(old_ms)} ms old; {AGE_MAX_US / 1000:.0f} ms stop a robot")
 
 
 async def tells_its_accuracy(trial: BodyTrial) -> str:

@@ -140,6 +140,30 @@ class LateTimes(NmeaBody):
         return None if seen is None else seen._replace(sensed_at_us=seen.sensed_at_us + 10**6)
 
 
+class OldOnce(NmeaBody):
+    """This computer had other work once, when it had the twentieth place."""
+
+    asked = 0
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        self.asked += seen is not None
+        late_us = 500_000 if self.asked == 20 else 0
+        return None if seen is None else seen._replace(sensed_at_us=seen.sensed_at_us - late_us)
+
+
+class OldOften(NmeaBody):
+    """Each twentieth place is old."""
+
+    asked = 0
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        self.asked += seen is not None
+        late_us = 0 if self.asked % 20 else 500_000
+        return None if seen is None else seen._replace(sensed_at_us=seen.sensed_at_us - late_us)
+
+
 class Bearings(NmeaBody):
     """It takes bearings for headings."""
 
@@ -184,6 +208,13 @@ class KeepsOn(NmeaBody):
         if hypot(self.last.vx_m_s, self.last.vy_m_s):
             super().drive(GatedDrive(self.last), now_us)
         return super().sense(now_us)
+
+
+def test_one_old_place_is_the_computers_and_many_are_the_drivers(machine: Machine) -> None:
+    """A computer that was busy for 130 ms failed a good driver."""
+    ports, names = machine("differential"), ("opens", "times")
+    assert failed(trial(ports, body=OldOnce), names) == {}
+    assert "ms stop a robot" in failed(trial(ports, body=OldOften), names)["times"]
 
 
 @pytest.mark.slow
