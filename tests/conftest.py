@@ -2,9 +2,12 @@
 
 `process`: starts processes. `fleet`: several peers in a simulated world. The rest are unit tests: values
 in, values out. `make fast` runs only those. CONTRIBUTING.md has the commands.
+
+`sampled(n)`: of this test with many values, `make test` plays the first `n` and `make slow` the others.
 """
 
 import re
+from collections import Counter
 from functools import cache
 from pathlib import Path
 
@@ -30,9 +33,16 @@ FLEET = re.compile(
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    seen: Counter[str] = Counter()
     for item in items:
         for name in kinds(item.path):
             item.add_marker(name)
+        sampled = item.get_closest_marker("sampled")
+        if sampled is not None:
+            test = item.nodeid.partition("[")[0]
+            seen[test] += 1
+            if seen[test] > sampled.args[0]:
+                item.add_marker("slow")
 
 
 @cache

@@ -218,6 +218,7 @@ def test_a_power_cut_in_the_middle_of_a_write_ends_the_robot_and_nobody_else() -
     play(story)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("disk", ["kept", "lost"])
 def test_what_a_robot_held_before_its_restart_is_worked_by_somebody(disk: str) -> None:
     faults: list[Fault] = [

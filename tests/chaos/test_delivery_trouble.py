@@ -7,6 +7,7 @@ from sim.scenarios.delivery_setup import DeliverySetup
 from tools.bench.delivery_trouble import bad_luck, troubled
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [11, 18])
 def test_every_parcel_arrives(seed: int) -> None:
     """11: a node too near to a body. 18: a robot that drove on in a split and died unheard. In both,

@@ -51,6 +51,7 @@ def press(cluster: Cluster, slot: int) -> None:
     cluster.press(slot)
 
 
+@pytest.mark.slow
 def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:
     faults = [Estop(at_s=30.0, kind="estop", robot=2), Reset(at_s=45.0, kind="reset")]
     scenario = broad().changed(None, None, keys).model_copy(update={"fault": faults})
@@ -59,6 +60,7 @@ def test_a_scenario_with_keys_is_stopped_reset_and_finished(keys: Path) -> None:
     assert outcome.frames["Challenge"] >= 3 and outcome.frames["Freshness"] >= 3
 
 
+@pytest.mark.slow
 def test_a_robot_that_was_away_for_many_stops_follows_again(keys: Path) -> None:
     faults = [
         Crash(at_s=10.0, kind="crash", robot=1),

@@ -41,6 +41,7 @@ def test_every_rule_is_kept(profile: str, seed: int) -> None:
     assert verdict.simulated_s > span_of(draw(seed, profile)).calm_at_s
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("path", STORIES, ids=lambda path: path.stem)
 def test_a_bug_that_was_found_stays_away(path: Path) -> None:
     verdict, played = tell(load(str(path)))

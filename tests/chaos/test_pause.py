@@ -111,6 +111,7 @@ def order(cluster: Cluster, command: Command, argument: int = 0, slot: int = ROB
     cluster.order(OperatorCommand(command, slot, OPERATOR, argument))
 
 
+@pytest.mark.slow
 def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
     """Then once more, where it is told to wait: it stands without asking again."""
 
@@ -144,6 +145,7 @@ def test_a_robot_stops_asks_and_goes_on_when_the_way_is_free() -> None:
     play(story, broad())
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("command", [Command.CONTINUE, Command.REPLAN])
 def test_going_round(command: Command) -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
@@ -175,6 +177,7 @@ def test_going_round(command: Command) -> None:
     play(story, broad())
 
 
+@pytest.mark.slow
 def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
     async def story(cluster: Cluster, reports: Reports) -> None:
         peer = cluster.robots[ROBOT].peer
@@ -194,6 +197,7 @@ def test_stop_gives_the_work_back_and_stands_until_a_start() -> None:
     play(story, broad())
 
 
+@pytest.mark.slow
 def test_being_sent_elsewhere() -> None:
     """Home; from there on with the work; then to a place in the field, and on again."""
 
@@ -286,6 +290,7 @@ def test_with_keys_only_an_operator_is_obeyed(tmp_path: Path) -> None:
     play(story, broad().changed(3, 5, tmp_path / "fleet.json"))
 
 
+@pytest.mark.slow
 def test_the_scenario_that_ships_is_finished_without_a_flaw() -> None:
     outcome = FieldRun(FieldSetup(load("bystander"))).run()
     assert outcome.success and outcome.frames["OperatorReport"] >= 10, outcome

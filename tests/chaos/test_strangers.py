@@ -37,6 +37,7 @@ PLANTED = {
 TRIES = 16  # seeds; a hunt with `--mutants` needs 10 for the rarest of these
 
 
+@pytest.mark.sampled(4)
 @pytest.mark.parametrize("name", FAULTS)
 def test_item_11_a_stranger_holds_nobody_for_good(name: str) -> None:
     verdict = judge(with_faults(drill(3, SEED, "sprint", "stop"), FAULTS[name]))

@@ -1,5 +1,6 @@
 """The stop set: what is named is cleared, and nothing else, in whatever order things arrive."""
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -65,6 +66,7 @@ def test_dots_of_other_segments(dots: set[RemoteStopDot]) -> None:
     assert again == stops and again.active == stops.active
 
 
+@pytest.mark.slow
 def test_a_button_is_never_worn_out() -> None:
     """After 256 presses that were cleared the next one was looked for without end: that robot hung."""
     stops, counter, used = StopSet(), 250, list[StopDot]()

@@ -47,6 +47,7 @@ def call(folder: Path, *words: str) -> str:
     return done.stdout
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize(("model", "variant", "holds"), MODELS)
 def test_model(model: str, variant: str, holds: bool, tmp_path: Path) -> None:
     flags = [f"-D{name}" for name in variant.split()]

@@ -101,6 +101,7 @@ def test_a_number_that_does_not_fit_is_not_sent() -> None:
         backbone.pack(BackboneHeader(BackboneKind.STOPS, 1, 1 << 16, 124, 0, 0), ())
 
 
+@pytest.mark.slow
 def test_hostile_bytes_neither_raise_nor_fill_memory() -> None:
     """100,000 mutations of valid messages, and headers that announce far more than follows."""
     rng = Random(11)

@@ -94,6 +94,7 @@ def test_its_status_each_two_seconds_and_a_silent_client_is_forgotten() -> None:
     assert ClientLost(SOURCE) in server.on_timer(6 * S) and not server.clients
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("maker", [CONDENSED_MAKER, PLAIN_MAKER])
 def test_no_part_of_a_description_is_believed(maker: Maker) -> None:
     pool, rng = Sprayer(maker, 1).pool(), Random(3)

@@ -4,6 +4,7 @@ import itertools
 from math import ceil, floor, hypot
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
@@ -82,6 +83,7 @@ def test_blocked_or_outside_ends_have_no_path() -> None:
     assert plan(blocked, (0, 0), (3, 0)) is None
 
 
+@pytest.mark.slow
 def test_a_planner_serves_many_queries_and_changed_grids() -> None:
     blocked = make(40, 40, 5, 0.2)
     planner = Planner(blocked)

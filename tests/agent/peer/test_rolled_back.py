@@ -148,6 +148,7 @@ def test_item_9_a_checked_record_without_sense_is_put_aside(
     assert CHECK_SIZE == 4
 
 
+@pytest.mark.slow
 def test_item_9_a_journal_that_is_not_to_be_had_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "locked").mkdir()
     owner = SqliteJournal(tmp_path / "locked/robot1.sqlite")

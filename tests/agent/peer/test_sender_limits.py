@@ -1,5 +1,7 @@
 """A member that says more than it can have done is named."""
 
+import pytest
+
 from agent.interface.config import S
 from agent.interface.effects import Send
 from agent.peer.sender_limits import (
@@ -62,6 +64,7 @@ def test_a_hand_that_presses_again_and_again_is_not_named_and_a_flood_is() -> No
     assert any(limits.stop(2, k * 1000) for k in range(STOPS_BURST + 1))
 
 
+@pytest.mark.slow
 def test_a_robot_with_keys_names_a_member_that_ends_a_field_at_once() -> None:
     rig = KeyedRig(2)
     rig.work(1, 2, 1)

@@ -72,6 +72,7 @@ def test_kill_nine_loses_nothing_that_was_acknowledged(tape: Tape) -> None:
     assert list(power_cuts.kills(tape, 20, Random(SEED))) == [], f"seed {SEED}"
 
 
+@pytest.mark.slow
 @watched
 def test_a_power_cut_loses_nothing_that_was_acknowledged(tape: Tape) -> None:
     steps = power_cuts.record_sqlite(tape)

@@ -40,6 +40,7 @@ def test_two_halves_become_equal(size: int, seed: int) -> None:
     assert fleet.frames <= 40 + 4, f"{fleet.frames} frames for 40 entries; seed {seed}"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2, 3, 4])
 def test_a_hundred_operations_cost_little_more_than_a_hundred_frames(seed: int) -> None:
     fleet = SyncFleet(50, seed)
@@ -87,6 +88,7 @@ def test_peers_in_step_say_nothing() -> None:
     assert fleet.frames == 0 and all(m.sync.in_step for m in fleet.members.values())
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("seed", range(8))
 def test_islands_joins_and_loss_in_any_order_end_equal(seed: int) -> None:
     rng = Random(f"{seed}/islands")

@@ -48,6 +48,7 @@ def _heard(listening: socket.socket) -> bytes:
     return listening.recv(2048)
 
 
+@pytest.mark.slow
 @pytest.mark.asyncio
 async def test_a18_a_hub_is_found_by_its_beacon(listener: socket.socket) -> None:
     async with _during(_serve("127.0.0.1", 0, 250_000, 1, True, True)):

@@ -288,6 +288,7 @@ def resident_bytes() -> int:
     return int(Path("/proc/self/statm").read_text().split()[1]) * os.sysconf("SC_PAGE_SIZE")
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="reads /proc")
 @pytest.mark.parametrize("flood", ["<>", "< echo >", "< send 18FFFF01 0 >"])
 def test_l6_clients_that_do_not_read_cost_little_and_starve_nobody(flood: str) -> None:

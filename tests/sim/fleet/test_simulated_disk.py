@@ -68,6 +68,7 @@ def test_no_acknowledged_record_is_lost_to_a_power_cut(tapes: dict[int, Tape]) -
         assert list(power_cuts.log_states(tape, 1_000, rng)) == [], f"seed {SEED}"
 
 
+@pytest.mark.slow
 def test_the_campaign_finds_a_journal_that_does_not_sync(tapes: dict[int, Tape]) -> None:
     assert list(power_cuts.log_states(tapes[0], 100, Random(SEED), synced=False))
 

@@ -5,6 +5,7 @@ import pytest
 from sim.rigs.implements_rig import two_sprayers
 
 
+@pytest.mark.slow
 def test_one_pass_of_each() -> None:
     found = two_sprayers(passes=1, length_m=60.0)
     assert found.log_in_for_s < 3.0 and found.left_out < 1e-6 and found.twice < 0.02, found

@@ -162,6 +162,7 @@ def test_in_a_fleet_with_keys_nobody_without_one_confirms_a_release() -> None:
     assert all(latched(fleet)) and alarm(fleet) == CONFIRM
 
 
+@pytest.mark.slow
 def test_a_release_that_nobody_confirms_ends() -> None:
     fleet = asked_for(2, 23)
     fleet.run(121 * S)

@@ -64,6 +64,7 @@ def test_a_dead_robot_stays_a_wreck_and_its_work_is_done(seed: int) -> None:
     assert outcome.untold <= 1, "only what it was about to tell"
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_split_work_and_nothing_is_done_again_after_the_heal() -> None:
     instance = scene(14, 4, 5)
     faults = (
@@ -76,6 +77,7 @@ def test_both_sides_of_a_split_work_and_nothing_is_done_again_after_the_heal() -
     assert outcome.makespan_s < alone.makespan_s + 20.0, "neither side waits for the other"
 
 
+@pytest.mark.slow
 def test_who_comes_late_is_given_work() -> None:
     instance = scene(14, 4, 6)
     late = [Join(at_s=25.0, kind="join", robot=robot) for robot in (1, 3)]

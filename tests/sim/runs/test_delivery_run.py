@@ -68,6 +68,7 @@ def play(
     return outcome, run
 
 
+@pytest.mark.slow
 def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> None:
     outcome, _ = play(scenario())
     assert outcome.finished and outcome.replicas_equal
@@ -75,6 +76,7 @@ def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> 
     assert outcome.ahead > 0  # paths were there before they were needed
 
 
+@pytest.mark.slow
 def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
     """What `headland inspect` shows of a fleet that is at work is what its robots mean to do."""
     inspector, checked = Inspector(), [0]
@@ -106,6 +108,7 @@ def test_the_same_seed_gives_the_same_run() -> None:
     assert play(given)[0].trace_hash == play(given)[0].trace_hash
 
 
+@pytest.mark.slow
 def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
     """Who hears a bid before its own control period bids too. Found by rounds over a queue: the first
     robot's bid kept all others out, and it did everything."""
@@ -136,6 +139,7 @@ def test_up_to_t_max_new_tasks_are_inserted_and_more_are_planned_anew(
     assert (outcome.frames.get("TaskBid", 0) > 0) is (rounds == 0)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("loss", [0.0, 0.1])
 def test_while_tasks_stream_in_faster_than_they_are_done_the_queue_is_planned_better(
     loss: float,
@@ -161,6 +165,7 @@ class KillsTheCarrier:
             cluster.kill(self.killed)
 
 
+@pytest.mark.slow
 def test_a_parcel_of_a_robot_that_died_is_fetched_from_where_it_died() -> None:
     killer = KillsTheCarrier()
     outcome, run = play(scenario(), killer)
@@ -170,6 +175,7 @@ def test_a_parcel_of_a_robot_that_died_is_fetched_from_where_it_died() -> None:
     assert len(taken) == 1 and taken[0].slot != killer.killed
 
 
+@pytest.mark.slow
 def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
     class Restarts(KillsTheCarrier):
         def __call__(self, cluster: DeliveryFleet) -> None:
@@ -184,6 +190,7 @@ def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
     assert not [e for e in run.cluster.truth.events if e.what == "taken"]
 
 
+@pytest.mark.slow
 def test_what_a_stopped_robot_has_not_picked_up_is_left_to_others() -> None:
     """Found by chaos: who has lost its memory stands stopped until a person comes, and kept its task."""
 
@@ -221,6 +228,7 @@ def deaf(robot: int, at_s: float) -> DeafWheels:
     return DeafWheels(at_s=at_s, kind="deaf_wheels", robot=robot, for_s=1_000.0)
 
 
+@pytest.mark.slow
 def test_i24_a_live_robot_that_stands_loses_the_task_that_it_has_not_picked_up() -> None:
     """Its wheels get no command, so it stands. It is live, so no lease ends: its task lay for good."""
     recorder = Claims()
@@ -241,6 +249,7 @@ def test_i24_a_robot_that_broke_down_is_gone_round_and_its_plan_is_given_to_othe
     assert outcome.makespan_s < 90.0
 
 
+@pytest.mark.slow
 def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:
     faults = [
         Partition(at_s=8.0, kind="partition", islands=[[0], [1, 2]]),
@@ -250,6 +259,7 @@ def test_a_split_with_parcels_in_flight_delivers_each_once() -> None:
     assert outcome.finished and outcome.replicas_equal
 
 
+@pytest.mark.slow
 def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> None:
     given = scenario(robots=4, random_tasks=8)
     run = DeliveryRun(DeliverySetup(given))
@@ -273,6 +283,7 @@ def test_the_elected_dies_as_it_begins_to_stream_and_the_next_best_does() -> Non
     assert outcome.finished and outcome.flaws == NOTHING
 
 
+@pytest.mark.slow
 def test_batteries_are_charged_before_they_are_needed_also_when_a_bay_is_lost() -> None:
     given = scenario(
         robots=2, random_tasks=10, bays=[(0.5, 2.5), (11.5, 2.5)], outage=[Outage(bay=0, at_s=5.0)],
@@ -284,11 +295,13 @@ def test_batteries_are_charged_before_they_are_needed_also_when_a_bay_is_lost() 
     assert outcome.lowest_battery > 0.0
 
 
+@pytest.mark.slow
 def test_boxes_fall_and_frames_are_lost() -> None:
     outcome, _ = play(scenario(loss=0.05, boxes_a_minute=10.0, boxes_until_s=40.0, box_s=8.0))
     assert outcome.finished
 
 
+@pytest.mark.slow
 def test_a_robot_dies_and_comes_back_while_frames_are_lost() -> None:
     faults = [
         Loss(at_s=1.0, kind="loss", rate=0.2),
@@ -360,6 +373,7 @@ def test_tasks_that_were_added_while_running_survive_the_restart_of_everybody() 
     assert outcome.tasks == 4 and outcome.finished
 
 
+@pytest.mark.slow
 def test_a_task_to_a_floor_that_no_way_leads_to_is_reported() -> None:
     """Found: its robot drove against the wall for ever."""
     given = scenario(robots=2, map="....#...\n....#...\n....#...\n", random_tasks=0)
@@ -391,6 +405,7 @@ ONE_AISLE = """
 """
 
 
+@pytest.mark.slow
 def test_m1_one_robot_delivers_although_boxes_stand_for_the_whole_run() -> None:
     """Three boxes, one in the aisle: it drove 49 m, planned 168 times, and stood with nothing delivered.
 
@@ -436,6 +451,7 @@ def test_t13_a_burst_of_orders_makes_no_round_larger_than_a_control_period_allow
     assert outcome.delivered >= 6 * 3, "they work while orders wait"
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_transport_that_was_taken_back_is_not_fetched_and_the_others_are_delivered(
     seed: int,
@@ -468,6 +484,7 @@ def test_a_transport_that_was_taken_back_is_not_fetched_and_the_others_are_deliv
         assert task not in fleet.missions[robot.slot].dispatch.itinerary
 
 
+@pytest.mark.slow
 def test_a_transport_that_is_taken_back_too_late_is_delivered() -> None:
     taken: list[int] = []
 

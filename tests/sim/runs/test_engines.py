@@ -64,6 +64,7 @@ def test_m23_run_reports_how_many_steps_pymunk_made(tmp_path: Path) -> None:
     assert report["pymunk_steps"] == round(report["simulated_s"] * 1e6) // STEP_US > 0
 
 
+@pytest.mark.slow
 def test_m23_errands_deliveries_and_explorations_are_moved_by_pymunk() -> None:
     rooms = load_mission("rooms").changed(2, 1, time_limit_s=SHORT_S)
     assert isinstance(rooms, NavigationScenario) and not isinstance(rooms, DeliveryScenario)

@@ -45,6 +45,7 @@ def test_more_eyes_are_faster() -> None:
     assert three.time_95_s < 0.6 * one.time_95_s, (one.time_95_s, three.time_95_s)
 
 
+@pytest.mark.slow
 def test_the_same_seed_is_the_same_run() -> None:
     one, again, other = undisturbed(2, 5), play(2, 5), undisturbed(2, 1)
     assert one.trace_hash == again.trace_hash != other.trace_hash
@@ -56,6 +57,7 @@ def test_a_robot_that_dies_is_not_missed_for_long() -> None:
     assert outcome.explored >= 0.97, outcome  # its body stands on some of it
 
 
+@pytest.mark.slow
 def test_i24_a_robot_that_stands_does_not_keep_its_frontier() -> None:
     """Its wheels get no command. Its frontier stayed its own, and the others waited for it for good."""
     outcome = play(3, 1, DeafWheels(at_s=9.0, kind="deaf_wheels", robot=1, for_s=1_000.0))
@@ -125,6 +127,7 @@ def test_orders_out_of_the_arena_are_refused() -> None:
         ExplorationRun(scenario.model_copy(update={"order": [away]}))
 
 
+@pytest.mark.slow
 def test_without_sharing_everybody_sees_everything() -> None:
     scenario = load_arena("arena").changed(2, 1)
     alone, shared = ExplorationRun(scenario, Sharing.NONE).run(), undisturbed(2, 1)

@@ -37,6 +37,7 @@ def test_a11_a_way_keeps_the_clearance_that_avoidance_demands(
         assert LineString(way).distance(fences) >= kept_m - 1e-6, (seed, start, goal, way)
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", range(2))
 @pytest.mark.parametrize("shape", SHAPES, ids=lambda shape: shape.__name__)
 def test_a11_a_fleet_finishes_a_field_with_inner_corners(
@@ -74,6 +75,7 @@ def test_m3_a_field_of_a_few_metres_is_finished(
     assert outcome.success, outcome
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("robots", (1, 2))
 @pytest.mark.parametrize("name", NARROW)
 def test_robots_cover_tips_and_parts_hardly_wider_than_the_implement(
@@ -84,6 +86,7 @@ def test_robots_cover_tips_and_parts_hardly_wider_than_the_implement(
     assert outcome.success and outcome.reached == 1.0, outcome
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("robots", (2, 4, 6))
 def test_m26_six_robots_in_a_small_field_get_on(robots: int, tmp_path: Path) -> None:
     # Implements that keep off each other make six slower than two: 90 to 210 s where two need 54.
@@ -103,6 +106,7 @@ def test_m26_three_tractors_finish_a_strip_in_which_they_cannot_pass(
     assert outcome.reached > 0.9998, outcome  # two cells at most, in corners
 
 
+@pytest.mark.slow
 def test_m26_a_tractor_is_not_made_to_plan_again_in_its_turns(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(100.0, 9.0), 1, 1, drive="ackermann", time_limit_s=700.0)
     outcome = FieldRun(FieldSetup(made)).run()

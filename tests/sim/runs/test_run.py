@@ -20,6 +20,7 @@ def play(scenario: Scenario) -> FieldOutcome:
     return FieldRun(FieldSetup(scenario)).run()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fleet_finishes_a_field(seed: int) -> None:
     outcome = play(load("small").changed(None, seed))
@@ -56,6 +57,7 @@ def test_the_same_seed_is_the_same_run_in_another_process_with_other_hashes() ->
     assert len(hashes) == 1
 
 
+@pytest.mark.slow
 def test_a_crashed_robot_stops_nobody_for_long() -> None:
     faults = [Crash(at_s=40.0, kind="crash", robot=1)]
     scenario = load("small").model_copy(update={"fault": faults})
@@ -63,6 +65,7 @@ def test_a_crashed_robot_stops_nobody_for_long() -> None:
     assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
 
 
+@pytest.mark.slow
 def test_a_stop_stops_and_the_work_goes_on_after_reset_and_start() -> None:
     faults = [Estop(at_s=30.0, kind="estop", robot=2), Reset(at_s=45.0, kind="reset")]
     scenario = broad().model_copy(update={"fault": faults})
@@ -71,6 +74,7 @@ def test_a_stop_stops_and_the_work_goes_on_after_reset_and_start() -> None:
     assert outcome.frames["EmergencyStop"] >= 3 and outcome.frames["EmergencyReset"] >= 1
 
 
+@pytest.mark.slow
 def test_a_lossy_bus_costs_time_not_work() -> None:
     faults = [Loss(at_s=10.0, kind="loss", rate=0.05), Loss(at_s=120.0, kind="loss", rate=0.0)]
     scenario = load("small").model_copy(update={"fault": faults})

@@ -94,12 +94,14 @@ def played(robots: int, seed: int) -> FieldOutcome:
     ).run()
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize(("robots", "seed"), [(3, 1), (3, 2), (6, 1), (6, 3)])
 def test_m21_flawless_runs_have_no_contact_of_an_implement(robots: int, seed: int) -> None:
     outcome = played(robots, seed)
     assert outcome.success and outcome.implement_contacts == 0, outcome
 
 
+@pytest.mark.slow
 def test_m21_what_implements_meet_is_reported(monkeypatch: pytest.MonkeyPatch) -> None:
     """With robots that know nothing of implements, as they were."""
     monkeypatch.setattr(Implement, "must_be_up", lambda *_: False)

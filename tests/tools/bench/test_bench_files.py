@@ -9,6 +9,7 @@ from sim.chaos.fuzz_targets import FILES, TARGETS, seeds, sqlite_journal
 from tools.bench import files
 
 
+@pytest.mark.slow
 def test_f_the_bench_of_files_prints_three_figures_for_each_kind(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

@@ -43,6 +43,7 @@ def test_chaos_on_a_cluster(scheduler: str, tmp_path: Path) -> None:
     assert (tmp_path / "far" / "chaos.json").exists()
 
 
+@pytest.mark.slow
 def test_no_scheduler_is_told_in_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

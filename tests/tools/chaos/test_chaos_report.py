@@ -29,6 +29,7 @@ def test_the_committed_report_is_the_one_of_the_committed_results() -> None:
     assert report(DOCS / "chaos_runs") == (DOCS / "chaos_report.md").read_text(), again
 
 
+@pytest.mark.slow
 def test_a_campaign_and_fuzzing_make_a_report(tmp_path: Path) -> None:
     assert chaos("4", "stop", 1, None, tmp_path, False, True) == 0
     assert fuzz(["frame"], 50, None, 1, "plain", False, tmp_path, True) == 0
@@ -69,6 +70,7 @@ def test_a_false_alarm_is_one_that_the_same_robots_are_cleared_of(
     assert judged_hours(tmp_path, "of tomorrow") == (0.0, 0), "they show nothing of other robots"
 
 
+@pytest.mark.slow
 def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
     console, names = Console(quiet=True), ["latch-forgotten"]
     assert hunt_all(console, names, 1, 0.0, tmp_path, False)[0]["runs"] == 0

@@ -32,6 +32,7 @@ def segments(tmp_path_factory: pytest.TempPathFactory) -> Iterator[BridgedSegmen
         made.close()
 
 
+@pytest.mark.slow
 def test_work_at_the_border_is_known_on_the_other_side(segments: BridgedSegments) -> None:
     host, lent = segments.hosts[1], 0  # of segment 1, lent to 2
 
@@ -62,6 +63,7 @@ def test_gateways_are_back_when_their_bus_is(segments: BridgedSegments) -> None:
         host.ask({"do": "arm"})
 
 
+@pytest.mark.slow
 def test_a_killed_gateway_is_replaced(segments: BridgedSegments) -> None:
     leader = segments.gateways[2][0]
     leader.process.kill()

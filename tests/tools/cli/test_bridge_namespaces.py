@@ -89,6 +89,7 @@ def stopped(segments: BridgedSegments, number: int) -> int:
     return int(segments.state(number)["stopped"])
 
 
+@pytest.mark.slow
 def test_a_cut_backbone_and_its_heal(segments: BridgedSegments) -> None:
     assert ip("-n", name(1), "link", "set", "to2", "down")
     segments.wait("segment 2 knows that it is alone", lambda: alone(segments, 2), LIMIT_S)
@@ -103,6 +104,7 @@ def test_a_cut_backbone_and_its_heal(segments: BridgedSegments) -> None:
     arm(segments)
 
 
+@pytest.mark.slow
 def test_a_link_that_carries_one_way(segments: BridgedSegments) -> None:
     """From 2 to 1 it carries; what 1 sends to 2 goes to nobody."""
     wrong = ("10.77.2.2", "lladdr", NOBODY, "dev", "to2", "nud", "permanent")
@@ -113,6 +115,7 @@ def test_a_link_that_carries_one_way(segments: BridgedSegments) -> None:
     segments.wait_reached(2, LIMIT_S)
 
 
+@pytest.mark.slow
 def test_a_killed_gateway(segments: BridgedSegments) -> None:
     segments.gateways[3][0].process.kill()
     segments.press_and_wait(2, limit_for_s=LIMIT_S)

@@ -263,6 +263,7 @@ def test_m22_options_that_would_do_nothing_are_refused(
         assert said.code == 2 and words.split()[2] in said.line and "nothing" in said.line
 
 
+@pytest.mark.slow
 def test_m6_a_limit_may_be_said(tmp_path: Path) -> None:
     done = subprocess.run(
         [sys.executable, "-m", "tools.cli.headland", "run", "small", "--limit", "20", "--json"],
@@ -272,6 +273,7 @@ def test_m6_a_limit_may_be_said(tmp_path: Path) -> None:
     assert done.returncode == 1 and not report["finished"] and report["simulated_s"] < 30
 
 
+@pytest.mark.slow
 def test_m20_a_disconnected_map_is_said(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     text = "type octile\nheight 3\nwidth 9\nmap\n" + "...@.....\n" * 3
     (tmp_path / "m.map").write_text(text)
@@ -286,6 +288,7 @@ def test_m20_a_disconnected_map_is_said(tmp_path: Path, monkeypatch: pytest.Monk
     assert code == 0 and '"unreached_cells": 15' in said and '"ok": true' in said
 
 
+@pytest.mark.slow
 def test_e15_a_launch_starts_in_a_folder_with_tools_of_its_own(tmp_path: Path) -> None:
     for name in ("tools", "agent"):
         (tmp_path / name).mkdir()

@@ -71,6 +71,7 @@ def test_code_that_is_copied_fits_its_box() -> None:
     assert not long, "\n".join(long)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(find_spec("material") is None, reason="mkdocs-material is not installed")
 def test_it_builds_and_loads_nothing_from_elsewhere(tmp_path: Path) -> None:
     done = subprocess.run(

@@ -193,6 +193,7 @@ def write(folder: Path, name: str, config: Mapping[str, object]) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_tls_lets_in_who_has_a_certificate_and_nobody_else(tmp_path: Path) -> None:
     ours, theirs = Authority(tmp_path / "ours"), Authority(tmp_path / "theirs", "stranger")
     server = write(

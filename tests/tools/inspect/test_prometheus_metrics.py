@@ -217,6 +217,7 @@ def test_prometheus_alerts_on_a_killed_robot_of_a_launch(tmp_path: Path) -> None
     asyncio.run(story())
 
 
+@pytest.mark.slow
 def test_a_watch_is_a_stream_of_lines(tmp_path: Path) -> None:
     async def story() -> None:
         hub = await start(tmp_path, "hub", "--port", "0", "--json")

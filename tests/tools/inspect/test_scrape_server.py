@@ -57,6 +57,7 @@ def test_slow_and_idle_clients_are_closed_and_the_next_scrape_is_answered(
         client.close()
 
 
+@pytest.mark.slow
 def test_more_connections_than_seats_are_closed_at_once(server: ScrapeServer) -> None:
     clients = [opened(server) for _ in range(4 * SCRAPES_MAX)]
     assert all(ended(client) for client in clients)

@@ -60,6 +60,7 @@ async def fed(screen: InspectScreen, pilot: Pilot[None]) -> None:
     await pilot.pause()
 
 
+@pytest.mark.slow
 def test_the_fleet_a_state_machine_sections_frames_and_load(
     frames: list[tuple[int, Frame]],
 ) -> None:

@@ -108,6 +108,7 @@ ALARMS = (  # of M13: each was answered by a question while the fleet drove on
 )  # fmt: skip
 
 
+@pytest.mark.slow
 def test_m13_what_may_be_an_alarm_holds_everybody_and_asks_then(tmp_path: Path) -> None:
     async def story(cluster: Cluster, speaker: CommandSession) -> None:
         loop = asyncio.get_running_loop()

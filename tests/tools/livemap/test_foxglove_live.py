@@ -281,6 +281,7 @@ async def stop_and_release(viewer: Viewer, key: str) -> None:
     await viewer.look({"nobody stands": lambda: "EMERGENCY_STOP" not in states()})
 
 
+@pytest.mark.slow
 def test_a_late_viewer_of_a_map_is_told_what_stands_there(tmp_path: Path) -> None:
     async def story() -> None:
         async with running(tmp_path, "hub", "--port", "0", "--json") as hub:

@@ -66,6 +66,7 @@ def shown(run: Path) -> Iterator[str]:
     yield MapThread(recorded(run, None), "the test", 0).url
 
 
+@pytest.mark.slow
 def test_a_jump_shows_what_playing_would_have_shown(run: Path) -> None:
     recording = recorded(run, None)
     index = Index(recording)
@@ -155,6 +156,7 @@ def test_what_a_person_can_get_wrong_is_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_recording_is_looked_through(shown: str) -> None:
     with browser() as page:

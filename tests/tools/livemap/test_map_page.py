@@ -203,6 +203,7 @@ def test_a_robot_that_fell_silent_has_no_speed(tmp_path: Path) -> None:
 # -------------------------------------------------------------------- places
 
 
+@pytest.mark.slow
 @needs_browser
 def test_b8_nothing_moves_the_stop_and_it_covers_nothing(fleet: Live, folder: Path) -> None:
     with browser() as page:
@@ -356,6 +357,7 @@ def test_l1_a_keyed_fleet_is_released_by_the_key_that_the_map_was_started_with(
         assert on_the_bus(tmp_path, all_at_work)
 
 
+@pytest.mark.slow
 def test_l1_a_wrong_operator_key_is_said_when_the_map_starts(tmp_path: Path) -> None:
     keys, operator = tmp_path / "fleet.json", tmp_path / "operator.json"
     key_file.write(keys, operator, key_file.fresh(), key_file.DEVICE)
@@ -455,6 +457,7 @@ def test_a_quiet_bus_is_told_with_its_age() -> None:
     assert recording.quiet_for_us == 0 and recording.end_at_us == 5_000_000
 
 
+@pytest.mark.slow
 def test_each_address_has_a_token_of_its_own() -> None:
     urls = {MapThread(Recording(), "", 0).url for _ in range(3)}
     assert len({parts(url)[1] for url in urls}) == 3 and all(len(parts(u)[1]) >= 22 for u in urls)

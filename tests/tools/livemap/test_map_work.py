@@ -112,6 +112,7 @@ def test_why_a_section_is_whose_is_told_with_what_led_to_it() -> None:
     }  # fmt: skip
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_warehouse_shows_its_parcels() -> None:
     served = MapThread(delivering(), "house", 0)
@@ -130,6 +131,7 @@ def test_a_warehouse_shows_its_parcels() -> None:
         assert complaints(page) == []
 
 
+@pytest.mark.slow
 @needs_browser
 def test_a_section_says_why_by_click_and_by_key_and_a_robot_is_followed() -> None:
     served = MapThread(working(), "strip", 0)

@@ -176,6 +176,7 @@ COMMANDS = {
 }
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("words", COMMANDS.values(), ids=COMMANDS)
 def test_a3_every_command_speaks_from_an_address_that_it_claimed(
     words: tuple[str, ...], tmp_path: Path

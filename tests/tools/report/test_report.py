@@ -90,6 +90,7 @@ class Reader(HTMLParser):
         assert self.open.pop() == tag
 
 
+@pytest.mark.slow
 def test_the_page_is_whole_and_asks_for_nothing(run: Path) -> None:
     text = (run / "report.html").read_text()
     reader = Reader()
@@ -218,6 +219,7 @@ def test_a_way_told_in_thinned_points_is_one_line() -> None:
     assert robot.rmse_m() == pytest.approx(0.1, abs=0.03)
 
 
+@pytest.mark.slow
 def test_errors_of_errands_are_those_that_the_world_measured(tmp_path: Path) -> None:
     """Two measurements of the same driving: by the world, and from what the robots told."""
     assert run_command("corridor", 4, 2, tmp_path, True) == 0
@@ -313,6 +315,7 @@ def test_times_of_a_real_bus_begin_at_its_first_frame(tmp_path: Path) -> None:
     assert "nobody of 1" in (tmp_path / "report.html").read_text()
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
 def test_a_browser_shows_every_picture(run: Path) -> None:
     with browser() as page:
@@ -323,6 +326,7 @@ def test_a_browser_shows_every_picture(run: Path) -> None:
         assert page.execute_script("return document.querySelectorAll('script').length") == 0
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
 def test_pictures_are_dark_where_the_browser_is(run: Path, tmp_path: Path) -> None:
     shades = []

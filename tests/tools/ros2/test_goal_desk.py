@@ -117,6 +117,7 @@ def _pose(x_m: float, y_m: float, frame: str = "map") -> PoseStamped:
     return made
 
 
+@pytest.mark.slow
 @pytest.mark.asyncio
 async def test_a_goal_of_ros_is_an_order_that_a_robot_reaches_and_gives_up(
     tmp_path: Path, types: str, monkeypatch: pytest.MonkeyPatch

@@ -208,6 +208,7 @@ def test_hashes_of_types_are_those_of_rclpy(name: str) -> None:
     assert jazzy().hash_rihs01(name) == f"RIHS01_{bytes(check).hex()}"
 
 
+@pytest.mark.slow
 @pytest.mark.asyncio
 async def test_no_router_is_one_line() -> None:
     endpoint = f"tcp/127.0.0.1:{free_port()}"

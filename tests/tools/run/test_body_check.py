@@ -98,6 +98,7 @@ async def tractor_tried(names: Sequence[str]) -> tuple[dict[str, str], IsobusMac
     return {each.what: each.found for each in found if each.ok is not True}, tractor
 
 
+@pytest.mark.slow
 def test_the_body_isobus_opens_has_its_times_and_stops_with_its_commands() -> None:
     failed, tractor = asyncio.run(tractor_tried(("opens", "times", "life of a command")))
     assert failed == {} and tractor.curvatures > 10 and tractor.speeds > 10
@@ -210,6 +211,7 @@ class KeepsOn(NmeaBody):
         return super().sense(now_us)
 
 
+@pytest.mark.slow
 def test_one_old_place_is_the_computers_and_many_are_the_drivers(machine: Machine) -> None:
     """A computer that was busy for 130 ms failed a good driver."""
     ports, names = machine("differential"), ("opens", "times")
@@ -247,6 +249,7 @@ def test_the_example_passes_all_ten_by_the_command_of_its_tutorial(machine: Mach
     )
 
 
+@pytest.mark.slow
 def test_what_cannot_be_imported_is_one_line(tmp_path: Path) -> None:
     for name in ("nowhere:Body", "nmae", "random:Random"):
         done = subprocess.run(

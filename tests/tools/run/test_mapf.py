@@ -18,6 +18,7 @@ def map_file(tmp_path: Path) -> Path:
     return path
 
 
+@pytest.mark.slow
 def test_a_line_for_each_number_of_robots_and_a_file_of_paths(map_file: Path) -> None:
     out = map_file.with_name("paths.txt")
     words = ["mapf", str(map_file), "--agents", "1:4", "--loss", "0.02", "--crash", "1"]

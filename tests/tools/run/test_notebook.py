@@ -125,6 +125,7 @@ def test_the_face_has_what_it_says_and_imports_it_when_asked() -> None:
         getattr(hl, "fly")  # noqa: B009
 
 
+@pytest.mark.slow
 def test_a_sweep_has_a_row_for_each_run() -> None:
     pytest.importorskip("pandas", reason="the extra frames is not installed")
     frame = hl.sweep("small", robots=(2, 3), seeds=(1,), progress=False)
@@ -144,6 +145,7 @@ SMALL: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("scenario", SMALL)
 def test_every_mission_is_played_and_drawn(
     scenario: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
@@ -172,6 +174,7 @@ def test_every_mission_is_played_and_drawn(
         run.plot("gantt")
 
 
+@pytest.mark.slow
 def test_units_are_in_the_names_of_columns() -> None:
     pytest.importorskip("pandas", reason="the extra frames is not installed")
     planned = hl.play("small", robots=2).frame("planned")

@@ -19,6 +19,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("name", ["more.blf", "more.asc", "more.csv"])
 def test_every_format_holds_the_same_frames(recorded: Path, name: str) -> None:
     ours = list(frames_of(recorded / "can.log"))

@@ -132,6 +132,7 @@ def test_a_plugin_of_another_package_is_found(folder: Path) -> None:
     assert code == 0 and "body    rover" in out, out
 
 
+@pytest.mark.slow
 def test_check_ends_where_no_bus_server_answers(folder: Path) -> None:
     """It waited for ever, and said nothing."""
     with socket.socket() as taken:
@@ -152,6 +153,7 @@ def test_check_ends_where_no_bus_server_answers(folder: Path) -> None:
         assert end(robot)[0] in (0, 130)
 
 
+@pytest.mark.slow
 def test_figures_and_viewers_are_served_beside_the_robot_and_end_with_it(folder: Path) -> None:
     """Also where it is killed: nobody then closes the process that serves."""
     pytest.importorskip("prometheus_client", reason="the extra `metrics` is not installed")

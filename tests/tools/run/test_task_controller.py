@@ -79,6 +79,7 @@ async def _line(process: Process) -> dict[str, Any]:
     return found
 
 
+@pytest.mark.slow
 def test_an_implement_of_another_stack_logs_in(tmp_path: Path) -> None:
     (tmp_path / "north.geojson").write_text(json.dumps(FIELD))
 

@@ -99,6 +99,7 @@ async def test_an_implement_that_was_up_for_a_moment_is_sensed(robot: Robot) -> 
     assert down() is True
 
 
+@pytest.mark.slow
 @pytest.mark.asyncio
 @pytest.mark.parametrize("robot", [(DriveTrain.DIFFERENTIAL,)], indirect=True)
 async def test_a_differential_robot_turns_to_its_course(robot: Robot) -> None:

@@ -150,6 +150,7 @@ async def robot() -> AsyncIterator[Robot]:
     one.machine.close()
 
 
+@pytest.mark.slow
 @pytest.mark.asyncio
 async def test_a_course_is_a_chain_of_places_ahead_and_a_halt_cancels_it(robot: Robot) -> None:
     """North in the field is ahead in the frame of this odometry."""
