@@ -167,11 +167,11 @@ def _report(seed: int) -> Figure:
             subprocess.run([*command, "report", "demo"], cwd=folder, check=True, env=environment,
                            stdout=subprocess.DEVNULL)  # fmt: skip
             took_s.append(perf_counter() - begun_s)
-    least_s = min(took_s)
+    took = median(took_s)
     return Figure(
-        "headland report of the demo's run", least_s, "s", f"<= {REPORT_S_MAX:g}",
-        least_s <= REPORT_S_MAX, "",
-        f"by the clock, least of {REPORTS}; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
+        "headland report of the demo's run", took, "s", f"<= {REPORT_S_MAX:g}",
+        took <= REPORT_S_MAX, "",
+        f"by the clock, median of {REPORTS}; {os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}",
     )  # fmt: skip
 
 

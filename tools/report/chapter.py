@@ -12,7 +12,6 @@ from tools.common.release_records import records_or_none
 from tools.report import figures as drawing
 from tools.report.run_data import RunEvidence
 from tools.report.timeline import SILENT, History, Stop, TimelineEvent
-from tools.report.tracking_error import followed
 
 ROWS_MAX = 40  # most rows of a table on the page; the CSV has them all
 Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
@@ -77,12 +76,10 @@ def _faults(evidence: RunEvidence) -> list[TimelineEvent]:
 def _drawn(draw: Any, scene: Scene | None, *what: Any) -> drawing.Drawn:
     """Over its ground; without one where the scene cannot be read."""
     try:
-        found = drawing.Drawn(draw(scene, *what))
-        if found.svg:  # some nonsense is noticed only when it is drawn
-            return found
-    except (KeyError, TypeError, ValueError, IndexError, AttributeError):
-        pass
-    return drawing.Drawn(draw(None, *what))
+        found: drawing.Drawn = draw(scene, *what)
+    except (KeyError, TypeError, ValueError, IndexError, AttributeError, OverflowError):
+        found = draw(None, *what)
+    return found
 
 
 def _tracks(scene: Scene | None, history: History) -> Chapter:
@@ -105,6 +102,8 @@ def planned_chapters(
     recording: Recording, scene: Scene | None, zero_at_us: int
 ) -> Iterator[Chapter]:
     """What robots meant to drive, and how they kept to it."""
+    from tools.report.tracking_error import followed  # numpy, which nothing else here needs
+
     robots = followed(recording.intents, zero_at_us)
     title = "Planned against executed"
     about = (
@@ -137,7 +136,7 @@ def planned_chapters(
         (r.slot, round(s.t_s, 3), round(s.x_m, 3), round(s.y_m, 3), round(s.off_m, 4), int(s.tool))
         for r in robots for s in r.samples
     ]  # fmt: skip
-    yield Chapter("errors", "The same over time", "", drawing.Drawn(drawing.errors(robots)),
+    yield Chapter("errors", "The same over time", "", drawing.errors(robots),
                   values=(("robot", "t_s", "x_m", "y_m", "off_m", "implement_down"), rows))  # fmt: skip
 
 
@@ -173,7 +172,7 @@ def _sections(history: History, events: Sequence[TimelineEvent]) -> Chapter:
         if span.owner is not None and span.what == "STARTED":
             owners.setdefault(span.owner, []).append(span.until_s - span.from_s)
     table = [(slot, len(spans), f"{sum(spans):.1f}") for slot, spans in sorted(owners.items())]
-    picture = drawing.Drawn(drawing.gantt(history.held, history.now_s, events))
+    picture = drawing.gantt(history.held, history.now_s, events)
     return Chapter("sections", title, about, picture, (("robot", "begun", "at work, s"), table),
                    (("section", "phase", "owner", "from_s", "until_s"), rows))  # fmt: skip
 
@@ -191,7 +190,7 @@ def _load(history: History, bitrate: int, marks: Sequence[TimelineEvent]) -> Cha
     ]  # fmt: skip
     shares = [bits.total() / (width_s * bitrate) for _, bits in bins]
     table = [(f"{median(shares):.1%}", f"{max(shares):.1%}", sum(history.malformed.values()))]
-    picture = drawing.Drawn(drawing.load(width_s, bins, bitrate, marks))
+    picture = drawing.load(width_s, bins, bitrate, marks)
     return Chapter("load", "Bus load", about, picture,
                    (("median", "most", "frames that nobody can read"), table),
                    (("t_s", *kinds, "all"), rows))  # fmt: skip
@@ -213,7 +212,7 @@ def _states(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
                 sums[span.what] = sums.get(span.what, 0.0) + span.until_s - span.from_s
         table.append((slot, *(f"{sums[name]:.1f}" for name in names)))
     head = ("robot", *(f"{name.lower()}, s" for name in names))
-    picture = drawing.Drawn(drawing.states(history.states, history.now_s, marks))
+    picture = drawing.states(history.states, history.now_s, marks)
     return Chapter("states", "States", about, picture, (head, table),
                    (("robot", "state", "from_s", "until_s"), rows))  # fmt: skip
 
@@ -239,7 +238,7 @@ def _stops(history: History) -> Chapter:
         for s in history.pressed for slot in s.present
     ]  # fmt: skip
     columns = ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s")
-    return Chapter("stops", "Stops", about, drawing.Drawn(drawing.latencies(history.pressed)),
+    return Chapter("stops", "Stops", about, drawing.latencies(history.pressed),
                    (head, table), (columns, rows))  # fmt: skip
 
 

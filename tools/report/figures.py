@@ -1,21 +1,37 @@
-"""The pictures of a report, one figure each, from what `history` and `followed` found."""
+"""The pictures of a report, one chart each, from what `history` and `followed` found."""
 
-import io
+from base64 import b64decode
 from collections import Counter
-from collections.abc import Callable, Sequence
-from functools import cached_property
-from math import isfinite
-from typing import Any
+from collections.abc import Callable, Iterable, Sequence
+from itertools import groupby
+from math import inf, isfinite
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from agent.interface.lifecycle import State
 from crdt import Phase
 from sim.files import palette
 from sim.record.scene import Scene
+from tools.report.svg_chart import (
+    FAR_PX,
+    GAP_PX,
+    LEGEND_ROW_PX,
+    SMALL_PX,
+    WIDTH_PX,
+    Axes,
+    AxisSpan,
+    PlotBox,
+    document,
+    legend,
+    legend_width,
+    row_span,
+    text,
+    width_of,
+)
 from tools.report.timeline import SILENT, BusAddress, Stop, TimelineEvent, TimelineSpan
-from tools.report.tracking_error import Following
 
-Figure = Any  # matplotlib has no types
-DPI = 110
+if TYPE_CHECKING:
+    from tools.report.tracking_error import Following
+
 LABELS_MAX = 12  # robots in a legend
 KINDS_MAX = 7  # of frames with a colour of their own
 BINS = 1200  # most points of the bus load: about as many as there are pixels
@@ -24,141 +40,189 @@ EVENT_ROWS_MAX = 16  # kinds of events
 WORDS_SHARE, WORDS_MAX = 0.2, 36  # of the width for the words of an event, and their characters
 LABEL_SHARE = 0.02  # of the width between the labels of two lines
 FULL = 0.7  # share of the bus for which CAN is commonly planned
-FAULT_COLOUR = "#b00020"
+PLACE_MAX_M = 1e7  # a place farther away is nonsense: the Earth is not as large
+CELLS_MAX = 4_000_000  # of a grid that is drawn
+LEFT_PX, TOP_PX, BELOW_PX = 64.0, 12.0, 46.0  # margins for ticks and names of axes
+MARKS_PX = 64.0  # above a chart with labelled lines
+MAP_PX = 700.0  # most height of a map
 STATES = {
     State.DISCONNECTED.name: "#d9d9d9", State.IDLE.name: "#9ecae1",
     State.SYNCHRONIZING.name: "#fdd0a2", State.WORKING.name: "#31a354",
     State.EMERGENCY_STOP.name: "#de2d26", SILENT: "#636363",
 }  # fmt: skip
-# Ground, text and plain lines of a picture where the browser is set to dark; robots keep their colours.
-DARK = b"""<style>@media (prefers-color-scheme: dark) {
-[style*="fill: #ffffff"] { fill: #12181b !important } g[id^="text_"] { fill: #e6edf0 }
-[style*="stroke: #000000"], [style*="stroke: #4c4c4c"] { stroke: #a5b4bc !important }
-[style*="stroke: #d9d9d9"] { stroke: #38474f !important } }</style>"""
 PHASES = {Phase.CLAIMED.name: 0.35, Phase.STARTED.name: 1.0, Phase.DONE.name: 0.12}
+FAULT, OTHER = 'class="hl-fault-line"', 'stroke="#8a8a8a"'
 
 
-def figure_of(width: float, height: float) -> tuple[Figure, Any]:
-    """A figure of this width and height, in inches of `DPI` pixels, and its axes. Without pyplot:
-    nothing is kept, and no screen is looked for."""
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
+class Drawn(NamedTuple):
+    """A finished picture, in light or dark as the browser is set."""
 
-    from tools.report.laid_out_figure import LaidOutFigure
-
-    figure = LaidOutFigure(figsize=(width, height), dpi=DPI, layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
+    svg: bytes
 
 
-class Drawn:
-    """A finished picture, as SVG for the page and as PNG for Python. What another process gets of it is
-    the SVG."""
-
-    def __init__(self, figure: Figure) -> None:
-        self._figure = figure
-
-    def __getstate__(self) -> dict[str, bytes]:
-        return {"svg": self.svg}
-
-    @cached_property
-    def svg(self) -> bytes:
-        """In light or dark, as the browser is set. Figures that are alike give the same bytes."""
-        from matplotlib import rc_context
-
-        buffer = io.BytesIO()
-        with rc_context({"svg.hashsalt": "headland"}):
-            self._figure.savefig(buffer, format="svg", metadata={"Date": None, "Creator": None})
-        head, end, rest = buffer.getvalue().partition(b"<defs>")
-        return head + DARK + end + rest
-
-    @cached_property
-    def png(self) -> bytes:
-        """In light colours."""
-        buffer = io.BytesIO()
-        self._figure.savefig(buffer, format="png")
-        return buffer.getvalue()
-
-
-def colour_of(slot: int | None) -> Any:
+def colour_of(slot: int | None) -> str:
     """Of a robot, the same as on the map; grey for None."""
     return "#777777" if slot is None else palette.colour_of(slot)
 
 
-def _legend(axes: Any, robots: int) -> None:
-    if robots <= LABELS_MAX:
-        axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
+# -------------------------------------------------------------------- maps
+
+XY = tuple[float, float]
 
 
-def _ground(axes: Any, scene: Scene | None) -> None:
-    """Fences, rows and walls, if the run has recorded them."""
-    scene = scene or {}
-    for ring in scene.get("rings", []):
-        axes.plot([p[0] for p in (*ring, ring[0])], [p[1] for p in (*ring, ring[0])],
-                  color="0.3", linewidth=1.0)  # fmt: skip
-    grid = scene.get("grid")
-    if grid:
-        from base64 import b64decode
+class _Map:
+    """A ground at one scale in both directions, with what lies on it."""
 
-        import numpy as np
+    def __init__(
+        self, scene: Scene | None, lines: Iterable[Iterable[XY]], slots: Sequence[int]
+    ) -> None:
+        """`lines`: what has to be seen beside the scene. Nonsense in a scene raises TypeError,
+        ValueError, KeyError, IndexError or OverflowError."""
+        scene = scene or {}
+        self.rings = [_xy([*ring, ring[0]]) for ring in scene.get("rings", [])]
+        self.grid = _grid_of(scene.get("grid"))
+        self.entries = (
+            [(colour_of(slot), f"robot {slot}") for slot in slots]
+            if len(slots) <= LABELS_MAX
+            else []
+        )
+        corners = [] if self.grid is None else [self.grid.origin, self.grid.end]
+        x, y = _bounds([*self.rings, *lines, corners])
+        right = legend_width(name for _, name in self.entries)
+        wide = WIDTH_PX - LEFT_PX - right
+        scale = min(wide / (x.end - x.begin), MAP_PX / (y.end - y.begin))
+        width, height = (x.end - x.begin) * scale, (y.end - y.begin) * scale
+        # A narrow ground is not stretched; a flat one keeps room for the legend.
+        grown = max(height, LEGEND_ROW_PX * len(self.entries), 60.0)
+        more_m = (grown - height) / scale / 2
+        y = AxisSpan(y.begin - more_m, y.end + more_m)
+        self.axes = Axes(PlotBox(LEFT_PX, TOP_PX, width, grown), x, y)
+        self.width_px = max(LEFT_PX + width + right, WIDTH_PX / 2)
 
-        rows, columns = int(grid["rows"]), int(grid["columns"])
-        bits = np.unpackbits(np.frombuffer(b64decode(grid["walls"]), np.uint8))
-        west, south = grid["origin"]
-        box = (west, west + columns * grid["cell_m"], south, south + rows * grid["cell_m"])
-        axes.imshow(bits[: rows * columns].reshape(rows, columns), origin="lower", extent=box,
-                    cmap="Greys", vmax=2.0)  # fmt: skip
-    axes.set_aspect("equal")
-    axes.set_xlabel("east, m")
-    axes.set_ylabel("north, m")
+    def picture(self, title: str, parts: Iterable[str]) -> Drawn:
+        axes = self.axes
+        ground = [] if self.grid is None else [self.grid.walls(axes)]
+        fences = axes.lines(self.rings, "", 1.2, ' class="hl-edge"')
+        key = legend(axes.box.left + axes.box.width + GAP_PX * 2, TOP_PX, self.entries)
+        edges = [axes.x_ticks("east, m"), axes.y_ticks("north, m"), axes.frame(), key]
+        height_px = TOP_PX + axes.box.height + BELOW_PX
+        return Drawn(document(height_px, title, [*ground, *parts, fences, *edges], self.width_px))
 
 
-def tracks(scene: Scene | None, places: dict[int, list[BusAddress]]) -> Figure:
+class _Grid(NamedTuple):
+    rows: int
+    columns: int
+    cell_m: float
+    origin: XY
+    bits: str
+
+    @property
+    def end(self) -> XY:
+        west, south = self.origin
+        return west + self.columns * self.cell_m, south + self.rows * self.cell_m
+
+    def walls(self, axes: Axes) -> str:
+        """One rectangle for each run of walls in a row."""
+        found = []
+        for row in range(self.rows):
+            column = 0
+            for wall, cells in groupby(self.bits[row * self.columns : (row + 1) * self.columns]):
+                count = len(list(cells))
+                if wall == "1":
+                    x, y = axes.at(
+                        self.origin[0] + column * self.cell_m,
+                        self.origin[1] + (row + 1) * self.cell_m,
+                    )
+                    end_x, end_y = axes.at(
+                        self.origin[0] + (column + count) * self.cell_m,
+                        self.origin[1] + row * self.cell_m,
+                    )
+                    found.append(f"M{x:.1f} {y:.1f}H{end_x:.1f}V{end_y:.1f}H{x:.1f}z")
+                column += count
+        return f'<path d="{"".join(found)}" fill="#8a8a8a"/>\n'
+
+
+def _grid_of(grid: Any) -> _Grid | None:
+    if not grid:
+        return None
+    rows, columns, cell_m = int(grid["rows"]), int(grid["columns"]), float(grid["cell_m"])
+    west, south = grid["origin"]
+    data = b64decode(grid["walls"])
+    if not (0 < rows * columns <= min(CELLS_MAX, 8 * len(data)) and cell_m > 0.0 and rows > 0):
+        raise ValueError("a grid without its cells")
+    bits = "".join(f"{byte:08b}" for byte in data)
+    return _Grid(rows, columns, cell_m, (float(west), float(south)), bits)
+
+
+def _xy(points: Iterable[Any]) -> list[XY]:
+    return [(float(p[0]), float(p[1])) for p in points]
+
+
+def _bounds(lines: Iterable[Iterable[XY]]) -> tuple[AxisSpan, AxisSpan]:
+    """Around all finite places, with a margin; of a single place, a few metres."""
+    west = south = inf
+    east = north = -inf
+    for line in lines:
+        for x, y in line:
+            if -PLACE_MAX_M < x < PLACE_MAX_M and -PLACE_MAX_M < y < PLACE_MAX_M:
+                west, east = min(west, x), max(east, x)
+                south, north = min(south, y), max(north, y)
+    if west > east:
+        return AxisSpan(0.0, 1.0), AxisSpan(0.0, 1.0)
+    margin_m = max(0.03 * max(east - west, north - south), 0.5)
+    return AxisSpan(west - margin_m, east + margin_m), AxisSpan(south - margin_m, north + margin_m)
+
+
+def tracks(scene: Scene | None, places: dict[int, list[BusAddress]]) -> Drawn:
     """The field with its swaths and the positions that each robot reported."""
-    figure, axes = figure_of(10, 8)
-    for section in (scene or {}).get("sections", []):
-        for swath in section["swaths"]:
-            axes.plot([p[0] for p in swath], [p[1] for p in swath], color="0.85", linewidth=0.6)
-    _ground(axes, scene)
-    for slot, track in sorted(places.items()):
-        axes.plot([p.x_m for p in track], [p.y_m for p in track], color=colour_of(slot),
-                  linewidth=0.9, label=f"robot {slot}")  # fmt: skip
-        axes.plot([track[-1].x_m], [track[-1].y_m], "o", color=colour_of(slot), markersize=5)
-    _legend(axes, len(places))
-    return figure
+    ways = {slot: [(p.x_m, p.y_m) for p in track] for slot, track in sorted(places.items())}
+    ground = _Map(scene, ways.values(), list(ways))
+    axes = ground.axes
+    swaths = [_xy(s) for section in (scene or {}).get("sections", []) for s in section["swaths"]]
+    parts = [axes.lines(swaths, "", 0.8, ' class="hl-dim"')]
+    for slot, way in ways.items():
+        parts.append(axes.lines([way], colour_of(slot), 1.2))
+    for slot, way in ways.items():
+        parts.append(axes.dot(*way[-1], colour_of(slot), 4.5, f"robot {slot}"))
+    return ground.picture("Tracks of the robots on their ground", parts)
 
 
-def planned(scene: Scene | None, robots: Sequence[Following]) -> Figure:
+def planned(scene: Scene | None, robots: "Sequence[Following]") -> Drawn:
     """Dotted what was planned, solid what was driven."""
-    figure, axes = figure_of(10, 8)
-    _ground(axes, scene)
-    for robot in robots:
-        colour, told = colour_of(robot.slot), False
-        for line in robot.lines:
-            axes.plot(line[:, 0], line[:, 1], ":", color=colour, linewidth=1.6, alpha=0.6)
-        for run in _runs(robot):
-            axes.plot([s.x_m for s in run], [s.y_m for s in run], color=colour, linewidth=0.8,
-                      label=None if told else f"robot {robot.slot}")  # fmt: skip
-            told = True
-    _legend(axes, len(robots))
-    return figure
+    driven = {r.slot: [[(s.x_m, s.y_m) for s in run] for run in _runs(r)] for r in robots}
+    meant = {r.slot: [line.tolist() for line in r.lines] for r in robots}
+    seen = [line for lines in (*driven.values(), *meant.values()) for line in lines]
+    ground = _Map(scene, seen, list(driven))
+    parts = []
+    for slot in driven:
+        colour = colour_of(slot)
+        dotted = ' stroke-dasharray="1.5 2.5" opacity="0.7"'
+        parts.append(ground.axes.lines(meant[slot], colour, 2.0, dotted))
+        parts.append(ground.axes.lines(driven[slot], colour, 1.0))
+    return ground.picture("Planned ways, dotted, and driven ones", parts)
 
 
-def errors(robots: Sequence[Following]) -> Figure:
+# -------------------------------------------------------------------- charts over time
+
+
+def errors(robots: "Sequence[Following]") -> Drawn:
     """For each robot its distance to its planned line over time."""
-    figure, axes = figure_of(10, 3.2)
-    for robot in robots:
-        for k, run in enumerate(_runs(robot)):
-            axes.plot([s.t_s for s in run], [s.off_m for s in run], color=colour_of(robot.slot),
-                      linewidth=0.7, label=None if k else f"robot {robot.slot}")  # fmt: skip
-    axes.set_xlabel("s")
-    axes.set_ylabel("off its line, m")
-    axes.set_ylim(bottom=0.0)
-    axes.grid(alpha=0.3)
-    _legend(axes, len(robots))
-    return figure
+    runs = {r.slot: [[(s.t_s, s.off_m) for s in run] for run in _runs(r)] for r in robots}
+    every = [point for lines in runs.values() for line in lines for point in line]
+    most = max((m for _, m in every if isfinite(m)), default=1.0)
+    end_s = max((t for t, _ in every), default=1.0)
+    begin_s = min((t for t, _ in every), default=0.0)
+    entries = [(colour_of(r.slot), f"robot {r.slot}") for r in robots]
+    box, key = _box(LEFT_PX, TOP_PX, 250.0, entries if len(robots) <= LABELS_MAX else [])
+    axes = Axes(
+        box, AxisSpan(begin_s, max(end_s, begin_s + 1e-3)), AxisSpan(0.0, (most or 1.0) * 1.05)
+    )
+    parts = [axes.x_ticks("s", grid=True), axes.y_ticks("off its line, m", grid=True)]
+    parts += [axes.lines(lines, colour_of(slot), 0.9) for slot, lines in runs.items()]
+    return _picture(axes, "Distance of each robot to its planned line", [*parts, key])
 
 
-def _runs(robot: Following) -> list[list[Any]]:
+def _runs(robot: "Following") -> list[list[Any]]:
     """Samples without a gap between them: where nothing was measured, no line is drawn."""
     found: list[list[Any]] = []
     for sample in robot.samples:
@@ -168,37 +232,36 @@ def _runs(robot: Following) -> list[list[Any]]:
     return found
 
 
-def gantt(held: Sequence[TimelineSpan], until_s: float, events: Sequence[TimelineEvent]) -> Figure:
+def gantt(held: Sequence[TimelineSpan], until_s: float, events: Sequence[TimelineEvent]) -> Drawn:
     """What happened, a row for each kind, and below it on the same axis a row for each section, in the
     order in which they were first claimed."""
-    from matplotlib.patches import Patch
-
     order = list(dict.fromkeys(span.who for span in held))[:ROWS_MAX]
     row_of = {section: row for row, section in enumerate(order)}
     kinds = list(dict.fromkeys(event.kind for event in events))[:EVENT_ROWS_MAX]
-    heights = (0.22 * len(kinds) + 0.1, min(max(2.0, 0.16 * len(order)), 40))
-    figure, axes = figure_of(10, sum(heights) + 0.9)
-    if kinds:
-        axes.remove()
-        strip, axes = figure.subplots(2, 1, sharex=True, height_ratios=heights)
-        _strip(strip, kinds, events, until_s)
-    groups: dict[tuple[int | None, str], list[TimelineSpan]] = {}
-    for span in held:
-        if span.who in row_of:
-            groups.setdefault((span.owner, span.what), []).append(span)
-    for (owner, what), spans in groups.items():
-        axes.barh([row_of[s.who] for s in spans], [s.until_s - s.from_s for s in spans],
-                  left=[s.from_s for s in spans], height=0.8, color=colour_of(owner),
-                  alpha=PHASES.get(what, 0.5))  # fmt: skip
     owners = sorted({span.owner for span in held if span.owner is not None})
-    patches = [Patch(color=colour_of(owner), label=f"robot {owner}") for owner in owners]
-    if len(owners) <= LABELS_MAX:
-        axes.legend(handles=patches, loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8,
-                    frameon=False)  # fmt: skip
-    axes.set_yticks(range(len(order)), [f"S{section}" for section in order], fontsize=6)
-    axes.set_ylim(len(order) - 0.4, -0.6)
-    _time(axes, until_s, [e for e in events if is_mark(e)], labelled=not kinds)
-    return figure
+    entries = [(colour_of(owner), f"robot {owner}") for owner in owners]
+    names = [f"S{section}" for section in order]
+    left = max(width_of(kinds), width_of(names), 40.0) + 2 * GAP_PX
+    strip_px = 18.0 * len(kinds)
+    rows_px = max(140.0, 12.0 * len(order))
+    above = TOP_PX + strip_px + GAP_PX if kinds else TOP_PX
+    box, key = _box(left, above, rows_px,
+                    entries if len(owners) <= LABELS_MAX else [])  # fmt: skip
+    time = AxisSpan(0.0, max(until_s, 1e-3))
+    axes = Axes(box, time, row_span(len(order)))
+    parts = []
+    if kinds:
+        strip = Axes(PlotBox(left, TOP_PX, box.width, strip_px), time, row_span(len(kinds)))
+        parts.append(_strip(strip, kinds, events, until_s) + strip.frame())
+    for s in held:
+        if s.who in row_of:
+            who = "nobody" if s.owner is None else f"robot {s.owner}"
+            title = f"S{s.who} {s.what.lower()}, {who}, {s.from_s:.1f} to {s.until_s:.1f} s"
+            parts.append(axes.bar(s.from_s, s.until_s, row_of[s.who], colour_of(s.owner),
+                                  PHASES.get(s.what, 0.5), title))  # fmt: skip
+    parts += [axes.rows(names, SMALL_PX), axes.x_ticks("s"), key]
+    parts.append(_marks(axes, [e for e in events if is_mark(e)], labelled=not kinds))
+    return _picture(axes, "Events, and sections by the robot that has them", parts)
 
 
 def is_mark(event: TimelineEvent) -> bool:
@@ -207,42 +270,42 @@ def is_mark(event: TimelineEvent) -> bool:
 
 
 def _strip(
-    axes: Any, kinds: Sequence[str], events: Sequence[TimelineEvent], until_s: float
-) -> None:
+    axes: Axes, kinds: Sequence[str], events: Sequence[TimelineEvent], until_s: float
+) -> str:
     """A mark for each event, with its words where there is room for them."""
     row_of = {kind: row for row, kind in enumerate(kinds)}
     room_s, free_s = until_s * WORDS_SHARE, dict.fromkeys(kinds, -1.0)
+    found = [axes.rows(kinds)]
     for event in events:
         row = row_of.get(event.kind)
         if row is None or not isfinite(event.t_s):
             continue
-        axes.plot([event.t_s], [row], "|", color=FAULT_COLOUR if is_mark(event) else "#777777")
+        words = " ".join(filter(None, (event.who, event.what)))
+        found.append(axes.tick(event.t_s, row, FAULT if is_mark(event) else OTHER,
+                               f"{event.t_s:.1f} s: {event.kind} {words}"))  # fmt: skip
         if event.t_s >= free_s[event.kind] and event.t_s + room_s <= until_s:
-            words = " ".join(filter(None, (event.who, event.what)))[:WORDS_MAX]
-            axes.text(event.t_s + until_s * 0.005, row, words, fontsize=6, va="center")
+            x_px, y_px = axes.at(event.t_s + until_s * 0.005, row)
+            found.append(text(x_px, y_px + SMALL_PX / 3, words[:WORDS_MAX], SMALL_PX))
             free_s[event.kind] = event.t_s + room_s
-    axes.set_yticks(range(len(kinds)), kinds, fontsize=7)
-    axes.set_ylim(len(kinds) - 0.4, -0.6)
+    return "".join(found)
 
 
-def states(spans: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Figure:
+def states(spans: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Drawn:
     """For each robot a bar of its states over time, with lines for stops and resets."""
-    from matplotlib.patches import Patch
-
     robots = sorted({span.who for span in spans})
     row_of = {slot: row for row, slot in enumerate(robots)}
-    figure, axes = figure_of(10, max(2.0, 0.26 * len(robots) + 1.0))
-    for name in STATES:
-        bars = [span for span in spans if span.what == name]
-        axes.barh([row_of[s.who] for s in bars], [s.until_s - s.from_s for s in bars],
-                  left=[s.from_s for s in bars], height=0.8, color=STATES[name])  # fmt: skip
     seen = {span.what for span in spans}
-    axes.legend(handles=[Patch(color=c, label=name) for name, c in STATES.items() if name in seen],
-                loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)  # fmt: skip
-    axes.set_yticks(range(len(robots)), [f"robot {slot}" for slot in robots], fontsize=8)
-    axes.set_ylim(len(robots) - 0.4, -0.6)
-    _time(axes, until_s, marks)
-    return figure
+    entries = [(colour, name.lower()) for name, colour in STATES.items() if name in seen]
+    rows_px = max(20.0 * len(robots), LEGEND_ROW_PX * len(entries), 60.0)
+    box, key = _box(LEFT_PX, _above(marks), rows_px, entries)
+    axes = Axes(box, AxisSpan(0.0, max(until_s, 1e-3)), row_span(len(robots)))
+    parts = [
+        axes.bar(s.from_s, s.until_s, row_of[s.who], STATES.get(s.what, "#777777"), 1.0,
+                 f"robot {s.who} {s.what.lower()}, {s.from_s:.1f} to {s.until_s:.1f} s")
+        for s in spans
+    ]  # fmt: skip
+    parts += [axes.rows([f"robot {slot}" for slot in robots]), axes.x_ticks("s"), key]
+    return _picture(axes, "States of each robot", [*parts, _marks(axes, marks)])
 
 
 def load(
@@ -250,66 +313,105 @@ def load(
     bins: Sequence[tuple[int, Counter[str]]],
     bitrate: int,
     marks: Sequence[TimelineEvent],
-) -> Figure:
+) -> Drawn:
     """Stacked by kind, the most frequent at the bottom."""
     total: Counter[str] = sum((bits for _, bits in bins), Counter())
     kinds = [kind for kind, _ in total.most_common(KINDS_MAX)]
-    figure, axes = figure_of(10, 3.6)
-    bins = [*bins, (bins[-1][0] + width_s, bins[-1][1])]  # the last step has an end, too
-    t_s = [second for second, _ in bins]
-    rows = [[bits[kind] / (width_s * bitrate) for _, bits in bins] for kind in kinds]
-    names = list(kinds)
-    if len(total) > len(kinds):
-        named = set(kinds)
-        rows.append(
-            [sum(n for kind, n in bits.items() if kind not in named) / (width_s * bitrate)
-             for _, bits in bins]
-        )  # fmt: skip
-        names.append("others")
-    axes.stackplot(t_s, rows, labels=names, step="post", colors=[colour_of(k) for k in range(8)])
-    if max(map(sum, zip(*rows, strict=True))) > FULL / 2:  # or it would make all else small
-        axes.axhline(FULL, color="0.4", linestyle=":", linewidth=1.0)
-    axes.set_ylabel("share of the bus")
-    axes.yaxis.set_major_formatter(lambda share, _: f"{share:.0%}")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=7, frameon=False)
-    _time(axes, bins[-1][0], marks)
-    return figure
+    named, whole = set(kinds), width_s * bitrate
+    names = [*kinds, "others"] if len(total) > len(kinds) else kinds
+    entries = [(colour_of(k), name) for k, name in enumerate(names)]
+    end_s = bins[-1][0] + width_s  # the last step has an end, too
+    shares = [bits.total() / whole for _, bits in bins]
+    most = max(shares, default=0.0)
+    full = most > FULL / 2  # or its line would make all else small
+    top = max(most, FULL if full else 0.0) * 1.05 or 1.0
+    box, key = _box(LEFT_PX, _above(marks), 240.0, entries)
+    axes = Axes(box, AxisSpan(0.0, max(end_s, 1e-3)), AxisSpan(0.0, top))
+    parts = [axes.x_ticks("s", grid=True), axes.y_ticks("share of the bus", True, percent=True)]
+    below = [0.0] * len(bins)
+    for k, name in enumerate(names):
+        above = [
+            low + (bits[name] if name in named else
+                   sum(n for kind, n in bits.items() if kind not in named)) / whole
+            for low, (_, bits) in zip(below, bins, strict=True)
+        ]  # fmt: skip
+        edge = [*_steps(bins, above, end_s), *reversed(list(_steps(bins, below, end_s)))]
+        parts.append(f'<path d="{axes.path([edge])}z" fill="{colour_of(k)}"/>\n')
+        below = above
+    if full:
+        line = [(0.0, FULL), (end_s, FULL)]
+        parts.append(axes.lines([line], "", 1.2, ' class="hl-edge" stroke-dasharray="2 3"'))
+    return _picture(axes, "Load of the bus by kind of frame", [*parts, key, _marks(axes, marks)])
 
 
-def latencies(stops: Sequence[Stop]) -> Figure:
+def _steps(
+    bins: Sequence[tuple[int, Counter[str]]], values: Sequence[float], end_s: float
+) -> Iterable[XY]:
+    for k, ((second, _), value) in enumerate(zip(bins, values, strict=True)):
+        yield second, value
+        yield bins[k + 1][0] if k + 1 < len(bins) else end_s, value
+
+
+def latencies(stops: Sequence[Stop]) -> Drawn:
     """A row for each press; a mark for each robot that answered it."""
-    figure, axes = figure_of(10, min(max(2.2, 0.22 * len(stops) + 1.2), 30))
-    for name, mark, colour, of in LATENCIES:
-        points = [(ms * 1e3, row) for row, stop in enumerate(stops) for ms in of(stop).values()]
-        axes.plot([x for x, _ in points], [y for _, y in points], mark, color=colour,
-                  label=name, markersize=5)  # fmt: skip
-    axes.set_yticks(range(len(stops)), [f"{s.t_s:.1f} s, {s.by}" for s in stops], fontsize=7)
-    axes.set_ylim(len(stops) - 0.4, -0.6)
-    axes.set_xlabel("ms after the first frame of the press")
-    axes.set_xlim(left=0.0)
-    axes.grid(alpha=0.3, axis="x")
-    axes.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0), fontsize=8, frameon=False)
-    return figure
+    names = [f"{s.t_s:.1f} s, {s.by}" for s in stops]
+    entries = [(colour, name) for name, colour, _, _ in LATENCIES]
+    rows_px = min(max(20.0 * len(stops), LEGEND_ROW_PX * len(entries), 60.0), 3000.0)
+    box, key = _box(width_of(names) + 2 * GAP_PX, TOP_PX, rows_px, entries)
+    ms = [value * 1e3 for s in stops for *_, of in LATENCIES for value in of(s).values()]
+    axes = Axes(box, AxisSpan(0.0, max(ms, default=0.0) * 1.05 or 1.0), row_span(len(stops)))
+    parts = [axes.x_ticks("ms after the first frame of the press", grid=True), axes.rows(names)]
+    for name, colour, radius_px, of in LATENCIES:
+        parts += [
+            axes.dot(after_s * 1e3, row, colour, radius_px,
+                     f"robot {slot} {name}: {after_s * 1e3:.1f} ms")
+            for row, stop in enumerate(stops) for slot, after_s in of(stop).items()
+        ]  # fmt: skip
+    return _picture(axes, "From each press until every robot stood", [*parts, key])
 
 
 Latencies = Callable[[Stop], dict[int, float]]
-LATENCIES: tuple[tuple[str, str, str, Latencies], ...] = (
-    ("says it again", "|", "#0072b2", lambda stop: stop.echo_s),
-    ("says it is stopped", ".", "#e69f00", lambda stop: stop.latch_s),
-    ("stands", "s", "#009e73", lambda stop: stop.still_s),
+LATENCIES: tuple[tuple[str, str, float, Latencies], ...] = (
+    ("says it again", "#0072b2", 4.5, lambda stop: stop.echo_s),
+    ("says it is stopped", "#e69f00", 4.0, lambda stop: stop.latch_s),
+    ("stands", "#009e73", 3.0, lambda stop: stop.still_s),
 )
 
 
-def _time(axes: Any, until_s: float, marks: Sequence[TimelineEvent], labelled: bool = True) -> None:
-    """The axis of seconds, and a line for each mark. Labels that would cover each other are left out."""
-    end_s, free_s = max(until_s, 1e-3), -1.0
+# -------------------------------------------------------------------- what charts share
+
+
+def _box(
+    left_px: float, top_px: float, height_px: float, entries: Sequence[tuple[str, str]]
+) -> tuple[PlotBox, str]:
+    """The place of a chart beside its legend, and that legend."""
+    right = legend_width(name for _, name in entries)
+    box = PlotBox(left_px, top_px, WIDTH_PX - left_px - right, height_px)
+    return box, legend(WIDTH_PX - right + 2 * GAP_PX, top_px, entries)
+
+
+def _picture(axes: Axes, title: str, parts: Iterable[str]) -> Drawn:
+    height_px = axes.box.top + axes.box.height + BELOW_PX
+    return Drawn(document(height_px, title, [*parts, axes.frame()]))
+
+
+def _above(marks: Sequence[TimelineEvent]) -> float:
+    return MARKS_PX if marks else TOP_PX
+
+
+def _marks(axes: Axes, marks: Sequence[TimelineEvent], labelled: bool = True) -> str:
+    """A line for each mark. Labels that would cover each other are left out."""
+    found, free_s = [], -1.0
+    _, top, _, height = axes.box
     for event in sorted(marks, key=lambda event: event.t_s):
-        if not isfinite(event.t_s):
+        x_px, _ = axes.at(event.t_s, axes.y.begin)
+        if not abs(x_px) < FAR_PX:
             continue
-        axes.axvline(event.t_s, color=FAULT_COLOUR, linewidth=0.8, alpha=0.6)
+        found.append(f'<path d="M{x_px:.1f} {top:.1f}v{height:.1f}" opacity="0.7" {FAULT}/>')
         if labelled and event.t_s >= free_s:
-            axes.text(event.t_s, 1.01, event.kind.removeprefix("fault: "), fontsize=6, rotation=60,
-                      transform=axes.get_xaxis_transform(), color=FAULT_COLOUR)  # fmt: skip
-            free_s = event.t_s + end_s * LABEL_SHARE
-    axes.set_xlim(0.0, end_s)
-    axes.set_xlabel("s")
+            name = event.kind.removeprefix("fault: ")
+            found.append(
+                text(x_px, top - 3.0, name, SMALL_PX, style='class="hl-fault"', turned=-60)
+            )
+            free_s = event.t_s + axes.x.end * LABEL_SHARE
+    return "".join(found) + "\n"

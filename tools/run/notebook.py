@@ -36,17 +36,21 @@ from tools.run.scenario_run import Faults, run_of
 
 
 class Picture:
-    """A PNG that shows itself where a notebook asks for it."""
+    """An SVG that shows itself where a notebook asks for it."""
 
-    def __init__(self, png: bytes) -> None:
-        self.png = png
+    def __init__(self, svg: bytes) -> None:
+        self.svg = svg
 
-    def _repr_png_(self) -> bytes:
-        return self.png
+    def _repr_svg_(self) -> str:
+        return self.svg.decode()
 
     def save(self, path: str | Path) -> None:
-        """Write the PNG. Raises OSError."""
-        Path(path).write_bytes(self.png)
+        """Write the SVG. Raises ValueError for the name of another format, and OSError."""
+        path = Path(path)
+        if path.suffix != ".svg":
+            raise ValueError(f"{path}: this picture is an .svg; run.plot(...).figure.savefig(...) "
+                             "writes other formats")  # fmt: skip
+        path.write_bytes(self.svg)
 
 
 def column_name(title: str) -> str:
@@ -142,7 +146,7 @@ class Run:
         found = self._chapter(chapter)
         if found.picture is None:
             raise ValueError(found.missing or f"{chapter} is a table: run.table({chapter!r})")
-        return Picture(found.picture.png)
+        return Picture(found.picture.svg)
 
     def report(self, path: str | Path) -> Path:
         """The page of `headland report`, and the folder of its name. Returns where it is."""

@@ -4,13 +4,17 @@ import csv
 import json
 import math
 import random
+import re
 import shutil
+from base64 import b64encode
 from html.parser import HTMLParser
 from itertools import pairwise
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
 from protocol.frames.codec import encode
@@ -26,15 +30,17 @@ from tools.bench.browser import browser, complaints, missing
 from tools.common.run_flaws import flaws
 from tools.common.run_recorder import RunRecorder
 from tools.report.command import report
-from tools.report.figures import Drawn, gantt
+from tools.report.figures import gantt, tracks
 from tools.report.page import page
 from tools.report.run_data import gather
-from tools.report.timeline import History, TimelineEvent, TimelineSpan
+from tools.report.svg_chart import Axes, AxisSpan, PlotBox, ticks
+from tools.report.timeline import BusAddress, History, TimelineEvent, TimelineSpan
 from tools.report.tracking_error import SAME_M, followed
 from tools.run.run_field import run as run_command
 
 STOP_S, RESET_S, CRASH_S, AGAIN_S, END_S = 12.0, 16.0, 22.0, 27.0, 32.0
 HOSTILE = "<script>alert(1)</script>"
+SVG = "{http://www.w3.org/2000/svg}"
 
 
 @pytest.fixture(scope="module")
@@ -99,10 +105,13 @@ def test_the_page_is_whole_and_asks_for_nothing(run: Path) -> None:
     assert "script" not in reader.names, "names come from files that others wrote"
     assert "&lt;script&gt;alert(1)&lt;/script&gt;" in text
     for address in reader.asked:
-        local = address.startswith(("data:image/svg+xml;base64,", "#"))
-        assert local or (run / address).is_file(), address
-    pictures = sum(address.startswith("data:") for address in reader.asked)
-    assert pictures == len(list((run / "report").glob("*.svg"))) == 7
+        assert address.startswith("#") or (run / address).is_file(), address
+    files = sorted((run / "report").glob("*.svg"))
+    assert text.count("<svg ") == len(files) == 7
+    for file in files:
+        assert file.read_text() in text
+        root = ElementTree.fromstring(file.read_bytes())  # on its own it is a whole document
+        assert root.tag.endswith("}svg") and root.get("aria-label")
 
 
 def test_states_are_those_that_the_robots_wrote_down(run: Path) -> None:
@@ -318,12 +327,20 @@ def test_times_of_a_real_bus_begin_at_its_first_frame(tmp_path: Path) -> None:
 @pytest.mark.slow
 @pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
 def test_a_browser_shows_every_picture(run: Path) -> None:
+    from axe_selenium_python import Axe
+
     with browser() as page:
         page.get((run / "report.html").absolute().as_uri())
-        widths = page.execute_script("return [...document.images].map(i => i.naturalWidth)")
-        assert len(widths) == 7 and all(width > 500 for width in widths)
+        asked = (
+            "return [...document.querySelectorAll('svg')].map(i => i.getBoundingClientRect().width)"
+        )
+        widths = page.execute_script(asked)
+        assert len(widths) == 7 and all(width > 450 for width in widths)
         assert not complaints(page)
         assert page.execute_script("return document.querySelectorAll('script').length") == 0
+        judge = Axe(page)
+        judge.inject()
+        assert not judge.run()["violations"]
 
 
 @pytest.mark.slow
@@ -348,19 +365,86 @@ def test_events_stand_above_the_sections_on_the_same_axis(run: Path) -> None:
     assert order == sorted(order)
     told = [TimelineEvent(1.0, "stop", "robot 1", "PERSON"), TimelineEvent(2.0, "silence", "", "")]
     held = [TimelineSpan(3, "DONE", 1, 0.0, 4.0)]
-    strip, below = gantt(held, 9.0, told).axes
-    assert strip.get_xlim() == below.get_xlim() == (0.0, 9.0)
-    assert [label.get_text() for label in strip.get_yticklabels()] == ["stop", "silence"]
-    assert "robot 1 PERSON" in [text.get_text() for text in strip.texts]
-    once, again = (Drawn(gantt(held, 9.0, told)).svg for _ in range(2))
-    assert once == again and once.startswith(b"<?xml") and b"prefers-color-scheme" in once
+    picture = gantt(held, 9.0, told)
+    assert picture == gantt(held, 9.0, told), "equal figures give equal bytes"
+    root = ElementTree.fromstring(picture.svg)
+    words = [element.text for element in root.iter(f"{SVG}text")]
+    assert {"stop", "silence", "S3", "robot 1 PERSON"} <= set(words)
+    bar = next(r for r in root.iter(f"{SVG}rect") if r.find(f"{SVG}title") is not None)
+    assert bar.findtext(f"{SVG}title") == "S3 done, robot 1, 0.0 to 4.0 s"
+    marks = [p for p in root.iter(f"{SVG}path") if p.get("class") == "hl-fault-line"]
+    beside = [re.match(r"M([0-9.]+) ", p.get("d", ""))[1] for p in marks]  # type: ignore[index]
+    assert len(beside) == 2 and len(set(beside)) == 1, (
+        "the mark of the strip, and the line below it"
+    )
+    left, width = float(bar.get("x", "")), float(bar.get("width", ""))
+    assert float(beside[0]) == pytest.approx(left + width / 4, abs=0.1), "1 s of the bar's 4 s"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_thinned_line_is_nowhere_off_the_line(seed: int) -> None:
+    """Each point that is left out lies within a pixel of one that is drawn, and both ends are drawn."""
+    rng = np.random.default_rng(seed)
+    points = np.cumsum(rng.normal(0.0, rng.choice([0.05, 0.5, 5.0]), (300, 2)), axis=0)
+    axes = Axes(PlotBox(10.0, 20.0, 400.0, 300.0), AxisSpan(-30.0, 30.0), AxisSpan(-40.0, 40.0))
+    drawn = np.array(
+        re.findall(r"[ML](-?[0-9.]+) (-?[0-9.]+)", axes.path([points.tolist()])), float
+    )
+    pixels = np.array([axes.at(x, y) for x, y in points])
+    apart_px = np.abs(pixels[:, None, :] - drawn[None, :, :]).max(axis=2)
+    assert apart_px.min(axis=1).max() < 0.6, f"seed {seed}"
+    assert apart_px[0, 0] < 0.06 and apart_px[-1, -1] < 0.06, f"seed {seed}"
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_ticks_are_round_and_cover_the_axis(seed: int) -> None:
+    """Against matplotlib's own locator, whose steps are as round."""
+    rng = random.Random(seed)
+    begin = rng.uniform(-1e3, 1e3)
+    end = begin + 10 ** rng.uniform(-1, 6)
+    found = [value for value, _ in ticks(AxisSpan(begin, end), 10.0)]
+    theirs = np.diff(MaxNLocator(10, steps=[1, 2, 5, 10]).tick_values(begin, end))[0]
+    step = np.diff(found)[0]
+    assert 4 <= len(found) <= 12 and 0.39 < step / theirs < 2.6, f"seed {seed}: {found}"
+    assert begin <= found[0] < begin + step and end - step < found[-1] <= end, f"seed {seed}"
+    assert np.allclose(np.array(found) / step % 1.0 % (1 - 1e-6), 0.0, atol=1e-6), f"seed {seed}"
+    labels = [float(label) for _, label in ticks(AxisSpan(begin, end), 10.0)]
+    assert labels == pytest.approx(found, abs=step / 10), f"seed {seed}"
+
+
+@pytest.mark.parametrize("far", [float("nan"), float("inf"), 1e300, -1e300])
+def test_what_is_no_place_is_not_drawn(far: float) -> None:
+    axes = Axes(PlotBox(0.0, 0.0, 100.0, 100.0), AxisSpan(0.0, 10.0), AxisSpan(0.0, 10.0))
+    assert axes.path([[(far, 1.0), (1.0, 1.0), (1.0, far), (5.0, 5.0)]]) == "M10.0 90.0L50.0 50.0"
+    assert not axes.path([[(far, far)]])
+    assert not axes.dot(far, 1.0, "red") and not axes.bar(far, 1.0, 0, "red")
+    assert not list(ticks(AxisSpan(0.0, far), 5.0)) or abs(far) < float("inf")
+    scene = {"rings": [[[0, 0], [9, 0], [9, 9], [far, 4]]]}
+    told = tracks(scene, {1: [BusAddress(0.0, 1.0, 1.0, 0.0, False)]})
+    assert b"nan" not in told.svg and b"inf" not in told.svg
+    ElementTree.fromstring(told.svg)
+
+
+def test_walls_of_a_grid_are_drawn_where_they_are() -> None:
+    cells = np.zeros((4, 6), bool)
+    cells[0, 1:3] = cells[3, 5] = True
+    walls = b64encode(np.packbits(cells).tobytes()).decode()
+    grid = {"rows": 4, "columns": 6, "cell_m": 2.0, "origin": [10.0, 20.0], "walls": walls}
+    told = tracks({"grid": grid}, {0: [BusAddress(0.0, 11.0, 21.0, 0.0, False)]})
+    found = ElementTree.fromstring(told.svg)
+    data = next(p.get("d", "") for p in found.iter(f"{SVG}path") if p.get("fill") == "#8a8a8a")
+    boxes = re.findall(r"M([0-9.]+) ([0-9.]+)H([0-9.]+)V([0-9.]+)", data)
+    assert len(boxes) == 2
+    (x, y, end_x, end_y), (other_x, other_y, *_) = (tuple(map(float, box)) for box in boxes)
+    assert (end_x - x) == pytest.approx(2 * (end_y - y), abs=0.2), "two cells beside each other"
+    assert other_x > end_x and other_y < y, "further east and north"
 
 
 def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     good = {"success": True, "coverage": 1.0, "makespan_s": 176.2, "contacts": 0, "bus_load": 0.038,
             "moved_after_stop": 0, "replicas_equal": True, "travel_m": 1009.0}  # fmt: skip
     text = page("t", good, [], "t")
-    assert text.count("<dt>") == 6 and "176 s" in text and "without a flaw" in text
+    assert text.count("<li>") == 6 and "176 s" in text and "without a flaw" in text
     assert text.index('class="tiles"') < text.index("<details>"), (
         "the other figures are folded away"
     )

@@ -1,6 +1,5 @@
 """What a report leaves out or computes in another way changes none of its figures."""
 
-import io
 import os
 import signal
 import sys
@@ -9,9 +8,6 @@ from random import Random
 
 import numpy as np
 import pytest
-from matplotlib import rc_context
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
@@ -26,7 +22,6 @@ from tools.common.run_recorder import RunRecorder
 from tools.report import planned_aside as aside
 from tools.report import timeline
 from tools.report.command import report
-from tools.report.laid_out_figure import LaidOutFigure
 from tools.report.timeline import History
 from tools.report.tracking_error import _distances, _off_m
 
@@ -84,23 +79,6 @@ def test_a_distance_is_that_of_numpy_to_the_last_bit(seed: int) -> None:
     line.insert(1, line[0])  # a piece without a length
     for x, y in (rng.integers(-400, 400, (20, 2)) / 11).tolist():
         assert _off_m((x, y), line) == _distances([(x, y)], line).min(), f"seed {seed}"
-
-
-def test_a_figure_that_is_drawn_once_is_the_one_that_is_drawn_twice() -> None:
-    def svg(kind: type[Figure]) -> bytes:
-        figure = kind(figsize=(6, 3), layout="constrained")
-        FigureCanvasAgg(figure)
-        above, below = figure.subplots(2, 1, sharex=True, height_ratios=(1, 3))
-        above.plot([0, 3], [5, 1], label="a long name beside it")
-        below.barh([1, 2, 3], [4, 5, 6], left=[0, 1, 2])
-        below.set_ylabel("rows")
-        above.legend(loc="upper left", bbox_to_anchor=(1.0, 1.0))
-        buffer = io.BytesIO()
-        with rc_context({"svg.hashsalt": "headland"}):
-            figure.savefig(buffer, format="svg", metadata={"Date": None})
-        return buffer.getvalue()
-
-    assert svg(LaidOutFigure) == svg(Figure)
 
 
 @pytest.fixture(scope="module")

@@ -17,7 +17,7 @@ from tools.run.notebook import Picture, Run, play
 from tools.run.run_field import run as run_command
 
 EXAMPLES = Path(__file__).parents[3] / "examples"
-PNG = b"\x89PNG"
+SVG = b"<svg "
 DEPOT = """
 name = "depot"
 mission = "delivery"
@@ -40,7 +40,7 @@ def test_ten_lines_are_ten_and_run(
     runpy.run_path(str(path))
     said = capsys.readouterr().out
     assert " 0 contacts" in said and "PERSON_IN_FIELD" in said
-    assert (tmp_path / "sections.png").read_bytes().startswith(PNG)
+    assert (tmp_path / "sections.svg").read_bytes().startswith(SVG)
     assert "PERSON_IN_FIELD" in (tmp_path / "ten_lines.html").read_text()
 
 
@@ -60,7 +60,7 @@ def test_the_notebook_runs_from_top_to_bottom() -> None:
     run, tracks, sections, rmse_m, stops = shown
     assert isinstance(run, Run) and "<td>coverage</td>" in run._repr_html_()
     for picture in (tracks, sections):
-        assert isinstance(picture, Picture) and picture._repr_png_().startswith(PNG)
+        assert isinstance(picture, Picture) and picture._repr_svg_().startswith("<svg ")
     assert isinstance(rmse_m, dict) and set(rmse_m) == set(range(4))
     assert isinstance(stops, list) and {row["robot"] for row in stops} == {0, 1, 3}
 
@@ -78,6 +78,8 @@ def test_it_is_the_run_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixt
         run.picture("gantt")
     with pytest.raises(ValueError, match="Nobody pressed a stop"):
         run.picture("stops")
+    with pytest.raises(ValueError, match=r"an \.svg; run\.plot"):
+        run.picture("tracks").save(tmp_path / "tracks.png")
 
 
 def test_errands_in_a_building() -> None:
