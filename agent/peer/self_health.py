@@ -10,8 +10,9 @@ from enum import Enum
 from typing import Final, NamedTuple
 
 from agent.interface.config import CONTROL_PERIOD_US
+from agent.peer.place_jumps import AGE_MAX_US
 from agent.peer.self_check import SelfCheck
-from agent.peer.sense_freshness import AGE_MAX_US, Senses
+from agent.peer.sense_freshness import Senses
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.controller_health import Health

@@ -16,24 +16,31 @@ back for `STEADY_US`, or when an operator says by a start of this robot that the
 """
 
 from collections.abc import Mapping
-from math import cos, degrees, hypot, isfinite, pi, radians, remainder, sin
-from typing import Any, Final, NamedTuple
+from math import atan2, cos, degrees, hypot, isfinite, pi, radians, remainder, sin
+from typing import Any, Final
 
-from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, SPEED_MAX_M_S, S
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.effects import HALT, Drive, Effect
 from agent.interface.motion_controller import BodyLimits, MotionController
 from agent.interface.observation import Observation
 from agent.peer import inputs, notices
 from agent.peer.part import NOTHING, DirectListener, Listener, Outputs, Part, StepContext
+from agent.peer.place_jumps import (
+    ACCELERATION_M_S2,
+    AGE_MAX_US,
+    FASTER,
+    FASTEST,
+    HEADING_ACCURACY_RAD,
+    NOTHING_UNSEEN,
+    POSITION_ACCURACY_M,
+    TURN_RAD_S,
+    PlaceJumps,
+    Unseen,
+)
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.fleet_frames import NOWHERE_M
 
-# Two missed control periods, the lifetime of a drive command. It is detected at most one period later,
-# so the robot drives 0.15 s: 0.38 m at 2.5 m/s. It plans to brake with 0.7 of its deceleration
-# (`BRAKING_SHARE`), which leaves 0.89 m of reserve before a fence at that speed. Below 1 m/s
-# `MARGIN_M`, 0.15 m, is enough.
-AGE_MAX_US: Final = 2 * CONTROL_PERIOD_US
 STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
 STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
 # Expected displacement without a change of place, over this many periods at least.
@@ -47,22 +54,6 @@ FROZEN_RAD: Final = radians(20.0)
 TURNS_SHARE: Final = 0.5
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 ACCELERATION_SHARE: Final = 0.5
-ACCELERATION_M_S2: Final = 0.5  # used if the acceleration of the body is not known
-FASTEST: Final = BodyLimits(0.0, SPEED_MAX_M_S, ACCELERATION_M_S2)
-assert AGE_MAX_US <= ACTUATOR_TTL_US
-# As a standard deviation. Twice this is within the reserve before a fence at full speed (above), and
-# within the clearance of two robots, which plan with a margin of 0.15 m each.
-POSITION_ACCURACY_M: Final = 0.15
-HEADING_ACCURACY_RAD: Final = radians(10.0)  # 0.17 m to the side on a metre: the same error
-# What the place may change beyond what the wheels drive: twice the accuracy.
-JUMP_M: Final = 2 * POSITION_ACCURACY_M
-JUMP_RAD: Final = 2 * HEADING_ACCURACY_RAD
-# Wheels can do half as much again as the speed limit: a mecanum robot on its diagonal needs 1.41.
-FASTER: Final = 1.5
-STARTS_M_S: Final = 0.3  # below, the direction in which it drives is not known
-# Share of its way by which a body may leave its course while it brakes; also radians.
-ASIDE: Final = 0.25
-TURN_RAD_S: Final = 8.0  # no body turns faster: 2.5 m/s with the wheels 0.31 m from its middle
 
 
 def blind_way_m(limits: BodyLimits) -> float:
@@ -96,25 +87,6 @@ def frozen_for_s(speed_m_s: float, late_for_s: float) -> float:
     return unnoticed_for_s + 2 * period_s + late_for_s
 
 
-class Unseen(NamedTuple):
-    """How a body may have moved at most while its place did not change."""
-
-    way_m: float = 0.0
-    speed_m_s: float = 0.0
-    turned_rad: float = 0.0
-
-
-NOTHING_UNSEEN: Final = Unseen()
-
-
-class Offset(NamedTuple):
-    """Between the sensed place and the one that wheels can reach."""
-
-    east_m: float = 0.0
-    north_m: float = 0.0
-    turned_rad: float = 0.0
-
-
 class Senses(Part):
     """Watches one robot's senses in each control period, before any decision."""
 
@@ -140,21 +112,20 @@ class Senses(Part):
         self._anchor_at_us = 0
         self._periods = 0  # observations since the anchor
         self._changed = False  # whether the place changed in this period
-        self._expected_m_s = self._expected_m = 0.0  # speed and travel expected since the anchor
+        self._expected_m_s = 0.0  # speed expected since the anchor
         self._step_m_s = 0.0  # at which the place changed to the anchor
         # The displacement expected since then, (x, y) metres. Small commands to and fro, as of a robot
         # that waits before another one, lead nowhere.
         self._expected: tuple[float, float] = (0.0, 0.0)
-        self._told_rad = 0.0  # sum of the turns commanded since the anchor
+        # How the body may have moved since the anchor, at most: what it did before and what it was told.
+        self._since = NOTHING_UNSEEN
+        self._most_m_s = 0.0  # commanded since the last comparison
         # The heading when it or the place changed last, and the turn expected since then. Small turns to
         # and fro lead nowhere.
         self._turn_anchor_rad = self._expected_rad = 0.0
         self._turn_frozen = False  # PLACE_FROZEN was noticed by the heading
-        self._unseen = NOTHING_UNSEEN  # when the place was frozen, until it changes
-        self._accurate: Observation | None = None  # the last observation with an accurate place
-        self._gap = False  # how long ago the last accurate place was is not known
-        self._turn_rad_s = 0.0  # between the last two accurate places
-        self._offset = Offset()
+        self._unseen = NOTHING_UNSEEN  # before the last change of the place
+        self.jumps = PlaceJumps()
         self._lost_at_us = 0  # when the place was last wrong
 
     @property
@@ -179,7 +150,7 @@ class Senses(Part):
     def _went_back(self, notice: notices.ClockWentBack, now_us: int) -> Outputs:
         """The robot did nothing until its clock showed again what it had shown. Its body drove on
         until the last command expired, and braked."""
-        self._gap = True
+        self.jumps.gap()
         return NOTHING
 
     def age_us(self, now_us: int) -> int | None:
@@ -194,6 +165,12 @@ class Senses(Part):
     def drove(self, drive: Drive) -> None:
         """The command that the wheels were given."""
         self._drive = drive
+        speed_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
+        self._most_m_s = max(self._most_m_s, speed_m_s)
+        if speed_m_s or drive.turn_rad_s:
+            self.jumps.drove()
+            if self.current:
+                self.jumps.trust()
 
     @property
     def implement_told_down(self) -> bool:
@@ -204,7 +181,7 @@ class Senses(Part):
         """Restart the checks. If the start is for this robot alone, its place is believed."""
         self._anchor = None
         if notice.named:
-            self._accurate, self._offset = None, Offset()
+            self.jumps.forget()
         return NOTHING
 
     def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
@@ -235,6 +212,8 @@ class Senses(Part):
             effects += self.safety.hold_while(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
         if not (safety.holds(StopCause.PLACE_FROZEN) and not self._changed):
             effects += self._believe(now_us, bool(old))
+        elif self.here is not None and not old:
+            self.jumps.stays(self.here)
         doubted = safety.holds(StopCause.PLACE_FROZEN) or safety.holds(StopCause.PLACE_LOST)
         self.current = not (old or doubted)
         if self.current:
@@ -254,7 +233,7 @@ class Senses(Part):
         here = self.here
         if here is None or old:
             return []
-        wrong = self._inaccurate(here) or self._jumped(here)
+        wrong = self._inaccurate(here) or self._jumped(here, now_us)
         if wrong:
             self._lost_at_us = now_us
         elif not self.safety.holds(StopCause.PLACE_LOST):
@@ -274,68 +253,10 @@ class Senses(Part):
             return f"heading accurate to {degrees(here.heading_accuracy_rad):.0f} degrees"
         return ""
 
-    def _jumped(self, here: Observation) -> str:
-        """Why the body cannot have driven to this accurate place; empty if it can.
-
-        The offset is the sum of all changes of the place that no wheels can make: it is zero again
-        when the place jumps back.
-        """
-        before, self._accurate = self._accurate, here
+    def _jumped(self, here: Observation, now_us: int) -> str:
+        """Why the body cannot have driven to this accurate place; empty if it can."""
         unseen, self._unseen = self._unseen, NOTHING_UNSEEN
-        gap, self._gap = self._gap, False
-        if before is None:
-            return ""
-        passed_for_us = max(here.sensed_at_us - before.sensed_at_us, 0)
-        passed_for_s = passed_for_us / S
-        dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
-        turned_rad = remainder(here.heading_rad - before.heading_rad, 2 * pi)
-        in_time = passed_for_us <= AGE_MAX_US and unseen is NOTHING_UNSEEN and not gap
-        if in_time:
-            way_m, turn_rad_s = FASTER * self.limits.speed_m_s * passed_for_s, TURN_RAD_S
-            possible = hypot(dx_m, dy_m) <= JUMP_M + way_m
-            possible &= abs(turned_rad) <= JUMP_RAD + turn_rad_s * passed_for_s
-        else:
-            possible = self._stopped_there(before, unseen, dx_m, dy_m, turned_rad)
-        if not possible:
-            driven_for_s = passed_for_s if in_time else 0.0
-            self._offset = Offset(
-                self._offset.east_m + dx_m - before.vx_m_s * driven_for_s,
-                self._offset.north_m + dy_m - before.vy_m_s * driven_for_s,
-                remainder(self._offset.turned_rad + turned_rad, 2 * pi),
-            )
-        elif in_time and passed_for_us:
-            self._turn_rad_s = turned_rad / passed_for_s
-        moved_m = hypot(self._offset.east_m, self._offset.north_m)
-        if moved_m > JUMP_M:
-            return f"jumped by {moved_m:.1f} m"
-        if abs(self._offset.turned_rad) > JUMP_RAD:
-            return f"heading jumped by {degrees(self._offset.turned_rad):.0f} degrees"
-        return ""
-
-    def _stopped_there(
-        self, before: Observation, unseen: Unseen, dx_m: float, dy_m: float, turned_rad: float
-    ) -> bool:
-        """Whether a body that lost its senses can have stopped this far away.
-
-        It drove until its senses were old, for the lifetime of a command, and braked, with no more
-        than the acceleration of its limits, and nearly in the direction in which it was driving.
-        """
-        acceleration_m_s2 = self.limits.acceleration_m_s2
-        driving_for_s = (AGE_MAX_US + ACTUATOR_TTL_US) / S
-        speed_m_s = hypot(before.vx_m_s, before.vy_m_s)
-        fastest_m_s = max(speed_m_s, unseen.speed_m_s) + acceleration_m_s2 * driving_for_s
-        way_for_s = driving_for_s + fastest_m_s / acceleration_m_s2 / 2  # braking at half the speed
-        way_m = unseen.way_m + fastest_m_s * way_for_s
-        along_m, across_m = hypot(dx_m, dy_m), 0.0
-        if speed_m_s > STARTS_M_S:
-            east, north = before.vx_m_s / speed_m_s, before.vy_m_s / speed_m_s
-            along_m, across_m = dx_m * east + dy_m * north, abs(dy_m * east - dx_m * north)
-        return (
-            -JUMP_M <= along_m <= JUMP_M + way_m
-            and across_m <= JUMP_M + ASIDE * way_m
-            and abs(turned_rad)
-            <= JUMP_RAD + unseen.turned_rad + abs(self._turn_rad_s) * way_for_s + ASIDE
-        )
+        return self.jumps.look(here, self.limits, unseen, now_us)
 
     def _old(self, now_us: int) -> str:
         """Why the senses are not current; empty if they are."""
@@ -366,13 +287,22 @@ class Senses(Part):
             before_m_s = self._step_m_s if anchor and passed_for_us <= AGE_MAX_US else 0.0
             self._expected_m_s, self._step_m_s = max(step_m_s, before_m_s), step_m_s
             self._anchor, self._anchor_at_us = here, sensed_at_us
-            self._periods, self._expected_m, self._told_rad = 0, 0.0, 0.0
+            self._periods = 0
             self._expected = (0.0, 0.0)
             self._turn_frozen = False
+            drive, fastest_m_s = self._drive, FASTER * self.limits.speed_m_s
+            self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
+            before_m_s = max(self._expected_m_s, hypot(here.vx_m_s, here.vy_m_s))
+            self._moved_on(min(before_m_s, fastest_m_s))  # a jump is no speed
             return ""
+        self._drive_on(here, sensed_at_us)
         if turned and self._turn_frozen:
             self._changed, self._turn_frozen = True, False
+            self._moved_on(self._since.speed_m_s)
             return ""
+        if turned:
+            self._unseen = self._unseen.then(Unseen(0.0, 0.0, self._since.turned_rad))
+            self._since = self._since._replace(turned_rad=0.0)
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         # After the lifetime of the command it is void.
         passed_for_s = min(max(sensed_at_us - start_at_us, 0), ACTUATOR_TTL_US) / S
@@ -380,22 +310,14 @@ class Senses(Part):
         faster_m_s = self._expected_m_s + self._acceleration_m_s2 * passed_for_s
         self._expected_m_s = min(told_m_s, faster_m_s)
         step_m = self._expected_m_s * passed_for_s
-        self._expected_m += step_m
         self._expected = self._expected[0] + step_m * ux, self._expected[1] + step_m * uy
         turn_rad = self._drive.turn_rad_s * passed_for_s
-        self._told_rad += abs(turn_rad)
         self._expected_rad += TURNS_SHARE * turn_rad
         self._periods += 1
         expected_m = hypot(*self._expected)
         by_turn = abs(self._expected_rad) >= FROZEN_RAD
         if (expected_m < FROZEN_M and not by_turn) or self._periods < FROZEN_PERIODS:
             return ""
-        # A body with the acceleration of its limits is faster than expected by this.
-        self._unseen = Unseen(
-            self._expected_m / ACCELERATION_SHARE,
-            self._expected_m_s / ACCELERATION_SHARE,
-            self._told_rad,
-        )
         if expected_m < FROZEN_M:
             self._turn_frozen = True
             return (
@@ -403,6 +325,33 @@ class Senses(Part):
                 f"turned by {degrees(abs(heading_rad)):.1f}"
             )
         return f"told to drive {expected_m:.2f} m, moved {away_m * 1000:.0f} mm"
+
+    def _moved_on(self, speed_m_s: float) -> None:
+        """The place follows again, at this speed: what was not seen until now is compared with it."""
+        if self._since.way_m > STAYS_M or self._since.turned_rad:
+            self._unseen = self._unseen.then(self._since)
+        self._since = Unseen(0.0, speed_m_s)
+
+    def _drive_on(self, here: Observation, sensed_at_us: int) -> None:
+        """How the body may have moved since the last comparison, although its place did not change.
+
+        It is no faster than it was and than it was told. It drives that fast until the last command has
+        expired, and brakes. A body that pivots turns without being told."""
+        start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
+        passed_for_s = max(sensed_at_us - start_at_us, 0) / S
+        way_m, speed_m_s, turned_rad = self._since
+        drive, told_m_s = self._drive, self._most_m_s
+        self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
+        fastest_m_s, acceleration_m_s2 = max(speed_m_s, told_m_s), self.limits.acceleration_m_s2
+        driving_for_s = min(passed_for_s, (AGE_MAX_US + ACTUATOR_TTL_US) / S)
+        braking_for_s = passed_for_s - (driving_for_s if told_m_s else 0.0)
+        slowest_m_s = max(fastest_m_s - acceleration_m_s2 * braking_for_s, 0.0)
+        way_m += fastest_m_s * driving_for_s
+        way_m += (fastest_m_s**2 - slowest_m_s**2) / (2 * acceleration_m_s2)
+        off_rad = remainder(atan2(drive.vy_m_s, drive.vx_m_s) - here.heading_rad, pi)
+        pivots = told_m_s > 0.0 and abs(off_rad) > TURNED_RAD
+        turn_rad_s = TURN_RAD_S if pivots else abs(drive.turn_rad_s)
+        self._since = Unseen(way_m, slowest_m_s, turned_rad + turn_rad_s * driving_for_s)
 
     def _told(self, here: Observation, anchor: Observation) -> tuple[tuple[float, float], float]:
         """The commanded motion of the wheels: its direction, a unit vector or (0, 0), and its speed.

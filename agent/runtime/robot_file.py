@@ -31,7 +31,7 @@ member that does no work.
 """
 
 from pathlib import Path
-from typing import Any, NamedTuple, Self
+from typing import Any, ClassVar, NamedTuple, Self
 
 from pydantic import Field, ValidationError, model_validator
 
@@ -67,9 +67,17 @@ WORKS = ("field", "warehouse", "navigation", "exploration", "coverage", "mission
 class RobotError(Exception):
     """One line for the person; no content of a file can break the line."""
 
+    code: ClassVar[int] = 2  # of the exit: a person has to mend something
+
     def __init__(self, text: str) -> None:
         line = "".join(c if c.isprintable() else " " for c in text)
         super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
+
+
+class AbsentError(RobotError):
+    """A device of the machine is not there or does not answer: a later start may find it."""
+
+    code = 75  # EX_TEMPFAIL of sysexits.h
 
 
 class Changes(NamedTuple):

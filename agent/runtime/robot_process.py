@@ -30,7 +30,7 @@ from agent.runtime.gc_tuning import free_planning_memory, freeze_gc
 from agent.runtime.peer_factory import clock_zero_at_s, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody
-from agent.runtime.robot_file import RobotBusTable, RobotError, RobotFile
+from agent.runtime.robot_file import AbsentError, RobotBusTable, RobotError, RobotFile
 from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
@@ -40,7 +40,7 @@ from protocol.links.socketcand_link import SocketcandLink
 
 TELL_AFTER_S = 2.0  # a person is told of a wait that is longer
 GOODBYE_S = 0.2  # for the farewell frame to leave
-WRONG = 2  # exit code of an error that a person has to mend; one line says what it is
+WRONG = RobotError.code  # exit code of an error that a person has to mend; one line says what it is
 
 
 def keys_of(robot: RobotFile) -> Keys | None:
@@ -77,16 +77,21 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
     except Exception as problem:  # python-can interfaces raise what they like
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         where = f"{table.interface} {table.channel}"
-        raise RobotError(f"robot {slot}: bus: cannot open {where}: {reason}") from None
-    absent = f"no socketcand server answers at {host}:{port}"
+        absent = isinstance(
+            problem, OSError
+        )  # an adapter that is not plugged in, a link that is down
+        raise (AbsentError if absent else RobotError)(
+            f"robot {slot}: bus: cannot open {where}: {reason}"
+        ) from None
+    unanswered = f"no socketcand server answers at {host}:{port}"
     try:
         try:
             async with asyncio.timeout(TELL_AFTER_S if answer_for_s is None else answer_for_s):
                 await link.up()
         except TimeoutError:
             if answer_for_s is not None:
-                raise RobotError(f"robot {slot}: bus: {absent}") from None
-            print(f"robot {slot}: waits for its bus, {absent}; Ctrl-C ends it", file=sys.stderr)
+                raise AbsentError(f"robot {slot}: bus: {unanswered}") from None
+            print(f"robot {slot}: waits for its bus, {unanswered}; Ctrl-C ends it", file=sys.stderr)
             await link.up()
     except (RobotError, asyncio.CancelledError):
         link.close()
@@ -130,7 +135,9 @@ async def opened_body(robot: RobotFile, *, dry: bool = False) -> RobotBody:
     except FactoryError as problem:
         named = "plugin" if robot.body.factory is None else "factory"
         raise RobotError(f"robot {slot}: body.{named}: {problem}") from None
-    except (OSError, ValueError) as problem:
+    except OSError as problem:
+        raise AbsentError(f"robot {slot}: body: {problem}") from None
+    except ValueError as problem:
         raise RobotError(f"robot {slot}: body: {problem}") from None
     return body
 
@@ -237,7 +244,7 @@ def main() -> None:
         asyncio.run(until_told(RobotFile.read(options.file), first_boot=options.first_boot))
     except RobotError as problem:
         print(problem, file=sys.stderr)
-        sys.exit(WRONG)
+        sys.exit(problem.code)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,8 @@ BABBLING = 0x4D  # lowest bits of an identifier: group 0, and a device's address
 THEFT_S = 6.0  # at least, so that the revocation is over before the calm
 NONSENSE_S = 5.0  # upper limit; the same time must be left before the end
 YARD_M = 18.0, 12.0  # boxes appear within this distance of the middle
+STALLS_S = 0.05, 0.4  # without computing time: a neighbour's work, a page that is read from disk
+FAR = 10.0  # of the metres of `_jumped`
 Draw = Callable[[Random, int, float, float], list[Fault]]  # random source, robots, start, end
 
 
@@ -354,4 +356,28 @@ DRAWS: dict[str, Draw] = {
     "forger": _forger,
     "thief": _thief,
 }
-CLUSTERS: dict[str, Draw] = {"blackout": _blackout, "burst": _burst, "split": _split}
+
+
+def _stalled(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    """A lost place, and a process that gets no computing time as it begins or ends: other work of its
+    computer. A jump is further than a body drives and brakes unseen, so that it can be told from that.
+    """
+    (fault,) = DRAWS[rng.choice(("blind", "frozen", "jumped", "late"))](rng, robots, at_s, end_at_s)
+    assert isinstance(fault, kinds.Blind | kinds.Frozen | kinds.Jumped | kinds.Late)
+    if isinstance(fault, kinds.Jumped):
+        far = {"dx_m": FAR * fault.dx_m, "dy_m": FAR * fault.dy_m}
+        fault = fault.model_copy(update=far)
+    for_s, edge_at_s = rng.uniform(*STALLS_S), fault.at_s + rng.choice((0.0, fault.for_s))
+    stall_at_s = round(max(edge_at_s - rng.uniform(0.0, for_s), 0.0), 3)
+    return [
+        fault,
+        kinds.Freeze(at_s=stall_at_s, kind="freeze", robot=fault.robot, for_s=round(for_s, 3)),
+    ]
+
+
+CLUSTERS: dict[str, Draw] = {
+    "blackout": _blackout,
+    "burst": _burst,
+    "split": _split,
+    "stalled": _stalled,
+}

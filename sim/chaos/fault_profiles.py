@@ -5,6 +5,7 @@ a reset and a start), and the fleet must recover within bounded time. The result
 scenario: it can be printed, edited, shrunk and run again.
 """
 
+from math import hypot
 from random import Random
 from typing import NamedTuple
 
@@ -120,6 +121,10 @@ PROFILES = {
                                        "drifting": 2.0, "slipping": 2.0,
                                        "estop": 0.5, "loss": 0.5, "freeze": 0.5},
                       "receivers that fall silent, hang, jump, drift and are late; wheels that slip"),
+    # As above, no crashes.
+    "stalls": Profile((2, 4), (2, 8), {"stalled": 6.0, "jumped": 1.0, "freeze": 1.0, "estop": 0.5,
+                                       "loss": 0.5},
+                      "places that are lost and back while the robot's process gets no computing time"),
     # A robot with a stuck scan does not see what comes into its way: no boxes and no people. One that
     # restarts without a scan has no range sensors, and says so: no crashes.
     "rays": Profile((2, 4), (2, 8), {"no_rays": 3.0, "stuck_rays": 3.0, "noisy_rays": 3.0,
@@ -275,19 +280,37 @@ def calm(span: Span) -> list[Fault]:
 # After one of these a robot may receive nothing while its clock goes back.
 LONELY = (kinds.Partition, kinds.OneWay, kinds.BusOff, kinds.Crash, kinds.CrashWorking)
 SENSELESS = (kinds.Blind, kinds.Frozen, kinds.Late, kinds.Freeze)
+UNSEEN_M = 10.0  # no body drives and brakes that far
+BRAKING_S = 2.0  # from full speed
 VOUCHED_S = 3.0  # after the fleet's start
 
 
-def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
-    """A person looks at each robot whose place has jumped or whose wheels did not answer, and starts
-    it.
+def _begins_unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
+    """Whether this jump is no further than a body drives and brakes, and begins while its robot
+    senses nothing, or shortly after."""
+    if hypot(jump.dx_m, jump.dy_m) >= UNSEEN_M:
+        return False
+    return any(
+        each.at_s <= jump.at_s <= each.at_s + getattr(each, "for_s", 0.0) + BRAKING_S
+        for each in drawn
+        if isinstance(
+            each, kinds.Blind | kinds.Frozen | kinds.Late | kinds.Freeze | kinds.ClockJump
+        )
+        and each.robot == jump.robot
+    )
 
-    A jump while a robot senses nothing, along its way, cannot be told from its braking; then the
-    return to the true place is the jump that it notices. So is a push while it senses nothing. A clock
-    that goes back is noticed by the times of frames: without any, the robot seems to jump.
+
+def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
+    """A person looks at each robot whose place has jumped while it sensed nothing, or whose wheels did
+    not answer, and starts it.
+
+    Such a jump, along its way, cannot be told from its braking; then the return to the true place is
+    the jump that it notices. So is a push while it senses nothing. A clock that goes back is noticed by
+    the times of frames: without any, the robot seems to jump. All others go on by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
-    robots = {each.robot for each in drawn if isinstance(each, kinds.Jumped)}
+    jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]
+    robots = {each.robot for each in jumps if _begins_unseen(each, drawn)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
     if any(isinstance(each, LONELY) for each in drawn):

@@ -20,6 +20,7 @@ from agent.peer.frame_origin import Origin, Origins
 from agent.peer.implement_check import ImplementCheck
 from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
+from agent.peer.place_jumps import NO_REACH, PlaceJumps
 from agent.peer.progress_announcements import ProgressAnnouncements
 from agent.peer.range_freshness import RangeSensing
 from agent.peer.section_claims import SectionClaims
@@ -299,6 +300,13 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "frozen-place-believed": Mutant(
         "a place that does not change is not noticed", Senses, "_frozen", _constant(""), "body"
+    ),
+    "way-unseen-is-a-jump": Mutant(
+        "what a robot drove while it sensed nothing counts as part of a jump",
+        PlaceJumps,
+        "_reach_from",
+        _constant(NO_REACH),
+        "stalls",
     ),
     "scans-not-missed": Mutant(
         "a scan that does not arrive is not noticed", RangeSensing, "_wrong", _constant(""), "rays"

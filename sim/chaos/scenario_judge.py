@@ -15,7 +15,7 @@ from agent.interface.effects import Effect
 from agent.motion.implement_clearance import LEAD_M
 from agent.peer.implement_check import RISES_WITHIN_US
 from agent.peer.journal_recovery import LOST, remembers
-from agent.peer.sense_freshness import AGE_MAX_US
+from agent.peer.place_jumps import AGE_MAX_US
 from agent.runtime import peer_runner
 from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
@@ -23,7 +23,7 @@ from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed
 from sim.chaos.durability_rules import STANDS, lost, unknown
 from sim.chaos.effect_observer import EffectObserver
-from sim.chaos.fault_profiles import is_link_trouble, span_of
+from sim.chaos.fault_profiles import UNSEEN_M, is_link_trouble, span_of
 from sim.chaos.protocol_rules import RuleViolation
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.outcome import FieldOutcome
@@ -113,6 +113,7 @@ class ScenarioJudge:
         self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
         # The true position of each when it froze.
         self._frozen_at: dict[int, tuple[float, float]] = {}
+        self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
         # Ways with the implement down against the command, m, of robots whose implement is stuck.
         self._dragged_m: dict[int, float] = {}
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
@@ -209,12 +210,14 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._lapses, robot))
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self.witness.words.hangs, robot, end_at_us))
+                self._at(at_us, partial(self._hangs.__setitem__, robot, end_at_us))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
-            case kinds.Jumped(robot=robot, for_s=for_s):
-                self._at(at_us, partial(self._place_jumps, robot, at_us + round(for_s * S)))
+            case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
+                far_m, end_at_us = hypot(dx_m, dy_m), at_us + round(for_s * S)
+                self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
             case kinds.Blind(robot=robot, for_s=for_s) | kinds.NoRays(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
@@ -306,10 +309,11 @@ class ScenarioJudge:
             self._blind.setdefault(slot, []).append(watch)
             self._at(end_at_us, partial(self._sees_again, slot, watch))
 
-    def _place_jumps(self, slot: int, end_at_us: int) -> None:
-        """S19: as without senses. A jump that begins while it has none, no longer than its way to
-        standstill, cannot be told from that way."""
-        if not self._blind.get(slot):
+    def _place_jumps(self, slot: int, far_m: float, end_at_us: int) -> None:
+        """S19: as without senses. A jump that begins while it has none, or while its process hangs, no
+        longer than its way to standstill, cannot be told from that way."""
+        hangs = self._hangs.get(slot, 0) > self.cluster.host.now_us()
+        if far_m >= UNSEEN_M or not (self._blind.get(slot) or hangs):
             self._loses_senses(slot, end_at_us)
 
     def _sees_again(self, slot: int, watch: int | None = None) -> None:

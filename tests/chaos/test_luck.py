@@ -146,7 +146,7 @@ def test_a_fault_that_no_robot_could_notice_is_not_drawn() -> None:
 def _kinds_of(name: str) -> set[str]:
     """The kinds of fault that a draw of this name makes."""
     together = {"blackout": {"crash", "restart"}, "burst": {"omission", "estop"},
-                "split": {"partition", "heal"}, "thief": {"forger"}}  # fmt: skip
+                "split": {"partition", "heal"}, "stalled": {"freeze"}, "thief": {"forger"}}  # fmt: skip
     return {"haste": {"order"}, **together}.get(name, {name})
 
 

@@ -12,11 +12,12 @@ robots in real time is `headland bench leaks`.
 import asyncio
 import json
 import os
+import re
 import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from itertools import combinations
 from math import cos, dist, pi, sin
@@ -76,6 +77,8 @@ def tell():
     print(json.dumps(foreign, allow_nan=False), file=sys.stderr)
 atexit.register(tell)
 """
+# A robot that tells what it decides: why it stands is read from there.
+TELLS: Final = "import logging; logging.basicConfig(level=logging.INFO, format='%(message)s'); "
 # 25 ha: six robots need two hours, longer than all trials. A robot without work does not go on.
 CORNERS: Final = ((5.0, 52.0), (5.009, 52.0), (5.009, 52.0036), (5.0, 52.0036), (5.0, 52.0))
 FLEET: Final = """
@@ -87,7 +90,7 @@ radius_m = {radius}
 speed_m_s = {speed}
 [field]
 file = "field.geojson"
-implement_width_m = 3.0
+implement_width_m = {width}
 [bus]
 interface = "udp_multicast"
 channel = "{group}"
@@ -130,6 +133,27 @@ class LostPlaceTrial(NamedTuple):
     returned: bool  # it went on by itself
     witness_went_on: bool  # the robot that has no trials
     order: str = ""  # that its machine was given
+    why: str = ""  # it did not go on, by its own words
+
+
+def why_it_stands(log: Path, since: int) -> str:
+    """The causes that still hold a robot by the last lines of its log, and how often it braked for
+    members that it did not hear; from this byte of its log on."""
+    held: dict[str, str] = {}
+    silences = 0
+    for line in log.read_text().encode()[since:].decode().splitlines():
+        _, safety, told = line.partition(": safety ")
+        if not safety:
+            continue
+        raised, gone = re.match(r" ([A-Z_]+) PROTECTIVE (.*)", told), told.split()[1:]
+        if raised and raised[1] == "SILENCE":
+            silences += 1
+        elif raised:
+            held[raised[1]] = raised[2]
+        elif gone[-1:] == ["gone"]:
+            held.pop(gone[0], None)
+    causes = [f"{cause} ({why})" for cause, why in held.items()]
+    return ", ".join(causes or ["no cause"]) + f", {silences} silences"
 
 
 class Yard:
@@ -137,9 +161,13 @@ class Yard:
 
     def __init__(
         self, folder: Path, seed: int, robots: int = ROBOTS,
-        corners: tuple[tuple[float, float], ...] = CORNERS,
+        corners: Sequence[tuple[float, float]] = CORNERS, declared: int = 0,
+        implement_width_m: float = 3.0,
     ) -> None:  # fmt: skip
+        """`corners`: longitude and latitude, the first one again at the end. `declared`: robots of the
+        fleet, if more than run."""
         self.folder, self.rng, self.count, self.corners = folder, Random(seed), robots, corners
+        self.declared, self.implement_width_m = declared or robots, implement_width_m
         self.machines: list[NmeaMachine] = []
         self.robots: list[asyncio.subprocess.Process] = []
         self.trials: list[LostPlaceTrial] = []
@@ -156,9 +184,14 @@ class Yard:
         boundary = read_boundary(self.folder / "field.geojson", None)
         self.field = boundary.polygon
         west_m, south_m, *_ = self.field.bounds
-        text = FLEET.format(robots=self.count, radius=RADIUS_M, speed=SPEED_M_S, group=GROUP)
+        x_m, y_m = west_m + 6.0, south_m + 10.0
+        if self.count == 1:
+            inside = self.field.representative_point()
+            x_m, y_m = inside.x, inside.y
+        text = FLEET.format(robots=self.declared, radius=RADIUS_M, speed=SPEED_M_S, group=GROUP,
+                            width=self.implement_width_m)  # fmt: skip
         for slot in range(self.count):
-            body = WheeledBody(Dimensions(), west_m + 6.0, south_m + 10.0 + 6.0 * slot, 0.0)
+            body = WheeledBody(Dimensions(), x_m, y_m + 6.0 * slot, 0.0)
             machine = NmeaMachine(body, boundary.origin, slot)
             gnss, wheels, _ = await machine.start("127.0.0.1", 0, 0, 0)
             text += MACHINE.format(slot=slot, gnss=gnss, wheels=wheels)
@@ -170,17 +203,22 @@ class Yard:
     async def start(self, slot: int) -> None:
         """A robot, until it takes part."""
         start_at_s = time.monotonic()
-        words = module_command("tools.cli.entrance")
-        robot = await asyncio.create_subprocess_exec(
-            *words, "robot", "fleet.toml", "--slot", str(slot), "--first-boot",
-            cwd=self.folder, stdout=asyncio.subprocess.PIPE, stderr=asyncio.subprocess.DEVNULL,
-        )  # fmt: skip
+        *words, program = module_command("tools.cli.entrance")
+        with self.log(slot).open("wb") as told:
+            robot = await asyncio.create_subprocess_exec(
+                *words, TELLS + program, "robot", "fleet.toml", "--slot", str(slot), "--first-boot",
+                cwd=self.folder, stdout=asyncio.subprocess.PIPE, stderr=told,
+            )  # fmt: skip
         self.robots.append(robot)
         assert robot.stdout is not None
         async with asyncio.timeout(UP_S):
             await robot.stdout.readline()
         self.started_s.append(time.monotonic() - start_at_s)
         self.started_cpu_s.append(cpu_s(robot.pid))
+
+    def log(self, slot: int) -> Path:
+        """The file of what a robot tells."""
+        return self.folder / f"robot{slot}.log"
 
     def memory_mb(self) -> list[float]:
         """Of each robot's process: what no other process shares, and files that it has mapped."""
@@ -234,8 +272,11 @@ class Yard:
             await asyncio.sleep(self.rng.uniform(*BETWEEN_S))
             if not await self.until_drives(slot, UP_S):
                 self.trials.append(
-                    LostPlaceTrial(fault, 0.0, 0.0, 0.0, 0.0, self.outside_m(machine), False, True)
-                )
+                    LostPlaceTrial(
+                        fault, 0.0, 0.0, 0.0, 0.0, self.outside_m(machine), False, True, "no fault",
+                        why_it_stands(self.log(slot), 0),
+                    )
+                )  # fmt: skip
                 continue
             await self._trial(slot, machine, fault)
 
@@ -246,6 +287,7 @@ class Yard:
             "jumped": [far_m * cos(angle_rad), far_m * sin(angle_rad)], "late": [late_for_s],
         }.get(fault, [])  # fmt: skip
         before_m = self.machines[WITNESS].truth().driven_m
+        said_before = self.log(slot).stat().st_size
         start_at_s = time.monotonic()
         order = [fault, *map(str, values), str(for_s)]
         assert machine.order(order) == b"ok"
@@ -272,6 +314,7 @@ class Yard:
                 returned,
                 went_on,
                 " ".join([fault, *(f"{each:.2f}" for each in (*values, for_s))]),
+                "" if returned else why_it_stands(self.log(slot), said_before),
             )
         )
 
@@ -344,7 +387,7 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
     )
     yield from process_figures("25 ha", yard, memory_mb, scope)
     with tempfile.TemporaryDirectory() as folder:
-        lone, memory_mb = asyncio.run(_start_alone(Path(folder), seed))
+        lone, memory_mb = asyncio.run(start_alone(Path(folder), seed, MEADOW))
     yield from process_figures("the meadow of the tutorial", lone, memory_mb, f"alone; {scope}")
     if seconds is not None:
         return
@@ -385,7 +428,7 @@ def way_figures(fault: str, trials: list[LostPlaceTrial], scope: str) -> Iterato
         note += f"slower, worst of {len(slow)}: {max(slow, default=0.0):.3f} s; "
     slowest = max(trials, key=lambda trial: trial.stopped_after_s)
     note += f"the longest of all {slowest.stopped_after_s:.3f} s, after {slowest.order!r}; "
-    gone = [trial.order for trial in trials if not trial.returned]
+    gone = [f"{trial.order}: {trial.why}" for trial in trials if not trial.returned]
     note += f"did not go on after {gone}; " if gone else ""
     if timed:
         yield Figure(
@@ -407,9 +450,12 @@ def process_figures(field: str, yard: Yard, memory_mb: list[float], scope: str) 
                  f"VmRSS, largest; {scope}")  # fmt: skip
 
 
-async def _start_alone(folder: Path, seed: int) -> tuple[Yard, list[float]]:
-    """One robot on a small field, started again and again."""
-    yard = Yard(folder, seed, 1, MEADOW)
+async def start_alone(
+    folder: Path, seed: int, corners: Sequence[tuple[float, float]], declared: int = 1,
+    implement_width_m: float = 3.0,
+) -> tuple[Yard, list[float]]:  # fmt: skip
+    """One robot of a fleet on a field, started again and again; its memory in MB after some driving."""
+    yard = Yard(folder, seed, 1, corners, declared, implement_width_m)
     try:
         await yard.begin()
         for _ in range(STARTS):

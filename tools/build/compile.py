@@ -46,7 +46,7 @@ GROUP = {
     "peer.map_exchange peer.member_conflicts peer.member_discovery peer.member_reports "
     "peer.membership peer.mission_messages peer.name_discovery peer.network_join "
     "peer.obstacle_hold peer.operator_directive peer.part peer.peer peer.peer_lifecycle "
-    "peer.peer_parts peer.pgn_responder peer.progress_announcements peer.proven_frames "
+    "peer.peer_parts peer.pgn_responder peer.place_jumps peer.progress_announcements peer.proven_frames "
     "peer.range_freshness peer.section_claims peer.section_work peer.self_check peer.self_health "
     "peer.sender_origins peer.sense_freshness peer.slot_discovery peer.state_sync peer.stop_reception "
     "peer.stop_release peer.task_reporting peer.terminal_service peer.unknown_stop_sources "

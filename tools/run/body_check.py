@@ -19,7 +19,7 @@ from agent.interface.config import ACTUATOR_TTL_US, BRAKING_SHARE, CONTROL_PERIO
 from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
-from agent.peer.sense_freshness import AGE_MAX_US, HEADING_ACCURACY_RAD, POSITION_ACCURACY_M
+from agent.peer.place_jumps import AGE_MAX_US, HEADING_ACCURACY_RAD, POSITION_ACCURACY_M
 from agent.runtime.body_plugins import made, plugins
 from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody
 from sim.files.strict_json import dumps

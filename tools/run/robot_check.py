@@ -9,7 +9,8 @@ from pathlib import Path
 from rich.console import Console
 
 from agent.interface.config import CONTROL_PERIOD_US, S
-from agent.peer.sense_freshness import AGE_MAX_US, JUMP_M, POSITION_ACCURACY_M, blind_way_m
+from agent.peer.place_jumps import AGE_MAX_US, JUMP_M, POSITION_ACCURACY_M
+from agent.peer.sense_freshness import blind_way_m
 from agent.runtime.declared_values import FleetTable
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import RobotBody

@@ -11,7 +11,7 @@ from pathlib import Path
 from agent.runtime.body_plugins import factory_of
 from agent.runtime.robot_body import FactoryError, named
 from agent.runtime.robot_file import Changes, RobotError, RobotFile
-from agent.runtime.robot_process import WRONG, until_told
+from agent.runtime.robot_process import until_told
 
 BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
@@ -25,7 +25,7 @@ def robot(
     foxglove: int | None = None,
 ) -> int:  # fmt: skip
     """The exit code of `headland robot`: 0 after a farewell, 1 if the robot failed, 2 if a person has to
-    mend something first.
+    mend something first, 75 if a device was not there and a later start may find it.
 
     `metrics`: PORT or HOST:PORT of figures for Prometheus. `foxglove`: a port for viewers."""
     import_from(file.parent)
@@ -49,7 +49,7 @@ def robot(
             asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
     except RobotError as problem:
         print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return problem.code
     except KeyboardInterrupt:
         return INTERRUPTED
     return 0

@@ -12,6 +12,7 @@ from agent.interface.effects import Effect, Send, Trace
 from agent.interface.lifecycle import State
 from agent.peer.inputs import Heard
 from agent.peer.peer import Peer
+from agent.peer.place_jumps import AGE_MAX_US
 from agent.peer.self_health import (
     DEGRADED,
     FAILED,
@@ -28,7 +29,6 @@ from agent.peer.self_health import (
     health_table,
     readings,
 )
-from agent.peer.sense_freshness import AGE_MAX_US
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
 from protocol.frames.codec import encode

@@ -16,8 +16,8 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import FENCE_M, HolonomicMotion
 from agent.peer.inputs import BusState, Heard, Hold, Sensed, Start, Timer
+from agent.peer.place_jumps import AGE_MAX_US
 from agent.peer.sense_freshness import (
-    AGE_MAX_US,
     FROZEN_M,
     STEADY_US,
     Senses,

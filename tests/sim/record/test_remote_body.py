@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from agent.interface.effects import Drive
-from agent.peer.sense_freshness import AGE_MAX_US
+from agent.peer.place_jumps import AGE_MAX_US
 from sim.record.local_link import LENGTH, MESSAGE_MAX
 from sim.record.remote_body import (
     DRIVE,

@@ -91,6 +91,27 @@ def test_what_is_wrong_is_one_line(words: tuple[str, ...], said: str, folder: Pa
     assert code == 2 and said in lines[-1] and "Traceback" not in err, err
 
 
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (("--body", "standing", "-i", "socketcan", "-c", "nocan"), "bus: cannot open socketcan"),
+        ((), "body: tcp://127.0.0.1:9: Connection refused"),
+    ],
+)
+def test_a_device_that_is_not_there_is_worth_another_start(
+    words: tuple[str, ...], said: str, folder: Path
+) -> None:
+    """It ended with the code of a wrong file, so that the unit did not start a robot whose CAN adapter or
+    receiver came a second later than the machine."""
+    pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
+    nmea = '{ gnss = "tcp://127.0.0.1:9", wheels = "tcp://127.0.0.1:9", origin = [52.0, 5.0] }'
+    text = f'{FILE}[body]\nplugin = "nmea"\noptions = {nmea}\n'
+    (folder / "fleet.toml").write_text(text)
+    code, _, err = end(begin(folder, "fleet.toml", "--slot", "0", "--first-boot", *words))
+    lines = [line for line in err.splitlines() if line.startswith("headland:")]
+    assert code == 75 and said in lines[-1] and "Traceback" not in err, err
+
+
 def test_check_names_each_thing_that_is_not_ready(folder: Path) -> None:
     words = ("--slot", "1", "--body", "replay", "-i", "sokketcan", "--check")
     code, out, _ = end(begin(folder, "fleet.toml", *words))

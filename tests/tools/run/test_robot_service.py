@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from agent.runtime.ready_kernels import CACHE
+from agent.runtime.robot_file import AbsentError
 from agent.runtime.robot_process import WRONG
 from tests.tools.launching import ROOT
 from tools.cli.entrance import robot_words
@@ -70,6 +71,7 @@ def test_the_unit_starts_a_robot_and_does_not_restart_what_needs_a_person(
         "can0",
     )
     assert int(unit["RestartPreventExitStatus"]) == WRONG and unit["Restart"] == "on-failure"
+    assert AbsentError.code != WRONG  # a receiver that comes later than the machine
     assert unit["KillSignal"] == "SIGTERM"  # on which a robot says farewell
 
 
