@@ -8,8 +8,9 @@ It is the run of `headland run`, with the same trace hash. Nothing is written un
 """
 
 import re
+from collections.abc import Callable
 from contextlib import nullcontext
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -38,19 +39,27 @@ from tools.run.scenario_run import Faults, run_of
 class Picture:
     """An SVG that shows itself where a notebook asks for it."""
 
-    def __init__(self, svg: bytes) -> None:
-        self.svg = svg
+    def __init__(self, svg: bytes, plot: Callable[[], Any] | None = None) -> None:
+        """`plot`: draws the same values on axes of matplotlib, for other formats."""
+        self.svg, self._plot = svg, plot
 
     def _repr_svg_(self) -> str:
         return self.svg.decode()
 
     def save(self, path: str | Path) -> None:
-        """Write the SVG. Raises ValueError for the name of another format, and OSError."""
+        """Write an `.svg`, or what matplotlib draws of the same values (`.png`, `.pdf`).
+
+        Raises ValueError for another format, or if only an `.svg` is to be had, and OSError.
+        """
         path = Path(path)
-        if path.suffix != ".svg":
-            raise ValueError(f"{path}: this picture is an .svg; run.plot(...).figure.savefig(...) "
-                             "writes other formats")  # fmt: skip
-        path.write_bytes(self.svg)
+        if path.suffix == ".svg":
+            path.write_bytes(self.svg)
+        elif self._plot is None:
+            raise ValueError(f"{path}: this picture is an .svg")
+        else:
+            figure = self._plot().figure
+            figure.savefig(path)
+            figure.clear()
 
 
 def column_name(title: str) -> str:
@@ -146,7 +155,7 @@ class Run:
         found = self._chapter(chapter)
         if found.picture is None:
             raise ValueError(found.missing or f"{chapter} is a table: run.table({chapter!r})")
-        return Picture(found.picture.svg)
+        return Picture(found.picture.svg, partial(self.plot, chapter) if chapter in PLOTS else None)
 
     def report(self, path: str | Path) -> Path:
         """The page of `headland report`, and the folder of its name. Returns where it is."""

@@ -78,8 +78,11 @@ def test_it_is_the_run_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixt
         run.picture("gantt")
     with pytest.raises(ValueError, match="Nobody pressed a stop"):
         run.picture("stops")
-    with pytest.raises(ValueError, match=r"an \.svg; run\.plot"):
-        run.picture("tracks").save(tmp_path / "tracks.png")
+    for name, begin in (("t.svg", SVG), ("t.png", b"\x89PNG"), ("t.pdf", b"%PDF")):
+        run.picture("tracks").save(tmp_path / name)
+        assert (tmp_path / name).read_bytes().startswith(begin)
+    with pytest.raises(ValueError, match="not supported"):
+        run.picture("tracks").save(tmp_path / "tracks.txt")
 
 
 def test_errands_in_a_building() -> None:
