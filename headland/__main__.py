@@ -1,8 +1,24 @@
 """The `headland` command, also as `python -m headland`."""
 
-from tools.cli.entrance import main
+import signal
 
-__all__ = ["main"]
+INTERRUPTED = 130
+
+
+def main() -> None:
+    """The command. Ctrl-C while its modules are loaded, a second on a small machine, is no traceback,
+    nor is it one after the last line of the result."""
+    try:
+        from tools.cli.entrance import main as entrance
+
+        entrance()
+    except KeyboardInterrupt:
+        raise SystemExit(INTERRUPTED) from None
+    finally:
+        signal.signal(
+            signal.SIGINT, signal.SIG_DFL
+        )  # from now on Ctrl-C is the end, as for any tool
+
 
 if __name__ == "__main__":
     main()

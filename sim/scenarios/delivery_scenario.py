@@ -20,6 +20,7 @@ from agent.runtime.files.given_file import (
     read_toml,
 )
 from sim.scenarios.scenario import (
+    WAREHOUSES,
     FleetTable,
     RunTable,
     Scenario,
@@ -27,7 +28,6 @@ from sim.scenarios.scenario import (
     load_kind,
 )
 
-WAREHOUSES = Path(__file__).parents[1] / "warehouses"
 TASK_KEYS = ("pickup_x_m", "pickup_y_m", "dropoff_x_m", "dropoff_y_m", "at_s")
 
 

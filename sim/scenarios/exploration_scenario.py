@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from functools import cached_property
 from math import dist, hypot
-from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -16,12 +15,11 @@ from agent.runtime.declared_values import XY, FieldTable, OrderTable, UnknownPla
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
 from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.scenario import FleetTable, Scenario, ScenarioError, load_kind
+from sim.scenarios.scenario import ARENAS, FleetTable, Scenario, ScenarioError, load_kind
 from sim.world.drive_trains import Chassis
 from sim.world.lidar import Lidar
 from sim.world.world import World
 
-ARENAS = Path(__file__).parents[1] / "arenas"
 Box = tuple[float, float, float, float]
 
 

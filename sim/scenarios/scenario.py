@@ -19,6 +19,7 @@ from agent.runtime.files.given_file import (
 from sim.world.step_engine import Engine
 
 SHIPPED = Path(__file__).parent
+ARENAS, WAREHOUSES = SHIPPED.parent / "arenas", SHIPPED.parent / "warehouses"
 SEED_MAX = 2**63 - 1  # the largest value that every format with a seed can hold
 AT_MAX_S = 1e6  # of a fault: longer than any run
 LINE_MAX = 1000  # characters of a message

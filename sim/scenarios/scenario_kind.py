@@ -5,9 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
-from sim.scenarios.delivery_scenario import WAREHOUSES
-from sim.scenarios.exploration_scenario import ARENAS
-from sim.scenarios.scenario import FIELD_FILES, SHIPPED, shipped
+from sim.scenarios.scenario import ARENAS, FIELD_FILES, SHIPPED, WAREHOUSES, shipped
 
 GRID_FILES = (".map", ".mcpp")
 FOLDERS = {"arenas": ARENAS, "warehouses": WAREHOUSES}  # of names that two kinds share

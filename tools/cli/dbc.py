@@ -60,7 +60,8 @@ def dbc(out: Path | None, addresses: str | None = None) -> int:
         print(f"headland: {out}: {line}", file=sys.stderr)
         return 2
     except OSError as problem:
-        print(f"headland: {out}: cannot be written: {problem.strerror}", file=sys.stderr)
+        where = "standard output" if out is None else out
+        print(f"headland: {where}: cannot be written: {problem.strerror}", file=sys.stderr)
         return 2
     print(f"{len(GROUPS)} frames in {out}")
     return 0

@@ -14,7 +14,7 @@ from typing import Final, NamedTuple
 
 from tools.cli.one_line_errors import one_line_errors
 from tools.common.compiled_caches import guard
-from tools.common.gc_collector import GC_YOUNG
+from tools.common.gc_collector import GC_YOUNG, not_taken_apart
 
 NAMES: Final = {
     "--slot": "slot", "-i": "interface", "--interface": "interface", "-c": "channel",
@@ -67,6 +67,7 @@ def robot_words(words: Sequence[str]) -> RobotWords | None:
 
 def main() -> None:
     """The `headland` command."""
+    not_taken_apart()
     words = robot_words(sys.argv[1:])
     if words is None:
         from tools.cli.headland import main as command_line

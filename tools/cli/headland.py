@@ -41,6 +41,7 @@ from tools.common.options import (
     Robots,
     Seed,
 )
+from tools.common.told_wait import told_loading
 from tools.run import coverage
 
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
@@ -133,18 +134,22 @@ def run(
     }  # fmt: skip
     _refuse(scenario, KIND_WORDS[kind.value], live, unfit)
     if warehouse:
-        from tools.run.run_delivery import haul
+        with told_loading():
+            from tools.run.run_delivery import haul
 
         raise SystemExit(haul(name, robots, seed, out, json, keys, live, port, seconds, limit))
     if arena:
-        from tools.run.run_exploration import explore as command
+        with told_loading():
+            from tools.run.run_exploration import explore as command
 
         raise SystemExit(command(name, robots, seed, out, json, film))
     if kind is Kind.GRID:
-        from tools.run.coverage import GRID_ROBOTS, drive_grid
+        with told_loading():
+            from tools.run.coverage import GRID_ROBOTS, drive_grid
 
         raise SystemExit(drive_grid(Path(name), robots or GRID_ROBOTS, seed or 0, out, json))
-    from tools.run.run_field import run as work
+    with told_loading():
+        from tools.run.run_field import run as work
 
     page = page_port if show_map else None
     raise SystemExit(
@@ -228,7 +233,8 @@ def launch(
     It has keys of its own, in its folder. Your tools on its bus take them by themselves.
     Example: headland launch --robots 6, then in another terminal: headland stop
     """
-    from tools.run.launch_command import launch as command
+    with told_loading():
+        from tools.run.launch_command import launch as command
 
     page = page_port if show_map else None
     raise SystemExit(
@@ -328,7 +334,8 @@ def plan(
     Exit 0 when every field is planned, 1 when one could not be, 2 when none could.
     Example: headland plan oxted --robots 6 --out plan
     """
-    from tools.run.plan import plan as command
+    with told_loading():
+        from tools.run.plan import plan as command
 
     raise SystemExit(command(field, robots, out, done, feature, drive, seed, json))
 

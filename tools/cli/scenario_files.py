@@ -1,4 +1,7 @@
-"""`headland list`, `new` and `check`: scenario files before they are run."""
+"""`headland list` and `new`: which scenario files there are, and a copy to begin with.
+
+Nothing here loads what runs need, which would take most of the time.
+"""
 
 import re
 import shutil
@@ -10,12 +13,6 @@ from rich.markup import escape
 
 from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, read_text
 from sim.files.strict_json import dumps
-from sim.scenarios.delivery_scenario import load_warehouse
-from sim.scenarios.delivery_setup import DeliverySetup
-from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
-from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.fleet_setup import FleetSetup
-from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
 from sim.scenarios.scenario import SHIPPED, ScenarioError
 from sim.scenarios.scenario_kind import Kind, all_shipped, named
 
@@ -90,47 +87,3 @@ def new(file: Path, like: str, as_json: bool) -> int:
         print(f"{', '.join(map(str, written))}: a copy of {like}; its keys: docs/use/scenario.md")
         print(f"next:\n  headland check {file}\n  headland run {file}")
     return 0
-
-
-def check(names: list[str], as_json: bool) -> int:
-    """The exit code of `headland check`: 0, or 2 if one is wrong."""
-    told = []
-    for name in names:
-        row: dict[str, object] = {"scenario": name, "kind": named(name).kind.value}
-        try:
-            setup = setup_of(name)
-        except ScenarioError as problem:
-            row |= {"ok": False, "problem": str(problem)}
-            if not as_json:
-                print(f"headland: {problem}", file=sys.stderr)
-        else:
-            scenario = setup.scenario
-            row |= {"ok": True, "robots": scenario.fleet.robots, "faults": len(scenario.fault)}
-            if not as_json:
-                counts = [_count(scenario.fleet.robots, "robot")]
-                if scenario.fault:
-                    counts.append(_count(len(scenario.fault), "fault"))
-                print(f"{name}: right: {row['kind']}, {', '.join(counts)}")
-        told.append(row)
-    if as_json:
-        print(dumps(told))
-    return 0 if all(row["ok"] for row in told) else WRONG
-
-
-def setup_of(name: str) -> FleetSetup:
-    """Everything that a run needs, but for its bodies. Raises ScenarioError."""
-    kind, path = named(name)
-    if kind is Kind.GRID:
-        raise ScenarioError(f"{name}: a map is no scenario: headland run {name} plans and plays it")
-    if kind is Kind.DELIVERY:
-        return DeliverySetup(load_warehouse(path))
-    if kind is Kind.EXPLORATION:
-        return ExplorationSetup(load_arena(path))
-    scenario = load_mission(path)
-    return (
-        setting_of(scenario) if isinstance(scenario, NavigationScenario) else FieldSetup(scenario)
-    )
-
-
-def _count(number: int, what: str) -> str:
-    return f"{number} {what}" + "s" * (number != 1)

@@ -7,6 +7,7 @@ import typer
 
 from tools.cli.panels import PLAY, SET_UP
 from tools.common.options import Json
+from tools.common.told_wait import told_loading
 
 app = typer.Typer()
 
@@ -54,8 +55,6 @@ def check(
     Exit 2 if one is wrong.
     Example: headland check small rooms
     """
-    from tools.cli.scenario_files import check as command
-
     if schema:
         from sim.files.strict_json import dumps
         from tools.cli.scenario_pages import schema as printed
@@ -64,6 +63,9 @@ def check(
         raise SystemExit(0)
     if not scenarios:
         raise typer.BadParameter("name the scenarios to check, or --schema")
+    with told_loading():
+        from tools.cli.scenario_check import check as command
+
     raise SystemExit(command(scenarios, json))
 
 

@@ -7,6 +7,7 @@ import typer
 
 from tools.cli.panels import DEVELOP
 from tools.common.options import Cluster, Json
+from tools.common.told_wait import told_loading
 
 # The names of `sim.chaos.fault_profiles.PROFILES`, whose import takes a second; a test compares them.
 PROFILES = (
@@ -56,8 +57,9 @@ def chaos(
 
     if not mutants:  # no bug can be planted in machine code
         use()
-    from tools.chaos.chaos import chaos as command
-    from tools.chaos.chaos import judge_file, tell_report
+    with told_loading():
+        from tools.chaos.chaos import chaos as command
+        from tools.chaos.chaos import judge_file, tell_report
 
     if report is not None:
         raise SystemExit(tell_report(report))

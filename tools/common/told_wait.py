@@ -5,7 +5,7 @@ Pipes and `--json` get nothing of it: nobody waits there, and standard error has
 
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 
 from tools.common.verbosity import Verbosity
 
@@ -16,11 +16,21 @@ CLEAR = "\r\x1b[K"
 @contextmanager
 def told_wait(what: str, for_s: float) -> Iterator[None]:
     """A line while the block runs: `what`, and that it takes up to `for_s` seconds."""
-    shown = for_s > TOLD_ABOVE_S and sys.stderr.isatty() and not Verbosity.quiet
+    line = f"{what}: up to {for_s:.0f} s; Ctrl-C ends it ..."
+    with _shown(line if for_s > TOLD_ABOVE_S else ""):
+        yield
+
+
+def told_loading() -> AbstractContextManager[None]:
+    """The same while a command imports what simulations need: two seconds of CPU."""
+    return _shown("loading the simulator: a few seconds ...")
+
+
+@contextmanager
+def _shown(line: str) -> Iterator[None]:
+    shown = bool(line) and sys.stderr.isatty() and not Verbosity.quiet
     if shown:
-        print(
-            f"{what}: up to {for_s:.0f} s; Ctrl-C ends it ...", end="", file=sys.stderr, flush=True
-        )
+        print(line, end="", file=sys.stderr, flush=True)
     try:
         yield
     finally:

@@ -134,3 +134,11 @@ def test_g_a_launch_that_was_killed_is_noticed(
 def test_g_a_hub_that_the_network_reaches_warns() -> None:
     assert [loopback(h) for h in ("127.0.0.1", "127.9.9.9", "::1", "localhost")] == [True] * 4
     assert [loopback(h) for h in ("0.0.0.0", "192.168.1.2", "::", "farm.example")] == [False] * 4
+
+
+def test_a_list_of_scenarios_loads_no_simulator(tmp_path: Path) -> None:
+    """It took 1.4 s of CPU, nearly all of it for packages that only runs need."""
+    absent = {"numba", "scipy", "shapely", "pyproj", "pymunk", "matplotlib", "pandas"}
+    for words in (["list"], ["new", "mine.toml"]):
+        told = headland(tmp_path, *words, absent=absent)
+        assert told.returncode == 0, told.stderr

@@ -9,7 +9,7 @@ from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.scenario import ScenarioError
 from sim.scenarios.scenario_kind import Kind, all_shipped, named
 from tests.tools.complaint import Complaints
-from tools.cli import scenario_files
+from tools.cli import scenario_check, scenario_files
 from tools.cli.doctor import doctor
 
 
@@ -29,7 +29,7 @@ def test_everything_that_ships_is_listed_and_right(capsys: pytest.CaptureFixture
     assert scenario_files.list_shipped(True) == 0
     rows = json.loads(capsys.readouterr().out)
     assert {row["name"] for row in rows} == set(all_shipped()) and all(row["about"] for row in rows)
-    assert scenario_files.check([row["name"] for row in rows], True) == 0
+    assert scenario_check.check([row["name"] for row in rows], True) == 0
     assert {row["kind"] for row in json.loads(capsys.readouterr().out)} == {
         "field", "errands", "delivery", "exploration",
     }  # fmt: skip
@@ -42,7 +42,7 @@ def test_a_new_scenario_is_right_as_it_is_written(
     monkeypatch.chdir(tmp_path)
     assert scenario_files.new(Path("own/mine.toml"), like, False) == 0
     assert "headland run own/mine.toml" in capsys.readouterr().out
-    assert scenario_files.check(["own/mine.toml"], False) == 0
+    assert scenario_check.check(["own/mine.toml"], False) == 0
     assert scenario_files.new(Path("own/mine.toml"), like, False) == 2, "nothing is replaced"
 
 

@@ -4,7 +4,7 @@ import sys
 
 import pytest
 
-from tools.common.told_wait import CLEAR, told_wait
+from tools.common.told_wait import CLEAR, told_loading, told_wait
 
 
 @pytest.mark.parametrize(
@@ -20,3 +20,15 @@ def test_a_long_wait_is_told_at_a_terminal(
     after = capsys.readouterr().err
     assert said.startswith("until every robot confirms: up to 5 s; Ctrl-C ends it") is told
     assert bool(said) is told and after == (CLEAR if told else "")
+
+
+def test_loading_is_told_at_a_terminal(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`headland run small` was silent for two seconds of CPU before its bar."""
+    for terminal in (True, False):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda terminal=terminal: terminal)
+        with told_loading():
+            said = capsys.readouterr().err
+        assert said.startswith("loading the simulator") is terminal
+        assert capsys.readouterr().err == (CLEAR if terminal else "")
