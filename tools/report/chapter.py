@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from datetime import UTC, datetime
 from math import isfinite
 from statistics import median
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sim.record.recording import Recording
 from sim.record.scene import Scene
@@ -12,6 +12,9 @@ from tools.common.release_records import records_or_none
 from tools.report import figures as drawing
 from tools.report.run_data import RunEvidence
 from tools.report.timeline import SILENT, History, Stop, TimelineEvent
+
+if TYPE_CHECKING:
+    from tools.report.tracking_error import Following
 
 ROWS_MAX = 40  # most rows of a table on the page; the CSV has them all
 Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
@@ -102,9 +105,11 @@ def planned_chapters(
     recording: Recording, scene: Scene | None, zero_at_us: int
 ) -> Iterator[Chapter]:
     """What robots meant to drive, and how they kept to it."""
-    from tools.report.tracking_error import followed  # numpy, which nothing else here needs
+    robots: list[Following] = []
+    if recording.intents:
+        from tools.report.tracking_error import followed  # numpy, which nothing else here needs
 
-    robots = followed(recording.intents, zero_at_us)
+        robots = followed(recording.intents, zero_at_us)
     title = "Planned against executed"
     about = (
         "Dotted: the ways that the robots planned. Solid: where they drove on them. The error is the "

@@ -59,7 +59,7 @@ def headland(
         ("run small", "sim"),
         ("launch small --robots 2", "sim"),
         ("plan small", "sim"),
-        ("report can.log", "sim"),
+        ("report can.log", "operator"),  # there is a run.mcap beside
         ("task add 1,1 2,2", "sim"),
         ("inspect run.mcap --plain", "operator"),
         ("inspect can.log --picture out.svg", "operator"),
@@ -142,3 +142,12 @@ def test_a_list_of_scenarios_loads_no_simulator(tmp_path: Path) -> None:
     for words in (["list"], ["new", "mine.toml"]):
         told = headland(tmp_path, *words, absent=absent)
         assert told.returncode == 0, told.stderr
+
+
+def test_a_log_is_reported_without_a_simulator(tmp_path: Path) -> None:
+    """Its charts need no matplotlib; only planned ways, which are beside a log, need numpy."""
+    files(tmp_path)
+    (tmp_path / "run.mcap").unlink()
+    told = headland(tmp_path, "report", "can.log")
+    assert told.returncode == 0, told.stderr
+    assert "<svg " in (tmp_path / "can.html").read_text()
