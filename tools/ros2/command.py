@@ -7,23 +7,28 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from agent.delivery.warehouse import Warehouse
 from agent.runtime.files.given_file import (
     REPORT_BYTES_MAX,
     SETTINGS_BYTES_MAX,
     GivenFileError,
     read_json,
 )
+from agent.runtime.files.key_file import KeyFileError
+from protocol.frame_proofs import ToolProofs
 from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_address import LAUNCH, AttachError
+from tools.common.bus_address import LAUNCH, AttachError, scenario_of_launch
 from tools.common.bus_attach import attach
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import check_operator_key
 from tools.livemap.stop_panel import Panel, PanelError
 from tools.operate.estop import keyring_of
+from tools.operate.order_proofs import proofs_of
+from tools.operate.transport_order import house_of
 from tools.ros2.graph import Graph
 
 WRONG = 2
@@ -110,12 +115,30 @@ def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
     return scene if isinstance(scene, dict) else None
 
 
+def _proofs(operator_key: Path | None) -> ToolProofs | None:
+    """None also for a key that allows no transports: it may still release."""
+    try:
+        return proofs_of(operator_key, lambda line: print(line, flush=True))
+    except KeyFileError as problem:
+        print(f"transports are not accepted: {problem}", flush=True)
+        return None
+
+
+def _house(scenario: str | None) -> Warehouse | None:
+    """The floor on which a fleet delivers; None: it does not."""
+    try:
+        return None if scenario is None else house_of(scenario)
+    except ScenarioError:
+        return None
+
+
 async def _serve(
     where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
     namespace: str, domain: int | None, seconds: float | None, zenoh: str | None,
 ) -> None:  # fmt: skip
     from tools.ros2.goal_desk import GoalDesk
     from tools.ros2.ros2_feed import Ros2Feed
+    from tools.ros2.transport_desk import TransportDesk
 
     interface, channel, bitrate, host, port = where
     launch = _launch() if interface == "socketcand" and port == 0 else {}
@@ -150,16 +173,26 @@ async def _serve(
 
     graph = await _joined(namespace, domain, zenoh)
     feed = Ros2Feed(graph, scene, stop, release)
-    goals = GoalDesk(bus, panel.stopper.device, operator_key, feed, graph)
+    device = panel.stopper.device
+    goals = GoalDesk(bus, device, operator_key, feed, graph)
+    house = _house(scenario or scenario_of_launch(interface, host, port))
+    carriers: TransportDesk | None = None
+    if house is not None:
+        device.proofs = _proofs(operator_key)
+        carriers = TransportDesk(bus, device, house, feed, graph)
 
     def heard(frame: Frame) -> None:
         now_s = loop.time()
         feed.hear(now_s, frame)
         panel.hear(now_s, frame)
         goals.hear(now_s, frame)
+        if carriers is not None:
+            carriers.hear(now_s, frame)
 
     bus.subscribe(heard)
     beside = [loop.create_task(panel.keep_asking()), loop.create_task(goals.run())]
+    if carriers is not None:
+        beside.append(loop.create_task(carriers.run()))
     if launch.get("bodies"):
         beside.append(loop.create_task(_watch(feed, Path(str(launch["bodies"])))))
     print(f"ROS 2: node /{namespace.strip('/')}/{NODE}   (Ctrl-C ends it)", flush=True)

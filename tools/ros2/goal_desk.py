@@ -5,26 +5,22 @@ say: the fleet itself knows nothing of actions.
 """
 
 import asyncio
-from collections.abc import Callable
-from math import hypot, isfinite
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from agent.interface.ports import Bus
 from protocol.frames.frame import Frame
-from protocol.frames.operator_frames import ReportKind, goal_frames
-from tools.common.bus_address import AttachError
+from protocol.frames.operator_frames import ReportKind
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.operate.operator_device import OPERATOR_SLOT, KnownRobot, Operator
 from tools.operate.order import LISTEN_S, convey
 from tools.operate.reset import operator_keyring
 from tools.operate.tool_address import DeviceAddress
+from tools.ros2.action_tasks import TELL_S, ActionTasks, abort, in_field, tell
 from tools.ros2.graph import ActionGoal, Ended, GoalPlace, Graph
 
-FIELD: Final = "map"
 GO_TO: Final = "NavigateToPose"
 OFFER_S: Final = 1.0  # between two looks for robots that are new
-TELL_S: Final = 0.2  # between two words to a client
 OBEY_S: Final = 10.0  # for a robot to obey; a few tries are lost on a loaded machine
 # Stopped or silent for this long: it gives the goal up. A protective stop ends 2 s after its cause.
 GIVEN_UP_S: Final = 10.0
@@ -45,7 +41,7 @@ class GoalDesk:
         self._newest: dict[int, ActionGoal] = {}  # by robot: a later goal replaces an earlier one
         self._loop = asyncio.get_running_loop()
         self._speaking = asyncio.Lock()
-        self._working: set[asyncio.Task[None]] = set()
+        self._tasks = ActionTasks()
 
     def hear(self, now_s: float, frame: Frame) -> None:
         """Take one frame of the bus."""
@@ -62,45 +58,22 @@ class GoalDesk:
                     self._offer(slot)
                 await asyncio.sleep(OFFER_S)
         finally:
-            for task in self._working:
-                task.cancel()
+            self._tasks.cancel()
 
     def _offer(self, slot: int) -> None:
         async def go(goal: ActionGoal) -> None:
             await self._go(slot, goal)
 
         name = f"robot_{slot}/navigate_to_pose"
-        self.graph.act(name, GO_TO, lambda places: self._may_go(slot, places), self._taken(go))
-
-    def _taken(self, serve: Callable[[ActionGoal], Any]) -> Callable[[ActionGoal], None]:
-        """Called in the thread of the graph with a goal that was accepted."""
-
-        def begin(goal: ActionGoal) -> None:
-            task = self._loop.create_task(self._whole(serve, goal))
-            self._working.add(task)
-            task.add_done_callback(self._working.discard)
-
-        def take(goal: ActionGoal) -> None:
-            self._loop.call_soon_threadsafe(begin, goal)
-
-        return take
-
-    async def _whole(self, serve: Callable[[ActionGoal], Any], goal: ActionGoal) -> None:
-        try:
-            await serve(goal)
-        except AttachError as problem:  # the key has ended, or its file is gone
-            self._abort(goal, str(problem))
-
-    def _abort(self, goal: ActionGoal, why: str) -> None:
-        """Results of Nav2 in Jazzy have no room for a reason, so people read it here."""
-        print(f"goal aborted: {why}", flush=True)
-        goal.end(Ended.ABORTED, why)
+        self.graph.act(
+            name, GO_TO, lambda places: self._may_go(slot, places), self._tasks.taken(go)
+        )
 
     # ---------------------------------------------------------------- a place
 
     def _may_go(self, slot: int, places: list[GoalPlace]) -> bool:
         """In the thread of the graph: whether a goal makes sense and somebody may order it."""
-        return self.key is not None and len(places) == 1 and _in_field(places[0])
+        return self.key is not None and len(places) == 1 and in_field(places[0])
 
     async def _go(self, slot: int, goal: ActionGoal) -> None:
         place = goal.places[0]
@@ -108,7 +81,7 @@ class GoalDesk:
         operator, robot, why = await self._ordered(slot, "set-goal", (place.x_m, place.y_m))
         try:
             if robot is None:
-                self._abort(goal, why)
+                abort(goal, why)
                 return
             fine_s = self._loop.time()
             while True:
@@ -128,9 +101,9 @@ class GoalDesk:
                 if not why and self._loop.time() - fine_s > GIVEN_UP_S:
                     why = held
                 if why:
-                    self._abort(goal, why)
+                    abort(goal, why)
                     return
-                self._tell(goal, slot, place, 1)
+                tell(goal, self.inspector, slot, place, 1)
                 await asyncio.sleep(TELL_S)
         finally:
             self._listeners.remove(operator)
@@ -183,19 +156,3 @@ class GoalDesk:
                 operator.keyring = None
         said = "nothing" if robot.report is None else robot.report.matter.name
         return f"robot {robot.slot} does not obey {what}; it says: {said}"
-
-    def _tell(self, goal: ActionGoal, slot: int, to: GoalPlace, places_left: int) -> None:
-        seen = self.inspector.robots[slot]
-        left_m = hypot(to.x_m - seen.x_m, to.y_m - seen.y_m)
-        goal.tell(GoalPlace(FIELD, seen.x_m, seen.y_m), left_m, places_left)
-
-
-def _in_field(place: GoalPlace) -> bool:
-    """Whether a place can be ordered: in the frame of the fleet, and within what a frame can say."""
-    if place.frame not in ("", FIELD) or not (isfinite(place.x_m) and isfinite(place.y_m)):
-        return False
-    try:
-        goal_frames(0, 0, place.x_m, place.y_m)
-    except (ValueError, OverflowError):
-        return False
-    return True

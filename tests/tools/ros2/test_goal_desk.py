@@ -1,4 +1,4 @@
-"""Goals as actions of ROS 2, asked by a client of rclpy, and reached by launched robots."""
+"""Goals and transports as actions of ROS 2, asked by a client of rclpy, and done by launched robots."""
 
 import asyncio
 import os
@@ -147,3 +147,22 @@ async def test_a_goal_of_ros_is_an_order_that_a_robot_reaches_and_gives_up(
         assert len(taken_back.result().goals_canceling) == 1
         told = await client.ended(handle)
         assert told.status == GoalStatus.STATUS_CANCELED
+
+
+@pytest.mark.asyncio
+async def test_two_poses_of_ros_are_a_transport_that_is_delivered(
+    tmp_path: Path, types: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from nav2_msgs.action import NavigateThroughPoses
+
+    async with fleet(tmp_path, types, monkeypatch, "warehouse", "--robots", "2") as client:
+        actions = ActionClient(client.node, NavigateThroughPoses, "/headland/transport")
+        goal = NavigateThroughPoses.Goal(poses=[_pose(9.5, 2.5)])
+        assert not (await client.sent(actions, goal)).accepted, "one place is no transport"
+        goal.poses = [_pose(9.5, 2.5), _pose(1.5, 8.5)]
+        handle = await client.sent(actions, goal)
+        assert handle.accepted
+        told = await client.ended(handle)
+        assert told.status == GoalStatus.STATUS_SUCCEEDED
+        left = [each.feedback.number_of_poses_remaining for each in client.feedback]
+        assert left == sorted(left, reverse=True) and set(left) == {2, 1}, left
