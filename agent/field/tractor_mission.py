@@ -150,6 +150,8 @@ class TractorMission(FieldMission):
     ) -> tuple[MotionRequest, list[int]]:
         here = VehiclePose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         covered: list[int] = []
+        if self.shove.observe(view.here, view.now_us):
+            self.on_implement_raised()
         self._notice_stuck(view, here)
         while True:
             if self.follow is None and not self._next(view, here, only_approach):
@@ -202,7 +204,7 @@ class TractorMission(FieldMission):
         manner = AT_WORK if self.leg.units else self.on_the_way
         self.follow = TractorTracker(way, self.limits, end_m_s, manner)
         self.tracker = self.follow  # type: ignore[assignment]  # what `_passed` asks is the same
-        self.unit, self.worst_m = 0, 0.0
+        self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
         return True
 
     def _lose(self, view: FleetView) -> None:
