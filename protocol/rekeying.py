@@ -31,6 +31,7 @@ from protocol.frames.key_frames import (
 OWN_SIZE: Final = 32  # bytes of a robot's own key: AES-SIV takes two keys of 16
 TAG_SIZE: Final = 16  # bytes that sealing adds
 NOBODY: Final = 255  # slot: no member is revoked, the keys are only rotated
+SLOTS: Final = 128  # numbers of robots
 ALWAYS_S: Final = 0xFFFF_FFFF  # all that the revoked member ever said is void
 GENERATION_MAX: Final = (1 << GENERATION_BITS) - 1
 AHEAD_MAX: Final = (1 << GENERATION_SHORT_BITS) - 1  # generations that a robot may have missed
@@ -55,6 +56,16 @@ class Rekeying(NamedTuple):
             derived_key(self.secret, b"headland operators", KEY_SIZE),
             generation=self.generation,
         )  # fmt: skip
+
+    @property
+    def is_sayable(self) -> bool:
+        """Whether its values fit into the frames, as those of a file may not."""
+        return (
+            len(self.secret) == KEY_SIZE
+            and 0 < self.generation <= GENERATION_MAX
+            and (0 <= self.revoked < SLOTS or self.revoked == NOBODY)
+            and 0 <= self.void_for_s <= ALWAYS_S
+        )
 
     def switch(self) -> KeySwitch:
         """What makes robots that hold the secret use it."""

@@ -6,7 +6,7 @@ until START. WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstac
 """
 
 from collections.abc import Mapping
-from math import hypot
+from math import hypot, isfinite
 from typing import Any
 
 from agent.interface.config import S
@@ -54,8 +54,9 @@ class OperatorDirective(Part):
         return {inputs.Sensed: self._sensed}
 
     def _sensed(self, fact: inputs.Sensed, now_us: int) -> Outputs:
-        if self.home is None and fact.observation is not None:
-            self.home = fact.observation.x_m, fact.observation.y_m
+        here = fact.observation
+        if self.home is None and here is not None and isfinite(here.x_m + here.y_m):
+            self.home = here.x_m, here.y_m
         return NOTHING
 
     # ---------------------------------------------------------------- received

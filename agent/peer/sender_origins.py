@@ -39,6 +39,8 @@ NAME_PATIENCE_US: Final = 20 * MS  # a claim in transit may arrive after a beat 
 # missed its claim.
 CLAIM_OLD_US: Final = 10 * S
 DOUBTED_HOLD_US: Final = 1 * S  # a stop of an unknown sender, while its name is asked for
+# A device of ours that has lost its address to another NAME claims again within a second.
+CONTENDED_US: Final = 10 * S
 SIGNS_OF_LIFE = (Pose, Heartbeat, Member)
 SIGNED = (
     EmergencyReset,
@@ -67,6 +69,8 @@ class SenderOrigins(Part):
         self.doubts = Doubts()
         self.malformed: Counter[str] = Counter()  # reason -> frames
         self._claimed_at_us: dict[int, int] = {}  # address -> when its newest claim was received
+        # Address -> until when a device of ours, which another NAME follows there, may still speak.
+        self._contended_end_at_us: dict[int, int] = {}
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
@@ -103,8 +107,9 @@ class SenderOrigins(Part):
         origin = self.origins.of(source)
         if origin is Origin.OURS or isinstance(message, Malformed):
             return None
-        if origin is Origin.UNCLAIMED and isinstance(message, SIGNED) and self.safety.keyed:
-            return None  # the tag decides
+        unclaimed = origin is Origin.UNCLAIMED and self.safety.keyed
+        if isinstance(message, SIGNED) and (unclaimed or self._tag_decides(source, now_us)):
+            return None
         self.origins.count(origin, message)
         if origin is not Origin.UNCLAIMED:
             if isinstance(message, SIGNS_OF_LIFE):
@@ -121,11 +126,14 @@ class SenderOrigins(Part):
 
         A frame of another maker is not a stop of ours. If no claim of the address is known, stand
         still until the sender has claimed it, and ask for the claim
-        (`agent/peer/unknown_stop_sources.py`). With keys the tag decides immediately.
+        (`agent/peer/unknown_stop_sources.py`). With keys the tag decides immediately, also
+        where another maker has just claimed the address of our device: both may speak from it.
         """
         origin = self.origins.of(source)
         asks = self.name_discovery.asks
         if origin is Origin.FOREIGN:
+            if self._tag_decides(source, now_us):
+                return None
             self.origins.count(origin, message)
             if self._ask_again(source, now_us):
                 self.origins.keep(source, message, now_us)
@@ -143,6 +151,13 @@ class SenderOrigins(Part):
         held_for_us = max(DOUBTED_HOLD_US, end_at_us - now_us)
         self.safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, held_for_us)
         return [HALT]
+
+    def _tag_decides(self, source: int, now_us: int) -> bool:
+        """Whether another maker has claimed the address of our device a moment ago, so that either may
+        speak from it, and a tag tells which.
+
+        Without this, who repeats such a claim takes the stop away from panels and robots with keys."""
+        return self.safety.keyed and now_us < self._contended_end_at_us.get(source, 0)
 
     def _ask_again(self, source: int, now_us: int) -> bool:
         """Ask an address of another maker for its NAME again if its claim is old; whether it is.
@@ -172,6 +187,8 @@ class SenderOrigins(Part):
             return outputs
         if self.origins.changes(source, m.name):
             outputs.append(notices.ConflictSettled(source))
+            if self.origins.of(source) is Origin.OURS:
+                self._contended_end_at_us[source] = now_us + CONTENDED_US
         is_known = self.name_discovery.asks.known(source)
         self.origins.claimed(source, m.name)
         self._claimed_at_us[source] = now_us

@@ -39,7 +39,7 @@ from agent.peer.place_jumps import (
 )
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
-from protocol.frames.fleet_frames import NOWHERE_M
+from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S
 
 STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
 STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
@@ -102,6 +102,7 @@ class Senses(Part):
         self.safety, self.motion, self.drives = safety, motion, drives
         self.here: Observation | None = None  # the newest observation
         self.known: Observation | None = None  # the newest observation that was believed
+        self._no_velocity = False  # whether the velocity of it was none
         self.current = False  # whether the sensed place is our current place
         self._sensed_at_us: int | None = None  # time of the newest observation
         # time of the observation last compared with the wheels
@@ -143,7 +144,7 @@ class Senses(Part):
     def _take(self, fact: inputs.Sensed, now_us: int) -> Outputs:
         """The current observation, or None."""
         if fact.observation is not None:
-            self.here = fact.observation
+            self.here, self._no_velocity = _sound(fact.observation)
             self._sensed_at_us = fact.observation.sensed_at_us
         return NOTHING
 
@@ -245,7 +246,10 @@ class Senses(Part):
         """Why the place is too inaccurate to drive by; empty if it is not."""
         if not self._on_map:
             return "further from the origin than frames can say, or not a number"
-        if not here.position_accuracy_m <= self.accuracy_max_m:  # not a number is inaccurate, too
+        if self._no_velocity:
+            return "its velocity is more than frames can say, or not a number"
+        # Not a number is inaccurate, too, and so is less than nothing.
+        if not 0.0 <= here.position_accuracy_m <= self.accuracy_max_m:
             return (
                 f"accurate to {here.position_accuracy_m:.2f} m, needed {self.accuracy_max_m:.2f} m"
             )
@@ -379,3 +383,22 @@ class Senses(Part):
         """The limits of the body; if they are not known, those of the fastest body."""
         limits = None if self.motion is None else self.motion.body_limits
         return FASTEST if limits is None else limits
+
+
+def _sound(seen: Observation) -> tuple[Observation, bool]:
+    """What a robot can compute with, and whether the velocity was none. A driver, or somebody on the
+    network of a receiver, may say anything.
+
+    A scan with a distance that is none is no scan. A charge or a health that is none is an empty or a
+    failed one. The place is left to `_on_map`.
+    """
+    ranges_m = seen.ranges_m
+    if ranges_m and not all(range_m >= 0.0 for range_m in ranges_m):
+        seen = seen._replace(ranges_m=())
+    if not 0.0 <= seen.battery <= 1.0:
+        seen = seen._replace(battery=1.0 if seen.battery > 1.0 else 0.0)
+    if not 0.0 <= seen.health <= 1.0:
+        seen = seen._replace(health=1.0 if seen.health > 1.0 else 0.0)
+    if hypot(seen.vx_m_s, seen.vy_m_s) < PLACE_UNKNOWN_M_S:
+        return seen, False
+    return seen._replace(vx_m_s=0.0, vy_m_s=0.0), True

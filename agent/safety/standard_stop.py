@@ -2,7 +2,8 @@
 
 A stop button sends its state once a second and on every change. Each button is a separate level.
 Its stop ends by its own permit or by its silence, never by the permit of another button. A button
-counts its stops. So a press with a release is noticed even if all frames between them were lost.
+counts its stops. So a press with a release is noticed even if all frames between them were lost, and
+so is a permit that somebody else sends in its name: then it says a stop that it has not counted.
 """
 
 from dataclasses import dataclass
@@ -33,7 +34,7 @@ class _Button:
     ends_at_us: int  # it holds until then
     source: int  # bus address of its newest frame
     robot: bool  # a member of the fleet, whose own stop frames announce what holds it
-    # until then a missed press holds, even if the button now sends a permit
+    # until then a missed press or a doubtful one holds, even if the button now sends a permit
     missed_ends_at_us: int = 0
 
     @property
@@ -54,6 +55,7 @@ class ShortcutButtons:
         # until then a button holds that was dropped because the table was full
         self._dropped_end_at_us = 0
         self.missed = 0  # count of presses whose frames were lost
+        self.doubtful = 0  # count of stops after a permit that the button cannot have sent
 
     def __len__(self) -> int:
         return len(self._buttons)
@@ -81,7 +83,10 @@ class ShortcutButtons:
             button.ends_at_us = now_us + HOLD_US
             if robot and known is not None and known.said == button.said:
                 button.ends_at_us = known.ends_at_us
-        elif known is not None and _missed(known.count, m.transition):
+            if not robot and known is not None and _doubtful(known, m.transition):
+                self.doubtful += 1
+                button.missed_ends_at_us = now_us + HOLD_US
+        elif known is not None and _missed(known, m.transition):
             self.missed += 1
             button.missed_ends_at_us = now_us + HOLD_US
         self._keep(key, button, now_us)
@@ -119,12 +124,26 @@ class ShortcutButtons:
         return min(holds)[1] if holds else None
 
 
-def _missed(known: int, count: int) -> bool:
+def _missed(known: _Button, count: int) -> bool:
     """Whether a permit with a changed count means that a stop was sent but not received.
 
-    A count of 0 means that the button was switched off and on, unless it follows the largest count.
+    A count of 0 means that the button was switched off and on, unless it follows the largest count, or a
+    stop: then the stop may still be there.
     """
-    return count != known and (count != 0 or known == COUNT_MAX)
+    if count == known.count:
+        return False
+    return count != 0 or known.count == COUNT_MAX or known.switch in STOPS
+
+
+def _doubtful(known: _Button, count: int) -> bool:
+    """Whether a stop does not follow the permit before it, since each stop is counted.
+
+    Then somebody else has sent the permit, as it is one frame without a tag, or the button does not
+    count. Its permits end nothing for `HOLD_US`. A button that was switched off and on begins anew.
+    """
+    if known.switch in STOPS or (count <= 1 and known.count > 1):
+        return False
+    return not 1 <= (count - known.count) & COUNT_MAX <= COUNT_MAX // 2
 
 
 class OwnButton:

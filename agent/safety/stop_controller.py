@@ -6,7 +6,7 @@ is declared in `agent/safety/stop_cause.py`; the bounds are in `docs/how/safety_
 """
 
 from collections.abc import Collection, Mapping, Sequence
-from math import hypot
+from math import hypot, isfinite
 
 from agent.interface.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.interface.effects import HALT, Drive, Effect, GatedDrive, Persist, Send, Trace
@@ -91,7 +91,7 @@ class StopController:
         self.stopped_at_us = -STOP_SPACING_US  # when the newest stop was pressed or received
         self.last_stop: tuple[int, Reason] | None = None  # slot of the presser, and the reason
         self._reasons: dict[StopDot, Reason] = {}  # reasons of our own presses still being repeated
-        self._echoes: dict[StopDot, set[int]] = {}
+        self._echoes: dict[StopDot, set[int]] = {}  # of stops that we hold: who has said each
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._free: set[int] = set()  # members that were not stopped at our press or later
         self._repeat_at_us, self._again, self._pressed_at_us = FOREVER, 0, -STOP_SPACING_US
@@ -248,9 +248,10 @@ class StopController:
         if m.spent:
             return self._hear_spent(dot, now_us)
         signer = source_slot if m.echo else m.slot
-        if source_slot is not None and (m.echo or m.slot == source_slot):
-            self._echoes.setdefault(dot, set()).add(source_slot)
+        says_it = source_slot is not None and (m.echo or m.slot == source_slot)
+        said: set[int] = {source_slot} if says_it else set()  # type: ignore[arg-type]
         if dot in self.stops.active:
+            self._echoes.setdefault(dot, set()).update(said)
             return ()
         if not self.authority.believes(m, signer, now_us):
             self.raise_cause(
@@ -267,7 +268,7 @@ class StopController:
         self.last_stop = m.slot, reason
         self._renew_at_us = FOREVER
         self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
-        self._echoes.setdefault(dot, set()).add(self.slot)
+        self._echoes[dot] = {self.slot, *said}
         return [
             HALT,
             Send(self._stop(dot, reason, echo=True)),
@@ -638,6 +639,8 @@ class StopController:
         The result is the drive itself, the same curve at no more than `CREEP_M_S` under a SLOW
         cause, or HALT.
         """
+        if not isfinite(wanted.vx_m_s + wanted.vy_m_s + wanted.turn_rad_s):
+            return HALT  # no actuator knows what to do with it
         if not self._causes:
             return GatedDrive(wanted)
         severity = self.severity

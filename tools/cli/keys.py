@@ -66,15 +66,13 @@ def rotate(
         OPERATOR,
         KeyFile,
         KeyFileError,
-        counter_path,
-        create,
         fresh,
         read,
-        robot_path,
-        write,
+        replace,
+        texts,
     )
-    from agent.runtime.files.key_folder import owned, people_texts
-    from protocol.rekeying import ALWAYS_S, NOBODY
+    from agent.runtime.files.key_folder import named, owned, people_texts
+    from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY
 
     if running:
         from tools.operate.rekey import rekey
@@ -85,19 +83,17 @@ def rotate(
     fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
     try:
         old, owner = read(fleet, FLEET), owned(folder)
-        slots = sorted(owner.slots)
-        files = [fleet, operator, counter_path(operator), *(robot_path(folder, s) for s in slots)]
-        for path in files:
-            if path.exists():
-                path.rename(path.with_name(f"{path.name}.{old.ids['fleet']}"))
-        keys = fresh()._replace(generation=owner.generation + 1)  # above what robots remember
-        new_owner = KeyFile(operator, OPERATOR, keys, root=owner.root)
-        people = people_texts(folder, new_owner)
-        write(fleet, operator, keys, owner.device, slots, owner.root)
-        for path, text in people.items():
-            path.unlink()
-            counter_path(path).unlink(missing_ok=True)
-            create(path, text)
+        begun = owner.begun
+        if begun is not None and begun.revoked != NOBODY:
+            _wrong(f"{folder}: 'headland keys {named(begun)}' was begun: finish it first")
+        generation = 1 + (owner.generation if begun is None else begun.generation)
+        if generation > GENERATION_MAX:
+            _wrong(f"{folder}: too many generations: make new keys")
+        keys = fresh()._replace(generation=generation)  # above what robots remember
+        made = texts(fleet, operator, keys, owner.device, sorted(owner.slots), owner.root)
+        made |= people_texts(folder, KeyFile(operator, OPERATOR, keys, root=owner.root))
+        replace(made, kept=old.ids["fleet"])
+        owner.forget()
     except KeyFileError as problem:
         _wrong(str(problem))
     except OSError as problem:
@@ -170,6 +166,8 @@ def operator(
     from protocol.authentication import OPERATOR_FIRST
     from protocol.operator_badges import DAY_S, NEVER, Badge, Role
 
+    if not person.isprintable():
+        _wrong("PERSON: use characters that can be printed")
     wanted, known = Role(0), ", ".join(str(role.name).lower() for role in Role)
     for word in roles.split(","):
         if word.strip().upper() not in Role.__members__:

@@ -64,10 +64,10 @@ def _has_key(payload: bytes, key: str) -> bool:
     """Whether a request says the key; what is no JSON object does not."""
     try:
         said = json.loads(payload)
-    except ValueError:
+        word = said.get("key") if isinstance(said, dict) else None
+        return isinstance(word, str) and compare_digest(word.encode(), key.encode())
+    except (ValueError, RecursionError):
         return False
-    word = said.get("key") if isinstance(said, dict) else None
-    return isinstance(word, str) and compare_digest(word.encode(), key.encode())
 
 
 def _told(success: bool, message: str) -> bytes:

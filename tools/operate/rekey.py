@@ -12,7 +12,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.key_frames import KeysHeld
 from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
-from tools.common.bus_address import Attached, AttachError
+from tools.common.bus_address import Attached, AttachError, robots_of_launch
 from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
@@ -32,18 +32,26 @@ class Rekeyer:
 
     def __init__(self, operator: Operator, keys: KeyFolder, rekeying: Rekeying) -> None:
         self.operator, self.keys, self.rekeying = operator, keys, rekeying
-        self.heard: dict[tuple[int, bool], KeysHeld] = {}  # the newest of each robot
+        self.heard: dict[tuple[int, bool], KeysHeld] = {}  # whose tag is right
 
     def hear(self, frame: Frame) -> None:
-        """A frame of the bus."""
+        """A frame of the bus. A confirmation that is not of this change is no word of its robot: anybody
+        could take back by it what the robot has confirmed."""
         _, message = decode(frame)
-        if isinstance(message, KeysHeld):
+        if isinstance(message, KeysHeld) and confirmed(self.rekeying, [message], message.switched):
             self.heard[message.slot, message.switched] = message
 
     @property
     def wanted(self) -> set[int]:
         """Robots that are heard, without the revoked one."""
         return {robot.slot for robot in self.operator.live} - {self.rekeying.revoked}
+
+    @property
+    def unheard(self) -> set[int]:
+        """Robots of the launch, and those that others have named, that have a file and are not heard."""
+        return {robot.slot for robot in self.operator.silent} & self.keys.slots - {
+            self.rekeying.revoked
+        }
 
     def done(self, switched: bool) -> set[int]:
         """Robots that have confirmed that they hold the secret, or use it."""
@@ -86,8 +94,8 @@ def rekey(
     timeout_s: float,
     as_json: bool,
 ) -> int:
-    """The exit code: 0 if every robot that is heard uses the new keys, 1 if one does not, 2 if there is
-    no bus or the folder is not the owner's.
+    """The exit code: 0 if every robot that is or was there uses the new keys, 1 if one does not or is not
+    heard, 2 if there is no bus or the folder is not the owner's.
 
     `revoked`: slot, or `NOBODY`. `void_for_s`: what it said up to this long ago is void."""
     interface, _, _, host, port = bus
@@ -110,6 +118,7 @@ async def _rekey(
     can_bus = attach(*bus)
     try:
         operator = Operator(can_bus, None)
+        operator.expect(robots_of_launch(bus[0], bus[3], bus[4]))
         rekeyer = Rekeyer(operator, keys, rekeying)
         loop = asyncio.get_running_loop()
 
@@ -130,14 +139,17 @@ async def _rekey(
         use, heard = rekeyer.done(True), rekeyer.wanted
         if use:
             keys.finish(rekeying)
-        return _tell(rekeying, use, heard - use, as_json)
+        return _tell(rekeying, use, heard - use, rekeyer.unheard - use - heard, as_json)
     finally:
         can_bus.close()
 
 
-def _tell(rekeying: Rekeying, use: set[int], missing: set[int], as_json: bool) -> int:
+def _tell(
+    rekeying: Rekeying, use: set[int], missing: set[int], unheard: set[int], as_json: bool
+) -> int:
     told: dict[str, Any] = {
         "generation": rekeying.generation, "switched": sorted(use), "not_switched": sorted(missing),
+        "not_heard": sorted(unheard),
         "revoked": None if rekeying.revoked == NOBODY else rekeying.revoked,
     }  # fmt: skip
     if as_json:
@@ -149,4 +161,8 @@ def _tell(rekeying: Rekeying, use: set[int], missing: set[int], as_json: bool) -
             print(f"robot {rekeying.revoked} is revoked: its key signs nothing that is believed")
         for slot in sorted(missing):
             print(f"robot {slot}: HAS NOT SWITCHED: it stands; give it its new file and restart it")
-    return 0 if use and not missing else NOT_ALL
+        for slot in sorted(unheard):
+            print(
+                f"robot {slot}: NOT HEARD: it stands when it is back, until the same command is called"
+            )
+    return 0 if use and not (missing or unheard) else NOT_ALL

@@ -194,6 +194,7 @@ async def release(operator: Operator, start: bool, timeout_s: float) -> list[int
         if not operator.shown.sums or tries % NAMES_EVERY == 0:
             clear_named(operator)
         tries += 1
+        operator.shown.ask_again()
         operator.ask_stops()
         operator.send(AllImplementsStop(0, Switch.PERMIT))
         await asyncio.sleep(STEP_S)
@@ -202,7 +203,12 @@ async def release(operator: Operator, start: bool, timeout_s: float) -> list[int
                 operator.command(Command.MANUAL_RESET, robot.slot)
         await asyncio.sleep(STEP_S)
         operator.now_s = loop.time()
-        left = [r.slot for r in operator.live if r.stopped or r.state is State.DISCONNECTED]
+        latched = operator.shown.still_latched  # a beat is a word without a tag
+        left = [
+            r.slot
+            for r in operator.live
+            if r.stopped or r.state is State.DISCONNECTED or r.slot in latched
+        ]
         if not left or loop.time() - begun_s >= timeout_s:
             break
     clear_named(operator)

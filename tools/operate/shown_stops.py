@@ -32,6 +32,7 @@ class ShownStops:
         self.far: set[RemoteStopDot] = set()
         self.spent: set[tuple[int, int, int]] = set()  # names that robots say were used before
         self.told: dict[int, StopsHeld] = {}  # by robots; with keys only what they have signed
+        self.latched: set[int] = set()  # robots that have answered the newest question
         self.refused = 0  # answers without a valid tag
         self._releasing = self._pressed = False
 
@@ -52,6 +53,7 @@ class ShownStops:
         if self.signed and (self._tags is None or self._tags.sign(m, self.question) != m):
             self.refused += 1
             return
+        self.latched.add(m.slot)
         before = self.told.get(m.slot)
         more = before is not None and m.stops > before.stops
         if not (self._releasing and (more or self._pressed)):
@@ -65,6 +67,17 @@ class ShownStops:
     def release(self) -> None:
         """From now on a new press is one that was not shown."""
         self._releasing = True
+
+    def ask_again(self) -> None:
+        """From now on only answers to a new question count: an earlier one may be repeated by anybody."""
+        self.question = randbits(QUESTION_BITS)
+        self.latched.clear()
+
+    @property
+    def still_latched(self) -> frozenset[int]:
+        """Robots that have signed that they are latched since the newest question, whatever is said in
+        their names. Without keys nobody signs."""
+        return frozenset(self.latched) if self.signed else frozenset()
 
     @property
     def sums(self) -> list[int]:

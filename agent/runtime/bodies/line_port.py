@@ -106,6 +106,9 @@ class LinePort:
             if len(rest) > LINE_MAX:
                 rest, self.overlong = b"", self.overlong + 1
             for line in lines:
+                if len(line) > LINE_MAX:
+                    self.overlong += 1
+                    continue
                 try:
                     self.taken(line.rstrip(b"\r"), at_us)
                 except Exception:  # of a driver: it loses this line and not its thread

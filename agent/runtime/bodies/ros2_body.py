@@ -168,7 +168,8 @@ class Ros2Body(RobotBody):
             return  # not a place; the robot stands when the last one is old
         self._odom = at.x, at.y, message.header.frame_id
         spread = message.pose.covariance
-        accuracy_m = sqrt(max(spread[0], spread[7], 0.0))
+        known = isfinite(spread[0] + spread[7])
+        accuracy_m = sqrt(max(spread[0], spread[7], 0.0)) if known else inf
         self._seen = Observation(
             *values, sensed_at_us=now_us - self._age_us(message.header.stamp),
             position_accuracy_m=accuracy_m, heading_accuracy_rad=sqrt(max(spread[35], 0.0)),
@@ -181,7 +182,11 @@ class Ros2Body(RobotBody):
         return max(0, age_ns // 1000)
 
     def _scanned(self, message: Any) -> None:
-        """In the thread of the node: the nearest valid echo of each sector, from the front on."""
+        """In the thread of the node: the nearest valid echo of each sector, from the front on. A scan
+        whose angles are none is no scan; the robot stands when the last one is old."""
+        last_rad = message.angle_min + len(message.ranges) * message.angle_increment
+        if not isfinite(last_rad + message.angle_min):
+            return
         nearest = [inf] * self.rays
         for number, range_m in enumerate(message.ranges):
             if message.range_min <= range_m <= message.range_max:

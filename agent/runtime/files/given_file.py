@@ -92,12 +92,18 @@ def read_toml(path: Path, bytes_max: int) -> dict[str, Any]:
 def parse_json(text: str) -> Any:
     """The value of a JSON text.
 
-    Raises GivenFileError if it is not JSON, is nested too deep, or has NaN or infinite numbers.
+    Raises GivenFileError if it is not JSON, is nested too deep, has NaN or infinite numbers, or half of
+    a character, which no file and no terminal could be given.
     """
     try:
-        return json.loads(text, parse_constant=_no_number)
+        value = json.loads(text, parse_constant=_no_number)
+        if _HALVES.search(text):
+            json.dumps(value, ensure_ascii=False).encode()
+    except UnicodeEncodeError:
+        raise GivenFileError("not JSON: half of a character (a lone surrogate)") from None
     except (ValueError, RecursionError) as problem:
         raise GivenFileError(f"not JSON: {_told(problem)}") from None
+    return value
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -126,6 +132,7 @@ def size_text(count: int) -> str:
 _STRINGS = re.compile(
     r'''"""(?:[^\\]|\\.)*?"""|\'{3}.*?\'{3}|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'|#[^\n]*''', re.S
 )
+_HALVES = re.compile(r"\\u[dD][89a-fA-F]")  # escapes of which two make one character
 _DOTTED = re.compile(r"[\w\-. \t]+")
 
 

@@ -10,7 +10,7 @@ never go back: it is stored beside its key file and reserved in blocks, so one d
 import json
 import os
 import stat
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from datetime import date, timedelta
 from hashlib import sha256
 from pathlib import Path
@@ -135,8 +135,51 @@ def write(
     Raises FileExistsError if one of them exists already, and OSError if one cannot be written.
     """
     root = token_bytes(KEY_SIZE) if root is None else root
-    for path, text in texts(fleet, operator, keys, device, slots, root).items():
-        create(path, text)
+    created: list[Path] = []
+    try:
+        for path, text in texts(fleet, operator, keys, device, slots, root).items():
+            create(path, text)
+            created.append(path)
+    except OSError:  # half of a fleet's files could neither be used nor made again
+        for path in created:
+            path.unlink(missing_ok=True)
+        raise
+
+
+def replace(made: Mapping[Path, str], kept: str = "") -> None:
+    """Give these files new contents, durable, each at one moment. All are written before the first is
+    replaced, so a full disk changes none.
+
+    `kept`: what is added to the names under which the old ones stay, with a dot; empty: they do not stay.
+    A file that has this content already, because an earlier call was cut short, stays as it is. The
+    counter of one that is replaced goes with it, because it counts under the old key. Raises OSError.
+    """
+    changed = {path: text for path, text in made.items() if not _has(path, text)}
+    fresh_ones = {path: path.with_name(path.name + ".new") for path in changed}
+    try:
+        for path, text in changed.items():
+            fresh_ones[path].unlink(missing_ok=True)
+            create(fresh_ones[path], text)
+            old = path.with_name(f"{path.name}.{kept}")
+            if kept and path.exists() and not old.exists():
+                create(old, path.read_text().removesuffix("\n"))
+    except OSError:
+        for new in fresh_ones.values():
+            new.unlink(missing_ok=True)
+        raise
+    for path, new in fresh_ones.items():
+        new.replace(path)
+        beside = counter_path(path)
+        if kept and beside.exists():
+            beside.replace(beside.with_name(f"{beside.name}.{kept}"))
+        beside.unlink(missing_ok=True)
+
+
+def _has(path: Path, text: str) -> bool:
+    try:
+        return read_text(path, KEY_BYTES_MAX) == text + "\n"
+    except (GivenFileError, OSError):
+        return False
 
 
 def texts(
@@ -169,12 +212,17 @@ def robot_path(folder: Path, slot: int) -> Path:
 
 
 def create(path: Path, text: str) -> None:
-    """A new file that only its owner can read, durable. Raises OSError, also where there is one."""
+    """A new file that only its owner can read, durable. Raises OSError, also where there is one; then
+    there is no new file."""
     handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-    with os.fdopen(handle, "w") as file:
-        file.write(text + "\n")
-        file.flush()
-        os.fsync(handle)
+    try:
+        with os.fdopen(handle, "w") as file:
+            file.write(text + "\n")
+            file.flush()
+            os.fsync(handle)
+    except OSError:
+        path.unlink(missing_ok=True)
+        raise
 
 
 def read(path: Path, kind: str | None = None) -> KeyFile:
@@ -217,7 +265,8 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
     root = _key(path, document, "root_id", "root_key") if "root_key" in document else None
     held = _key(path, document, "held_id", "held_key") if "held_key" in document else None
     keys, badge = Keys(None, operator, generation=number, held=held), _badge(path, document, device)
-    person = str(document.get("person", ""))[:PERSON_MAX]
+    said = str(document.get("person", ""))[:PERSON_MAX]
+    person = "".join(c if c.isprintable() else " " for c in said)  # a terminal obeys the others
     return KeyFile(path, found, keys, device, root=root, badge=badge, person=person)
 
 

@@ -19,10 +19,10 @@ from agent.runtime.files.key_file import (
     OPERATOR,
     KeyFile,
     KeyFileError,
-    counter_path,
     create,
     operator_text,
     read,
+    replace,
     robot_path,
     texts,
 )
@@ -45,18 +45,22 @@ class KeyFolder(NamedTuple):
 
     @property
     def begun(self) -> Rekeying | None:
-        """A change that was begun and not finished. Raises KeyFileError."""
+        """A change that was begun and not finished; None also where later keys have replaced it. Raises
+        KeyFileError."""
         path = self.folder / NEXT
         if not path.exists():
             return None
         try:
             said = read_json(path, KEY_BYTES_MAX)
-            return Rekeying(
+            found = Rekeying(
                 int(said["generation"]), bytes.fromhex(said["secret"]), int(said["revoked"]),
                 int(said["void_for_s"]),
             )  # fmt: skip
-        except (GivenFileError, OSError, KeyError, TypeError, ValueError):
-            raise KeyFileError(f"{path}: damaged: delete it and begin again") from None
+        except (GivenFileError, OSError, KeyError, TypeError, ValueError, OverflowError):
+            found = None
+        if found is None or not found.is_sayable:
+            raise KeyFileError(f"{path}: damaged: delete it and begin again")
+        return None if found.generation < self.generation else found
 
     def begin(self, revoked: int = NOBODY, void_for_s: int = ALWAYS_S) -> Rekeying:
         """The change to make: the one that was begun, if it is the same, or a new one.
@@ -66,17 +70,26 @@ class KeyFolder(NamedTuple):
         begun = self.begun
         if begun is not None:
             if begun.revoked != revoked:
-                whom = "rotate" if begun.revoked == NOBODY else f"revoke {begun.revoked}"
                 raise KeyFileError(
-                    f"{self.folder}: 'headland keys {whom}' was begun: finish it first"
+                    f"{self.folder}: 'headland keys {named(begun)}' was begun: finish it first"
+                )
+            if begun.void_for_s != void_for_s:
+                raise KeyFileError(
+                    f"{self.folder}: 'headland keys {named(begun)}' was begun: finish it first, and then "
+                    "revoke again, by which other words become void"
                 )
             return begun
         if self.generation >= GENERATION_MAX:
             raise KeyFileError(f"{self.folder}: too many generations: make new keys")
         made = Rekeying(self.generation + 1, token_bytes(KEY_SIZE), revoked, void_for_s)
         plain = {**made._asdict(), "secret": made.secret.hex()}
+        self.forget()
         create(self.folder / NEXT, json.dumps(plain))
         return made
+
+    def forget(self) -> None:
+        """What was begun is void: it is finished, or later keys have replaced it. Raises OSError."""
+        (self.folder / NEXT).unlink(missing_ok=True)
 
     def finish(self, done: Rekeying) -> None:
         """The robots have switched: the files are those of the new keys. Raises OSError."""
@@ -84,16 +97,18 @@ class KeyFolder(NamedTuple):
         fleet, operator = (self.folder / NAMES[kind] for kind in (FLEET, OPERATOR))
         made = texts(fleet, operator, done.keys, self.device, sorted(slots), self.root)
         made |= people_texts(self.folder, KeyFile(operator, OPERATOR, done.keys, root=self.root))
-        for path, text in made.items():
-            new = path.with_name(path.name + ".new")
-            new.unlink(missing_ok=True)
-            create(new, text)
-            new.replace(path)
-        for path in made:
-            counter_path(path).unlink(missing_ok=True)
+        replace(made)
         if done.revoked != NOBODY:
             robot_path(self.folder, done.revoked).unlink(missing_ok=True)
-        (self.folder / NEXT).unlink(missing_ok=True)
+        self.forget()
+
+
+def named(begun: Rekeying) -> str:
+    """The command that began a change, without "headland keys"."""
+    if begun.revoked == NOBODY:
+        return "rotate --running"
+    since = "" if begun.void_for_s == ALWAYS_S else f" --since {begun.void_for_s}"
+    return f"revoke {begun.revoked}{since}"
 
 
 def people_texts(folder: Path, owner: KeyFile) -> dict[Path, str]:

@@ -15,10 +15,10 @@ import time
 from collections.abc import Sequence
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final, NamedTuple
+from typing import Final, NamedTuple
 
 from agent.interface.effects import Effect, Trace
-from agent.runtime.files.given_file import GivenFileError, read_text
+from agent.runtime.files.given_file import check_regular, parse_json, read_text
 from protocol.authentication import Keys
 
 log = logging.getLogger(__name__)
@@ -26,6 +26,9 @@ log = logging.getLogger(__name__)
 START: Final = "0" * 64  # what the first line names as the hash before it
 LOG_BYTES_MAX: Final = 64 * 1024 * 1024  # 200,000 releases
 LINE_BYTES_MAX: Final = 4096  # read back at a start, to go on after the last line
+AT_MAX_S: Final = 253_402_300_800.0  # the year 10000, which no calendar here has
+# A pipe at the place of the log is an error, and not a robot that waits for a reader.
+FLAGS: Final = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NONBLOCK", 0)
 BY: Final = re.compile(r"^(?P<what>.*) by (?P<who>\d+)$")
 NAME: Final = re.compile(r"robot(\d{1,3})\.releases\.jsonl")
 
@@ -75,9 +78,8 @@ class ReleaseLog:
 
     def __init__(self, path: Path, slot: int, key: bytes | None) -> None:
         self.path, self.slot, self._key = path, slot, key
-        self._number, self._before = _end_of(path)
-        torn = path.exists() and not self._number
-        self._first = b"\n" if torn else b""  # a line whose writing was cut off ends here
+        # The last is what ends a line whose writing was cut off.
+        self._number, self._before, self._first = _end_of(path)
 
     def keep(self, now_us: int, effect: Effect) -> None:
         """Called with each effect of the robot. A disk that fails is logged, and the robot goes on: it
@@ -91,7 +93,7 @@ class ReleaseLog:
         plain = LoggedRelease(self._number, at_s, self.slot, what, device, self._before, "")
         line = _line(plain._replace(tag=_tag(plain, self._key)))
         try:
-            handle = os.open(self.path, os.O_WRONLY | os.O_CREAT | os.O_APPEND, 0o600)
+            handle = os.open(self.path, FLAGS, 0o600)
             with os.fdopen(handle, "ab") as file:
                 file.write(self._first + line)
                 file.flush()
@@ -110,9 +112,9 @@ def read_log(path: Path, key: bytes | None) -> ReadLog:
     before, broken = START, ""
     for number, text in enumerate(read_text(path, LOG_BYTES_MAX).splitlines(), 1):
         try:
-            release = LoggedRelease(**json.loads(text))
+            release = _release_of(text)
             line = _line(release)
-        except (TypeError, ValueError):
+        except ValueError:
             broken = broken or f"line {number} cannot be read"
             continue
         releases.append(release)
@@ -124,6 +126,23 @@ def read_log(path: Path, key: bytes | None) -> ReadLog:
             broken = broken or f"line {number} was not written with the key of robot {robot}"
         before = sha256(line).hexdigest()
     return ReadLog(robot, releases, broken, key is not None)
+
+
+def _release_of(text: str) -> LoggedRelease:
+    """A line that was read. Raises ValueError: whoever has the robot can write anything."""
+    document = parse_json(text)
+    if not isinstance(document, dict) or document.keys() != set(LoggedRelease._fields):
+        raise ValueError("not a line of a release log")
+    found = LoggedRelease(**document)
+    at_s, device, words = found.released_at_s, found.device, (found.what, found.before, found.tag)
+    if not (
+        all(type(number) is int for number in (found.number, found.robot))
+        and type(at_s) in (int, float) and 0 <= at_s < AT_MAX_S
+        and (device is None or type(device) is int)
+        and all(type(word) is str and word.isprintable() for word in words)
+    ):  # fmt: skip
+        raise ValueError("not a line of a release log")
+    return found
 
 
 def lacking(logs: Sequence[ReadLog]) -> dict[int, set[str]]:
@@ -144,15 +163,19 @@ def _tag(release: LoggedRelease, key: bytes | None) -> str:
     return hmac.digest(key, _line(release._replace(tag="")), "sha256").hex()
 
 
-def _end_of(path: Path) -> tuple[int, str]:
-    """Number and hash of the last line; of none if there is no log. What cannot be read ends the chain:
-    the next line names the hash of nothing, and a check says so."""
+def _end_of(path: Path) -> tuple[int, str, bytes]:
+    """Number and hash of the last line, of none if there is no log, and what is to be written before the
+    next one. What cannot be read ends the chain: the next line names the hash of nothing, and a check
+    says so. A line that lacks only its end is whole."""
+    last = b""
     try:
+        check_regular(path)
         size = path.stat().st_size
         with path.open("rb") as file:
             file.seek(max(0, size - LINE_BYTES_MAX))
-            last: bytes = file.read().splitlines(keepends=True)[-1]
-        document: dict[str, Any] = json.loads(last)
-        return int(document["number"]), sha256(last).hexdigest()
-    except (OSError, IndexError, KeyError, TypeError, ValueError, GivenFileError):
-        return 0, START
+            last = file.read().splitlines(keepends=True)[-1]
+        ended = last.removesuffix(b"\n") + b"\n"
+        number, before = _release_of(ended.decode()).number, sha256(ended).hexdigest()
+    except (OSError, IndexError, ValueError):
+        number, before = 0, START
+    return number, before, b"\n" if last and not last.endswith(b"\n") else b""

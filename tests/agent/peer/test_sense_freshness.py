@@ -494,3 +494,54 @@ def test_a_place_that_froze_while_it_turned_is_believed_when_the_heading_changes
         held.append(safety.holds(StopCause.PLACE_FROZEN))
         senses.drove(HALT if held[-1] else HALT._replace(turn_rad_s=1.0))
     assert held[40] and not held[-1] and not safety.holds(StopCause.PLACE_LOST)
+
+
+@pytest.mark.parametrize(
+    "velocity",
+    [(nan, 0.0), (0.0, nan), (inf, 0.0), (-inf, inf), (1e300, 1e300), (PLACE_UNKNOWN_M_S, 0.0)],
+)
+def test_a_velocity_that_is_none_stops_a_robot_and_does_not_end_it(
+    velocity: tuple[float, float],
+) -> None:
+    """One sentence of a receiver with "nan" for a speed ended the program; with "inf" it drove on."""
+    robot = driving()
+    robot.spoilt = lambda seen: seen._replace(vx_m_s=velocity[0], vy_m_s=velocity[1])
+    assert robot.periods(1).told == HALT and robot.held == {StopCause.PLACE_LOST}
+    assert not robot.periods(40).said[-1].placed
+    robot.spoilt = lambda seen: seen
+    robot.periods(STEADY_US // CONTROL_PERIOD_US + 40)
+    assert not robot.held and robot.v_m_s > 1.0
+
+
+@pytest.mark.parametrize("distance_m", [nan, -inf, -0.1])
+def test_a_scan_with_a_distance_that_is_none_is_no_scan(distance_m: float) -> None:
+    robot = driving()
+    robot.spoilt = lambda seen: seen._replace(ranges_m=(distance_m, 1.0, *seen.ranges_m[2:]))
+    robot.periods(10)
+    assert robot.peer.here is not None and robot.peer.here.ranges_m == ()
+
+
+@pytest.mark.parametrize(
+    ("said", "taken"), [(nan, 0.0), (-inf, 0.0), (inf, 1.0), (1.5, 1.0), (0.5, 0.5)]
+)
+def test_a_charge_or_a_health_that_is_none_is_an_empty_or_a_failed_one(
+    said: float, taken: float
+) -> None:
+    robot = driving()
+    robot.spoilt = lambda seen: seen._replace(battery=said, health=said)
+    here = robot.periods(5).peer.here
+    assert here is not None and (here.battery, here.health) == (taken, taken)
+
+
+def test_an_accuracy_below_nothing_is_none() -> None:
+    robot = driving()
+    robot.spoilt = lambda seen: seen._replace(position_accuracy_m=-5.0)
+    assert robot.periods(1).told == HALT and robot.held == {StopCause.PLACE_LOST}
+
+
+def test_the_gate_passes_no_command_that_is_no_number() -> None:
+    safety = driving().peer.safety
+    for wrong in (nan, inf, -inf):
+        for wanted in (Drive(wrong, 0.0), Drive(0.0, wrong), Drive(1.0, 0.0, wrong)):
+            assert safety.gate(wanted, 0) == HALT
+    assert safety.gate(Drive(1.0, 0.0, 0.5), 0) == Drive(1.0, 0.0, 0.5)

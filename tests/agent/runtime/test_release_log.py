@@ -1,6 +1,7 @@
 """The signed log of releases: what was changed, added, moved or taken out is found."""
 
 import json
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -20,6 +21,7 @@ from agent.runtime.files.release_log import (
     read_log,
 )
 from protocol.rekeying import own_key
+from tools.cli.keys import log_command
 from tools.common.release_records import release_records
 
 ROBOT = 1
@@ -136,3 +138,69 @@ def test_the_command_names_people_and_fails_where_a_log_was_changed(folder: Path
     log.path.write_text(log.path.read_text().replace("201", "202"))
     spoilt = headland(folder, ".", "--verify")
     assert spoilt.returncode == 1 and "robot 1: CHANGED" in spoilt.stdout
+
+
+HOSTILE = (
+    '{"number": Infinity}', "[" * 4_000, "[]", "null", '"x"', "{}", "\x00", '{"number": 1e999}',
+)  # fmt: skip
+
+
+def lines_with(**changes: object) -> str:
+    plain = {
+        "number": 1, "released_at_s": 1.0, "robot": ROBOT, "what": "dot", "device": 249,
+        "before": "0" * 64, "tag": "",
+    }  # fmt: skip
+    return json.dumps(plain | changes)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        *HOSTILE,
+        lines_with(released_at_s=None),
+        lines_with(released_at_s=1e20),
+        lines_with(released_at_s="yesterday"),
+        lines_with(what=["dot"]),
+        lines_with(what="dot \x1b[2J"),
+        lines_with(what="\ud800"),
+        lines_with(device=[249]),
+        lines_with(number=True),
+        lines_with(robot=1.5),
+    ],
+    ids=lambda line: line[:24],
+)
+def test_a_thief_who_writes_anything_into_its_log_does_not_break_the_owners_tool(
+    folder: Path, line: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A stolen robot's log made `headland keys log` end in a traceback, or command the terminal."""
+    good = written(folder, 2)
+    path_of(folder, ROBOT).write_text(line + "\n", encoding="utf-8")
+    with pytest.raises(SystemExit) as ended:
+        log_command(folder, folder / "keys", verify=True, json=False)
+    said = capsys.readouterr().out
+    assert ended.value.code == 1 and f"robot {ROBOT}: CHANGED: line 1 cannot be read" in said
+    assert "\x1b" not in said and said.count("robot 2  dot 7.1") == 4, (
+        "the other robot's lines are shown"
+    )
+    assert good.read_bytes()
+    written(folder)  # and a robot that finds such a log starts and writes
+
+
+def test_a_pipe_or_a_folder_at_the_place_of_the_log_holds_no_robot(folder: Path) -> None:
+    path = path_of(folder, ROBOT)
+    os.mkfifo(path)
+    written(folder)
+    path.unlink()
+    path.mkdir()
+    written(folder)
+
+
+def test_a_log_that_is_cut_at_any_byte_goes_on(folder: Path) -> None:
+    whole = written(folder, releases=2).read_bytes()
+    first = whole.index(b"\n")
+    for length in range(len(whole)):
+        path_of(folder, ROBOT).write_bytes(whole[:length])
+        log = checked(folder, written(folder, releases=1))
+        assert [r.what for r in log.releases][-1:] == ["dot 7.1.0"], length
+        expected = "" if length in (0, first, first + 1, len(whole) - 1) else "line"
+        assert log.broken.startswith(expected) and bool(log.broken) == bool(expected), length

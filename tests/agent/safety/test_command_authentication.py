@@ -2,9 +2,18 @@
 
 import pytest
 
+from agent.interface.identity import SilencePolicy
 from agent.safety.command_authentication import AGREE_US, CommandAuthority
+from agent.safety.stop_controller import StopController
+from crdt.stops import StopDot
 from protocol.authentication import Keyring, Keys
-from protocol.frames.safety_frames import Command, EmergencyReset, EmergencyStop, OperatorCommand
+from protocol.frames.safety_frames import (
+    Command,
+    EmergencyReset,
+    EmergencyStop,
+    OperatorCommand,
+    Reason,
+)
 from tools.bench import forgery
 
 KEYS = Keys(bytes(16), bytes(range(16)))
@@ -74,3 +83,20 @@ def test_questions_make_no_flood() -> None:
     authority, _ = proven()
     asked = sum(bool(authority.ask(n % 250 + 1, 1_000_000 + n * 640)) for n in range(1_562))
     assert asked <= 11, "ten a second, whomever they are about"
+
+
+def test_forged_stops_in_a_robots_name_take_no_memory() -> None:
+    """Each name that was said from a robot's address was kept for ever: up to 16 million of them."""
+    safety = StopController(ROBOT, 1, SilencePolicy.STOP, Keyring(KEYS, ROBOT, b"boot"), {}, 0)
+    kept = []
+    for number in range(4_000):
+        dot = 1, number >> 8, number & 0xFF
+        safety.receive_stop(
+            EmergencyStop(*dot, Reason.OPERATOR_INTERVENTION, number % 2 == 0), 1, number
+        )
+        kept.append(safety.echoed(StopDot(*dot)))
+    assert not any(kept) and not safety.latched
+    presser = Keyring(KEYS, 1, b"boot")
+    true = presser.sign(EmergencyStop(1, 200, 1, Reason.OPERATOR_INTERVENTION))
+    safety.receive_stop(true, 1, 60_000_000)
+    assert safety.latched and safety.echoed(StopDot(1, 200, 1)) == {ROBOT, 1}

@@ -94,6 +94,56 @@ def test_a1_a_missed_transition_stops() -> None:
     assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "it was switched off and on"
 
 
+@pytest.mark.parametrize("pressed", [1, 5, 255])
+@pytest.mark.parametrize("forged", [0, 1, 5, 6, 255])
+def test_permits_in_the_name_of_a_button_that_is_pressed_move_nobody_for_more_than_a_second(
+    pressed: int, forged: int
+) -> None:
+    """Before: with one forged permit after each stop, robots moved all the time (as in T4, with one
+    address)."""
+    peer, moved = bus(True), 0
+    for tick in range(200):
+        now_us = tick * S // 10
+        if tick % 10 == 0:
+            peer.step(Heard(FIRST, AllImplementsStop(pressed, Switch.STOP)), now_us)
+        if tick % 10 == 1:
+            peer.step(Heard(FIRST, AllImplementsStop(forged, Switch.PERMIT)), now_us)
+        peer.safety.on_tick(now_us)
+        moved += StopCause.IMPLEMENTS_STOP not in held_by(peer)
+    assert moved <= 9, "until the next stop of the button, once"
+
+
+def test_a_button_that_counts_is_released_at_once_each_time_and_one_that_does_not_after_its_time() -> (
+    None
+):
+    peer = bus(True)
+    for press in range(1, 600):
+        now_us = press * S
+        peer.step(Heard(FIRST, AllImplementsStop(press & 0xFF, Switch.STOP)), now_us)
+        assert StopCause.IMPLEMENTS_STOP in held_by(peer)
+        peer.step(Heard(FIRST, AllImplementsStop(press & 0xFF, Switch.PERMIT)), now_us + S // 2)
+        assert StopCause.IMPLEMENTS_STOP not in held_by(peer), press
+    for press in range(2):
+        now_us = (700 + 10 * press) * S
+        peer.step(Heard(SECOND, AllImplementsStop(0, Switch.STOP)), now_us)
+        peer.step(Heard(SECOND, AllImplementsStop(0, Switch.PERMIT)), now_us + S)
+        assert (StopCause.IMPLEMENTS_STOP in held_by(peer)) == (press > 0)
+        peer.safety.on_tick(now_us + HOLD_US)
+        peer.step(Heard(SECOND, AllImplementsStop(0, Switch.PERMIT)), now_us + HOLD_US)
+        assert StopCause.IMPLEMENTS_STOP not in held_by(peer)
+
+
+def test_a_button_that_changes_its_address_between_two_presses_is_one_button() -> None:
+    peer = bus(True)
+    peer.step(Heard(FIRST, AllImplementsStop(7, Switch.STOP)), 0)
+    moved_to = AddressClaimed(OTHER_MAKER._replace(identity=0).pack())
+    peer.step(Heard(44, moved_to), S // 2)
+    peer.step(Heard(44, AllImplementsStop(7, Switch.PERMIT)), S)
+    assert StopCause.IMPLEMENTS_STOP not in held_by(peer), "it is its own permit"
+    peer.step(Heard(44, AllImplementsStop(9, Switch.PERMIT)), 2 * S)
+    assert StopCause.IMPLEMENTS_STOP in held_by(peer), "two presses were missed"
+
+
 def test_t4_a_reset_tool_permits_for_itself_alone() -> None:
     peer = bus(True)
     peer.step(Heard(FIRST, AllImplementsStop(1, Switch.STOP)), 0)

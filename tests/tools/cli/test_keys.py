@@ -1,7 +1,10 @@
 """Key files and the commands that use them: made, shown, rotated, refused in one line, and believed."""
 
 import asyncio
+import contextlib
+import errno
 import json
+import os
 import stat
 import subprocess
 import sys
@@ -16,14 +19,24 @@ from agent.runtime.files.key_file import (
     KeyFileError,
     counter,
     counter_path,
+    create,
     fresh,
     read,
     write,
 )
+from agent.runtime.files.key_folder import owned
+from protocol.frames.codec import encode
+from protocol.frames.frame import Frame
+from protocol.frames.key_frames import KeysHeld
 from protocol.operator_badges import Role
 from tests.tools import launching
 from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
+from tools.cli.keys import operator as make_operator
+from tools.cli.keys import rotate, show
+from tools.operate.estop import NOT_ALL
+from tools.operate.operator_device import Operator
+from tools.operate.rekey import Rekeyer, _tell
 
 
 def headland(*words: str, folder: Path) -> "subprocess.CompletedProcess[str]":
@@ -257,3 +270,183 @@ def test_a_key_file_that_others_may_replace_is_refused(tmp_path: Path) -> None:
         read(fleet)
     tmp_path.chmod(0o700)
     assert read(fleet)
+
+
+class FullDisk:
+    """Every write after the first few fails, as on a full disk."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch, writes: int) -> None:
+        self.left, self._fsync = writes, os.fsync
+        monkeypatch.setattr("agent.runtime.files.key_file.os.fsync", self.fsync)
+
+    def fsync(self, handle: int) -> None:
+        self.left -= 1
+        if self.left < 0:
+            raise OSError(errno.ENOSPC, "No space left on device")
+        self._fsync(handle)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+@pytest.mark.parametrize("writes", range(5))
+def test_new_keys_on_a_full_disk_leave_nothing_behind(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
+) -> None:
+    """An empty fleet.json was left, for which `new` said rotate, and `rotate` said that it is no JSON."""
+    with monkeypatch.context() as during:
+        FullDisk(during, writes)
+        with pytest.raises(OSError, match="No space"):
+            write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    assert not contents(tmp_path)
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+
+
+@pytest.mark.parametrize("writes", range(0, 12, 2))
+def test_a_rotation_on_a_full_disk_changes_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
+) -> None:
+    """The old files were renamed first, so nobody held a key by which the fleet could be released."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    read(tmp_path, OPERATOR).keyring(10)
+    before = contents(tmp_path)
+    with monkeypatch.context() as during:
+        FullDisk(during, writes)
+        with contextlib.suppress(SystemExit):
+            rotate(tmp_path, running=False)
+    if read(tmp_path, FLEET).keys.generation == 0:
+        assert {name: text for name, text in contents(tmp_path).items() if name in before} == before
+        assert not [name for name in contents(tmp_path) if name.endswith(".new")]
+    else:
+        assert writes >= 10, "both files of each of five"
+    rotate(tmp_path, running=False)
+    assert read(tmp_path, FLEET).keys.operator == read(tmp_path, OPERATOR).keys.operator
+
+
+@pytest.mark.parametrize("moves", range(1, 6))
+def test_a_rotation_that_is_killed_between_two_files_is_repeated(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
+) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    left, move = [moves], Path.replace
+
+    def killed(self: Path, target: Path) -> Path:
+        left[0] -= 1
+        if left[0] < 0:
+            raise KeyboardInterrupt
+        return move(self, target)
+
+    with monkeypatch.context() as during, contextlib.suppress(KeyboardInterrupt):
+        during.setattr(Path, "replace", killed)
+        rotate(tmp_path, running=False)
+    for kind in (FLEET, OPERATOR):
+        read(tmp_path, kind)
+    rotate(tmp_path, running=False)
+    assert read(tmp_path, FLEET).keys.operator == read(tmp_path, OPERATOR).keys.operator
+    numbers = {read(tmp_path / f"robot{slot}.json").keys for slot in range(3)}
+    assert {keys.generation for keys in numbers} == {read(tmp_path, FLEET).keys.generation}
+
+
+def test_finishing_a_change_twice_does_not_set_the_operators_counter_back(tmp_path: Path) -> None:
+    """A tool that was killed after the files were replaced: the next call took the counter away that the
+    new key had used by then, and robots refused the owner's orders as old."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    begun = owned(tmp_path).begin()
+    owned(tmp_path).finish(begun)
+    read(tmp_path, OPERATOR).keyring(10)
+    create(tmp_path / "next.json", json.dumps(begun._asdict() | {"secret": begun.secret.hex()}))
+    again = owned(tmp_path).begin()
+    assert again == begun
+    owned(tmp_path).finish(again)
+    assert counter(tmp_path / "operator.json") == 10
+
+
+def test_what_a_revocation_makes_void_is_not_changed_in_silence(tmp_path: Path) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    owned(tmp_path).begin(2, 60)
+    with pytest.raises(KeyFileError, match="revoke 2 --since 60' was begun"):
+        owned(tmp_path).begin(2)
+    with pytest.raises(SystemExit):
+        rotate(tmp_path, running=False)
+    assert owned(tmp_path).begin(2, 60).void_for_s == 60
+
+
+def test_a_rotation_without_a_bus_is_above_one_that_was_begun(tmp_path: Path) -> None:
+    """Both had one generation and two secrets, so that robots could not be given the later one."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    begun = owned(tmp_path).begin()
+    rotate(tmp_path, running=False)
+    assert read(tmp_path, FLEET).keys.generation > begun.generation
+    assert owned(tmp_path).begun is None and owned(tmp_path).begin().secret != begun.secret
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"generation": 70_000}, {"generation": 0}, {"generation": 1e999}, {"secret": "00"},
+        {"revoked": 200}, {"revoked": -1}, {"void_for_s": -1}, {"void_for_s": 1 << 40},
+        {"secret": None},
+    ],
+    ids=str,
+)  # fmt: skip
+def test_a_damaged_change_is_one_line(tmp_path: Path, changes: dict[str, object]) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    begun = owned(tmp_path).begin()
+    spoil(tmp_path / "next.json", **(begun._asdict() | {"secret": begun.secret.hex()} | changes))
+    with pytest.raises(KeyFileError, match="damaged: delete it"):
+        owned(tmp_path).begin()
+
+
+@pytest.mark.parametrize("person", ["\ud800", "Anna\x1b[2J", "\n" * 99])
+def test_a_persons_name_commands_no_terminal(
+    tmp_path: Path, person: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    with pytest.raises(SystemExit):
+        make_operator(person, roles="stop", days=1, device=0, folder=tmp_path)
+    assert not list(tmp_path.glob("operator-*"))
+    make_operator("Anna", roles="stop", days=1, device=0, folder=tmp_path)
+    spoil(tmp_path / "operator-192.json", person=person)
+    capsys.readouterr()
+    with contextlib.suppress(SystemExit):
+        show(tmp_path)
+    said = capsys.readouterr()
+    assert "\x1b" not in said.out + said.err and len(said.out.splitlines()) <= 3
+
+
+def test_a_forged_confirmation_takes_none_back(tmp_path: Path) -> None:
+    """One bad KEYS_HELD in each robot's name, and the owner's files stayed old while the fleet used the
+    new keys: nobody could release it."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
+    begun = owned(tmp_path).begin()
+    rekeyer = Rekeyer(Operator(Nobody(), None), owned(tmp_path), begun)  # type: ignore[arg-type]
+    for slot in range(2):
+        for switched in (False, True):
+            rekeyer.hear(encode(begun.held(slot, switched), 128 + slot))
+            rekeyer.hear(encode(KeysHeld(slot, begun.generation, switched, 99), 128 + slot))
+    rekeyer.hear(encode(KeysHeld(7, begun.generation, True, 99), 135))
+    assert rekeyer.done(True) == rekeyer.done(False) == {0, 1}
+
+
+def test_a_robot_that_was_there_and_is_not_heard_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Robot 1 was off: exit code 0 and no word of it, and it stood when it came back."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    begun = owned(tmp_path).begin(2)
+    tool = Operator(Nobody(), None)  # type: ignore[arg-type]
+    tool.expect((0, 1, 2, 9))
+    rekeyer = Rekeyer(tool, owned(tmp_path), begun)
+    assert rekeyer.unheard == {0, 1}, "2 is revoked, and 9 has no file"
+    assert _tell(begun, {0}, set(), {1}, False) == NOT_ALL
+    assert "robot 1: NOT HEARD" in capsys.readouterr().out
+    assert _tell(begun, {0, 1}, set(), set(), True) == 0
+
+
+class Nobody:
+    def send(self, frame: Frame) -> bool:
+        return True
+
+    def subscribe(self, callback: object) -> None:
+        """Nothing comes."""

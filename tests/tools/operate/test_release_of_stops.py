@@ -5,10 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from agent.interface.lifecycle import State
 from agent.peer.inputs import Press
 from agent.runtime.files.key_file import OPERATOR, fresh, read, write
+from agent.safety.stop_cause import StopCause
 from crdt.stops import StopDot
 from protocol.authentication import Keyring
+from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.safety_frames import EmergencyStop, Reason, StopsHeld
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
@@ -93,3 +96,34 @@ def test_t9_what_is_pressed_during_a_reset_is_not_cleared() -> None:
     shown.hear_held(StopsHeld(0, 1, 79))
     shown.hear_stop(EmergencyStop(*second, 0, True))
     assert shown.sums == [77] and shown.named == ([first], [])
+
+
+def test_beats_in_the_name_of_a_latched_robot_do_not_make_its_release_a_success(
+    tmp_path: Path,
+) -> None:
+    """`release` ended with exit code 0 while a robot was latched, if its beats were imitated."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    key = read(tmp_path / "operator.json", OPERATOR)
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        address = cluster.robots[1].peer.address
+        assert address is not None
+
+        async def forge() -> None:
+            while True:
+                cluster.inject(Pose(0.0, 0.0, 0.0, 0.0, State.IDLE, False, 0), address)
+                beat = Heartbeat(255, State.IDLE, False, False, True, False, 1.0, 0, 0)
+                cluster.inject(beat, address)
+                await elapse(0.004)
+
+        cluster.robots[1].shell.operate(Press(Reason.PERSON_IN_FIELD))
+        await elapse(0.5)
+        cluster.robots[1].peer.safety.raise_cause(StopCause.DISK_ERROR, 0)
+        forger = asyncio.ensure_future(forge())
+        operator = operator_on(cluster, key.keyring())
+        await operator.listen(LISTEN_S, stops=True)
+        assert await release(operator, False, RELEASE_S) == [1]
+        assert [r.peer.safety.latched for r in cluster.running] == [False, True, False]
+        forger.cancel()
+
+    at_work(load("small").changed(3, 5, tmp_path / "fleet.json"), story)

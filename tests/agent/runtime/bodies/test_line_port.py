@@ -136,3 +136,23 @@ def test_a_serial_port_is_read_and_written() -> None:
     port.close()
     os.close(device)
     os.close(name)
+
+
+def test_hostile_datagrams_cost_themselves_and_no_sentence(opened: Open) -> None:
+    """A line of 60 kB that came in one piece was passed on, and only the rest of a piece was counted."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        at = probe.getsockname()
+    port, lines = opened(f"udp://127.0.0.1:{at[1]}")
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        for datagram in (
+            b"x" * 60_000,
+            b"y" * 60_000 + b"\n",
+            b"",
+            b"\n",
+            b"\x00\xff",
+            b"one\ntwo",
+        ):
+            sender.sendto(datagram, at)
+        got = [lines.get(timeout=LIMIT_S) for _ in range(5)]
+    assert got == [b"", b"", b"\x00\xff", b"one", b"two"] and port.overlong == 2

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.files.given_file import GivenFileError, parse_toml, read_bytes
+from agent.runtime.files.given_file import GivenFileError, parse_json, parse_toml, read_bytes
 
 
 def test_f_a_folder_is_no_regular_file(tmp_path: Path) -> None:
@@ -25,3 +25,13 @@ def test_a_row_of_a_drawing_is_no_key_of_many_parts() -> None:
     ):
         with pytest.raises(GivenFileError, match="parts"):
             parse_toml(text)
+
+
+@pytest.mark.parametrize(
+    "text", [r'"\ud800"', r'{"\udFFF": 1}', r'["\ude00\ud83d"]', r'"\uD83D x"']
+)
+def test_half_of_a_character_is_no_json(text: str) -> None:
+    """A field whose name was half of a character ended in a traceback at the first file that named it."""
+    with pytest.raises(GivenFileError, match="half of a character"):
+        parse_json(text)
+    assert parse_json(r'"\ud83d\ude00 \\ud800"') == "\U0001f600 \\ud800"
