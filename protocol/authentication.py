@@ -110,6 +110,7 @@ class Keyring:
         self._drawn_at_us: dict[int, int] = {}  # when that nonce was drawn
         self._proven_at_us: dict[int, int] = {}  # operator -> when it was last believed
         self._answered_at_us: dict[int, int] = {}
+        self._stops_heard: dict[int, int] = {}  # counters of operators that are locked out
         self._questions = 0
 
     @property
@@ -127,6 +128,7 @@ class Keyring:
         self._keys = keys
         self._macs.clear()
         self._bad_at_us.clear()
+        self._stops_heard.clear()
         self.badges.forget()
         for operator in [sender for sender in self.heard if sender >= OPERATOR_FIRST]:
             del self.heard[operator]  # a new key counts from 0
@@ -144,7 +146,7 @@ class Keyring:
     def verify(self, message: AnySigned, sender: int, now_us: int) -> bool:
         """Whether `sender` signed this and it was not accepted before."""
         if self._locked_out(sender, now_us):
-            return False
+            return self._stops_still(message, sender, now_us)
         if sender >= OPERATOR_FIRST and not self._proven(sender, now_us):
             self.unproven += 1
             return False
@@ -217,11 +219,23 @@ class Keyring:
             self.stale += 1
             return False
         operator = sender >= OPERATOR_FIRST
-        if operator and (self._locked_out(sender, now_us) or self._expired(sender, now_us)):
+        locked = operator and self._locked_out(sender, now_us)
+        badges = self.badges.candidates(sender) if operator else (None,)
+        for badge in badges:
+            if self._proof(sender, self.sender, number, answer.counter, badge) == answer.tag:
+                break
+        else:
+            if not locked:
+                self._count_bad(sender, now_us)
             return False
-        if self._proof(sender, self.sender, number, answer.counter) != answer.tag:
-            self._count_bad(sender, now_us)
+        if badge is not None and not badge.valid(self.badges.day(now_us)):
+            self.expired += 1
             return False
+        if locked:
+            del self._asked[sender]
+            self._stops_heard[sender] = answer.counter
+            self.badges.prove(sender, now_us, badge)
+            return True
         if operator and answer.counter < self.heard.get(sender, 0):
             self.stale += 1
             return False
@@ -229,13 +243,33 @@ class Keyring:
         self.heard[sender] = answer.counter
         if operator:
             self._proven_at_us[sender] = now_us
-            self.badges.prove(sender, now_us)
+            self.badges.prove(sender, now_us, badge)
         else:
             # Forged frames in its name must not keep its stops from being accepted.
             self._bad_at_us.pop(sender, None)
         return True
 
     # ---------------------------------------------------------------- inside
+
+    def _stops_still(self, message: AnySigned, sender: int, now_us: int) -> bool:
+        """Whether this is a stop of an operator in whose name somebody sends bad tags.
+
+        Only a release is worth guessing tags for, so a lock-out does not hold back stops. Their counter
+        was proven during the lock-out, and serves nothing else.
+        """
+        last = self._stops_heard.get(sender)
+        if type(message) is not EmergencyStop or last is None or self._expired(sender, now_us):
+            return False
+        counter = last + ((message.freshness - last) & 0xFF)
+        if (
+            not last < counter <= last + WINDOW
+            or self._tag(sender, counter, message) != message.tag
+        ):
+            return False
+        self._stops_heard[sender] = counter
+        self.badges.prove(sender, now_us)
+        self.accepted += 1
+        return True
 
     def _proven(self, operator: int, now_us: int) -> bool:
         proven_at_us = self._proven_at_us.get(operator)
@@ -259,16 +293,17 @@ class Keyring:
         self.expired += 1
         return True
 
-    def _secret(self, sender: int) -> bytes | None:
-        if sender < OPERATOR_FIRST:
+    def _secret(self, sender: int, badge: Badge | None) -> bytes | None:
+        if badge is None:
             return self._keys.master
         operators = self._keys.operator
         if operators is None or sender == self.sender:
             return operators
-        return self.badges.of(sender).secret(operators)
+        return badge.secret(operators)
 
     def _holds(self, sender: int) -> bool:
-        return self._secret(sender) is not None
+        keys = self._keys
+        return (keys.master if sender < OPERATOR_FIRST else keys.operator) is not None
 
     def _tag(self, sender: int, counter: int, message: AnySigned) -> int:
         mac = self._mac(sender).copy()
@@ -277,19 +312,23 @@ class Keyring:
         mac.update(head + counter.to_bytes(8, "little") + layout.pack(message)[:-3])
         return int.from_bytes(mac.finalize()[:3], "little")
 
-    def _proof(self, sender: int, asker: int, number: bytes, counter: int) -> int:
-        mac = self._mac(sender).copy()
+    def _proof(
+        self, sender: int, asker: int, number: bytes, counter: int, badge: Badge | None = None
+    ) -> int:
+        mac = self._mac(sender, badge).copy()
         head = FRESHNESS.pgn.to_bytes(3, "little") + bytes((sender, asker))
         mac.update(head + number + counter.to_bytes(8, "little"))
         return int.from_bytes(mac.finalize()[:3], "little")
 
-    def _mac(self, sender: int) -> "CMAC":
-        badge = self.badges.of(sender) if sender >= OPERATOR_FIRST else None
+    def _mac(self, sender: int, badge: Badge | None = None) -> "CMAC":
+        """`badge`: of an operator; None: the one that it told last."""
+        if sender >= OPERATOR_FIRST and badge is None:
+            badge = self.badges.of(sender)
         mac = self._macs.get((sender, badge))
         if mac is None:
             if len(self._macs) >= MACS_MAX:  # somebody tells many badges
                 self._macs.clear()
-            secret = self._secret(sender)
+            secret = self._secret(sender, badge)
             assert secret is not None, "a sender whose secret is not held is not verified"
             info = b"headland sender" + bytes((sender,))
             mac = self._macs[sender, badge] = mac_of(derived_key(secret, info, KEY_SIZE))

@@ -439,9 +439,9 @@ class ToolProofs:
     ) -> list[OperatorBadge | Proof | TimeQuestion]:
         """What follows a frame that was sent from this address: its proof, and a question for the time
         if ours is not known or old. Without a time there is no proof; the caller repeats its frame."""
-        said: list[OperatorBadge | Proof | TimeQuestion] = []
-        if self._badge is not None:
-            said.append(self._badge.told())
+        # Also the owner's, because somebody may have told another one in its name.
+        badge = Badge(self.device) if self._badge is None else self._badge
+        said: list[OperatorBadge | Proof | TimeQuestion] = [badge.told()]
         self._batch.add(message, now_us)
         proof = self._batch.seal(address, now_us)
         if proof is not None:

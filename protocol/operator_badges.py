@@ -5,10 +5,12 @@ its roles, and the day on which it expires. So the roles cannot be changed witho
 robots need no list of people. A device tells its badge before it proves its counter or an order; the tag
 of what follows is right only if the badge is true. The owner's badge allows all and never expires.
 
-A badge that somebody else tells in a device's name makes tags of that device wrong until it tells its own
-again. It does so at each challenge, and a badge that was proven stays for `PROVEN_FOR_US`.
+A badge that somebody else tells in a device's name makes tags of that device wrong until it proves its
+counter again, at the next challenge. That proof is tried under the badges that were told last, and under
+the owner's, who tells none. A badge that was proven stays for `PROVEN_FOR_US`.
 """
 
+from collections.abc import Sequence
 from enum import IntFlag
 from typing import Final, NamedTuple
 
@@ -70,6 +72,7 @@ class BadgeBook:
         """`clock_zero_at_s`: the time of day, seconds since 1970, when `now_us` was 0; None: unknown."""
         self._clock_zero_at_s = clock_zero_at_s
         self._of: dict[int, Badge] = {}
+        self._before: dict[int, Badge] = {}  # told before that, and another one
         self._proven_at_us: dict[int, int] = {}
 
     def hear(self, told: OperatorBadge, now_us: int) -> None:
@@ -78,11 +81,21 @@ class BadgeBook:
         if proven_at_us is not None and now_us - proven_at_us <= PROVEN_FOR_US:
             return
         self._proven_at_us.pop(told.device, None)
-        self._of[told.device] = Badge(told.device, Role(told.roles), told.expires_day)
+        new, last = Badge(told.device, Role(told.roles), told.expires_day), self.of(told.device)
+        if new != last:
+            self._before[told.device] = last
+        self._of[told.device] = new
 
-    def prove(self, device: int, now_us: int) -> None:
-        """A tag under the badge of this device was right."""
+    def prove(self, device: int, now_us: int, badge: Badge | None = None) -> None:
+        """A tag under this badge of the device was right. None: under the one that was told last."""
+        if badge is not None:
+            self._of[device] = badge
         self._proven_at_us[device] = now_us
+
+    def candidates(self, device: int) -> Sequence[Badge]:
+        """At most three badges that a device may have: told last, told before, and the owner's."""
+        last = self.of(device)
+        return tuple(dict.fromkeys((last, self._before.get(device, last), Badge(device))))
 
     def forget(self) -> None:
         """The fleet has other keys: what was proven under the old ones counts no more."""

@@ -4,10 +4,10 @@ from collections.abc import Sequence
 
 import pytest
 
-from agent.interface.config import S
+from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
 from agent.safety.command_authentication import NEEDS, CommandAuthority, role_for
-from protocol.authentication import AnySigned, Keyring, Keys
+from protocol.authentication import BAD_MAX, BAD_WINDOW_US, WINDOW, AnySigned, Keyring, Keys
 from protocol.frame_proofs import FleetTime, ProofChecker, ProofKeys, TimeAnswers, ToolProofs
 from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.operator_frames import OperatorGoal
@@ -58,10 +58,11 @@ def device(badge: Badge, sent: int = 0) -> Keyring:
 def introduce(robot: CommandAuthority, person: Keyring, now_us: int = 0) -> None:
     """The robot challenges, and the device tells its badge and proves its counter."""
     (question,) = sent(robot.ask(person.sender, now_us))
-    assert isinstance(question, Challenge) and person.badge is not None
+    assert isinstance(question, Challenge)
     proof = person.answer(question, now_us)
     assert proof is not None
-    robot.hear_badge(person.badge.told(), now_us)
+    if person.badge is not None:  # the owner tells none
+        robot.hear_badge(person.badge.told(), now_us)
     robot.prove(proof, now_us)
 
 
@@ -167,3 +168,58 @@ def test_a_transport_order_is_proven_by_a_key_of_its_badge(roles: Role) -> None:
     found = robot.verify(250, proof, 1000)
     assert found is not None and found.messages == (order,)
     assert book.allows(DEVICE, Role.TASK, 1000) is bool(roles & Role.TASK)
+
+
+def owner(sent: int = 0) -> Keyring:
+    return Keyring(Keys(None, FLEET.operator), DEVICE, b"session", sent)
+
+
+@pytest.mark.parametrize("roles", [0, int(Role.STOP), int(ALL_ROLES)])
+def test_a_badge_in_the_owners_name_does_not_lock_the_owner_out(roles: int) -> None:
+    """One such frame, and no robot believed the owner until it was switched off: the owner tells no
+    badge, so none repaired it."""
+    robot, person = authority(), owner()
+    for second in range(5):
+        now_us = 20 * second * S
+        robot.hear_badge(OperatorBadge(DEVICE, roles, 1 + second), now_us)
+        assert not robot.believes(signed(person, SAID["reset"]), DEVICE, now_us)
+        introduce(robot, person, now_us)
+        assert robot.believes(signed(person, SAID["reset"]), DEVICE, now_us + 1)
+
+
+def test_a_badge_between_a_persons_badge_and_its_proof_spoils_no_proof() -> None:
+    robot, person = authority(), device(Badge(DEVICE, Role.RELEASE, TODAY + 1))
+    (question,) = sent(robot.ask(DEVICE, 0))
+    assert isinstance(question, Challenge)
+    proof = person.answer(question, 0)
+    assert person.badge is not None and proof is not None
+    robot.hear_badge(person.badge.told(), 0)
+    robot.hear_badge(OperatorBadge(DEVICE, int(ALL_ROLES), 1), 1)
+    robot.prove(proof, 2)
+    assert robot.believes(signed(person, SAID["reset"]), DEVICE, 3)
+    assert not robot.believes(signed(person, SAID["GO_HOME"]), DEVICE, 5), "with its own roles"
+
+
+@pytest.mark.parametrize("badge", [None, Badge(DEVICE, Role.STOP | Role.RELEASE, TODAY + 1)])
+def test_bad_tags_in_an_operators_name_hold_back_a_release_and_no_stop(badge: Badge | None) -> None:
+    """Eight bad tags in ten seconds, and a person's stop latched nothing: it braked while it was said."""
+    robot, person = authority(), owner() if badge is None else device(badge)
+    ring = robot.keyring
+    assert ring is not None
+    introduce(robot, person)
+    now_us = S
+    for tag in range(3 * BAD_MAX):
+        now_us += 100 * MS
+        bad = EmergencyReset(1, 1, 1, DEVICE, 1 + tag & 0xFF, tag)
+        robot.believes(bad, DEVICE, now_us)
+    assert ring.ignored
+    assert not robot.believes(signed(person, SAID["stop"]), DEVICE, now_us)
+    introduce(robot, person, now_us + 1)
+    for press in range(2 * WINDOW):
+        stop = signed(person, SAID["stop"])
+        assert robot.believes(stop, DEVICE, now_us + 2 + press)
+        assert not robot.believes(stop, DEVICE, now_us + 2 + press), "once"
+        assert not robot.believes(signed(person, SAID["reset"]), DEVICE, now_us + 2 + press)
+    later_us = now_us + 2 * BAD_WINDOW_US
+    introduce(robot, person, later_us)
+    assert robot.believes(signed(person, SAID["reset"]), DEVICE, later_us)
