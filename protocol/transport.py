@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from enum import Enum, IntEnum
 from typing import NamedTuple
 
-from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.network_frames import TransportData, TransportManagement
 from protocol.state_machine import StateMachine, matrix
 from protocol.units import MS
@@ -231,8 +231,9 @@ class Transport:
         broadcast = destination == GLOBAL_ADDRESS
         if isinstance(m, TransportData):
             return self._data(source, broadcast, m, now_us)
-        # All controls but BAM are between two devices.
-        if broadcast != (m.control == TransportControl.BAM):
+        # All controls but BAM are between two devices, which have addresses. One from 255 would be
+        # taken for an answer to our broadcast.
+        if broadcast != (m.control == TransportControl.BAM) or source >= NULL_ADDRESS:
             self.counts["malformed"] += 1
             return (), None
         match m.control:

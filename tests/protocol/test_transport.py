@@ -194,3 +194,23 @@ def test_every_state_and_event_of_a_session_of_ours() -> None:
         (waits, given_up, closed), (sends, given_up, closed),
         (waits, aborted, closed), (sends, aborted, closed),
     })  # fmt: skip
+
+
+@pytest.mark.parametrize("source", [254, 255])
+@pytest.mark.parametrize(
+    "control", [TransportControl.CTS, TransportControl.END, TransportControl.ABORT]
+)
+def test_a_frame_from_no_address_ends_no_broadcast_of_ours(
+    source: int, control: TransportControl
+) -> None:
+    """Sent from address 255, it was taken for the answer of the receiver of our broadcast."""
+    ours = Transport()
+    assert ours.send(PGN, b"x" * 30, GLOBAL_ADDRESS, 0)
+    for hold in (0, 1):
+        answer = TransportManagement(control, bytes((hold, 1, 255, 255)), PGN)
+        assert ours.on_message(source, 7, answer, 1) == ((), None)
+    sent = [out for now_us in range(0, 2_000_000, 10_000) for out in ours.on_tick(now_us)]
+    assert [o.message for o in sent if isinstance(o.message, TransportData)] == [
+        TransportData(k, (b"x" * 30)[7 * k - 7 : 7 * k].ljust(7, b"\xff")) for k in range(1, 6)
+    ]
+    assert ours.counts["malformed"] == 2 and not ours.sessions

@@ -8,6 +8,7 @@ and nobody else can open that folder. All other people hold no key of that fleet
 import contextlib
 import os
 import stat
+from errno import ELOOP
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,8 @@ def fleet_keys(folder: Path, goes_on: bool, robots: int = 0) -> Path:
     `goes_on`: whether the fleet was launched before and keeps what it has. Raises OSError.
     """
     keys = folder / KEYS
+    if keys.is_symlink():  # what is behind it is not ours to empty
+        raise OSError(ELOOP, f"{keys} is a link", str(keys))
     files = [keys / NAMES[kind] for kind in (FLEET, OPERATOR)]
     keys.mkdir(mode=0o700, exist_ok=True)
     keys.chmod(0o700)

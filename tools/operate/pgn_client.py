@@ -1,6 +1,7 @@
 """A device that asks for texts: the other end of a peer's transport sessions."""
 
 import asyncio
+from collections import deque
 
 from agent.interface.ports import Bus
 from protocol.frames.codec import decode
@@ -11,6 +12,7 @@ from protocol.frames.network_frames import Request, TransportData, TransportMana
 from protocol.transport import ReceivedMessage, Transport
 from tools.operate.tool_address import DeviceAddress
 
+ARRIVED_MAX = 128  # one for each robot; others that nobody asked for are forgotten
 LOOK_S = 0.02  # sessions are looked after this often; their shortest limit is 200 ms
 
 
@@ -23,7 +25,7 @@ class PgnClient:
         self.bus, self.transport = bus, Transport()
         self.device = DeviceAddress(bus) if device is None else device
         self._own_device = device is None
-        self.arrived: list[ReceivedMessage] = []
+        self.arrived: deque[ReceivedMessage] = deque(maxlen=ARRIVED_MAX)
 
     def hear(self, now_s: float, frame: Frame) -> None:
         """Take one frame of the bus; what has arrived whole goes to `arrived`."""
@@ -50,14 +52,15 @@ class PgnClient:
         end_s = loop.time() + seconds
         # Its answer to an earlier question is no answer to this one.
         any_source = address == GLOBAL_ADDRESS
-        self.arrived = [
+        others = [
             a for a in self.arrived if a.pgn != pgn or not (any_source or a.source == address)
         ]
+        self.arrived = deque(others, ARRIVED_MAX)
         self._send(Request(pgn), address)
         while loop.time() < end_s:
             for letter in self.arrived:
                 if letter.pgn == pgn and (any_source or letter.source == address):
-                    return letter.data.decode("latin-1").rstrip()
+                    return _shown(letter.data.decode("latin-1")).rstrip()
             await asyncio.sleep(LOOK_S)
             for o in self.transport.on_tick(round(loop.time() * 1e6)):
                 self._send(o.message, o.destination)
@@ -65,3 +68,8 @@ class PgnClient:
 
     def _send(self, message: Message, destination: int) -> None:
         self.device.send(message, destination)
+
+
+def _shown(text: str) -> str:
+    """The text without what a terminal would obey, because any device can send it in a robot's name."""
+    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)

@@ -137,6 +137,7 @@ def test_t6_imitated_beats_hide_a_dead_robot_for_less_than_its_life(rig: KeyedRi
     address = rig.address_of(1)
     rig.cut.add(1)
     beats = [frame for frame in rig.recorded if frame.identifier & 0xFF == address]
+    beats.reverse()  # the newest first: proofs of the last second are not too old
     for step in range((LIMIT_US + 100 * MS) // (20 * MS)):
         rig.forge(Pose(0.1 * step, 30.0, 0.0, 2.0, State.IDLE, False, 0), address)
         rig.inject(beats[step % len(beats)])  # also its heartbeats, MEMBER frames and proofs
@@ -161,9 +162,13 @@ def test_t6_a_robot_whose_name_is_used_is_heard_all_the_same(rig: KeyedRig) -> N
 def test_a_digest_a_vote_and_a_clock_in_a_robots_name(rig: KeyedRig) -> None:
     address, peer = rig.address_of(1), rig.peers[0]
     before, led, clock = rig.witness_all(), peer.leader, list(peer.clock)
+    votes = [m for _, m in map(decode, rig.recorded) if isinstance(m, LeaderElectionVote)]
+    vote = votes[-1]
     for term in range(60):
         rig.forge(Heartbeat(9, State.IDLE, False, False, True, False, 1.0, 999, 0xABCDEF), address)
-        rig.forge(LeaderElectionVote(0, 40_000 + term, 2), address)
+        for voter in rig.peers:  # all of them, for another leader in a later term
+            later = vote._replace(term=(vote.term + 1 + term) & 0xFFFF, candidate=2)
+            rig.forge(later, rig.address_of(voter))
         rig.forge(VectorSlice(0, (200,) * 7), address)
         rig.run_for(50 * MS)
     assert rig.witness_all() == before and peer.leader == led

@@ -34,6 +34,7 @@ from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
 from tools.cli.keys import operator as make_operator
 from tools.cli.keys import rotate, show
+from tools.common.launch_keys import fleet_keys
 from tools.operate.estop import NOT_ALL
 from tools.operate.operator_device import Operator
 from tools.operate.rekey import Rekeyer, _tell
@@ -442,6 +443,20 @@ def test_a_robot_that_was_there_and_is_not_heard_is_said(
     assert _tell(begun, {0}, set(), {1}, False) == NOT_ALL
     assert "robot 1: NOT HEARD" in capsys.readouterr().out
     assert _tell(begun, {0, 1}, set(), set(), True) == 0
+
+
+def test_a_launch_empties_no_folder_that_its_keys_are_linked_to(tmp_path: Path) -> None:
+    """In a folder that others can write, somebody put a link at the place of `keys`: all files behind it
+    were deleted."""
+    home, run = tmp_path / "home", tmp_path / "run"
+    for folder in (home, run):
+        folder.mkdir()
+    (home / "letter").write_text("dear")
+    (run / "keys").symlink_to(home)
+    for goes_on in (False, True):
+        with pytest.raises(OSError, match="is a link"):
+            fleet_keys(run, goes_on, 3)
+    assert [path.name for path in home.iterdir()] == ["letter"]
 
 
 class Nobody:
