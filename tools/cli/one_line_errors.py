@@ -3,6 +3,7 @@
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
+from io import TextIOWrapper
 from typing import Final
 
 from tools.common import extras
@@ -14,7 +15,10 @@ INTERRUPTED: Final = 130
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
-    """A missing package of an extra, a full disk, a folder that is none, Ctrl-C."""
+    """A missing package of an extra, a full disk, a folder that is none, Ctrl-C, a name that is no
+    text."""
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+        sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
     try:
         yield
     except KeyboardInterrupt:

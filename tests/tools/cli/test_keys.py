@@ -445,6 +445,16 @@ def test_a_robot_that_was_there_and_is_not_heard_is_said(
     assert _tell(begun, {0, 1}, set(), set(), True) == 0
 
 
+def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
+    """It ended in a traceback after the keys were made, where a terminal wants UTF-8."""
+    words = [sys.executable, "-m", "tools.cli.headland", "keys", "new", b"k\xff"]
+    done = subprocess.run(
+        words, cwd=tmp_path, capture_output=True, check=False, timeout=WAIT_S,
+        env={**ENVIRONMENT, "PYTHONIOENCODING": "utf-8"},
+    )  # fmt: skip
+    assert done.returncode == 0 and b"k\\udcff/operator.json: " in done.stdout, done
+
+
 def test_a_launch_empties_no_folder_that_its_keys_are_linked_to(tmp_path: Path) -> None:
     """In a folder that others can write, somebody put a link at the place of `keys`: all files behind it
     were deleted."""
