@@ -19,6 +19,7 @@ none.
 """
 
 from collections import deque
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 from protocol.ciphers import derived_key, load, mac_of
@@ -220,7 +221,7 @@ class Keyring:
             return False
         operator = sender >= OPERATOR_FIRST
         locked = operator and self._locked_out(sender, now_us)
-        badges = self.badges.candidates(sender) if operator else (None,)
+        badges: Sequence[Badge | None] = self.badges.candidates(sender) if operator else (None,)
         for badge in badges:
             if self._proof(sender, self.sender, number, answer.counter, badge) == answer.tag:
                 break
@@ -235,7 +236,7 @@ class Keyring:
             del self._asked[sender]
             self._stops_heard[sender] = answer.counter
             self.badges.prove(sender, now_us, badge)
-            return True
+            return False  # its orders are not believed yet
         if operator and answer.counter < self.heard.get(sender, 0):
             self.stale += 1
             return False

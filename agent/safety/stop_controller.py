@@ -248,8 +248,8 @@ class StopController:
         if m.spent:
             return self._hear_spent(dot, now_us)
         signer = source_slot if m.echo else m.slot
-        says_it = source_slot is not None and (m.echo or m.slot == source_slot)
-        said: set[int] = {source_slot} if says_it else set()  # type: ignore[arg-type]
+        silent = source_slot is None or not (m.echo or m.slot == source_slot)
+        said = () if silent or source_slot is None else (source_slot,)
         if dot in self.stops.active:
             self._echoes.setdefault(dot, set()).update(said)
             return ()

@@ -50,6 +50,7 @@ class KeyFolder(NamedTuple):
         path = self.folder / NEXT
         if not path.exists():
             return None
+        found: Rekeying | None = None
         try:
             said = read_json(path, KEY_BYTES_MAX)
             found = Rekeying(
@@ -57,7 +58,7 @@ class KeyFolder(NamedTuple):
                 int(said["void_for_s"]),
             )  # fmt: skip
         except (GivenFileError, OSError, KeyError, TypeError, ValueError, OverflowError):
-            found = None
+            pass
         if found is None or not found.is_sayable:
             raise KeyFileError(f"{path}: damaged: delete it and begin again")
         return None if found.generation < self.generation else found
