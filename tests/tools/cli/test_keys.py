@@ -447,7 +447,9 @@ def test_a_robot_that_was_there_and_is_not_heard_is_said(
 
 def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
     """It ended in a traceback after the keys were made, where a terminal wants UTF-8."""
-    words = [sys.executable, "-m", "tools.cli.headland", "keys", "new", b"k\xff"]
+    words: list[str | bytes] = [
+        sys.executable, "-m", "tools.cli.headland", "keys", "new", b"k\xff",
+    ]  # fmt: skip
     done = subprocess.run(
         words, cwd=tmp_path, capture_output=True, check=False, timeout=WAIT_S,
         env={**ENVIRONMENT, "PYTHONIOENCODING": "utf-8"},
