@@ -182,9 +182,13 @@ class PlaceJumps:
             reach = _reach_unseen(before, limits, unseen, passed_for_s)
         else:
             reach = self._reach_from(before, limits, unseen, told)
-        if self._lost and reach.holds(Offset(dx_m, dy_m, turned_rad)):
-            return self._lost  # it drove on: this is no return
-        self._offset = self._offset.moved(dx_m, dy_m, turned_rad)
+        back = self._offset.moved(dx_m, dy_m, turned_rad)
+        # It may have returned or driven on. One that drove on is not where it was before the jump.
+        slow = unseen is not NOTHING_UNSEEN or hypot(before.vx_m_s, before.vy_m_s) <= STARTS_M_S
+        returned = slow and self._reach.holds(back)
+        if self._lost and reach.holds(Offset(dx_m, dy_m, turned_rad)) and not returned:
+            return self._lost
+        self._offset = back
         self._reach = self._reach.wider(reach)
         return self._lost
 

@@ -28,6 +28,7 @@ from agent.peer.place_jumps import (
     NOTHING_UNSEEN,
     TRUSTED_US,
     PlaceJumps,
+    Unseen,
 )
 from agent.peer.sense_freshness import Senses
 from agent.runtime.bodies.nmea_body import in_field
@@ -229,6 +230,16 @@ def test_a_return_in_a_gap_is_a_return() -> None:
     assert robot.later().see(0.075, 3.0, 1.5)
     assert robot.later(2 * S).see(1.2, 3.0)
     assert not robot.later(400 * MS).see(1.2, 0.0)
+
+
+def test_a_place_that_jumped_and_froze_is_back_when_it_thaws() -> None:
+    """Found by `headland chaos`, profile stalls, seed 103: how far a body may have come while its place
+    stood still was further than the jump, so the return passed for driving, and the robot stood for ever."""
+    robot = Places(1.5)
+    assert robot.later().see(0.075, 1.0, 1.5)
+    unseen = Unseen(1.5, 0.0, 0.0)
+    here = place(0.075, 0.0, robot.later().now_us)
+    assert not robot.jumps.look(here, LIMITS, unseen, robot.now_us)
 
 
 def test_a_robot_that_stands_through_many_gaps_has_no_reach() -> None:
