@@ -233,8 +233,8 @@ def test_a_return_in_a_gap_is_a_return() -> None:
 
 
 def test_a_place_that_jumped_and_froze_is_back_when_it_thaws() -> None:
-    """Found by `headland chaos`, profile stalls, seed 103: how far a body may have come while its place
-    stood still was further than the jump, so the return passed for driving, and the robot stood for ever."""
+    """Found by `headland chaos`, profile stalls, seed 103: what the body might have driven while its
+    place stood still was further than the jump. The return passed for driving: it stood for ever."""
     robot = Places(1.5)
     assert robot.later().see(0.075, 1.0, 1.5)
     unseen = Unseen(1.5, 0.0, 0.0)
