@@ -182,6 +182,8 @@ async def _serve(
         carriers = TransportDesk(bus, device, house, feed, graph)
 
     def heard(frame: Frame) -> None:
+        if end.is_set():
+            return  # it was under way when the node went
         now_s = loop.time()
         feed.hear(now_s, frame)
         panel.hear(now_s, frame)
@@ -201,7 +203,7 @@ async def _serve(
     finally:
         for task in beside:
             task.cancel()
-        bus.close()  # first: a frame that comes now would be published by a node that is gone
+        bus.close()
         feed.close()
 
 

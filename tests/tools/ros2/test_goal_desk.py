@@ -149,13 +149,32 @@ async def test_a_goal_of_ros_is_an_order_that_a_robot_reaches_and_gives_up(
         assert told.status == GoalStatus.STATUS_CANCELED
 
 
+# The warehouse that ships without its 30 tasks: they would come first, and take two robots ten minutes.
+TWO_TASKS = """
+name = "hall"
+mission = "delivery"
+[warehouse]
+map = "{hall}"
+tasks = "tasks.csv"
+[fleet]
+robots = 2
+[run]
+time_limit_s = 1800.0
+"""
+
+
+@pytest.mark.slow
 @pytest.mark.asyncio
 async def test_two_poses_of_ros_are_a_transport_that_is_delivered(
     tmp_path: Path, types: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from nav2_msgs.action import NavigateThroughPoses
 
-    async with fleet(tmp_path, types, monkeypatch, "warehouse", "--robots", "2") as client:
+    hall = ROOT / "sim" / "warehouses" / "warehouse.map"
+    (tmp_path / "hall.toml").write_text(TWO_TASKS.format(hall=hall))
+    columns = "pickup_x_m,pickup_y_m,dropoff_x_m,dropoff_y_m,at_s\n"
+    (tmp_path / "tasks.csv").write_text(columns + "20.5,8.5,32.5,8.5,0\n14.5,14.5,1.5,6.5,0\n")
+    async with fleet(tmp_path, types, monkeypatch, "hall.toml") as client:
         actions = ActionClient(client.node, NavigateThroughPoses, "/headland/transport")
         goal = NavigateThroughPoses.Goal(poses=[_pose(9.5, 2.5)])
         assert not (await client.sent(actions, goal)).accepted, "one place is no transport"
