@@ -171,6 +171,7 @@ def test_a_dot_that_was_used_before_stops_everybody_all_the_same() -> None:
     play(story)
 
 
+@pytest.mark.sampled(6)
 @pytest.mark.parametrize("step", range(1, 9))
 def test_nothing_is_said_that_a_failing_disk_did_not_take(step: int) -> None:
     async def story(cluster: Cluster, seen: list[Done]) -> None:

@@ -9,6 +9,7 @@ from sim.scenarios.protocol_setup import drill
 from sim.scenarios.scenario import Forger
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("position", ["outside", "replaying"])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_an_attacker_without_a_key_breaks_no_rule(position: str, seed: int) -> None:
@@ -18,6 +19,7 @@ def test_an_attacker_without_a_key_breaks_no_rule(position: str, seed: int) -> N
     assert verdict.ok and verdict.faults["forger"] == 1, f"seed {seed}: {verdict.broken}"
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("seed", [1, 2, 3])
 def test_what_a_thief_said_is_void_after_its_revocation(seed: int) -> None:
     """It ends all sections with a stolen key; the others work them again, all of them, in truth."""

@@ -172,6 +172,7 @@ def panel_without_a_key(seed: int, every_s: float) -> Verdict:
     return judge(with_faults(drill(4, seed, "sprint", keys=DRAWN), [fault]))
 
 
+@pytest.mark.sampled(3)
 @pytest.mark.parametrize("every_s", [0.005, 1.0])
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_panel_without_a_key_holds_a_fleet_with_keys_while_it_sends(

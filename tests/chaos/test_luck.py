@@ -62,6 +62,7 @@ def test_golden_texts_are_small_enough_to_read() -> None:
     assert sum(map(len, texts.values())) <= 500_000
 
 
+@pytest.mark.slow
 def test_a_golden_text_shows_what_changed() -> None:
     """A fault that comes 100 ms later: the diff has its line, and what robots did about it."""
     scenario = load(str(STORIES[0]))

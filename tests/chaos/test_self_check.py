@@ -187,6 +187,7 @@ def test_error_frames_of_a_driver_are_read() -> None:
     asyncio.run(main())
 
 
+@pytest.mark.slow
 def test_item_2_an_interface_that_confirms_tells_what_has_left() -> None:
     """SocketCAN hands own frames back as python-can's virtual bus does: marked, and not heard."""
 

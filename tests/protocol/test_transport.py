@@ -121,6 +121,7 @@ def test_any_one_frame_between_two_may_be_lost(lost: int) -> None:
     assert not any(end.sessions for end in channel.ends)
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(100), deadline=None)
 @given(st.integers(0, 2**32), st.floats(0, 0.6))
 def test_loss_ends_in_the_whole_message_or_in_none(seed: int, loss: float) -> None:
@@ -135,6 +136,7 @@ def test_loss_ends_in_the_whole_message_or_in_none(seed: int, loss: float) -> No
     assert not any(end.sessions for end in channel.ends), "every session ends by itself"
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(200), deadline=None)
 @given(st.lists(st.tuples(
     st.integers(0, 253), st.booleans(), st.booleans(), st.binary(min_size=8, max_size=8),

@@ -55,6 +55,7 @@ def movers(plan: JointCourse, at: list[int], willing: set[int]) -> set[int]:
         moving -= held
 
 
+@pytest.mark.slow
 @settings(max_examples=examples(60), deadline=None)
 @given(st.integers(0, 10**6), st.integers(2, 12))
 def test_driven_at_any_pace_nobody_meets_and_all_arrive(seed: int, robots: int) -> None:

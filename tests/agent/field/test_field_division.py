@@ -317,6 +317,7 @@ def test_the_angle_is_that_of_all_angles_cut(
     check_angle(drawn_star(radii_m, hole), strip_m)
 
 
+@pytest.mark.sampled(10)
 @pytest.mark.parametrize("name", sorted(outlines()))
 def test_the_angle_of_a_real_field_is_that_of_all_angles_cut(name: str) -> None:
     check_angle(outlines()[name], 6.8)

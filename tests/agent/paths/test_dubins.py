@@ -34,6 +34,7 @@ def test_every_word_ends_at_the_goal(
     assert shortest_m(start, goal, radius_m) >= hypot(goal[0] - start[0], goal[1] - start[1]) - 1e-6
 
 
+@pytest.mark.slow
 def test_known_ways() -> None:
     assert shortest_m((0, 0, 0), (10, 0, 0), 2.0) == pytest.approx(10.0)
     u_turn = shortest_m((0, 0, 0), (0, 4, pi), 2.0)

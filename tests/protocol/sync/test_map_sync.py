@@ -50,6 +50,7 @@ def test_news_reach_everybody_without_repair() -> None:
     assert patches < 1.1 * news, "nothing was lost"
 
 
+@pytest.mark.sampled(7)
 @pytest.mark.parametrize("seed", range(12))
 def test_loss_splits_and_joins_end_equal_after_two_seconds_of_quiet(seed: int) -> None:
     rng = Random(f"{seed}/maps")
@@ -72,6 +73,7 @@ def test_loss_splits_and_joins_end_equal_after_two_seconds_of_quiet(seed: int) -
     assert fleet.equal, f"seed {seed}"
 
 
+@pytest.mark.slow
 def test_the_share_of_the_bus_is_kept_and_shared_out() -> None:
     fleet = MapFleet(8, Geometry(200, 200, (0.0, 0.0), 0.1), MergeOrder.DECAYED, 3)
     for _ in range(300):

@@ -39,6 +39,7 @@ def kept(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str, str]:
     return out, outcome.trace_hash, keeping.log_hash
 
 
+@pytest.mark.slow
 def test_a_watched_run_is_the_same_run(kept: tuple[Path, str, str]) -> None:
     assert FieldRun(setting()).run().trace_hash == kept[1]
 

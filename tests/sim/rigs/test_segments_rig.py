@@ -205,6 +205,7 @@ def test_duplicates_and_loss_on_the_backbone_change_nothing(fleet: SegmentFleet)
     assert fleet.run(5 * S, lambda: all_latched(fleet))
 
 
+@pytest.mark.slow
 def test_a_flood_from_the_backbone_does_not_fill_the_bus(fleet: SegmentFleet) -> None:
     """Invented stops and invented work of a segment that does not exist."""
     node = fleet.backbone.attach(9)

@@ -12,6 +12,7 @@ def _right(found: SessionRecord) -> None:
     assert found.time_error_for_s <= 1.0 and found.states_missed == 0, found
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("version", [3, 4])
 def test_a_quarter_of_an_hour(version: int) -> None:
     _right(task_session(version, 0.25))

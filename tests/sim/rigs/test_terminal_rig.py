@@ -307,6 +307,7 @@ def test_a_terminal_that_takes_no_picture_alone_has_its_screen_back_once(
     assert active is not None and fleet.terminal.shown_at_us[active] <= back_at_us
 
 
+@pytest.mark.slow
 def test_a_terminal_that_loses_its_memory_gets_the_screen_again() -> None:
     fleet = ScreenFleet(3, 7)
     fleet.run(6 * S)

@@ -41,6 +41,7 @@ def play(instance: Instance, *faults: Fault, seed: int = 1, loss: float = 0.0) -
     return CoverageRun(setting).run()
 
 
+@pytest.mark.slow
 def test_the_wire_costs_a_few_steps() -> None:
     """As fast as with instant sharing but for the boot, which is over within two seconds."""
     instance = scene(14, 5, 2)
@@ -90,6 +91,7 @@ def test_a_fifth_of_all_frames_lost() -> None:
     assert outcome.success, outcome
 
 
+@pytest.mark.slow
 def test_a_stopped_robot_is_gone_round_and_one_that_comes_back_works() -> None:
     faults = (
         Crash(at_s=12.0, kind="crash", robot=0),

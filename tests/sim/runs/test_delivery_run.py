@@ -103,6 +103,7 @@ def test_a_listener_on_the_bus_reads_every_itinerary_and_battery() -> None:
     assert checked[0] > 40
 
 
+@pytest.mark.slow
 def test_the_same_seed_gives_the_same_run() -> None:
     given = scenario(robots=2, random_tasks=3)
     assert play(given)[0].trace_hash == play(given)[0].trace_hash
@@ -312,6 +313,7 @@ def test_a_robot_dies_and_comes_back_while_frames_are_lost() -> None:
     assert outcome.finished
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [2, 3])
 def test_one_wide_halls_do_not_lock(seed: int) -> None:
     hall = "......\n.####.\n......\n.####.\n......"
@@ -353,6 +355,7 @@ def test_a_parcel_behind_a_dead_body_is_reported_and_the_rest_is_delivered() -> 
     assert exit_code(outcome) == UNREACHABLE
 
 
+@pytest.mark.slow
 def test_tasks_that_were_added_while_running_survive_the_restart_of_everybody() -> None:
     class Restarts:
         done = False
@@ -522,6 +525,7 @@ def test_a_device_without_keys_may_ask_which_tasks_there_are() -> None:
     assert told == {0, 1} and outcome.finished and outcome.replicas_equal
 
 
+@pytest.mark.slow
 def test_t13_in_a_fleet_with_keys_only_proven_orders_are_believed() -> None:
     """The operator's device proves its orders; those of a stranger are held and dropped."""
     given = scenario(2, random_tasks=2, random_over_s=4.0)

@@ -51,6 +51,7 @@ def test_the_same_seed_is_the_same_run() -> None:
     assert one.trace_hash == again.trace_hash != other.trace_hash
 
 
+@pytest.mark.slow
 def test_a_robot_that_dies_is_not_missed_for_long() -> None:
     outcome = play(3, 2, Crash(at_s=5.0, kind="crash", robot=1))
     assert outcome.finished and outcome.contacts == 0 and outcome.maps_equal, outcome
@@ -77,6 +78,7 @@ def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
     assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
 
 
+@pytest.mark.slow
 def test_both_sides_of_a_split_explore_and_their_maps_merge() -> None:
     faults = (
         Partition(at_s=3.0, kind="partition", islands=[[0], [1, 2]]),
@@ -86,6 +88,7 @@ def test_both_sides_of_a_split_explore_and_their_maps_merge() -> None:
     assert outcome.success and outcome.explored >= 0.99, outcome
 
 
+@pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fifth_of_all_frames_lost_and_one_robot_killed(seed: int) -> None:
     faults = (Loss(at_s=0.5, kind="loss", rate=0.2), Crash(at_s=6.0, kind="crash", robot=0))

@@ -22,6 +22,7 @@ from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from tools.bench.corridor import trial
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize("layout", ["swap 3:3", "T-junction", "dead end"])
 def test_everybody_gets_through_whatever_is_lost(layout: str) -> None:
     seed = 11
@@ -51,6 +52,7 @@ def hall(seed: int, robots: int) -> NavigationSetup:
     return NavigationSetup.made("hall", floor, starts, [[goal] for goal in goals], seed=seed)
 
 
+@pytest.mark.slow
 def test_a_hall_of_rooms_and_the_same_again() -> None:
     outcomes = [NavigationRun(hall(2, 6)).run() for _ in range(2)]
     assert outcomes[0].trace_hash == outcomes[1].trace_hash
@@ -106,6 +108,7 @@ def test_distance_to_a_polyline() -> None:
     assert to_polyline_m((-3.0, 4.0), path) == 5.0
 
 
+@pytest.mark.slow
 def test_m19_robots_stand_before_a_person_indoors_and_ask() -> None:
     """One goes on when the way is free, the other by an operator's word; none drives round by itself."""
     run = NavigationRun(setting_of(cast(NavigationScenario, load_mission("visitor"))))

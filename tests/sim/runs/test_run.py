@@ -28,6 +28,7 @@ def test_a_fleet_finishes_a_field(seed: int) -> None:
     assert outcome.units_twice == 0 and outcome.malformed == 0
 
 
+@pytest.mark.slow
 def test_one_robot_is_a_fleet() -> None:
     assert play(broad().changed(1, 1)).success
 

@@ -57,6 +57,7 @@ def test_one_robot_that_takes_the_sections_in_their_order_is_no_faster_than_the_
     assert work_s < central_plan_s(problem, 0.5) <= snake_s(problem)
 
 
+@pytest.mark.slow
 def test_the_truth_of_a_moment_is_what_is_left_then() -> None:
     setup = FieldSetup(load("small").changed(3, 1, time_limit_s=45.0))
     run = WatchedRun(setup, 40.0)
@@ -72,6 +73,7 @@ def test_the_truth_of_a_moment_is_what_is_left_then() -> None:
     assert left_m / 2.0 / 3 < rest_s < central_plan_s(problem_of(setup), 0.5)
 
 
+@pytest.mark.slow
 def test_drawn_fields_are_valid_and_the_same_for_a_seed(tmp_path: Path) -> None:
     for seed in range(50):
         setup = drawn_setup(seed, tmp_path)

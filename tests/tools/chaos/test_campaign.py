@@ -29,6 +29,7 @@ def trace(seed: int) -> tuple[int, int, int]:
     return found
 
 
+@pytest.mark.slow
 def test_results_do_not_depend_on_where_they_ran(scheduler: str) -> None:
     seeds = range(3)
     with workers(cluster=scheduler) as far:

@@ -81,6 +81,7 @@ def test_a_hunt_goes_on_where_it_stopped(tmp_path: Path) -> None:
     assert (tmp_path / RESULTS).read_text() == written, "what was found is not looked for again"
 
 
+@pytest.mark.slow
 def test_what_was_shown_so_far_is_kept_in_a_row(tmp_path: Path, monkeypatch: Any) -> None:
     """A campaign whose process dies loses what was not yet written, and seeds behind a gap are not
     counted: the row says which were played."""

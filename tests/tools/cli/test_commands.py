@@ -78,6 +78,7 @@ def wrong(monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]) ->
     return Complaints(monkeypatch, capfd)
 
 
+@pytest.mark.slow
 def test_what_is_wrong_is_one_line_of_a_process_too(tmp_path: Path) -> None:
     (tmp_path / "bad.toml").write_text("name = ")
     done = headland("run", "bad.toml", folder=tmp_path)

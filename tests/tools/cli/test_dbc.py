@@ -101,6 +101,7 @@ def test_random_frames_of_every_kind_read_alike(by_group: dict[int, Any]) -> Non
     assert read.keys() == {group.name for group in GROUPS}
 
 
+@pytest.mark.slow
 def test_a_recorded_run_reads_alike(by_group: dict[int, Any], short_run: Path) -> None:
     read = Counter(
         compare(frame.identifier, frame.data, by_group)
@@ -191,6 +192,7 @@ def test_a17_cantools_reads_a_log_as_the_documents_say(short_run: Path, tmp_path
     assert any("POSE(" in line for line in lines)
 
 
+@pytest.mark.slow
 def test_cantools_decodes_a_run_without_flags_as_we_do(short_run: Path, tmp_path: Path) -> None:
     dbc = tmp_path / "headland.dbc"
     dbc.write_text(to_dbc(range(128, 131)), encoding="utf-8")
@@ -199,6 +201,7 @@ def test_cantools_decodes_a_run_without_flags_as_we_do(short_run: Path, tmp_path
     assert judgement.equal == judgement.frames, judgement.first_difference
 
 
+@pytest.mark.slow
 def test_cantools_decodes_every_kind_of_frame_without_flags(tmp_path: Path) -> None:
     """Random frames of every group, between every two addresses that may send and receive it."""
     rng, log = Random(6), tmp_path / "all.log"

@@ -375,6 +375,7 @@ def test_a9_the_published_sets_have_their_good_fields() -> None:
         read_boundary(shared)
 
 
+@pytest.mark.slow
 def test_a10_a_field_of_three_kilometres_is_judged(tmp_path: Path) -> None:
     from sim.world.coverage_truth import coverage, sample_points
 

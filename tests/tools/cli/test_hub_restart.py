@@ -94,6 +94,7 @@ def test_a_hub_that_is_killed_hangs_and_comes_back(tmp_path: Path) -> None:
     asyncio.run(story())
 
 
+@pytest.mark.slow
 def test_a_launch_without_its_hub_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:

@@ -251,6 +251,7 @@ def test_a_key_for_one_person_has_roles_and_an_end(tmp_path: Path) -> None:
     assert new.badge == file.badge and new.person == "Anna" and new.keys != file.keys
 
 
+@pytest.mark.slow
 def test_a_key_of_another_role_is_refused_by_the_tools_in_one_line(tmp_path: Path) -> None:
     headland("keys", "new", "k", folder=tmp_path)
     headland("keys", "operator", "WMS", "--roles", "task", "--folder", "k", folder=tmp_path)

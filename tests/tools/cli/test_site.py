@@ -26,6 +26,7 @@ ROOT = Path(__file__).parents[3]
 DOCS = ROOT / "docs"
 
 
+@pytest.mark.sampled(15)
 @pytest.mark.parametrize("name", handbook.pages())
 def test_what_is_printed_is_current(name: str) -> None:
     assert (DOCS / name).read_text() == handbook.pages()[name], (

@@ -49,6 +49,7 @@ def test_what_is_wrong_with_a_file_is_said_by_line(
         read_tasks(tmp_path / name)
 
 
+@pytest.mark.slow
 def test_a_place_without_floor_is_refused_in_one_line(tmp_path: Path) -> None:
     code, text = asyncio.run(call(tmp_path, "task", "add", "99,1", "1,1"))
     assert (code, text.count("\n")) == (2, 1) and "no floor" in text

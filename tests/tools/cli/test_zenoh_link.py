@@ -143,6 +143,7 @@ class RefusingRelay:
             writer.close()
 
 
+@pytest.mark.slow
 def test_a_session_that_is_refused_for_good_is_replaced() -> None:
     """Seen after a link that carried one way: the router knew the old session and took no other."""
 

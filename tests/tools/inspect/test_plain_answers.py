@@ -41,6 +41,7 @@ def run() -> Run:
     )
 
 
+@pytest.mark.slow
 def test_b9_a_table_has_numbers_where_its_columns_are_numbers(run: Run) -> None:
     found: set[str] = set()
     for name in run.chapters:

@@ -61,6 +61,7 @@ def at_m(cluster: Cluster, slot: int, place: tuple[float, float]) -> float:
     return hypot(x_m - place[0], y_m - place[1])
 
 
+@pytest.mark.slow
 def test_a_named_robot_goes_and_the_others_work_on(tmp_path: Path) -> None:
     async def story(cluster: Cluster, speaker: CommandSession) -> None:
         told = await speaker.say("send robot 1 to the shelf")

@@ -343,6 +343,7 @@ def test_transforms_come_twenty_times_a_second_where_poses_are_rarer() -> None:
     asyncio.run(story())
 
 
+@pytest.mark.slow
 def test_a_fix_whose_subscription_is_lost_is_offered_again() -> None:
     async def story() -> None:
         feed = FoxgloveFeed({"earth": [48.0, 9.0]}, 0, 0.0)
@@ -383,6 +384,7 @@ def test_a_stop_that_is_cleared_at_once_is_in_the_log() -> None:
     asyncio.run(story())
 
 
+@pytest.mark.slow
 def test_a_viewer_that_stalls_misses_nothing() -> None:
     """A full bus while the viewer's own work keeps it from reading."""
 

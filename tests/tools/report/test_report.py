@@ -263,6 +263,7 @@ def test_a_log_in_which_nobody_is_a_robot(
     assert json.loads(capsys.readouterr().out)["chapters"] == ["load"]
 
 
+@pytest.mark.sampled(2)
 @pytest.mark.parametrize(
     "text", ["[1, 2]", "{", '{"rings": 3, "grid": {"rows": "x"}}', '{"rings": [[]]}']
 )

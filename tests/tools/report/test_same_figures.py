@@ -104,6 +104,7 @@ def use_two_processes(monkeypatch: pytest.MonkeyPatch, two: bool) -> None:
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="a report forks on Linux alone")
 
 
+@pytest.mark.slow
 @LINUX
 def test_a_report_by_two_processes_is_the_same(
     run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

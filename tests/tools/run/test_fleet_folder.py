@@ -189,6 +189,7 @@ def test_e2_the_world_goes_on_where_it_was_killed(folder: Path) -> None:
     assert len(third.robots[0].track) == len(again.robots[0].track)
 
 
+@pytest.mark.slow
 def test_f_the_truth_of_a_launch_grows_by_megabytes_a_day(folder: Path) -> None:
     """Two looks a second of ten robots, each of which stayed, were 100 MB a day."""
     path, seconds, seed = folder / "truth.jsonl", 300, 24

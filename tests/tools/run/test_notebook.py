@@ -85,6 +85,7 @@ def test_it_is_the_run_of_the_command(tmp_path: Path, capsys: pytest.CaptureFixt
         run.picture("tracks").save(tmp_path / "tracks.txt")
 
 
+@pytest.mark.slow
 def test_errands_in_a_building() -> None:
     run = play("corridor", robots=4, seed=2, time_limit_s=200.0)
     assert run.finished and max(run.rmse_m.values()) < 0.5
@@ -109,6 +110,7 @@ def test_what_cannot_be_is_one_line(words: dict[str, object], why: str) -> None:
     assert "\n" not in str(found.value)
 
 
+@pytest.mark.slow
 def test_the_face_has_what_it_says_and_imports_it_when_asked() -> None:
     asked = (
         "import sys, headland as hl; "
