@@ -15,9 +15,8 @@ def main() -> None:
     except KeyboardInterrupt:
         raise SystemExit(INTERRUPTED) from None
     finally:
-        signal.signal(
-            signal.SIGINT, signal.SIG_DFL
-        )  # from now on Ctrl-C is the end, as for any tool
+        # From now on Ctrl-C is the end, as for any tool.
+        signal.signal(signal.SIGINT, signal.SIG_DFL)
 
 
 if __name__ == "__main__":

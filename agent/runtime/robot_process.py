@@ -77,12 +77,9 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
     except Exception as problem:  # python-can interfaces raise what they like
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         where = f"{table.interface} {table.channel}"
-        absent = isinstance(
-            problem, OSError
-        )  # an adapter that is not plugged in, a link that is down
-        raise (AbsentError if absent else RobotError)(
-            f"robot {slot}: bus: cannot open {where}: {reason}"
-        ) from None
+        # OSError: an adapter that is not plugged in, a link that is down.
+        kind = AbsentError if isinstance(problem, OSError) else RobotError
+        raise kind(f"robot {slot}: bus: cannot open {where}: {reason}") from None
     unanswered = f"no socketcand server answers at {host}:{port}"
     try:
         try:

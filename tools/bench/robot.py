@@ -63,9 +63,7 @@ UP_S: Final = 60.0
 # Turns and waits for others included; a robot that does not go on for this long did not come back.
 BACK_S: Final = 30.0
 START_TARGET_S, MEMORY_TARGET_MB = 1.5, 120.0
-NO_FAULT: Final = (
-    "no fault"  # the order of a machine that did not drive, so that there was no trial
-)
+NO_FAULT: Final = "no fault"  # of a machine that did not drive, so that there was no trial
 # 41 m by 33 m, as that of the tutorial.
 MEADOW: Final = ((5.0, 52.0), (5.0006, 52.0), (5.0006, 52.0003), (5.0, 52.0003), (5.0, 52.0))
 STARTS: Final = 5

@@ -200,6 +200,27 @@ def test_a_badge_between_a_persons_badge_and_its_proof_spoils_no_proof() -> None
     assert not robot.believes(signed(person, SAID["GO_HOME"]), DEVICE, 5), "with its own roles"
 
 
+def test_two_badges_in_the_owners_name_do_not_lock_the_owner_out() -> None:
+    """The badge before the last one is then a forged one, too."""
+    robot, person = authority(), owner()
+    for expires_day in (1, 2):
+        robot.hear_badge(OperatorBadge(DEVICE, int(ALL_ROLES), expires_day), 0)
+    introduce(robot, person)
+    assert robot.believes(signed(person, SAID["reset"]), DEVICE, 1)
+
+
+def test_a_stop_with_a_bad_tag_is_not_believed_while_bad_tags_hold_back_a_release() -> None:
+    robot, person = authority(), owner()
+    introduce(robot, person)
+    for tag in range(3 * BAD_MAX):
+        bad = EmergencyReset(1, 1, 1, DEVICE, 1 + tag & 0xFF, tag)
+        robot.believes(bad, DEVICE, S + tag)
+    introduce(robot, person, 2 * S)
+    stop = person.sign(EmergencyStop(DEVICE, 1, 1, 0))
+    assert not robot.believes(stop._replace(tag=stop.tag ^ 1), DEVICE, 2 * S + 1)
+    assert robot.believes(stop, DEVICE, 2 * S + 2)
+
+
 @pytest.mark.parametrize("badge", [None, Badge(DEVICE, Role.STOP | Role.RELEASE, TODAY + 1)])
 def test_bad_tags_in_an_operators_name_hold_back_a_release_and_no_stop(badge: Badge | None) -> None:
     """Eight bad tags in ten seconds, and a person's stop latched nothing: it braked while it was said."""

@@ -350,6 +350,14 @@ def test_a_rotation_that_is_killed_between_two_files_is_repeated(
     assert {keys.generation for keys in numbers} == {read(tmp_path, FLEET).keys.generation}
 
 
+def test_a_change_that_is_finished_lets_the_operators_counter_begin_anew(tmp_path: Path) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
+    read(tmp_path, OPERATOR).keyring(10)
+    assert counter(tmp_path / "operator.json") == 10
+    owned(tmp_path).finish(owned(tmp_path).begin())
+    assert counter(tmp_path / "operator.json") == 0, "a new key has signed nothing"
+
+
 def test_finishing_a_change_twice_does_not_set_the_operators_counter_back(tmp_path: Path) -> None:
     """A tool that was killed after the files were replaced: the next call took the counter away that the
     new key had used by then, and robots refused the owner's orders as old."""

@@ -165,7 +165,7 @@ time_limit_s = 1800.0
 
 @pytest.mark.slow
 @pytest.mark.asyncio
-async def test_two_poses_of_ros_are_a_transport_that_is_delivered(
+async def test_two_poses_of_ros_are_a_transport_that_is_delivered_or_taken_back(
     tmp_path: Path, types: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     from nav2_msgs.action import NavigateThroughPoses
@@ -185,3 +185,11 @@ async def test_two_poses_of_ros_are_a_transport_that_is_delivered(
         assert told.status == GoalStatus.STATUS_SUCCEEDED
         left = [each.feedback.number_of_poses_remaining for each in client.feedback]
         assert left == sorted(left, reverse=True) and set(left) == {2, 1}, left
+        client.feedback.clear()
+        goal.poses = [_pose(32.5, 8.5), _pose(9.5, 2.5)]
+        handle = await client.sent(actions, goal)
+        await client.until(lambda: bool(client.feedback), "feedback")
+        taken_back = handle.cancel_goal_async()
+        await client.until(taken_back.done, "answer to the cancellation")
+        assert len(taken_back.result().goals_canceling) == 1
+        assert (await client.ended(handle)).status == GoalStatus.STATUS_CANCELED

@@ -4,13 +4,15 @@ import asyncio
 import os
 import time
 from collections.abc import AsyncIterator, Callable
-from math import hypot, inf, pi
+from math import hypot, inf, nan, pi
 from secrets import randbelow
 
 import pytest
 import pytest_asyncio
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install 'headland[ros2]')")
+
+from sensor_msgs.msg import LaserScan
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US
 from agent.interface.effects import HALT, Drive, GatedDrive
@@ -119,6 +121,21 @@ async def test_a_laser_scan_is_one_ray_for_each_sector_from_the_front_on(robot: 
     rays = _rays(robot)
     assert len(rays) == 8 and abs(rays[2] - 4.0) < 0.1
     assert all(ray == inf for k, ray in enumerate(rays) if k != 2)
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("robot", [(DriveTrain.MECANUM, 0.0, True)], indirect=True)
+@pytest.mark.parametrize("angles", [{"angle_min": nan}, {"angle_increment": inf}])
+async def test_a_scan_whose_angles_are_no_numbers_is_no_scan(
+    robot: Robot, angles: dict[str, float]
+) -> None:
+    """It ended the thread of the node, and with it each place."""
+    scan = LaserScan(range_min=0.1, range_max=9.0, angle_increment=0.1, ranges=[1.0] * 8)
+    for name, value in angles.items():
+        setattr(scan, name, value)
+    before = _rays(robot)
+    robot.body._scanned(scan)
+    assert _rays(robot) == before
 
 
 @pytest.mark.asyncio
