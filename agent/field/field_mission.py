@@ -22,7 +22,7 @@ from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, workin
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
-from agent.motion.path_tracker import PathTracker
+from agent.motion.path_tracker import FollowedWay, PathTracker
 from agent.paths.route import Route
 from crdt import Progress
 
@@ -85,7 +85,7 @@ class FieldMission(Mission):
         self.choosing = SectionChooser(field, speed_m_s, travel)
         self.section: Section | None = None
         self.legs: list[WorkLeg] = []
-        self.tracker: PathTracker | None = None
+        self.tracker: FollowedWay | None = None
         self.leg = WorkLeg(())
         self.unit = 0  # index into the leg's units
         self.worst_m = 0.0  # largest cross-track error inside the current unit
@@ -321,7 +321,7 @@ class FieldMission(Mission):
 
     def _way_left(self, view: FleetView) -> list[Point]:
         """What is left of all legs, from where we are."""
-        ahead = [] if self.tracker is None else self.tracker.points[self.tracker.piece + 1 :]
+        ahead = [] if self.tracker is None else self.tracker.remaining_path
         legs = [point for leg in self.legs for point in leg.points]
         return [(view.here.x_m, view.here.y_m), *ahead, *legs]
 
@@ -345,12 +345,11 @@ class FieldMission(Mission):
                 if not self.legs:
                     return STILL, covered
                 self.leg = self.legs.pop(0)
-                self.tracker = PathTracker(
-                    list(self.leg.points), self.speed_m_s, self.deceleration_m_s2
-                )
+                points = list(self.leg.points)
+                self.tracker = PathTracker(points, self.speed_m_s, self.deceleration_m_s2)
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
                 self.ends_begun_m, self.ends_reached_m = (inf, inf), (0.0, 0.0)
-            self.tracker.locate(here.x_m, here.y_m)
+            self._line.locate(here.x_m, here.y_m)
             covered += self._passed(view)
             if not self.tracker.arrived:
                 break
@@ -366,6 +365,12 @@ class FieldMission(Mission):
             MotionRequest, (vx_m_s, vy_m_s, 0.0, tool_on, (), False, False, False, False, -1)
         ), covered
 
+    @property
+    def _line(self) -> PathTracker:
+        """The polyline that a body follows that need not steer."""
+        assert isinstance(self.tracker, PathTracker)
+        return self.tracker
+
     def _velocity(self, here: Observation) -> Point:
         """The velocity along the leg, (x, y) metres a second.
 
@@ -373,19 +378,19 @@ class FieldMission(Mission):
         until both ends of the bar would begin the first unit in time. It does not wait while the
         bar is up because a body is near.
         """
-        assert self.tracker is not None
+        line = self._line
         steers = self.turns_on_the_spot and bool(self.leg.units)
-        if self.tracker.gap_m > AIM_M and self.turns_on_the_spot and not self.leg.units:
+        if line.gap_m > AIM_M and self.turns_on_the_spot and not self.leg.units:
             place = here.x_m, here.y_m
-            corner = self.tracker.next_corner
+            corner = line.next_corner
             if _distance(place, corner) > AIM_LEAST_M and self.blockage.way.straight(place, corner):
-                return self.tracker.towards_corner(*place)
+                return line.towards_corner(*place)
         moving = (here.vx_m_s, here.vy_m_s) if steers else None
-        vx_m_s, vy_m_s = self.tracker.velocity(here.x_m, here.y_m, moving)
+        vx_m_s, vy_m_s = line.velocity(here.x_m, here.y_m, moving)
         left_m = LEAD_M - self._along_m(here) if self._on_lead_in else 0.0
         if left_m <= 0.0 or self.up or max(self.ends_begun_m) <= LEAD_M:
             return vx_m_s, vy_m_s
-        ux, uy = self.tracker.direction
+        ux, uy = line.direction
         forward_m_s, aside_m_s = vx_m_s * ux + vy_m_s * uy, vy_m_s * ux - vx_m_s * uy
         wait_m = left_m - WAITING_M
         brake_m_s = copysign(sqrt(2.0 * self.deceleration_m_s2 * abs(wait_m)), wait_m)
@@ -400,25 +405,24 @@ class FieldMission(Mission):
         tracker = self.tracker
         return bool(
             self.turns_on_the_spot and self.leg.units and self.unit == 0
-            and tracker is not None and tracker.piece == 0 and tracker.gap_m <= LEAD_M
+            and isinstance(tracker, PathTracker) and tracker.piece == 0 and tracker.gap_m <= LEAD_M
         )  # fmt: skip
 
     def _along_m(self, here: Observation) -> float:
         """Arc length on the line of our segment of the leg; also before its beginning."""
-        assert self.tracker is not None
-        piece = min(self.tracker.piece, len(self.tracker.points) - 2)
-        (ax, ay), (ux, uy) = self.tracker.points[piece], self.tracker.direction
-        return self.tracker.starts_m[piece] + (here.x_m - ax) * ux + (here.y_m - ay) * uy
+        line = self._line
+        piece = min(line.piece, len(line.points) - 2)
+        (ax, ay), (ux, uy) = line.points[piece], line.direction
+        return line.starts_m[piece] + (here.x_m - ax) * ux + (here.y_m - ay) * uy
 
     def _tilt(self, here: Observation) -> float | None:
         """Sine of the angle from the line to the motion, positive to the left; None for a robot that
         stands, whose direction of motion is noise.
         """
-        assert self.tracker is not None
         speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
         if speed_m_s < SLOW_M_S:
             return None
-        ux, uy = self.tracker.direction
+        ux, uy = self._line.direction
         return (here.vy_m_s * ux - here.vx_m_s * uy) / speed_m_s
 
     def _observe_bar(self, here: Observation) -> None:
@@ -428,7 +432,7 @@ class FieldMission(Mission):
             return
         tilt = self._tilt(here)
         if tilt is not None:
-            ux, uy = self.tracker.direction
+            ux, uy = self._line.direction
             if here.vx_m_s * ux + here.vy_m_s * uy < 0.0:  # backwards: its ends change sides
                 tilt = -tilt
             if abs(tilt) > self.tilt_max:
@@ -506,10 +510,9 @@ class FieldMission(Mission):
         return self.lifted_to_m <= begun_m
 
     def _is_corner(self, at_m: float) -> bool:
-        assert self.tracker is not None
         if not self.turns_on_the_spot:
             return False
-        return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self.tracker.starts_m[1:-1])
+        return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self._line.starts_m[1:-1])
 
     def _leads(self, section: Section, units: tuple[int, ...]) -> LeadInOut:
         if not self.turns_on_the_spot:

@@ -105,7 +105,7 @@ class TractorMission(FieldMission):
             self.legs = legs  # the approach led to the first of them
         else:
             self.follow, self.joined = None, False
-        self.tracker = self.follow  # type: ignore[assignment]
+        self.tracker = self.follow
 
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         """Drive to the goal, (x, y) metres; final directions are tried one after another."""
@@ -203,7 +203,7 @@ class TractorMission(FieldMission):
             way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
         manner = AT_WORK if self.leg.units else self.on_the_way
         self.follow = TractorTracker(way, self.limits, end_m_s, manner)
-        self.tracker = self.follow  # type: ignore[assignment]  # what `_passed` asks is the same
+        self.tracker = self.follow
         self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
         return True
 

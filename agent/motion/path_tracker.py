@@ -7,7 +7,7 @@ whether a unit counts as worked, so the correction is stiff.
 
 import itertools
 from math import atan2, hypot, pi, sin, sqrt
-from typing import Final
+from typing import Final, Protocol
 
 Point = tuple[float, float]
 
@@ -26,6 +26,21 @@ STEER_S: Final = 0.25
 STEER_M: Final = 2.0  # a body at a few metres a second needs no longer way for it
 SAMPLE_M: Final = 0.25  # sampling step of the line ahead: less than the width of any body
 CREEP_M_S: Final = 0.1  # minimum approach speed at the end, so that arrival takes finite time
+
+
+class FollowedWay(Protocol):
+    """What trackers of any body tell of the way that they follow, metres."""
+
+    points: list[Point]  # the last one is the end
+    total_m: float
+    along_m: float  # arc length of the nearest place
+    off_m: float  # cross-track distance, positive to the left
+    gap_m: float  # to the nearest place
+    arrived: bool
+
+    @property
+    def remaining_path(self) -> list[Point]:
+        """The points that we have not passed yet, (x, y) metres."""
 
 
 class PathTracker:

@@ -101,9 +101,9 @@ class TractorTracker:
         part = way[self.row : end + 1]
         row = self.row + int(np.argmin(np.hypot(part[:, 0] - x_m, part[:, 1] - y_m)))
         while True:
-            px, py, heading, _, gear = way[row]
+            px, py, heading, _, gear = way[row].tolist()
             t_m = gear * ((x_m - px) * cos(heading) + (y_m - py) * sin(heading))
-            at_shift = row + 1 < way.shape[0] and way[row + 1, GEAR] != gear
+            at_shift = row + 1 < way.shape[0] and float(way[row + 1, GEAR]) != gear
             if at_shift and t_m >= -ARRIVED_M:  # here the gear changes
                 row += 1
                 self.row = row
@@ -125,7 +125,7 @@ class TractorTracker:
         """Speed (negative: backward) and turn rate, metres and radians a second; call `locate`
         first.
         """
-        gear = self.way[self.row, GEAR]
+        gear = float(self.way[self.row, GEAR])
         speed_m_s = float(self.speeds[self.row])
         if self.row + 1 < self.speeds.size:
             speed_m_s = min(speed_m_s, float(self.speeds[self.row + 1]) + 0.1)
