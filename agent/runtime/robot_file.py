@@ -51,6 +51,7 @@ from agent.runtime.declared_values import (
     first_error,
 )
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
+from agent.runtime.files.printable_text import one_line
 from protocol.name import (
     FUNCTION,
     MANUFACTURER,
@@ -70,8 +71,7 @@ class RobotError(Exception):
     code: ClassVar[int] = 2  # of the exit: a person has to mend something
 
     def __init__(self, text: str) -> None:
-        line = "".join(c if c.isprintable() else " " for c in text)
-        super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
+        super().__init__(one_line(text, LINE_MAX))
 
 
 class AbsentError(RobotError):

@@ -16,6 +16,7 @@ from typing import Any
 from xml.etree import ElementTree
 
 from agent.runtime.files.isoxml_reader import NAME
+from agent.runtime.files.printable_text import printable
 from protocol.name import fleet_name
 from sim.runs.isoxml_writer import device, guidance_pattern, polygon_of, task_file
 from sim.runs.work_plan import PlannedSection, RobotPlan, WorkPlan
@@ -90,7 +91,7 @@ def write_plan_kml(plans: Sequence[WorkPlan], path: Path) -> None:
 
 def _field_folder(document: ElementTree.Element, plan: WorkPlan) -> None:
     folder = _child(document, "Folder")
-    _child(folder, "name", _printable(plan.name))
+    _child(folder, "name", printable(plan.name))
     outline = _child(folder, "Placemark")
     _child(outline, "name", "boundary")
     polygon = _child(outline, "Polygon")
@@ -140,11 +141,6 @@ def _coordinates(points: Sequence[tuple[float, float]]) -> str:
     return " ".join(f"{lon:.9f},{lat:.9f}" for lon, lat in points)
 
 
-def _printable(text: str) -> str:
-    """Without control characters, which XML cannot carry."""
-    return "".join(c if c.isprintable() else " " for c in text)
-
-
 def write_plan_isoxml(plans: Sequence[WorkPlan], folder: Path) -> None:
     """Write the plans of all fields as one task file into a folder, made if needed.
 
@@ -190,7 +186,7 @@ def _partfield(iso: Any, plan: WorkPlan, number: int, groups: list[Any]) -> Any:
     boundary: Rings = plan.boundary
     return iso.Partfield(
         id=f"PFD-{number}",
-        designator=_printable(plan.name)[:NAME_MAX],
+        designator=printable(plan.name)[:NAME_MAX],
         area=area_m2(boundary),
         polygons=[polygon_of(iso, boundary, iso.PolygonType.PartfieldBoundary)],
         guidance_groups=groups,
@@ -202,7 +198,7 @@ def _task(
 ) -> Any:
     return iso.Task(
         id=f"TSK-{number + 1}",
-        designator=f"{_printable(plan.name)[: NAME_MAX - 10]} robot {robot}",
+        designator=f"{printable(plan.name)[: NAME_MAX - 10]} robot {robot}",
         partfield_id_ref=partfield,
         status=iso.TaskStatus.Planned,
         guidance_allocations=[iso.GuidanceAllocation(guidance_group_id_ref=group)],

@@ -16,6 +16,7 @@ from agent.runtime.files.given_file import (
     parse_toml,
     read_text,
 )
+from agent.runtime.files.printable_text import one_line
 from sim.world.step_engine import Engine
 
 SHIPPED = Path(__file__).parent
@@ -30,8 +31,7 @@ class ScenarioError(Exception):
     """One line for the author of the file; no content of the file can break the line."""
 
     def __init__(self, text: str) -> None:
-        line = "".join(c if c.isprintable() else " " for c in text)
-        super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
+        super().__init__(one_line(text, LINE_MAX))
 
 
 class FleetTable(RobotFleet):

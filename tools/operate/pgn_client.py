@@ -4,6 +4,7 @@ import asyncio
 from collections import deque
 
 from agent.interface.ports import Bus
+from agent.runtime.files.printable_text import printable
 from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, Identifier
@@ -60,7 +61,7 @@ class PgnClient:
         while loop.time() < end_s:
             for letter in self.arrived:
                 if letter.pgn == pgn and (any_source or letter.source == address):
-                    return _shown(letter.data.decode("latin-1")).rstrip()
+                    return _shown(letter.data)
             await asyncio.sleep(LOOK_S)
             for o in self.transport.on_tick(round(loop.time() * 1e6)):
                 self._send(o.message, o.destination)
@@ -70,6 +71,6 @@ class PgnClient:
         self.device.send(message, destination)
 
 
-def _shown(text: str) -> str:
-    """The text without what a terminal would obey, because any device can send it in a robot's name."""
-    return "".join(c if c.isprintable() or c == "\n" else " " for c in text)
+def _shown(data: bytes) -> str:
+    """A text of lines. Any device can send it in a robot's name."""
+    return "\n".join(map(printable, data.decode("latin-1").split("\n"))).rstrip()

@@ -1,5 +1,7 @@
 """The error in a user's field file, as one line."""
 
+from agent.runtime.files.printable_text import one_line
+
 FILE_BYTES_MAX = 64 << 20  # a boundary is kilobytes; a task file with a season's logs is megabytes
 # Points of a field, its holes included: five hours of walking its edge with a position each second.
 # Dividing a field takes proportional time, 5 s for 10,000 points.
@@ -13,5 +15,4 @@ class FieldFileError(Exception):
     """One line for the user of the file; no content of the file can break or colour it."""
 
     def __init__(self, text: str) -> None:
-        line = "".join(c if c.isprintable() else " " for c in text)
-        super().__init__(line if len(line) <= LINE_MAX else f"{line[: LINE_MAX - 4]} ...")
+        super().__init__(one_line(text, LINE_MAX))

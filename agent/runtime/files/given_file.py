@@ -12,6 +12,8 @@ import stat
 from pathlib import Path
 from typing import Any
 
+from agent.runtime.files.printable_text import one_line
+
 KIB, MIB = 1 << 10, 1 << 20
 # Upper limits for a file of each kind, bytes; the comment gives the size of the largest real one.
 SCENARIO_BYTES_MAX = 512 * KIB  # 30 kB: 100 faults of a campaign
@@ -29,8 +31,7 @@ class GivenFileError(ValueError):
     """One line for the user, without the file's name."""
 
     def __init__(self, reason: str) -> None:
-        line = "".join(c if c.isprintable() else " " for c in reason)
-        super().__init__(line if len(line) <= REASON_MAX else f"{line[: REASON_MAX - 4]} ...")
+        super().__init__(one_line(reason, REASON_MAX))
 
 
 def read_bytes(path: Path, bytes_max: int) -> bytes:

@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 
 from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
+from agent.runtime.files.printable_text import printable
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.fleet_tags import held_key
 from protocol.operator_badges import NEVER, Badge, Role
@@ -265,8 +266,7 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
     root = _key(path, document, "root_id", "root_key") if "root_key" in document else None
     held = _key(path, document, "held_id", "held_key") if "held_key" in document else None
     keys, badge = Keys(None, operator, generation=number, held=held), _badge(path, document, device)
-    said = str(document.get("person", ""))[:PERSON_MAX]
-    person = "".join(c if c.isprintable() else " " for c in said)  # a terminal obeys the others
+    person = printable(str(document.get("person", ""))[:PERSON_MAX])
     return KeyFile(path, found, keys, device, root=root, badge=badge, person=person)
 
 
