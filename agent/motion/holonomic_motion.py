@@ -219,7 +219,7 @@ class HolonomicMotion(MotionController):
                 continue
             share, vx_m_s, vy_m_s, moved_on_for_s = 1.0, 0.0, 0.0, 0.0
             age_us = now_us - heard_at_us
-            if self.sensed is not None and age_us > UNHEARD_US:
+            if self.sensed is not None and age_us > UNHEARD_US and len(here.ranges_m):
                 continue  # it may be anywhere by now, but the range sensors see it
             places = self.coasting.places(slot)
             if places is not None:

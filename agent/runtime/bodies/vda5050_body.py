@@ -103,7 +103,7 @@ class Vda5050Body(RobotBody):
         now_us = time.monotonic_ns() // 1000
         if isinstance(message, VehicleState):
             self.state = message
-            self.orders.on_state(message)
+            self.orders.on_state(message, now_us)
             self._placed(message.agv_position, now_us)
         elif isinstance(message, Visualization):
             self._placed(message.agv_position, now_us)

@@ -5,6 +5,10 @@ velocity becomes an edge that is `STEP_S` long, and the next edge is added befor
 the end. To stand, or to turn away, the order is cancelled. A vehicle that hears nothing any more stands
 at the end of its step. Handling a parcel is an order with one node and an action.
 
+Messages get lost: a broker ends, a vehicle starts again. A step that no state shows in time is given
+up, and so is an order that states have shown and show no more. An order to handle a parcel is given up
+only by what a later state says: the vehicle may have carried it out unheard, and would do it twice.
+
 Sans I/O. The vehicle remembers in the orderId what is aboard, also when this program forgets it.
 """
 
@@ -36,7 +40,7 @@ AHEAD_S: Final = (
 )
 STANDS_M_S: Final = 0.03  # a slower command is none
 TURNED_RAD: Final = pi / 4  # a command this far off the edge cancels it, unless it is nearly over
-ACCEPTED_US: Final = 1 * S  # an order that no state shows by then is lost or refused
+ACCEPTED_US: Final = 1 * S  # an order, or an update, that no state shows by then is lost or refused
 CANCELLED_US: Final = 500 * MS  # between two cancellations of one order
 NOTHING_ABOARD: Final = -1
 NAME: Final = "headland"  # the first part of our orderIds
@@ -58,7 +62,7 @@ class OrderEvent(Enum):
     SHOWN = "a state shows it"
     ENDED = "a state shows it without anything ahead"
     CANCELLED = "we cancel it"
-    LOST = "no state shows it in time"
+    LOST = "no state shows it in time, or none any more"
 
 
 F, T, A, C = OrderPhase
@@ -69,7 +73,7 @@ ORDER_TABLE = matrix(
     # state  ORDERED SHOWN ENDED CANCELLED LOST
     (F,      T,      stay, stay, stay,     stay),
     (T,      stay,   A,    F,    C,        F),
-    (A,      stay,   stay, F,    C,        stay),
+    (A,      stay,   stay, F,    C,        F),
     (C,      stay,   stay, F,    stay,     F),
 )
 # fmt: on
@@ -84,6 +88,7 @@ class _Sent(NamedTuple):
     begin: tuple[float, float]
     parcel: int  # that is handled; -1: none
     sent_at_us: int
+    shown: bool = False  # by a state
 
 
 def aboard_of(order_id: str) -> int:
@@ -94,6 +99,10 @@ def aboard_of(order_id: str) -> int:
     """
     parts = order_id.split("/")
     return int(parts[-1]) if parts[0] == NAME and parts[-1].isdecimal() else NOTHING_ABOARD
+
+
+def _is_ours(order_id: str) -> bool:
+    return order_id.startswith(f"{NAME}/")
 
 
 class VehicleOrders:
@@ -112,6 +121,7 @@ class VehicleOrders:
         self._sent: _Sent | None = None
         self._count = 0
         self._cancelled_at_us = 0
+        self._given_up_drives = False  # the vehicle carries out an order that was given up
 
     @property
     def phase(self) -> OrderPhase:
@@ -120,19 +130,23 @@ class VehicleOrders:
 
     # ---------------------------------------------------------------- what the vehicle says
 
-    def on_state(self, state: VehicleState) -> None:
+    def on_state(self, state: VehicleState, now_us: int) -> None:
         """Learn from what the vehicle says how far our order is, and what is aboard."""
         if state.loads is not None and not state.loads:
             self.load = NOTHING_ABOARD
         elif state.loads and self.load == NOTHING_ABOARD:
             self.load = aboard_of(state.order_id)  # from before we began
         sent = self._sent
-        if sent is None or state.order_id != sent.order_id:
+        ahead = any(node.released for node in state.node_states)
+        self._given_up_drives = sent is None and ahead and _is_ours(state.order_id)
+        if sent is None:
             return
-        if state.order_update_id < sent.update:
+        if state.order_id != sent.order_id or state.order_update_id < sent.update:
+            if sent.shown or now_us - sent.sent_at_us >= ACCEPTED_US:
+                self._lose()
             return
+        self._sent = sent._replace(shown=True)
         self.machine.fire(OrderEvent.SHOWN)
-        ahead = [node for node in state.node_states if node.released]
         acts = [each for each in state.action_states if each.action_type in ("pick", "drop")]
         if ahead or any(each.action_status not in ENDED for each in acts):
             return
@@ -162,6 +176,8 @@ class VehicleOrders:
         stands = speed_m_s < STANDS_M_S
         sent = self._sent
         if sent is None:
+            if self._given_up_drives:
+                return self._cancel(now_us)
             if stands and command.parcel_action >= 0:
                 return self._handle(command.parcel_action, at, now_us)
             return None if stands else self._step(command, at, now_us)
@@ -182,19 +198,20 @@ class VehicleOrders:
 
     def _expire(self, now_us: int) -> None:
         sent = self._sent
-        if sent is None or now_us - sent.sent_at_us < ACCEPTED_US:
+        if sent is None or sent.shown or sent.parcel >= 0:
             return
-        if self.phase in (OrderPhase.SENT, OrderPhase.CANCELLING):
-            self.machine.fire(OrderEvent.LOST)
-            self._sent = None
+        if now_us - sent.sent_at_us >= ACCEPTED_US:
+            self._lose()
+
+    def _lose(self) -> None:
+        self.machine.fire(OrderEvent.LOST)
+        self._sent = None
 
     def _cancel(self, now_us: int) -> InstantActions | None:
         self.machine.fire(OrderEvent.CANCELLED)
         if now_us - self._cancelled_at_us < CANCELLED_US:
             return None
         self._cancelled_at_us = now_us
-        if self._sent is not None:
-            self._sent = self._sent._replace(sent_at_us=now_us)
         self._count += 1
         action_id = f"{self.boot}-{self._count}"
         action = Action(

@@ -92,7 +92,7 @@ def test_a_velocity_is_an_edge_and_the_next_one_is_added_before_its_end() -> Non
     end = first.nodes[-1].node_position
     assert end is not None and end.x == pytest.approx(1.0 + STEP_S * 0.5)
     assert orders.want(EAST, (1.0, 1.0), 50 * MS) is None
-    orders.on_state(state(first, ahead=True))
+    orders.on_state(state(first, ahead=True), 60 * MS)
     assert orders.want(EAST, (1.1, 1.0), 100 * MS) is None
     more = ordered(orders.want(EAST, (1.2, 1.0), 150 * MS))
     assert (more.order_id, more.order_update_id) == (first.order_id, 1)
@@ -102,19 +102,19 @@ def test_a_velocity_is_an_edge_and_the_next_one_is_added_before_its_end() -> Non
 def test_standing_cancels_once_and_the_next_order_waits_for_the_end() -> None:
     orders = fresh()
     first = ordered(orders.want(EAST, (1.0, 1.0), 0))
-    orders.on_state(state(first, ahead=True))
+    orders.on_state(state(first, ahead=True), 50 * MS)
     assert cancels(orders.want(STILL, (1.1, 1.0), S))
     assert orders.want(STILL, (1.1, 1.0), S + 50 * MS) is None
     assert orders.want(EAST, (1.1, 1.0), S + 100 * MS) is None
     assert cancels(orders.want(STILL, (1.1, 1.0), S + CANCELLED_US))  # it may have been lost
-    orders.on_state(state(first, ahead=False))
+    orders.on_state(state(first, ahead=False), 2 * S)
     assert orders.phase is OrderPhase.FREE
     assert ordered(orders.want(EAST, (1.1, 1.0), 2 * S)).order_id != first.order_id
 
 
 def test_turning_away_cancels_and_a_slight_turn_does_not() -> None:
     orders = fresh()
-    orders.on_state(state(ordered(orders.want(EAST, (1.0, 1.0), 0)), ahead=True))
+    orders.on_state(state(ordered(orders.want(EAST, (1.0, 1.0), 0)), ahead=True), 0)
     slight = Drive(0.5 * cos(0.3), 0.5 * sin(0.3))
     assert orders.want(slight, (1.0, 1.0), 50 * MS) is None
     assert cancels(orders.want(Drive(0.0, 0.5), (1.0, 1.0), S))
@@ -127,21 +127,87 @@ def test_an_order_that_no_state_shows_is_sent_again_as_another() -> None:
     assert again.order_id != first.order_id
 
 
+def test_standing_after_an_order_that_never_arrived_ends() -> None:
+    """A vehicle stood for 30 minutes: it was told twice a second to cancel what it had never had."""
+    orders = fresh()
+    last = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    orders.on_state(state(last, ahead=False), 500 * MS)
+    ordered(orders.want(EAST, (1.2, 1.0), S))  # the broker ends, and it is lost
+    assert cancels(orders.want(STILL, (1.2, 1.0), S + 50 * MS))
+    orders.on_state(state(last, ahead=False), S + 500 * MS)
+    assert cancels(orders.want(STILL, (1.2, 1.0), S + 50 * MS + CANCELLED_US))
+    assert orders.want(STILL, (1.2, 1.0), S + ACCEPTED_US) is None
+    assert ordered(orders.want(EAST, (1.2, 1.0), S + ACCEPTED_US))
+
+
+def test_an_update_that_never_arrived_is_given_up_and_another_order_follows() -> None:
+    """The vehicle stood at the end of its step, and nothing more was sent."""
+    orders = fresh()
+    first = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    orders.on_state(state(first, ahead=True), 100 * MS)
+    update = ordered(orders.want(EAST, (1.2, 1.0), 400 * MS))
+    assert update.order_id == first.order_id
+    orders.on_state(state(first, ahead=False), 700 * MS)
+    assert orders.want(EAST, (1.3, 1.0), 800 * MS) is None  # it may be on its way
+    assert ordered(orders.want(EAST, (1.3, 1.0), 400 * MS + ACCEPTED_US)).order_id != first.order_id
+
+
+def test_a_vehicle_that_has_started_again_gets_another_order() -> None:
+    orders = fresh()
+    first = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    orders.on_state(state(first, ahead=True), 100 * MS)
+    blank = VehicleState(battery_state=BatteryState(battery_charge=50.0))
+    orders.on_state(blank, 200 * MS)
+    assert ordered(orders.want(EAST, (1.0, 1.0), 250 * MS)).order_id != first.order_id
+
+
+def test_an_order_that_arrives_after_it_was_given_up_is_cancelled() -> None:
+    orders = fresh()
+    late = ordered(orders.want(EAST, (1.0, 1.0), 0))
+    assert cancels(orders.want(STILL, (1.0, 1.0), ACCEPTED_US // 2))
+    assert orders.want(STILL, (1.0, 1.0), ACCEPTED_US) is None
+    orders.on_state(state(late, ahead=True), 2 * S)
+    assert cancels(orders.want(STILL, (1.0, 1.0), 2 * S))
+    orders.on_state(state(late, ahead=False), 3 * S)
+    assert orders.want(STILL, (1.0, 1.0), 3 * S) is None
+
+
+def test_a_pick_whose_states_were_lost_is_not_done_twice() -> None:
+    """The vehicle handles the parcel while the broker is away: only its next state says so."""
+    orders = fresh()
+    act = STILL._replace(parcel_action=7)
+    pick = ordered(orders.want(act, (1.0, 1.0), 0))
+    assert orders.want(act, (1.0, 1.0), 5 * ACCEPTED_US) is None
+    orders.on_state(state(pick, ahead=False, load=True), 6 * ACCEPTED_US)
+    assert orders.load == 7
+
+
+def test_a_pick_that_no_later_state_shows_is_sent_again() -> None:
+    orders = fresh()
+    act = STILL._replace(parcel_action=7)
+    lost = ordered(orders.want(act, (1.0, 1.0), 0))
+    blank = VehicleState(battery_state=BatteryState(battery_charge=50.0))
+    orders.on_state(blank, ACCEPTED_US // 2)  # said before it could arrive
+    assert orders.want(act, (1.0, 1.0), ACCEPTED_US // 2) is None
+    orders.on_state(blank, ACCEPTED_US)
+    assert ordered(orders.want(act, (1.0, 1.0), ACCEPTED_US)).order_id != lost.order_id
+
+
 def test_a_parcel_is_picked_and_dropped_and_a_failure_changes_nothing() -> None:
     orders = fresh()
     act = STILL._replace(parcel_action=7)
     pick = ordered(orders.want(act, (1.0, 1.0), 0))
     assert [each.action_type for each in pick.nodes[0].actions] == ["pick"]
-    orders.on_state(state(pick, ahead=False, status="FAILED"))
+    orders.on_state(state(pick, ahead=False, status="FAILED"), S)
     assert orders.load == -1
     pick = ordered(orders.want(act, (1.0, 1.0), S))
-    orders.on_state(state(pick, ahead=False, status="RUNNING"))
+    orders.on_state(state(pick, ahead=False, status="RUNNING"), S)
     assert orders.load == -1 and orders.want(act, (1.0, 1.0), S + 1) is None
-    orders.on_state(state(pick, ahead=False, load=True))
+    orders.on_state(state(pick, ahead=False, load=True), 2 * S)
     assert orders.load == 7
     drop = ordered(orders.want(act, (4.0, 1.0), 9 * S))
     assert [each.action_type for each in drop.nodes[0].actions] == ["drop"]
-    orders.on_state(state(drop, ahead=False, load=False))
+    orders.on_state(state(drop, ahead=False, load=False), 9 * S)
     assert orders.load == -1 and orders.dropped == {7: (4.0, 1.0)}
 
 
@@ -149,16 +215,16 @@ def test_a_program_that_forgot_learns_from_the_vehicle_what_is_aboard() -> None:
     orders = fresh()
     act = STILL._replace(parcel_action=7)
     pick = ordered(orders.want(act, (1.0, 1.0), 0))
-    orders.on_state(state(pick, ahead=False, load=True))
+    orders.on_state(state(pick, ahead=False, load=True), 0)
     later = fresh("later")
-    later.on_state(state(pick, ahead=False, load=True))
+    later.on_state(state(pick, ahead=False, load=True), 0)
     assert later.load == 7
     way = ordered(orders.want(EAST, (1.0, 1.0), S))
     last = fresh("last")
-    last.on_state(state(way, ahead=True, load=True))
+    last.on_state(state(way, ahead=True, load=True), 0)
     assert last.load == 7
     empty = fresh("empty")
-    empty.on_state(state(pick, ahead=False, load=False))
+    empty.on_state(state(pick, ahead=False, load=False), 0)
     assert empty.load == -1
 
 
@@ -182,4 +248,4 @@ def test_whatever_comes_every_message_is_valid_and_ids_are_used_once(
         elif message is not None:
             assert cancels(message)
         if newest is not None and said != "nothing":
-            orders.on_state(state(newest, ahead=said == "ahead"))
+            orders.on_state(state(newest, ahead=said == "ahead"), now_us)

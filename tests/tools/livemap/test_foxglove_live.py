@@ -23,6 +23,7 @@ import pytest
 pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
 pytest.importorskip("google.protobuf", reason="protobuf is not installed")
 
+from foxglove.messages import LogLevel
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from websockets.asyncio.client import connect
 from websockets.typing import Subprotocol
@@ -43,7 +44,11 @@ RECEIVED_BYTES = 16_384
 CALL = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
 MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 BEAT = Heartbeat(0, State.WORKING, False, False, True, False, 1.0, 1, 1)
-BEATS = 30_000  # more than the SDK and the buffers of a socket keep
+# Frames of a full bus in eight seconds: no more than the feed keeps, however little the SDK could send.
+LINES = 15_000
+LINE = (
+    "x" * 400
+)  # all of them are more than the buffers of a socket and the SDK's own 1024 messages
 PRESSED = EmergencyStop(0, 1, 5, Reason.OPERATOR_INTERVENTION)
 TRANSFORM, SCENE = "foxglove.FrameTransform", "foxglove.SceneUpdate"
 
@@ -392,16 +397,15 @@ def test_a_viewer_that_stalls_misses_nothing() -> None:
         feed = FoxgloveFeed(None, 0, 0.0)
         try:
             async with viewing(feed.url) as viewer:
-                await viewer.look({"the topic": lambda: feed._kinds[Heartbeat].has_sinks()})
+                await viewer.look({"the topic": lambda: feed._log.has_sinks()})
                 now_s = asyncio.get_running_loop().time()
                 told_working(
                     feed, now_s
-                )  # its line is the oldest: this loop reads nothing until...
-                beat = encode(BEAT, 128)
-                for _ in range(BEATS):
-                    feed.hear(now_s, beat)
+                )  # its line is the oldest; this loop reads nothing until...
+                for _ in range(LINES):
+                    feed._say(now_s, "robot 1", LogLevel.Info, LINE)
                 await viewer.look({
-                    "all beats": lambda: len(viewer.seen["/can/HEARTBEAT"]) > BEATS,
+                    "all lines": lambda: len(viewer.seen["/log"]) > LINES,
                     "the line": lambda: viewer.logged("-> WORKING"),
                 })  # fmt: skip
         finally:

@@ -35,7 +35,7 @@ from tools.run.launch_setup import setting_of
 SPEED_M_S = 0.8
 RADIUS_M = 0.35
 REACH_M = 1.25  # of an arm, and a step of the place in a message
-RUN_S = 1800.0
+RUN_S = 900.0  # four vehicles need 100 s, and 20 of them less than 600
 GROUPS = 2  # processes that share the peers
 
 
