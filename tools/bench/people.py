@@ -262,9 +262,15 @@ def _cold() -> Figure | None:
     )  # fmt: skip
 
 
+def _size_mb(folder: Path) -> float:
+    """What a folder takes on the disk."""
+    blocks = (path.lstat().st_blocks for path in folder.rglob("*") if path.is_file())
+    return sum(blocks) * 512 / MB
+
+
 def _install() -> Iterator[Figure]:
-    """A fresh environment with the wheel of this checkout and what it needs, as `du -sm` counts, and the
-    start of its tools."""
+    """What the wheel of this checkout, with all that it needs, adds to a new environment, and the start of
+    its tools."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         pip = [
@@ -281,14 +287,15 @@ def _install() -> Iterator[Figure]:
         subprocess.run(pip, check=True, stderr=subprocess.DEVNULL)
         subprocess.run([sys.executable, "-m", "venv", folder + "/env"], check=True)
         (wheel,) = here.glob("headland-*.whl")
+        bare_mb = _size_mb(here / "env")
         subprocess.run([folder + "/env/bin/pip", "install", "--quiet", str(wheel)], check=True,
                        stderr=subprocess.DEVNULL)  # fmt: skip
-        size = sum(
-            path.lstat().st_blocks * 512 for path in (here / "env").rglob("*") if path.is_file()
-        )
+        whole_mb = _size_mb(here / "env")
+        added_mb = whole_mb - bare_mb
         yield Figure(
-            "base install: the tools of the bus, with their environment and pip", size / MB, "MB",
-            f"<= {INSTALL_MB_MAX}", size / MB <= INSTALL_MB_MAX, "", "a wheel in a fresh venv",
+            "base install: what the tools of the bus add to a new environment", added_mb, "MB",
+            f"<= {INSTALL_MB_MAX}", added_mb <= INSTALL_MB_MAX, "",
+            f"a wheel in a new venv; with the {bare_mb:.1f} MB of its pip and setuptools {whole_mb:.1f} MB",
         )  # fmt: skip
         yield from _starts(ToolStart(folder + "/env/bin/python", "the base install"))
 
