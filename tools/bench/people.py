@@ -269,8 +269,8 @@ def _size_mb(folder: Path) -> float:
 
 
 def _install() -> Iterator[Figure]:
-    """What the wheel of this checkout, with all that it needs, adds to a new environment, and the start of
-    its tools."""
+    """What the wheel of this checkout adds to a new environment, with all that it needs, and the start
+    of its tools."""
     with tempfile.TemporaryDirectory() as folder:
         here = Path(folder)
         pip = [
@@ -295,7 +295,7 @@ def _install() -> Iterator[Figure]:
         yield Figure(
             "base install: what the tools of the bus add to a new environment", added_mb, "MB",
             f"<= {INSTALL_MB_MAX}", added_mb <= INSTALL_MB_MAX, "",
-            f"a wheel in a new venv; with the {bare_mb:.1f} MB of its pip and setuptools {whole_mb:.1f} MB",
+            f"a wheel in a new venv; {whole_mb:.1f} MB with its pip and setuptools",
         )  # fmt: skip
         yield from _starts(ToolStart(folder + "/env/bin/python", "the base install"))
 
