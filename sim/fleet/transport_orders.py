@@ -42,6 +42,10 @@ class TransportClient:
         self._count += 1
         return self._count - 1
 
+    def forget(self, number: int) -> None:
+        """Order it no more: no robot has heard of it."""
+        self.wanted.pop(number, None)
+
     def number_of(self, index: int) -> int:
         """The task number of one of our orders."""
         return next(number for number, (mine, _) in self.wanted.items() if mine == index)

@@ -4,12 +4,15 @@ Sans I/O: messages and what was heard on the bus go in, the state comes out. Wha
 what the fleet's registers say of its task, whichever robot carries it.
 """
 
+from collections import deque
 from collections.abc import Callable, Sequence
 from math import pi
 from typing import NamedTuple
 
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase
 from agent.runtime.vda5050.messages import (
+    ACTIONS_MAX,
+    NODES_MAX,
     Action,
     ActionState,
     ActionStatus,
@@ -39,6 +42,7 @@ MOVES_M_S = 0.05  # a robot that is slower stands; the step of speeds in POSE
 THETA_MAX_RAD = 3.1415  # a rounded pi would be beyond the limit of the standard
 ERRORS_MAX = 8  # newest refusals that are reported
 INSTANT_MAX = 16  # newest instant actions that are reported
+BEGUN_MAX = 256  # newest instant actions whose repetition is known: a broker may deliver one twice
 
 
 class HeardRobot(NamedTuple):
@@ -72,6 +76,7 @@ class FleetVehicle:
         self.outcome: TaskOutcome | None = None  # of the task of its order
         self.errors: list[VehicleError] = []
         self.instant: dict[str, ActionState] = {}
+        self._begun: deque[str] = deque(maxlen=BEGUN_MAX)  # instant actions, by their ids
         self._last_node = ("", 0)  # of earlier orders
 
     # ---------------------------------------------------------------- orders
@@ -131,8 +136,9 @@ class FleetVehicle:
 
     def begin(self, action: Action) -> bool:
         """Whether an instant action is new; then it is INITIALIZING."""
-        if action.action_id in self.instant:
+        if action.action_id in self._begun:
             return False
+        self._begun.append(action.action_id)
         self.report(action, ActionStatus.INITIALIZING)
         return True
 
@@ -301,7 +307,8 @@ class FleetVehicle:
 def stitched(mine: MasterOrder, update: MasterOrder) -> MasterOrder:
     """An order with its update: the base that was known, then what the update says from there.
 
-    Raises OrderRefused if the update does not begin at the last node of the base.
+    Raises OrderRefused if the update does not begin at the last node of the base, or the whole is longer
+    than an order may be.
     """
     base = [node for node in mine.nodes if node.released]
     join, first = base[-1], update.nodes[0]
@@ -318,4 +325,9 @@ def stitched(mine: MasterOrder, update: MasterOrder) -> MasterOrder:
         update={"nodes": [*base[:-1], joint, *update.nodes[1:]], "edges": [*edges, *update.edges]}
     )
     check_graph(whole)
+    if len(whole.nodes) > NODES_MAX or len(joint.actions) > ACTIONS_MAX:
+        raise OrderRefused(
+            "orderUpdateError",
+            f"with its updates it is longer than {NODES_MAX} nodes, or {ACTIONS_MAX} actions at one",
+        )
     return whole

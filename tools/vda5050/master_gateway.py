@@ -15,6 +15,7 @@ from agent.delivery.task_registry import TASKS_MAX
 from agent.delivery.warehouse import Warehouse
 from agent.interface.ports import Bus
 from agent.interface.vehicle import Vehicle
+from agent.runtime.files.printable_text import printable
 from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
 from agent.runtime.vda5050.messages import (
     Action,
@@ -32,6 +33,7 @@ from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
 from sim.fleet.transport_orders import TransportClient
+from tools.common.bus_address import AttachError
 from tools.inspect.inspector import SILENT_S, Inspector, Seen
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
@@ -69,7 +71,8 @@ class MasterGateway:
         keys: Path | None, told: Callable[[str], None],
     ) -> None:  # fmt: skip
         """`keys`: the operator's key file, in a fleet with keys. `told`: takes lines for people."""
-        self.house, self.book, self.broker, self.told = house, book, broker, told
+        self.house, self.book, self.broker = house, book, broker
+        self.told: Callable[[str], None] = lambda line: told(printable(line))  # words of a master
         self.named, self.keys = named, keys
         self.operator = Operator(bus, None)
         self.operator.device.proofs = proofs_of(keys, told)
@@ -198,7 +201,15 @@ class MasterGateway:
             number = self.desk.number_of(index)
         task = None if transport is None else transport.task
         booked = BookedOrder(vehicle.slot, whole, number, task)
-        self.book.write(booked)  # before the first frame
+        try:
+            self.book.write(booked)  # before the first frame
+        except OSError as problem:
+            if number is not None:
+                self.desk.forget(number)
+            why = f"it cannot be booked: {problem.strerror or problem}"
+            vehicle.refuse(OrderRefused("orderError", why).error(order))
+            self.told(f"{self.serial(vehicle.slot)}: order {order.order_id} refused: {why}")
+            return
         vehicle.accept(booked, transport)
         port.index = index
         if number is not None:
@@ -227,7 +238,12 @@ class MasterGateway:
             vehicle.report(action, ActionStatus.FAILED, f"{action.action_type} is not supported")
             return
         vehicle.report(action, ActionStatus.RUNNING)
-        why = await act()
+        try:
+            why = await act()
+        except AttachError as problem:  # the key has ended, or its file is gone
+            why = str(problem)
+        except OSError as problem:
+            why = f"it cannot be booked: {problem.strerror or problem}"
         status = ActionStatus.FINISHED if why is None else ActionStatus.FAILED
         vehicle.report(action, status, why)
         port.told_s = 0.0
@@ -266,11 +282,13 @@ class MasterGateway:
             return None
         if vehicle.outcome is not None and vehicle.outcome.phase is TaskPhase.ABOARD:
             return "the parcel is aboard, and will be delivered"
-        self.desk.withdraw(booked.number)
         self._book(vehicle, booked._replace(cancelled=True, task=booked.task.taken_back))
-        while not (vehicle.outcome is not None and vehicle.outcome.final):
+        self.desk.withdraw(booked.number)
+        while (outcome := vehicle.outcome) is None or not outcome.final:
             await asyncio.sleep(TICK_S)
-        if vehicle.outcome.phase is TaskPhase.WITHDRAWN:
+            if vehicle.booked is None or vehicle.booked.order.order_id != booked.order.order_id:
+                return None  # it was over, and the master has ordered the next
+        if outcome.phase is TaskPhase.WITHDRAWN:
             return None
         return "the parcel was aboard, and is delivered"
 

@@ -44,8 +44,9 @@ class OrderBook:
                     break  # the last write was cut off by a crash; nothing followed from it
                 self._read(line)
                 whole += len(line)
-        self._file = path.open("ab")
+        self._file = path.open("ab", buffering=0)
         self._file.truncate(whole)
+        self._whole = whole  # bytes of whole records
 
     def _read(self, line: bytes) -> None:
         try:
@@ -63,12 +64,16 @@ class OrderBook:
             self.tasks[booked.number] = booked.task
 
     def write(self, booked: BookedOrder) -> None:
-        """Make a record durable. Raises OSError."""
+        """Make a record durable. Raises OSError; then the book is as it was."""
         plain = booked.order.model_dump(mode="json", by_alias=True, exclude_none=True)
         said: dict[str, Any] = {**booked._asdict(), "order": plain}
-        self._file.write(json.dumps(said).encode() + b"\n")
-        self._file.flush()
-        os.fsync(self._file.fileno())
+        try:
+            self._file.write(json.dumps(said).encode() + b"\n")
+            os.fsync(self._file.fileno())
+        except OSError:  # a part of it may be there, and the next record would follow on its line
+            self._file.truncate(self._whole)
+            raise
+        self._whole = self._file.tell()
         self._take(booked)
 
     def close(self) -> None:

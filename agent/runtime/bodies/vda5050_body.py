@@ -6,7 +6,12 @@
 
 The vehicle has to say where it is ten times a second, in its state or its visualization. Between two
 messages the body adds the way that the vehicle has driven since. Without any for `stale_for_ms` it has no
-place, and the robot stands. The vehicle's map is the robot's: metres, x east.
+place, and the robot stands. The vehicle's map is the robot's: metres, x east. On a map of another name
+it has no place either.
+
+A broker that was away delivers what has waited at once, and some deliver a message twice or late. So the
+velocity is taken from the times at which the vehicle said its places, and a message that is older than
+the one before it is not taken. A clock that jumps back makes the vehicle late for `LATE_US` only.
 
 A vehicle does not see parcels. What lies within reach is what the fleet's registers say, and what this
 vehicle has put down itself.
@@ -17,16 +22,16 @@ that, so the heading that the robot gets follows the vehicle's at `TURN_RAD_S`.
 
 import asyncio
 import time
-from math import hypot, pi, remainder
+from math import hypot, inf, pi, remainder
 from secrets import token_hex
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from agent.delivery.delivery_mission import REACH_M, DeliveryMission
-from agent.interface.config import MS
+from agent.interface.config import MS, S
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation, VisibleParcel
 from agent.peer.peer import Peer
-from agent.runtime.robot_body import RobotBody
+from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
 from agent.runtime.vda5050.messages import (
     VERSION,
@@ -37,6 +42,7 @@ from agent.runtime.vda5050.messages import (
     Topic,
     VehicleState,
     Visualization,
+    told_at_us,
 )
 from agent.runtime.vda5050.vehicle_orders import VehicleOrders
 from crdt import Phase
@@ -45,13 +51,32 @@ FIRST_S: Final = 10.0  # for the broker and the first place of the vehicle
 LOOK_S: Final = 0.02
 WATCH_S: Final = 0.1  # between two looks at the registers
 BETWEEN_US: Final = 300 * MS  # two places further apart say nothing of the velocity between them
+# Two that are nearer say too much: a vehicle that computes its place every 40 ms may say one just before
+# it does, and the next just after.
+OVER_US: Final = 80 * MS
 # Standard deviation of a place that is added up from two: at 1 m/s and 100 ms, with 20 % of slip.
 ACCURACY_M: Final = 0.02
 # A place is brought forward by this at most: a vehicle that has turned since is elsewhere, and from
 # 0.3 m on the next place would have jumped.
 FORWARD_US: Final = 100 * MS
+LATE_US: Final = 2 * S  # after this a message with an earlier time is from a clock that jumped
 TURN_RAD_S: Final = 2.0
 TURN_STEP_US: Final = 100 * MS  # also after a pause: 11 degrees, and 20 would be a jump
+
+
+class _Place(NamedTuple):
+    """A place that a vehicle said."""
+
+    at: AgvPosition
+    heard_at_us: int
+    said_at_us: int | None  # on the clock of the vehicle
+
+    def since_for_us(self, before: "_Place") -> int:
+        """How long after another one it was true: messages that have waited arrive at once."""
+        passed_for_us = self.heard_at_us - before.heard_at_us
+        if self.said_at_us is None or before.said_at_us is None:
+            return passed_for_us
+        return max(passed_for_us, self.said_at_us - before.said_at_us)
 
 
 class Vda5050Body(RobotBody):
@@ -79,10 +104,20 @@ class Vda5050Body(RobotBody):
         )
         self.state: VehicleState | None = None
         self.lying: dict[int, tuple[float, float]] = {}  # parcels, as the registers say
-        self._place: tuple[AgvPosition, int] | None = None  # and when it arrived
+        # The newest place and when it arrived; and the one that its velocity is measured from.
+        self._place: _Place | None = None
+        self._from: _Place | None = None
+        self._speed_max_m_s = inf  # of the vehicle, as it was declared
+        # By kind of message: when the newest was said, on the clock of the vehicle, and when it arrived.
+        self._newest: dict[type[MessageHeader], tuple[int, int]] = {}
+        self._elsewhere = ""  # the map that it is on, if that is another one
         self._velocity = (0.0, 0.0)  # metres a second on the map
         self._heading: tuple[float, int] | None = None  # radians, and when
         self._running: asyncio.Task[None] | None = None
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        """Take the speed that the vehicle can have."""
+        self._speed_max_m_s = machine.vehicle.speed_m_s
 
     async def open(self) -> None:
         """Reach the broker, and wait for the first place. Raises OSError."""
@@ -92,40 +127,66 @@ class Vda5050Body(RobotBody):
         ends_at_s = loop.time() + FIRST_S
         while self._place is None or self.state is None:
             if loop.time() > ends_at_s:
-                problem = self.link.problem or "the vehicle says no place"
+                problem = self.link.problem or self._placeless()
                 self.close()
                 raise OSError(f"{self.link.broker} {self.link.identity.serial}: {problem}")
             await asyncio.sleep(LOOK_S)
 
     # ---------------------------------------------------------------- what the vehicle says
 
+    def _placeless(self) -> str:
+        if self._elsewhere:
+            return f"the vehicle is on the map {self._elsewhere!r}, not {self.orders.map_id!r}"
+        return "the vehicle says no place"
+
     def _heard(self, message: MessageHeader) -> None:
         now_us = time.monotonic_ns() // 1000
+        said_at_us = told_at_us(message.timestamp)
+        if self._is_late(type(message), said_at_us, now_us):
+            return
         if isinstance(message, VehicleState):
             self.state = message
             self.orders.on_state(message, now_us)
-            self._placed(message.agv_position, now_us)
+            self._placed(message.agv_position, now_us, said_at_us)
         elif isinstance(message, Visualization):
-            self._placed(message.agv_position, now_us)
+            self._placed(message.agv_position, now_us, said_at_us)
 
-    def _placed(self, at: AgvPosition | None, now_us: int) -> None:
-        if at is None or not at.position_initialized:
-            self._place = None
+    def _is_late(
+        self, kind: type[MessageHeader], said_at_us: int | None, now_us: int
+    ) -> bool:  # fmt: skip
+        if said_at_us is None:
+            return False
+        newest = self._newest.get(kind)
+        if newest is not None and said_at_us < newest[0] and now_us - newest[1] < LATE_US:
+            return True
+        self._newest[kind] = said_at_us, now_us
+        return False
+
+    def _placed(self, at: AgvPosition | None, now_us: int, said_at_us: int | None) -> None:
+        self._elsewhere = "" if at is None or at.map_id == self.orders.map_id else at.map_id
+        if at is None or not at.position_initialized or self._elsewhere:
+            self._place = self._from = None
             return
-        before = self._place
-        self._place = at, now_us
-        if before is None or now_us - before[1] > BETWEEN_US:
+        before = self._from
+        self._place = place = _Place(at, now_us, said_at_us)
+        passed_for_us = BETWEEN_US + 1 if before is None else place.since_for_us(before)
+        if passed_for_us < OVER_US:
+            return
+        self._from = place
+        if before is None or passed_for_us > BETWEEN_US:
             self._velocity = (0.0, 0.0)
-        elif now_us - before[1] >= LOOK_S * 1e6:
-            for_s = (now_us - before[1]) / 1e6
-            self._velocity = (at.x - before[0].x) / for_s, (at.y - before[0].y) / for_s
+            return
+        for_s = passed_for_us / 1e6
+        vx_m_s, vy_m_s = (at.x - before.at.x) / for_s, (at.y - before.at.y) / for_s
+        share = min(1.0, self._speed_max_m_s / max(hypot(vx_m_s, vy_m_s), 1e-9))
+        self._velocity = share * vx_m_s, share * vy_m_s
 
     def sense(self, now_us: int) -> Observation | None:
         """The newest place, brought forward to now."""
         place, state = self._place, self.state
         if place is None or state is None:
             return None
-        at, heard_at_us = place
+        at, heard_at_us, _ = place
         age_us = now_us - heard_at_us
         fresh = self.link.connected and age_us <= self.stale_for_us
         drives = state.driving
@@ -185,7 +246,7 @@ class Vda5050Body(RobotBody):
         """Send an order, or a cancellation, if the command needs one."""
         if self._place is None:
             return
-        at = self._place[0]
+        at = self._place.at
         message = self.orders.want(command, (at.x, at.y), now_us)
         if message is not None:
             self.link.publish(message)

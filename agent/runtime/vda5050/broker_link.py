@@ -4,7 +4,8 @@
     running = asyncio.create_task(link.run([Topic.ORDER, Topic.INSTANT_ACTIONS]))
     link.publish(state)
 
-What is published while the broker is away is dropped: the next state says what is true then.
+What is published while the broker is away is dropped: the next state says what is true then. A broker
+that does not take a message in `KEEP_ALIVE_S` is left, and reached again.
 """
 
 import asyncio
@@ -163,11 +164,13 @@ class BrokerLink:
         self.connected = True
         self.up()
         sending = asyncio.create_task(self._sending(client))
+        reading = asyncio.create_task(self._reading(client))
         try:
-            async for message in client.messages:
-                self._take(message)
-                if sending.done():
-                    sending.result()
+            # A broker that takes nothing any more may still be connected, and say nothing for long.
+            await asyncio.wait((sending, reading), return_when=asyncio.FIRST_COMPLETED)
+            for each in (sending, reading):
+                if each.done():
+                    each.result()
         except asyncio.CancelledError:
             if self.is_vehicle:
                 with contextlib.suppress(aiomqtt.MqttError):
@@ -175,8 +178,12 @@ class BrokerLink:
             raise
         finally:
             sending.cancel()
-            with contextlib.suppress(asyncio.CancelledError, aiomqtt.MqttError):
-                await sending
+            reading.cancel()
+            await asyncio.gather(sending, reading, return_exceptions=True)
+
+    async def _reading(self, client: aiomqtt.Client) -> None:
+        async for message in client.messages:
+            self._take(message)
 
     async def _sending(self, client: aiomqtt.Client) -> None:
         while True:

@@ -457,3 +457,16 @@ def timestamp(now_s: float) -> str:
     """
     text = datetime.fromtimestamp(now_s, UTC).isoformat(timespec="milliseconds")
     return text.removesuffix("+00:00") + "Z"
+
+
+def told_at_us(text: str) -> int | None:
+    """Microseconds since 1970 of a time as the standard writes it; None: it is none.
+
+    >>> told_at_us("1970-01-01T00:00:00.250Z"), told_at_us("soon")
+    (250000, None)
+    """
+    try:
+        said = datetime.fromisoformat(text)
+        return round((said if said.tzinfo else said.replace(tzinfo=UTC)).timestamp() * 1e6)
+    except (ValueError, OverflowError):
+        return None

@@ -6,10 +6,11 @@ the end. To stand, or to turn away, the order is cancelled. A vehicle that hears
 at the end of its step. Handling a parcel is an order with one node and an action.
 
 Messages get lost: a broker ends, a vehicle starts again. A step that no state shows in time is given
-up, and so is an order that states have shown and show no more. An order to handle a parcel is given up
-only by what a later state says: the vehicle may have carried it out unheard, and would do it twice.
+up, and so is an order that states have shown and show no more. An order to handle a parcel is sent again
+as it was: a vehicle that has it already drops the repetition, so that nothing is handled twice.
 
-Sans I/O. The vehicle remembers in the orderId what is aboard, also when this program forgets it.
+Sans I/O. The vehicle remembers in the orderId what is aboard, and in the actionId which parcel it
+handles, also when this program forgets it.
 """
 
 from enum import Enum
@@ -22,6 +23,7 @@ from agent.runtime.vda5050.messages import (
     ENDED,
     Action,
     ActionParameter,
+    ActionState,
     ActionStatus,
     BlockingType,
     InstantActions,
@@ -42,6 +44,7 @@ STANDS_M_S: Final = 0.03  # a slower command is none
 TURNED_RAD: Final = pi / 4  # a command this far off the edge cancels it, unless it is nearly over
 ACCEPTED_US: Final = 1 * S  # an order, or an update, that no state shows by then is lost or refused
 CANCELLED_US: Final = 500 * MS  # between two cancellations of one order
+FAILED_US: Final = 2 * S  # after an order to handle a parcel that failed, before the next one
 NOTHING_ABOARD: Final = -1
 NAME: Final = "headland"  # the first part of our orderIds
 
@@ -89,6 +92,8 @@ class _Sent(NamedTuple):
     parcel: int  # that is handled; -1: none
     sent_at_us: int
     shown: bool = False  # by a state
+    handles: MasterOrder | None = None  # the message itself, to be repeated
+    full: bool | None = None  # whether the vehicle said that it has a load; None: it does not say
 
 
 def aboard_of(order_id: str) -> int:
@@ -103,6 +108,22 @@ def aboard_of(order_id: str) -> int:
 
 def _is_ours(order_id: str) -> bool:
     return order_id.startswith(f"{NAME}/")
+
+
+def _handling(state: VehicleState) -> ActionState | None:
+    """The newest pick or drop of the order that a vehicle has; None: it has none."""
+    acts = [each for each in state.action_states if each.action_type in ("pick", "drop")]
+    return acts[-1] if acts else None
+
+
+def _parcel_of(action_id: str) -> int:
+    """The parcel of one of our picks and drops; -1: not ours.
+
+    >>> _parcel_of("headland/5f/12/-1/drop/7"), _parcel_of("other-7")
+    (7, -1)
+    """
+    last = action_id.rpartition("/")[2]
+    return int(last) if _is_ours(action_id) and last.isdecimal() else NOTHING_ABOARD
 
 
 class VehicleOrders:
@@ -121,6 +142,10 @@ class VehicleOrders:
         self._sent: _Sent | None = None
         self._count = 0
         self._cancelled_at_us = 0
+        self._failed_at_us = -FAILED_US
+        self._begun = False  # whether the vehicle has said a state
+        self._full: bool | None = None  # whether it has a load, by its newest state
+        self._learnt = ""  # the newest pick or drop whose end is known, or that was adopted
         self._given_up_drives = False  # the vehicle carries out an order that was given up
 
     @property
@@ -132,28 +157,72 @@ class VehicleOrders:
 
     def on_state(self, state: VehicleState, now_us: int) -> None:
         """Learn from what the vehicle says how far our order is, and what is aboard."""
-        if state.loads is not None and not state.loads:
-            self.load = NOTHING_ABOARD
-        elif state.loads and self.load == NOTHING_ABOARD:
-            self.load = aboard_of(state.order_id)  # from before we began
+        self._adopt(state, now_us)
+        self._full = None if state.loads is None else bool(state.loads)
         sent = self._sent
+        if sent is None or sent.parcel < 0:  # while a parcel is handled, loads may be either
+            self._loaded(state)
+        self._begun = True
         ahead = any(node.released for node in state.node_states)
         self._given_up_drives = sent is None and ahead and _is_ours(state.order_id)
         if sent is None:
             return
         if state.order_id != sent.order_id or state.order_update_id < sent.update:
-            if sent.shown or now_us - sent.sent_at_us >= ACCEPTED_US:
-                self._lose()
+            self._unshown(sent, state, now_us)
             return
         self._sent = sent._replace(shown=True)
         self.machine.fire(OrderEvent.SHOWN)
-        acts = [each for each in state.action_states if each.action_type in ("pick", "drop")]
-        if ahead or any(each.action_status not in ENDED for each in acts):
+        act = _handling(state)
+        if ahead or (act is not None and act.action_status not in ENDED):
             return
-        if sent.parcel >= 0 and acts and acts[-1].action_status is ActionStatus.FINISHED:
-            self._handled(sent, acts[-1].action_type == "drop")
+        if sent.parcel >= 0 and act is not None:
+            if act.action_status is ActionStatus.FINISHED:
+                self._handled(sent, act.action_type == "drop")
+            else:
+                self._failed_at_us = now_us
+            self._learnt = act.action_id
+            self._loaded(state)
         self.machine.fire(OrderEvent.ENDED)
         self._sent = None
+
+    def _loaded(self, state: VehicleState) -> None:
+        if state.loads is not None and not state.loads:
+            self.load = NOTHING_ABOARD
+        elif self.load == NOTHING_ABOARD and (state.loads or not self._begun):
+            self.load = aboard_of(state.order_id)  # from before we began
+
+    def _adopt(self, state: VehicleState, now_us: int) -> None:
+        """Take over an order to handle a parcel that is ours and not the newest: from before we began,
+        or one that arrived after it was given up."""
+        act, at, sent = _handling(state), state.agv_position, self._sent
+        if act is None or at is None or act.action_id == self._learnt:
+            return
+        parcel = _parcel_of(act.action_id)
+        if sent is not None and (parcel != sent.parcel or state.order_id == sent.order_id):
+            return
+        if parcel < 0 or not act.action_id.startswith(f"{state.order_id}/"):
+            return
+        self._learnt = act.action_id
+        if act.action_type == "drop":
+            self.load = parcel
+        node = self._node(0, (at.x, at.y))
+        self.machine.fire(OrderEvent.ORDERED)
+        self._sent = _Sent(
+            state.order_id, state.order_update_id, node, (at.x, at.y), parcel, now_us, shown=True
+        )
+
+    def _unshown(self, sent: _Sent, state: VehicleState, now_us: int) -> None:
+        """A state shows another order than the newest."""
+        if sent.parcel < 0:
+            if sent.shown or now_us - sent.sent_at_us >= ACCEPTED_US:
+                self._lose()
+            return
+        forgotten = sent.shown or now_us - sent.sent_at_us >= ACCEPTED_US
+        if forgotten and None not in (sent.full, self._full) and sent.full is not self._full:
+            self._handled(sent, sent.full is True)  # and the vehicle has started again since
+            self._lose()
+        elif sent.shown or (forgotten and self.phase is OrderPhase.CANCELLING):
+            self._lose()
 
     def _handled(self, sent: _Sent, dropped: bool) -> None:
         if dropped:
@@ -179,11 +248,13 @@ class VehicleOrders:
             if self._given_up_drives:
                 return self._cancel(now_us)
             if stands and command.parcel_action >= 0:
+                if now_us - self._failed_at_us < FAILED_US:
+                    return None
                 return self._handle(command.parcel_action, at, now_us)
             return None if stands else self._step(command, at, now_us)
         if sent.parcel >= 0:
             asked = stands and command.parcel_action == sent.parcel
-            return None if asked else self._cancel(now_us)
+            return self._repeat(sent, at, now_us) if asked else self._cancel(now_us)
         if stands:
             return self._cancel(now_us)
         assert sent.end.node_position is not None
@@ -202,6 +273,16 @@ class VehicleOrders:
             return
         if now_us - sent.sent_at_us >= ACCEPTED_US:
             self._lose()
+
+    def _repeat(self, sent: _Sent, at: tuple[float, float], now_us: int) -> MasterOrder | None:
+        """The same order once more, if no state shows it in time; another one if it is elsewhere now."""
+        if sent.shown or now_us - sent.sent_at_us < ACCEPTED_US:
+            return None
+        if hypot(at[0] - sent.begin[0], at[1] - sent.begin[1]) > STEP_MIN_M:
+            self._lose()
+            return self._handle(sent.parcel, at, now_us)
+        self._sent = sent._replace(sent_at_us=now_us)
+        return sent.handles
 
     def _lose(self) -> None:
         self.machine.fire(OrderEvent.LOST)
@@ -248,13 +329,14 @@ class VehicleOrders:
         kind = "drop" if self.load == parcel else "pick"
         order_id = self._next_id(NOTHING_ABOARD if kind == "drop" else parcel)
         action = Action(
-            action_type=kind, action_id=f"{order_id}/{kind}", blocking_type=BlockingType.HARD,
+            action_type=kind, action_id=f"{order_id}/{kind}/{parcel}", blocking_type=BlockingType.HARD,
             action_description=f"task {parcel}", action_parameters=self.parameters or None,
         )  # fmt: skip
         node = self._node(0, at, action)
         self.machine.fire(OrderEvent.ORDERED)
-        self._sent = _Sent(order_id, 0, node, at, parcel, now_us)
-        return MasterOrder(order_id=order_id, order_update_id=0, nodes=[node], edges=[])
+        order = MasterOrder(order_id=order_id, order_update_id=0, nodes=[node], edges=[])
+        self._sent = _Sent(order_id, 0, node, at, parcel, now_us, False, order, self._full)
+        return order
 
     def _next_id(self, load: int | None = None) -> str:
         self._count += 1

@@ -13,6 +13,7 @@ from agent.interface.effects import Drive
 from agent.runtime.vda5050.messages import (
     ActionState,
     ActionStatus,
+    AgvPosition,
     BatteryState,
     InstantActions,
     Load,
@@ -25,6 +26,7 @@ from agent.runtime.vda5050.messages import (
 from agent.runtime.vda5050.vehicle_orders import (
     ACCEPTED_US,
     CANCELLED_US,
+    FAILED_US,
     STEP_S,
     OrderPhase,
     VehicleOrders,
@@ -173,16 +175,19 @@ def test_an_order_that_arrives_after_it_was_given_up_is_cancelled() -> None:
 
 
 def test_a_pick_whose_states_were_lost_is_not_done_twice() -> None:
-    """The vehicle handles the parcel while the broker is away: only its next state says so."""
+    """The vehicle handles the parcel while the broker is away: only its next state says so. An order
+    that is sent again is the same, which the vehicle drops."""
     orders = fresh()
     act = STILL._replace(parcel_action=7)
     pick = ordered(orders.want(act, (1.0, 1.0), 0))
-    assert orders.want(act, (1.0, 1.0), 5 * ACCEPTED_US) is None
+    assert orders.want(act, (1.0, 1.0), 5 * ACCEPTED_US) == pick
     orders.on_state(state(pick, ahead=False, load=True), 6 * ACCEPTED_US)
     assert orders.load == 7
 
 
-def test_a_pick_that_no_later_state_shows_is_sent_again() -> None:
+def test_a_pick_that_no_later_state_shows_is_sent_again_as_the_same_order() -> None:
+    """As another order it was picked twice, if the first one was late: a broker that stalls for a second
+    delivers both."""
     orders = fresh()
     act = STILL._replace(parcel_action=7)
     lost = ordered(orders.want(act, (1.0, 1.0), 0))
@@ -190,7 +195,50 @@ def test_a_pick_that_no_later_state_shows_is_sent_again() -> None:
     orders.on_state(blank, ACCEPTED_US // 2)  # said before it could arrive
     assert orders.want(act, (1.0, 1.0), ACCEPTED_US // 2) is None
     orders.on_state(blank, ACCEPTED_US)
-    assert ordered(orders.want(act, (1.0, 1.0), ACCEPTED_US)).order_id != lost.order_id
+    assert orders.want(act, (1.0, 1.0), ACCEPTED_US) == lost
+    assert orders.want(act, (1.0, 1.0), ACCEPTED_US + 50 * MS) is None
+    moved = ordered(orders.want(act, (1.5, 1.0), 2 * ACCEPTED_US))  # it may have been out of reach
+    assert moved.order_id != lost.order_id
+
+
+def test_a_cancellation_of_a_pick_that_never_arrived_ends() -> None:
+    orders = fresh()
+    ordered(orders.want(STILL._replace(parcel_action=7), (1.0, 1.0), 0))
+    blank = VehicleState(battery_state=BatteryState(battery_charge=50.0))
+    assert cancels(orders.want(EAST, (1.0, 1.0), ACCEPTED_US // 2))
+    assert cancels(orders.want(EAST, (1.0, 1.0), ACCEPTED_US))
+    orders.on_state(blank, ACCEPTED_US)
+    assert ordered(orders.want(EAST, (1.0, 1.0), ACCEPTED_US))
+
+
+def test_a_vehicle_that_forgot_its_pick_and_has_a_load_has_picked() -> None:
+    """It was done unheard, and the vehicle started again: the robot would have picked once more."""
+    orders = fresh()
+    empty = VehicleState(battery_state=BatteryState(battery_charge=50.0), loads=[])
+    orders.on_state(empty, 0)
+    ordered(orders.want(STILL._replace(parcel_action=7), (1.0, 1.0), 0))
+    orders.on_state(empty.model_copy(update={"loads": [Load()]}), ACCEPTED_US)
+    assert orders.load == 7 and orders.phase is OrderPhase.FREE
+
+
+def test_a_program_that_died_while_the_vehicle_put_a_parcel_down_knows_where_it_lies() -> None:
+    """No robot found it: vehicles see no parcels, and whoever knew the place was gone."""
+    orders = fresh()
+    act = STILL._replace(parcel_action=7)
+    orders.on_state(state(ordered(orders.want(act, (1.0, 1.0), 0)), ahead=False, load=True), 0)
+    drop = ordered(orders.want(act, (4.0, 1.0), S))
+    at = AgvPosition(x=4.0, y=1.0, theta=0.0, map_id="hall", position_initialized=True)
+    done = state(drop, ahead=False, load=False).model_copy(update={"agv_position": at})
+    later = fresh("later")
+    later.on_state(done, 2 * S)
+    assert later.dropped == {7: (4.0, 1.0)} and later.load == -1
+    runs = state(drop, ahead=False, load=True, status="RUNNING")
+    during = fresh("during")
+    during.on_state(runs.model_copy(update={"agv_position": at}), 2 * S)
+    assert during.load == 7, "it is aboard until the vehicle has put it down"
+    assert during.want(act, (4.0, 1.0), 2 * S) is None
+    during.on_state(done, 3 * S)
+    assert during.dropped == {7: (4.0, 1.0)} and during.load == -1
 
 
 def test_a_parcel_is_picked_and_dropped_and_a_failure_changes_nothing() -> None:
@@ -200,10 +248,12 @@ def test_a_parcel_is_picked_and_dropped_and_a_failure_changes_nothing() -> None:
     assert [each.action_type for each in pick.nodes[0].actions] == ["pick"]
     orders.on_state(state(pick, ahead=False, status="FAILED"), S)
     assert orders.load == -1
-    pick = ordered(orders.want(act, (1.0, 1.0), S))
-    orders.on_state(state(pick, ahead=False, status="RUNNING"), S)
-    assert orders.load == -1 and orders.want(act, (1.0, 1.0), S + 1) is None
-    orders.on_state(state(pick, ahead=False, load=True), 2 * S)
+    assert orders.want(act, (1.0, 1.0), S) is None  # a vehicle that cannot is not asked at once
+    again_us = S + FAILED_US
+    pick = ordered(orders.want(act, (1.0, 1.0), again_us))
+    orders.on_state(state(pick, ahead=False, status="RUNNING"), again_us)
+    assert orders.load == -1 and orders.want(act, (1.0, 1.0), again_us + 1) is None
+    orders.on_state(state(pick, ahead=False, load=True), 4 * S)
     assert orders.load == 7
     drop = ordered(orders.want(act, (4.0, 1.0), 9 * S))
     assert [each.action_type for each in drop.nodes[0].actions] == ["drop"]
@@ -243,7 +293,7 @@ def test_whatever_comes_every_message_is_valid_and_ids_are_used_once(
         if isinstance(message, MasterOrder):
             newest = ordered(message)
             key = newest.order_id, newest.order_update_id
-            assert key not in seen
+            assert key not in seen or newest.nodes[0].actions, "a pick or drop may be repeated"
             seen.add(key)
         elif message is not None:
             assert cancels(message)

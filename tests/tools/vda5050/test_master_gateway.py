@@ -9,10 +9,18 @@ import pytest
 pytest.importorskip("aiomqtt", reason="the extra `vda5050` is not installed")
 pytest.importorskip("vda5050.validation", reason="pip install vda5050-sdk: it has the schemas")
 
+from agent.delivery.task_outcome import TaskOutcome, TaskPhase
 from agent.interface.vehicle import Vehicle
 from agent.runtime.vda5050.broker_link import Broker
+from agent.runtime.vda5050.messages import (
+    NODES_MAX,
+    Action,
+    ActionStatus,
+    BlockingType,
+    InstantActions,
+)
 from protocol.links.bus import CanBus
-from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, order
+from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
 from tools.vda5050.fleet_vehicle import UNHEARD
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookedOrder, OrderBook
@@ -45,5 +53,121 @@ def test_a_robot_that_died_while_the_gateway_was_away_is_still_told_of(tmp_path:
         await running
         bus.close()
         book.close()
+
+    asyncio.run(story())
+
+
+def gateway_on(tmp_path: Path, told: list[str]) -> MasterGateway:
+    """Of a fleet that nobody hears, at a broker that nobody serves; needs a running loop."""
+    bus = CanBus(can.Bus(f"gateway {tmp_path}", interface="virtual"))
+    named = FleetNames("uagv", "Headland", "yard", Vehicle(), "2.0.0")
+    broker = Broker.read("mqtt://127.0.0.1:1")
+    book = OrderBook(tmp_path / "book.jsonl")
+    gateway = MasterGateway(bus, HOUSE, book, broker, named, None, told.append)
+    gateway._add(0)
+    return gateway
+
+
+async def left(gateway: MasterGateway) -> None:
+    port = gateway.ports[0]
+    port.running.cancel()
+    for working in gateway.working:
+        working.cancel()
+    await asyncio.gather(port.running, *gateway.working, return_exceptions=True)
+    gateway.operator.bus.close()
+    gateway.book.close()
+
+
+WHOLE = order(FETCH, BRING | {"sequenceId": 2}, name="o\x1b[2J1")
+
+
+def test_an_order_that_cannot_be_booked_is_refused_and_the_next_record_is_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A full disk ended the vehicle's connection for good, and what it took spoiled the book."""
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, told)
+        port = gateway.ports[0]
+
+        def full(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr("tools.vda5050.order_book.os.fsync", full)
+            gateway.order(port, WHOLE)
+        assert port.vehicle.booked is None and not gateway.desk.due()
+        assert "No space left" in str(port.vehicle.errors[-1].error_description)
+        assert "\x1b" not in told[-1], "a master's words do not steer the terminal"
+        gateway.order(port, WHOLE)
+        assert port.vehicle.booked is not None
+        await left(gateway)
+
+    asyncio.run(story())
+    again = OrderBook(tmp_path / "book.jsonl")
+    again.close()
+    assert again.orders[0].order.order_id == WHOLE.order_id
+
+
+def test_an_order_that_its_updates_make_too_long_is_refused_and_the_book_is_read_again(
+    tmp_path: Path,
+) -> None:
+    """It was booked, and from then on no gateway started: its own book was no book to it."""
+    ways = [node(f"w{number}", number, None) for number in range(2, 2 * NODES_MAX + 2, 2)]
+    hidden = BRING | {"sequenceId": 2 * NODES_MAX + 2, "released": False}
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, told)
+        half = NODES_MAX // 2
+        first, more = [FETCH, *ways[: half - 1]], ways[half - 2 :]
+        gateway.order(gateway.ports[0], order(*first, more[1] | {"released": False}))
+        assert gateway.ports[0].vehicle.booked is not None
+        gateway.order(gateway.ports[0], order(*more, hidden, update=1))
+        assert "longer than" in told[-1]
+        await left(gateway)
+
+    asyncio.run(story())
+    OrderBook(tmp_path / "book.jsonl").close()
+
+
+def test_an_instant_action_without_a_usable_key_fails_and_says_why(tmp_path: Path) -> None:
+    """It was RUNNING for ever, and the master waited."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        gateway.keys = tmp_path / "no.key"  # gone since the start
+        port = gateway.ports[0]
+        stop = Action(action_type="stop", action_id="s1", blocking_type=BlockingType.NONE)
+        gateway.act(port, InstantActions(actions=[stop]))
+        await asyncio.gather(*gateway.working)
+        state = port.vehicle.instant["s1"]
+        assert state.action_status is ActionStatus.FAILED and "no.key" in str(
+            state.result_description
+        )
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_an_instant_action_that_comes_twice_is_done_once_also_after_the_next_order(
+    tmp_path: Path,
+) -> None:
+    """A cancellation that the broker delivered twice would have cancelled the next order."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port = gateway.ports[0]
+        act = Action(action_type="stateRequest", action_id="c1", blocking_type=BlockingType.HARD)
+        gateway.order(port, WHOLE)
+        gateway.act(port, InstantActions(actions=[act]))
+        await asyncio.gather(*gateway.working)
+        port.vehicle.outcome = TaskOutcome(TaskPhase.DELIVERED, 0)
+        gateway.order(port, order(FETCH, BRING | {"sequenceId": 2}, name="o2"))
+        assert not port.vehicle.instant
+        gateway.act(port, InstantActions(actions=[act]))
+        assert not gateway.working
+        await left(gateway)
 
     asyncio.run(story())

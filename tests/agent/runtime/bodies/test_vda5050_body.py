@@ -5,13 +5,17 @@ from math import pi
 import pytest
 
 from agent.interface.config import MS
-from agent.runtime.bodies.vda5050_body import Vda5050Body
+from agent.interface.vehicle import Vehicle
+from agent.runtime.bodies.vda5050_body import LATE_US, Vda5050Body
+from agent.runtime.robot_body import DeclaredMachine
 from agent.runtime.vda5050.messages import (
     AgvPosition,
     BatteryState,
     EStop,
     SafetyState,
     VehicleState,
+    Visualization,
+    timestamp,
 )
 
 
@@ -74,3 +78,67 @@ def test_an_emergency_stop_of_the_vehicle_is_a_sick_body(monkeypatch: pytest.Mon
     made._heard(state(1.0, e_stop=EStop.MANUAL))
     seen = made.sense(now_us[0])
     assert seen is not None and seen.health == 0.0
+
+
+def said(at_us: int, x_m: float, map_id: str = "hall") -> Visualization:
+    at = AgvPosition(x=x_m, y=2.0, theta=0.0, map_id=map_id, position_initialized=True)
+    return Visualization(timestamp=timestamp(at_us / 1e6), agv_position=at)
+
+
+def test_places_that_arrive_together_do_not_make_a_vehicle_fast(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """After a stall two places came 30 ms apart: 6 m/s, and a place that was half a metre ahead."""
+    now_us = [1_000 * MS]
+    made = body(monkeypatch, now_us)
+    made._heard(state(1.0).model_copy(update={"timestamp": timestamp(5.0)}))
+    now_us[0] += 30 * MS
+    made._heard(said(5_200 * MS, 1.16))
+    seen = made.sense(now_us[0])
+    assert seen is not None and seen.vx_m_s == pytest.approx(0.8)
+
+
+def test_a_place_just_before_a_step_and_one_just_after_it_do_not_make_a_vehicle_fast(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Found with four vehicles: 1.6 m/s for one that drove 0.8. Its robot wanted to brake from there,
+    ordered a step of 0.9 m at 1.5 m/s, and came too near to another."""
+    now_us = [1_000 * MS]
+    made = body(monkeypatch, now_us)
+    made.declare(DeclaredMachine(Vehicle(0.35, 0.8, 1.0), None))
+    speeds = []
+    for at_us, x_m in ((0, 2.2591), (68, 2.2918), (100, 2.3426), (184, 2.3862), (207, 2.4043)):
+        now_us[0] = (1_000 + at_us) * MS
+        made._heard(state(x_m).model_copy(update={"timestamp": timestamp(now_us[0] / 1e6)}))
+        seen = made.sense(now_us[0])
+        assert seen is not None
+        speeds.append(seen.vx_m_s)
+    assert max(speeds) == pytest.approx(0.8) and speeds[-1] > 0.4
+
+
+def test_a_late_place_is_none_and_a_clock_that_jumps_back_is_believed_soon(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_us = [1_000 * MS]
+    made = body(monkeypatch, now_us)
+    made._heard(state(1.0))
+    made._heard(said(5_000 * MS, 1.2))
+    made._heard(said(4_900 * MS, 1.1))
+    late = made.sense(now_us[0])
+    assert late is not None and late.x_m == pytest.approx(1.2)
+    now_us[0] += LATE_US
+    made._heard(said(500 * MS, 1.1))
+    jumped = made.sense(now_us[0])
+    assert jumped is not None and jumped.x_m == pytest.approx(1.1)
+    assert jumped.sensed_at_us == now_us[0]
+
+
+def test_a_vehicle_on_another_map_has_no_place(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A lift took it to another floor: its robot went on with coordinates of that one."""
+    now_us = [1_000 * MS]
+    made = body(monkeypatch, now_us)
+    made._heard(state(1.0))
+    made._heard(said(5_000 * MS, 1.0, map_id="floor 2"))
+    assert made.sense(now_us[0]) is None and "floor 2" in made._placeless()
+    made._heard(said(5_100 * MS, 1.0))
+    assert made.sense(now_us[0]) is not None

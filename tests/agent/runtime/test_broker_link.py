@@ -1,0 +1,70 @@
+"""The connection to a broker when the broker takes nothing any more."""
+
+import asyncio
+from collections.abc import AsyncIterator
+from typing import Any
+
+import pytest
+
+pytest.importorskip("aiomqtt", reason="the extra `vda5050` is not installed")
+
+import aiomqtt
+
+from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
+from agent.runtime.vda5050.messages import Topic, Visualization
+
+WAIT_S = 20.0
+
+
+class DeafClient:
+    """Connected, and silent: the second publication, after ONLINE, is not taken in time."""
+
+    def __init__(self) -> None:
+        self.published = 0
+
+    async def __aenter__(self) -> "DeafClient":
+        return self
+
+    async def __aexit__(self, *_: object) -> None:
+        pass
+
+    async def subscribe(self, *_: Any, **__: Any) -> None:
+        pass
+
+    async def publish(self, *_: Any, **__: Any) -> None:
+        self.published += 1
+        if self.published > 1:
+            raise aiomqtt.MqttError("Operation timed out")
+
+    @property
+    def messages(self) -> AsyncIterator[Any]:
+        return self._silence()
+
+    async def _silence(self) -> AsyncIterator[Any]:
+        await asyncio.get_running_loop().create_future()
+        yield
+
+
+def test_a_broker_that_takes_no_message_any_more_is_left_and_reached_again(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A vehicle was ONLINE to its master and said nothing until the master gave an order: the task that
+    sends had ended, and nobody looked at it while nothing was received."""
+
+    async def story() -> None:
+        reached = asyncio.Semaphore(0)
+        link = BrokerLink(
+            Broker.read("mqtt://127.0.0.1"), VehicleAddress("uagv", "ACME", "7"),
+            lambda _: None, reached.release,
+        )  # fmt: skip
+        monkeypatch.setattr(link, "_client", DeafClient)
+        running = asyncio.create_task(link.run([Topic.ORDER]))
+        async with asyncio.timeout(WAIT_S):
+            await reached.acquire()
+            assert link.publish(Visualization())
+            await reached.acquire()
+        assert link.problem == "Operation timed out"
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
+
+    asyncio.run(story())
