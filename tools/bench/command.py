@@ -52,10 +52,14 @@ def bench(
     cluster: str = "",
     seconds: float | None = None,
 ) -> int:
-    """0 when every figure holds its target. `cluster`: benches run on the workers of a scheduler.
+    """0 when every figure holds its target. `name`: one of BENCHES, all, or empty for their list.
+
+    `cluster`: benches run on the workers of a scheduler.
 
     `seconds`: how long, where a bench runs by the clock; none: as its target asks for.
     """
+    if not name:
+        return _listed(as_json)
     if name != "all" and name not in BENCHES:
         known = ", ".join((*BENCHES, "all"))
         print(f"headland: no bench {name}: choose one of {known}", file=sys.stderr)
@@ -79,6 +83,17 @@ def bench(
         targets = sum(figure.holds is not None for figure in found)
         console.print(f"{len(found)} figures, {targets} with a target, {len(missed)} missed")
     return MISSED if missed else 0
+
+
+def _listed(as_json: bool) -> int:
+    if as_json:
+        print(dumps(BENCHES))
+        return 0
+    width = max(map(len, BENCHES))
+    for name, what in BENCHES.items():
+        print(f"{name:{width}}  {what}")
+    print(f"{'all':{width}}  all of them: hours; with --quick less than a minute each")
+    return 0
 
 
 def _measured(

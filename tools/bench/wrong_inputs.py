@@ -64,11 +64,11 @@ bridge --segment 1 --seconds nan | --seconds
 vda5050 --broker ftp://here | ftp://here
 vda5050 --scenario small --broker mqtt://127.0.0.1:1 --port 1 | kind
 mapf dir.toml | dir.toml
-mapf open.map --agents x | --agents
-mapf open.map --agents 99 | 99
-mapf open.map --agents 2 --loss 7 | --loss
-mapf open.map --agents 2 --out file/x | file/x
-mapf open.map --agents 2 --picture x.doc | x.doc
+mapf open.map --robots x | --robots
+mapf open.map --robots 99 | 99
+mapf open.map --robots 2 --loss 7 | --loss
+mapf open.map --robots 2 --out file/x | file/x
+mapf open.map --robots 2 --picture x.doc | x.doc
 export folder --film a.txt | folder
 run small --limit nan | --limit
 run small --limit -1 | --limit

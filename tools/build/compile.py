@@ -15,6 +15,7 @@ from typing import Any
 
 from rich.console import Console
 
+from sim.files.strict_json import dumps
 from tools.build.compiled_core import FOLDER, SUFFIX, place
 from tools.common.child_process import PREFIX
 from tools.common.fingerprint import ROOT
@@ -160,19 +161,22 @@ def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: 
         raise CompileError(f"mypyc refuses the sources: {(wrong or ['?'])[0]}") from None
 
 
-def compile_core(remove: bool) -> int:
+def compile_core(remove: bool, as_json: bool = False) -> int:
     """The exit code of `headland compile`: compile all groups, or with `remove` delete what was
-    compiled. 1 where mypy or the compiler fails, or is missing."""
-    console = Console()
+    compiled. 1 where mypy or the compiler fails, or is missing. `as_json`: then the lines for people go
+    to standard error."""
+    console = Console(stderr=as_json)
     if remove:
         there = FOLDER.is_dir()
         for folder in (FOLDER, CACHE):
             shutil.rmtree(folder, ignore_errors=True)
         console.print(f"removed {FOLDER}" if there else "there was no compiled core")
+        _print_json(as_json, {"removed": there})
         return 0
     folder, begun_s = place(), time.monotonic()
     if folder.is_dir():
         console.print(f"there is one of these sources: {folder}")
+        _print_json(as_json, {"folder": str(folder), "compiled": False})
         return 0
     try:
         with console.status("") as status:
@@ -187,4 +191,13 @@ def compile_core(remove: bool) -> int:
     size_mb = sum(file.stat().st_size for file in folder.glob("**/*.so")) / 1e6
     spent_s = time.monotonic() - begun_s
     console.print(f"{len(files(GROUP))} modules, {size_mb:.1f} MB, {spent_s:.0f} s: {folder}")
+    _print_json(as_json, {
+        "folder": str(folder), "compiled": True, "modules": len(files(GROUP)),
+        "size_mb": round(size_mb, 1), "spent_s": round(spent_s, 1),
+    })  # fmt: skip
     return 0
+
+
+def _print_json(asked: bool, found: dict[str, object]) -> None:
+    if asked:
+        print(dumps(found))

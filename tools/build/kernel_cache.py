@@ -1,9 +1,16 @@
 """Whether numba has compiled kernels on this machine before: the first run waits for them."""
 
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
+from threading import Timer
+from time import perf_counter
 
 WAIT = "compiling kernels: once on this machine, about 25 s on two idle cores"
+MORE = "compiling more kernels: once on this machine, up to two minutes on two idle cores"
+TOLD_AFTER_S = 2.0  # shorter waits need no word
+COMPILE = "numba:compile"  # numba's event; a kernel that it loads has none
 
 
 def kernels_kept() -> int | None:
@@ -15,3 +22,42 @@ def kernels_kept() -> int | None:
     folder = Path(numba.config.CACHE_DIR or "agent")
     root = folder if folder.is_absolute() else Path(__file__).parents[2] / folder
     return sum(1 for _ in root.rglob("*.nbi"))
+
+
+@contextmanager
+def told_compiling(tell: Callable[[str], object]) -> Iterator[None]:
+    """Call `tell` once with what is waited for, where the block compiles kernels for two seconds.
+
+    A cache that is not empty may still lack the kernels of another mission, or those of real robots.
+    `tell` is called in a thread of its own."""
+    if find_spec("numba") is None:
+        yield
+        return
+    from numba.core import event
+
+    class Heard(event.Listener):
+        """Adds up how long kernels were compiled; a kernel may compile others that it calls."""
+
+        told, depth, spent_s, begun_s = False, 0, 0.0, 0.0
+        timer: Timer | None = None
+
+        def on_start(self, event: object) -> None:
+            self.depth += 1
+            if self.depth == 1 and not self.told:
+                self.begun_s = perf_counter()
+                self.timer = Timer(max(TOLD_AFTER_S - self.spent_s, 0.0), self.say)
+                self.timer.daemon = True
+                self.timer.start()
+
+        def on_end(self, event: object) -> None:
+            self.depth -= 1
+            if self.depth == 0 and self.timer is not None:
+                self.timer.cancel()
+                self.spent_s += perf_counter() - self.begun_s
+
+        def say(self) -> None:
+            self.told = True
+            tell(MORE)
+
+    with event.install_listener(COMPILE, Heard()):
+        yield

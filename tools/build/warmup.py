@@ -12,6 +12,7 @@ from threading import Thread
 import numpy as np
 from rich.console import Console
 
+from sim.files.strict_json import dumps
 from tools.common.child_process import module_command
 
 
@@ -276,19 +277,24 @@ def _compile(names: Sequence[str]) -> None:
         parts[name]()
 
 
-def main(jobs: int) -> int:
-    """`jobs`: processes beside each other, 0: one for each core."""
-    console, begun_s = Console(), time.perf_counter()
+def main(jobs: int, as_json: bool = False) -> int:
+    """`jobs`: processes beside each other, 0: one for each core. `as_json`: then the lines for people go
+    to standard error."""
+    console, begun_s = Console(stderr=as_json), time.perf_counter()
+    spent: dict[str, float] = {}
     numbers = range(len(PARTS))
     # Those behind it leave Ctrl-C to the one in front, which ends them.
     leave = signal.signal, (signal.SIGINT, signal.SIG_IGN)
     with Pool(jobs or os.cpu_count(), *leave) as pool, console.status("compiling ..."):
         for name, spent_s in pool.imap_unordered(_compiled, numbers):
             console.print(f"{name:11} {spent_s:6.1f} s")
+            spent[name] = round(spent_s, 1)
     # In a process of its own, which has imported no kernel: it finds them compiled.
     subprocess.run(module_command("tools.build.kernel_module"), check=False)
     total_s = time.perf_counter() - begun_s
     console.print(f"ready after {total_s:.1f} s; a first start without this takes longer")
+    if as_json:
+        print(dumps({"spent_s": spent, "total_s": round(total_s, 1)}))
     return 0
 
 

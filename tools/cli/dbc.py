@@ -30,8 +30,9 @@ CONVERTED = (".kcd", ".sym")
 UNWRITTEN = (".xml", ".cdd", ".xls", ".xlsx", ".ldf")
 
 
-def dbc(out: Path | None, addresses: str | None = None) -> int:
-    """Print the DBC, or write it to `out`. The exit code is 2 if that cannot be written."""
+def dbc(out: Path | None, addresses: str | None = None, as_json: bool = False) -> int:
+    """Print the DBC, or write it to `out`. The exit code is 2 if that cannot be written. `as_json`: an
+    object with the number of frames, and the file or its text."""
     try:
         if out is not None and out.suffix.lower() in UNWRITTEN:
             print(f"headland: {out}: write .dbc, .arxml, .kcd or .sym", file=sys.stderr)
@@ -45,7 +46,10 @@ def dbc(out: Path | None, addresses: str | None = None) -> int:
         else:
             text = to_dbc(robots, suffix == ".sym")
         if out is None:
-            print(text, end="")
+            if as_json:
+                _print_json({"frames": len(GROUPS), "text": text})
+            else:
+                print(text, end="")
             return 0
         if suffix in CONVERTED:
             text = _converted(text, suffix)
@@ -63,8 +67,17 @@ def dbc(out: Path | None, addresses: str | None = None) -> int:
         where = "standard output" if out is None else out
         print(f"headland: {where}: cannot be written: {problem.strerror}", file=sys.stderr)
         return 2
-    print(f"{len(GROUPS)} frames in {out}")
+    if as_json:
+        _print_json({"frames": len(GROUPS), "file": str(out)})
+    else:
+        print(f"{len(GROUPS)} frames in {out}")
     return 0
+
+
+def _print_json(found: dict[str, object]) -> None:
+    from sim.files.strict_json import dumps  # not before it is asked for: a quick start
+
+    print(dumps(found))
 
 
 def _converted(text: str, suffix: str) -> str:

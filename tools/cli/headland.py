@@ -88,7 +88,8 @@ def run(
     feature: Annotated[str | None, typer.Option(help="Which field of a file with several.")] = None,
     drive: Annotated[Drive | None, typer.Option(help="Of a field's robots.")] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
+        Path | None,
+        typer.Option("-o", "--out", help="Folder of the run (none: runs/NAME-N, and runs/latest)."),
     ] = None,
     log: Annotated[
         list[Path] | None, typer.Option(help="A further CAN log: .asc .blf .csv .log .trc")
@@ -106,7 +107,8 @@ def run(
     seconds: Annotated[float | None, typer.Option(help="With --live: end after this long.")] = None,
     keys: KeyFile = None,
     film: Annotated[
-        bool, typer.Option("--film", help="An exploration: also maps.gif, the map growing.")
+        bool,
+        typer.Option("--film", help="Also film.gif; of an exploration maps.gif, its map growing."),
     ] = False,
     show_map: Map = False,
     page_port: PagePort = 8700,
@@ -130,14 +132,16 @@ def run(
         "--drive": drive is not None and not worked,
         "--feature": feature is not None and not worked, "--log": bool(log) and not worked,
         "--limit": limit is not None and (live or not (worked or warehouse)),
-        "--keys": keys is not None and not (worked or warehouse), "--film": film and not arena,
+        "--keys": keys is not None and not (worked or warehouse), "--film": film and kind is Kind.GRID,
     }  # fmt: skip
     _refuse(scenario, KIND_WORDS[kind.value], live, unfit)
     if warehouse:
         with told_loading():
             from tools.run.run_delivery import haul
 
-        raise SystemExit(haul(name, robots, seed, out, json, keys, live, port, seconds, limit))
+        raise SystemExit(
+            haul(name, robots, seed, out, json, keys, live, port, seconds, limit, film)
+        )
     if arena:
         with told_loading():
             from tools.run.run_exploration import explore as command
@@ -153,7 +157,7 @@ def run(
 
     page = page_port if show_map else None
     raise SystemExit(
-        work(name, robots, seed, out, json, keys, log or [], feature, drive, page, limit)
+        work(name, robots, seed, out, json, keys, log or [], feature, drive, page, limit, film)
     )
 
 
@@ -178,7 +182,8 @@ def explore(
     robots: Robots = None,
     seed: Seed = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of the run (none: runs/NAME-N, and runs/latest).")
+        Path | None,
+        typer.Option("-o", "--out", help="Folder of the run (none: runs/NAME-N, and runs/latest)."),
     ] = None,
     film: Annotated[bool, typer.Option("--film", help="Also maps.gif: the map, growing.")] = False,
     json: Json = False,
@@ -200,7 +205,10 @@ def launch(
     robots: Robots = None,
     seed: Seed = None,
     out: Annotated[
-        Path | None, typer.Option(help="Folder of this fleet (none: runs/NAME-N, and runs/launch).")
+        Path | None,
+        typer.Option(
+            "-o", "--out", help="Folder of this fleet (none: runs/NAME-N, and runs/launch)."
+        ),
     ] = None,
     fresh: Annotated[
         bool, typer.Option("--fresh", help="A new fleet, also where the last one is not done.")
@@ -319,7 +327,11 @@ def plan(
     robots: Annotated[int | None, typer.Option(help="Instead of the scenario's number.")] = None,
     out: Annotated[
         Path | None,
-        typer.Option(help="Folder for plan.geojson, plan.kml and TASKDATA (none: a table alone)."),
+        typer.Option(
+            "-o",
+            "--out",
+            help="Folder for plan.geojson, plan.kml and TASKDATA (none: a table alone).",
+        ),
     ] = None,
     done: Annotated[
         Path | None, typer.Option(help="The work.geojson of a run: plan what it left.")
@@ -354,6 +366,7 @@ def export(
     film: Annotated[
         Path | None, typer.Option(help="Write a film of the run, 20 s: a .gif or .webp.")
     ] = None,
+    json: Json = False,
 ) -> None:
     """Write what a run has worked in formats that farm software and ROS 2 read, or as a film.
 
@@ -363,7 +376,7 @@ def export(
     """
     from tools.run.export import export as command
 
-    raise SystemExit(command(run, isoxml, geojson, bag, storage, film))
+    raise SystemExit(command(run, isoxml, geojson, bag, storage, film, json))
 
 
 @app.command(rich_help_panel=SET_UP)
@@ -380,6 +393,7 @@ def dbc(
             help="Exact identifiers of these addresses, as 128-133; none: match by group."
         ),
     ] = None,
+    json: Json = False,
 ) -> None:
     """Write a DBC of every frame, for cantools, SavvyCAN, CANalyzer and the like.
 
@@ -387,7 +401,7 @@ def dbc(
     """
     from tools.cli.dbc import dbc as command
 
-    raise SystemExit(command(out, addresses))
+    raise SystemExit(command(out, addresses, json))
 
 
 @app.command(hidden=True)
@@ -412,6 +426,7 @@ def compile_core(
             "--kernels", help="Only the kernels of every run, and with g++ those of robots."
         ),
     ] = False,
+    json: Json = False,
 ) -> None:
     """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.
 
@@ -422,10 +437,10 @@ def compile_core(
     if kernels:
         from tools.build.warmup import main as compile_kernels
 
-        raise SystemExit(compile_kernels(0))
+        raise SystemExit(compile_kernels(0, json))
     from tools.build.compile import compile_core as command
 
-    raise SystemExit(command(remove))
+    raise SystemExit(command(remove, json))
 
 
 @app.command(rich_help_panel=PLAY)
@@ -434,13 +449,15 @@ def mapf(
     scenario: Annotated[
         Path | None, typer.Argument(help="Its .scen; none: starts and goals drawn by the seed.")
     ] = None,
-    agents: Annotated[
+    robots: Annotated[
         str, typer.Option(help="How many: 20, 1:100 (doubled), 10:100:30 (with a step).")
     ] = "20",
     loss: Annotated[float, typer.Option(help="Odds that a receiver misses a frame.")] = 0.0,
     crash: Annotated[int, typer.Option(min=0, help="Robots that fail on the way.")] = 0,
     seed: Annotated[int, typer.Option(help="Of the wire, the crashes, and drawn goals.")] = 1,
-    out: Annotated[Path | None, typer.Option(help="The paths that were driven, a file.")] = None,
+    out: Annotated[
+        Path | None, typer.Option("-o", "--out", help="The paths that were driven, a file.")
+    ] = None,
     picture: Annotated[
         Path | None, typer.Option(help="The same as a picture, .png, .svg or .pdf.")
     ] = None,
@@ -450,13 +467,13 @@ def mapf(
 
     Nobody plans for all: robots tell each other where they are and want to be, and agree. `--loss` is
     a share of all frames from 0 to 1, `--crash` a number of robots.
-    Example: headland mapf room-64-64-8.map room-64-64-8-random-1.scen --agents 1:50 --loss 0.02
+    Example: headland mapf room-64-64-8.map room-64-64-8-random-1.scen --robots 1:50 --loss 0.02
     """
     from sim.files.grid_map import GridFileError
     from tools.run.mapf import counts_of, measured
 
     try:
-        counts = counts_of(agents)
+        counts = counts_of(robots)
         raise SystemExit(measured(map, scenario, counts, seed, loss, crash, out, picture, json))
     except (GridFileError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)

@@ -1,6 +1,7 @@
 """`headland keys`: make, rotate and show the key files of a fleet. Secrets are never printed."""
 
 import sys
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
@@ -22,6 +23,7 @@ def new(
     folder: Folder = Path("keys"),
     device: Annotated[int, typer.Option(help="Number of the operator's device, 192 to 254.")] = 249,
     robots: Annotated[int, typer.Option(min=0, max=108, help="Robots that get a file each.")] = 0,
+    json: Json = False,
 ) -> None:
     """Make the keys of a fleet: a file for each robot, fleet.json for panels, operator.json to release.
 
@@ -41,8 +43,7 @@ def new(
         write(fleet, operator, fresh(), device, range(robots))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
-    for path in (fleet, operator, *(robot_path(folder, slot) for slot in range(robots))):
-        _tell(path)
+    _tell([fleet, operator, *(robot_path(folder, slot) for slot in range(robots))], json)
 
 
 @app.command()
@@ -98,9 +99,11 @@ def rotate(
         _wrong(str(problem))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
-    print(f"the keys {old.ids['fleet']} are no longer used; restart the robots with the new file")
-    _tell(fleet)
-    _tell(operator)
+    if not json:
+        print(
+            f"the keys {old.ids['fleet']} are no longer used; restart the robots with the new file"
+        )
+    _tell([fleet, operator], json)
 
 
 @app.command()
@@ -144,6 +147,7 @@ def operator(
         int, typer.Option(min=0, max=254, help="Number of the device, from 192; 0: the next one.")
     ] = 0,
     folder: Annotated[Path, typer.Option(help="Folder of the owner's files.")] = Path("keys"),
+    json: Json = False,
 ) -> None:
     """Make a key file for one person, restricted to roles, which every robot checks at each act.
 
@@ -193,7 +197,7 @@ def operator(
         _wrong(str(problem))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
-    _tell(path)
+    _tell([path], json)
 
 
 @app.command("log")
@@ -257,32 +261,45 @@ def log_command(
 @app.command()
 def show(
     file: Annotated[Path, typer.Argument(help="A key file, or the folder of both.")] = Path("keys"),
+    json: Json = False,
 ) -> None:
     """Say what a key file is for, by its ids: two files of one fleet show the same operator id.
 
     Example: headland keys show keys
     """
     people = sorted(file.glob("operator-*.json")) if file.is_dir() else []
-    for path in [file / FLEET_FILE, file / OPERATOR_FILE, *people] if file.is_dir() else [file]:
-        _tell(path)
+    both = [file / FLEET_FILE, file / OPERATOR_FILE, *people]
+    _tell(both if file.is_dir() else [file], json)
 
 
-def _tell(path: Path) -> None:
+def _tell(paths: Sequence[Path], as_json: bool) -> None:
+    """Say what each key file is for, a line each, or all as one array."""
     from agent.runtime.files.key_file import KeyFileError, counter, date_of, read, roles_named
 
+    files: list[dict[str, object]] = []
     try:
-        found = read(path)
-        ids = ", ".join(f"{name} {value}" for name, value in found.ids.items())
-        device = ""
-        if found.device is not None:
-            device = f", device {found.device}, {counter(path)} frames reserved"
-        if found.badge is not None:
-            day = found.badge.expires_day
-            end = f", until {date_of(day)}" if day else ""
-            device += f", {found.person}: {roles_named(found.badge.roles)}{end}"
-        print(f"{path}: {found.kind}: {ids}{device}")
+        for path in paths:
+            found = read(path)
+            told: dict[str, object] = {"file": str(path), "kind": found.kind, "ids": found.ids}
+            ids = ", ".join(f"{name} {value}" for name, value in found.ids.items())
+            device = ""
+            if found.device is not None:
+                device = f", device {found.device}, {counter(path)} frames reserved"
+                told |= {"device": found.device, "frames_reserved": counter(path)}
+            if found.badge is not None:
+                day, roles = found.badge.expires_day, roles_named(found.badge.roles)
+                device += f", {found.person}: {roles}" + (f", until {date_of(day)}" if day else "")
+                until = str(date_of(day)) if day else None
+                told |= {"person": found.person, "roles": roles, "until": until}
+            files.append(told)
+            if not as_json:
+                print(f"{path}: {found.kind}: {ids}{device}")
     except KeyFileError as problem:
         _wrong(str(problem))
+    if as_json:
+        from sim.files.strict_json import dumps
+
+        print(dumps(files))
 
 
 def _wrong(message: str) -> NoReturn:

@@ -6,6 +6,7 @@ panel is printed last, under "Commands". A command that only keeps an old name a
 
 import configparser
 import os
+import re
 from collections.abc import Callable, Sequence
 from contextlib import redirect_stdout
 from copy import copy
@@ -30,6 +31,14 @@ CAN_FILES = ("can.ini", "~/.canrc", "~/.can", "/etc/can.conf", "~/can.conf")
 CAN_KEYS = ("interface", "channel", "bitrate")
 # Options whose number is never negative: spans of time, and a factor of it.
 SPANS = {"--seconds", "--timeout", "--wait", "--delay", "--limit", "--since", "--speed"}
+# How a help says what a value is: typer's names of types, which differ by its version, and ours.
+KINDS = {
+    r"<(?:list\[)?(?:int|float)(?: range)?\]?>": "<number>", r"<(?:list\[)?str\]?>": "<text>",
+    r"<(?:list\[)?[Pp]ath\]?>": "<path>",
+}  # fmt: skip
+RANGES = {
+    r"([\d.]+)<=x<=([\d.]+)": r"\1 to \2", r"x>=([\d.]+)": r"\1 or more", r"x<=([\d.]+)": r"at most \1",
+}  # fmt: skip
 COMPLETION = "_HEADLAND_COMPLETE"  # set by a shell that asks for completion
 SHORT_MAX = 200  # characters of a command in the list: its first sentence, wrapped
 SETTINGS: dict[str, Any] = {
@@ -74,6 +83,7 @@ class Panels(TyperGroup):
         for param in command.params:
             if not isinstance(param.callback, _Number):  # a second call in the same process
                 param.callback = _Number(param.callback)
+            setattr(param, "get_help_record", _PlainRecord(param.get_help_record))  # noqa: B010
             if param.name == "interface" and param.default == "socketcand":
                 ctx.default_map = {name: can_defaults()}
         take_plain_values(command.get_params(ctx))
@@ -122,6 +132,30 @@ class _Number:
         if isinstance(value, float) and value < 0 and not SPANS.isdisjoint(param.opts):
             raise typer.BadParameter(f"{value:g} is negative; it needs 0 or more", ctx, param)
         return value
+
+
+class _PlainRecord:
+    """The `get_help_record` of one parameter, with words for people instead of names of types.
+
+    >>> _PlainRecord(lambda ctx: ("--port <int range>", "Of the bus.  [default: 0; 0<=x<=9]"))(None)
+    ('--port <number>', 'Of the bus.  [default: 0; 0 to 9]')
+    >>> _PlainRecord(lambda ctx: ("--log <list[Path]>", "[x>=1.0]"))(None)
+    ('--log <path>', '[1.0 or more]')
+    """
+
+    def __init__(self, by_typer: Callable[[Any], Any]) -> None:
+        self.by_typer = by_typer
+
+    def __call__(self, ctx: Any) -> Any:
+        record = self.by_typer(ctx)
+        if record is None:  # a hidden parameter
+            return None
+        names, told = record
+        for kind, plain in KINDS.items():
+            names = re.sub(kind, plain, names)
+        for span, plain in RANGES.items():
+            told = re.sub(span, plain, told)
+        return names, told
 
 
 def _renamed(word: str, known: set[str]) -> str:

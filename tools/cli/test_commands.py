@@ -25,9 +25,9 @@ def chaos(
     profile: Annotated[str, typer.Option(help=PROFILES)] = "all",
     jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for results and reproductions.")] = Path(
-        "runs/chaos"
-    ),
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Folder for results and reproductions.")
+    ] = Path("runs/chaos"),
     mutants: Annotated[
         bool, typer.Option("--mutants", help="Look for planted bugs instead: all must be found.")
     ] = False,
@@ -82,7 +82,9 @@ def fuzz(
     engine: Annotated[str, typer.Option(help="auto, plain or atheris (pip install atheris).")] = "auto",
     keep: Annotated[bool, typer.Option("--keep", help="New inputs join the corpus.")] = False,
     again: Annotated[Path | None, typer.Option("--input", help="Run one input again.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for what breaks something.")] = Path("runs/fuzz"),
+    out: Annotated[
+        Path, typer.Option("-o", "--out", help="Folder for what breaks something.")
+    ] = Path("runs/fuzz"),
     json: Json = False,
 ) -> None:  # fmt: skip
     """Any bytes into every decoder, from a corpus in the tree. Exit 0 when no promise was broken.
@@ -104,7 +106,10 @@ def fuzz(
 
 @app.command(rich_help_panel=DEVELOP)
 def bench(
-    name: Annotated[str, typer.Argument(help="Which one, or all.")] = "all",
+    name: Annotated[
+        str,
+        typer.Argument(help="Which one, or all; none: a list of them, and nothing is measured."),
+    ] = "",
     quick: Annotated[bool, typer.Option("--quick", help="Less than a minute each.")] = False,
     seed: Annotated[int, typer.Option(help="Where chance takes part.")] = 1,
     cluster: Cluster = "",
@@ -114,6 +119,8 @@ def bench(
     json: Json = False,
 ) -> None:
     """Measure again what the documents claim. Exit 0 when every target holds.
+
+    Without a name it lists what can be measured.
 
     Example: headland bench wire --quick --json
     """

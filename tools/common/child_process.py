@@ -4,7 +4,9 @@
 own. `-P` excludes that folder.
 """
 
+import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 PREFIX = __name__.removesuffix("tools.common.child_process")  # in a wheel: `headland.`
@@ -18,3 +20,9 @@ def module_command(module: str) -> list[str]:
         f"runpy.run_module({PREFIX + module!r}, run_name='__main__', alter_sys=True)"
     )
     return [sys.executable, "-P", "-c", start]
+
+
+def politely(nice: int) -> Callable[[], object] | None:
+    """What a child does before it begins, so that others go first. None on Windows, which has neither
+    niceness nor a moment between fork and exec."""
+    return (lambda: os.nice(nice)) if hasattr(os, "nice") else None

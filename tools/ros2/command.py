@@ -1,13 +1,13 @@
 """`headland ros2`: a fleet on a bus as topics of ROS 2, and stops from either side on both."""
 
 import asyncio
-import signal
 import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
 from agent.delivery.warehouse import Warehouse
+from agent.runtime.end_signals import on_end
 from agent.runtime.files.given_file import (
     REPORT_BYTES_MAX,
     SETTINGS_BYTES_MAX,
@@ -148,8 +148,7 @@ async def _serve(
             keys = operator_key = keys_in(LAUNCH, launch)
     scene = _scene(scenario, launch)
     end, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
     bus = attach(interface, channel, bitrate, host, port)

@@ -35,7 +35,9 @@ def solve(
     turn_cost: Annotated[float, typer.Option(help="Steps that a quarter turn costs.")] = 0.0,
     die: Annotated[list[str] | None, typer.Option(help="ROBOT@STEP becomes a wreck.")] = None,
     join: Annotated[list[str] | None, typer.Option(help="ROW,COLUMN@STEP: one more.")] = None,
-    out: Annotated[Path, typer.Option(help="The plan file.")] = Path("vacuum_plan.json"),
+    out: Annotated[Path, typer.Option("-o", "--out", help="The plan file.")] = Path(
+        "vacuum_plan.json"
+    ),
     export: Annotated[
         Path | None, typer.Option(help="Write map and starts as .map or .mcpp, too.")
     ] = None,
@@ -118,7 +120,7 @@ def drive(
     loss: Annotated[float, typer.Option(help="Odds that a receiver misses a frame.")] = 0.0,
     silence: Annotated[Silence, typer.Option(help="When a robot falls silent.")] = "continue",
     out: Annotated[
-        Path | None, typer.Option(help="Folder for the trace and a candump log.")
+        Path | None, typer.Option("-o", "--out", help="Folder for the trace and a candump log.")
     ] = None,
     reachable_only: Annotated[
         bool, typer.Option("--reachable-only", help="Cells that no robot can come to are no fault.")

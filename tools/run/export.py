@@ -1,6 +1,7 @@
 """`headland export`: what a run has worked, for farm software, for ROS 2, and as a film."""
 
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
@@ -8,6 +9,7 @@ from rich.progress import Progress
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
+from sim.files.strict_json import dumps
 from sim.record.mcap_log import MCAP, McapMissing, read_recording
 from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
@@ -17,24 +19,36 @@ from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 from tools.run.film import FILM_S, FilmError, write_film
 
+Say = Callable[[str], object]  # of a line for people
 RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field leaves
 
 
 def export(
     folder: Path, isoxml: Path | None, geojson: Path | None, bag: Path | None = None,
-    storage: Storage = "mcap", film: Path | None = None,
+    storage: Storage = "mcap", film: Path | None = None, as_json: bool = False,
 ) -> int:  # fmt: skip
     """Write the work of a run as task data, GeoJSON, a ROS 2 bag, a film, or several of them. The exit
-    code is 2 where the folder has none, or nothing can be written; a FieldFileError becomes a line."""
+    code is 2 where the folder has none, or nothing can be written; a FieldFileError becomes a line.
+
+    `as_json`: an object with the path of each, instead of lines."""
     if isoxml is None and geojson is None and bag is None and film is None:
         print("headland: export: name --isoxml, --geojson, --bag or --film", file=sys.stderr)
         return 2
-    if bag is not None and _bag(folder, bag, storage):
+    say: Say = (lambda line: None) if as_json else print
+    if bag is not None and _bag(folder, bag, storage, say):
         return 2
-    if film is not None and _film(folder, film):
+    if film is not None and _film(folder, film, say):
         return 2
-    if isoxml is None and geojson is None:
-        return 0
+    if (isoxml is not None or geojson is not None) and _work(folder, isoxml, geojson, say):
+        return 2
+    if as_json:
+        written = {"isoxml": isoxml, "geojson": geojson, "bag": bag, "film": film}
+        print(dumps({form: str(path) for form, path in written.items() if path is not None}))
+    return 0
+
+
+def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> int:
+    """Write what was worked; the exit code."""
     try:
         if not (folder / RECORD).exists() and (folder / REPORT).exists():
             raise FieldFileError(
@@ -44,10 +58,10 @@ def export(
         _check(folder)
         if isoxml is not None:
             write_isoxml(record, isoxml)
-            print(f"{isoxml}: ISO 11783-10 task data, {_told(record)}")
+            say(f"{isoxml}: ISO 11783-10 task data, {_told(record)}")
         if geojson is not None:
             write_geojson(record, geojson)
-            print(f"{geojson}: GeoJSON, {_told(record)}")
+            say(f"{geojson}: GeoJSON, {_told(record)}")
     except FieldFileError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return 2
@@ -57,7 +71,7 @@ def export(
     return 0
 
 
-def _bag(folder: Path, bag: Path, storage: Storage) -> int:
+def _bag(folder: Path, bag: Path, storage: Storage, say: Say) -> int:
     """Write a bag; the exit code."""
     log = folder / MCAP
     try:
@@ -68,11 +82,11 @@ def _bag(folder: Path, bag: Path, storage: Storage) -> int:
     except (BagError, McapMissing, ValueError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return 2
-    print(f"{bag}: ROS 2 bag, {counts.total()} messages in {len(counts)} topics")
+    say(f"{bag}: ROS 2 bag, {counts.total()} messages in {len(counts)} topics")
     return 0
 
 
-def _film(folder: Path, film: Path) -> int:
+def _film(folder: Path, film: Path, say: Say) -> int:
     """Write a film; the exit code."""
     try:
         recording = recorded(folder, None)
@@ -90,7 +104,7 @@ def _film(folder: Path, film: Path) -> int:
         print(f"headland: {film}: {problem.strerror}", file=sys.stderr)
         return 2
     size_kb = film.stat().st_size // 1000
-    print(f"{film}: {count} pictures, {FILM_S:.0f} s, {size_kb} kB")
+    say(f"{film}: {count} pictures, {FILM_S:.0f} s, {size_kb} kB")
     return 0
 
 

@@ -7,8 +7,6 @@ robots end by themselves when this process dies, because the pipe on their stdin
 
 import asyncio
 import contextlib
-import os
-import signal
 import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -16,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from rich.console import Console
 
 from agent.interface.lifecycle import State
+from agent.runtime.end_signals import on_end
 from agent.runtime.gc_tuning import freeze_gc
 from protocol.frames.frame import Frame
 from sim.files.candump import CandumpWriter
@@ -31,7 +30,7 @@ from sim.world.implement_contacts import implement_contacts
 from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
 from tools.common.bus_address import CHANNEL, absolute
-from tools.common.child_process import module_command
+from tools.common.child_process import module_command, politely
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
 from tools.common.run_recorder import RunRecorder
@@ -101,8 +100,7 @@ class Launch:
         code. Raises BusError if the port is taken."""
         loop = asyncio.get_running_loop()
         end = asyncio.Event()
-        for number in (signal.SIGINT, signal.SIGTERM):
-            loop.add_signal_handler(number, end.set)
+        on_end(loop, end.set)
         memory = WorldMemory(self.out / TRUTH, self.world, self._parcels())
         self.world_began_us, self.memory = memory.now_us, memory
         for body in self.world.robots.values():
@@ -293,7 +291,7 @@ class Launch:
         words += [] if self.operator_key is None else ["--operator-key", self.operator_key]
         self.map = await asyncio.create_subprocess_exec(
             *module_command("tools.cli.headland"), *words, start_new_session=True,
-            stdout=self.map_out, preexec_fn=lambda: os.nice(MAP_NICE),
+            stdout=self.map_out, preexec_fn=politely(MAP_NICE),
         )  # fmt: skip
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:

@@ -40,9 +40,9 @@ def counts_of(words: str) -> list[int]:
     except ValueError:
         parts = []
     if not 1 <= len(parts) <= 3 or min(parts) < 1 or parts != [*sorted(parts[:2]), *parts[2:]]:
-        raise GridFileError(f"--agents {words}: give 20, 1:100 or 10:100:30")
+        raise GridFileError(f"--robots {words}: give 20, 1:100 or 10:100:30")
     if parts[-1 if len(parts) < 3 else 1] > PEERS_MAX:
-        raise GridFileError(f"--agents {words}: a bus has addresses for {PEERS_MAX} robots")
+        raise GridFileError(f"--robots {words}: a bus has addresses for {PEERS_MAX} robots")
     first, last = parts[0], parts[min(1, len(parts) - 1)]
     counts = [first]
     while counts[-1] < last:

@@ -21,7 +21,7 @@ from agent.runtime.end_signals import on_end
 from agent.runtime.robot_file import RobotBusTable, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, opened_bus
 from protocol.frames.frame import Frame
-from tools.common.child_process import module_command
+from tools.common.child_process import module_command, politely
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port
 
@@ -55,7 +55,7 @@ def viewers_beside(
     process = subprocess.Popen(
         module_command("tools.run.robot_viewers"), stdin=subprocess.PIPE, text=True,
         start_new_session=True,  # the terminal's Ctrl-C is for the robot, which says farewell first
-        preexec_fn=lambda: os.nice(NICE),
+        preexec_fn=politely(NICE),
     )  # fmt: skip
     assert process.stdin is not None
     with contextlib.suppress(BrokenPipeError):  # it has ended, and has said why

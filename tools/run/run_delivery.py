@@ -28,7 +28,7 @@ BUS = "bus.json"  # where tools find the bus of a launch
 def haul(
     scenario: str, robots: int | None, seed: int | None, to: Path | None, as_json: bool,
     keys: Path | None, live: bool, port: int, seconds: float | None,
-    limit_s: float | None = None,
+    limit_s: float | None = None, film: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland run` for a warehouse: 0 if all is delivered, 3 if tasks are left
     that cannot be reached."""
@@ -38,7 +38,7 @@ def haul(
         run = DeliveryRun(DeliverySetup(warehouse))
         return LiveDeliveryCommand(run, scenario, port, seconds) if live else DeliveryCommand(run)
 
-    return run_mission(make, to, as_json)
+    return run_mission(make, to, as_json, film=film)
 
 
 def exit_code(outcome: DeliveryOutcome) -> int:

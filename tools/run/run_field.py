@@ -31,11 +31,12 @@ def run(
     drive: str | None = None,
     page_port: int | None = None,
     limit_s: float | None = None,
+    film: bool = False,
 ) -> int:
     """The exit code of `headland run`: 0 for a run without a flaw, 1 for any other, 2 for a wrong
     argument.
 
-    `page_port`: of a map that shows the run, and at a terminal stays after its end.
+    `page_port`: of a map that shows the run, and at a terminal stays after its end. `film`: film.gif.
     """
 
     def make() -> MissionCommand[Any]:
@@ -48,7 +49,7 @@ def run(
             raise ScenarioError(f"{changed.name}: the map page shows fields only; leave --map out")
         return NavigationCommand.of(changed)
 
-    return run_mission(make, out, as_json, logs, page_port)
+    return run_mission(make, out, as_json, logs, page_port, film)
 
 
 class FieldCommand(MissionCommand[FieldRun]):

@@ -19,13 +19,15 @@ from sim.files.strict_json import dumps
 from sim.record.recording import Recording
 from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
-from tools.build.kernel_cache import WAIT, kernels_kept
+from tools.build.kernel_cache import WAIT, kernels_kept, told_compiling
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.run_recorder import RunRecorder
 from tools.common.verbosity import Verbosity
 from tools.livemap.command import MapThread, ServerError
+from tools.run.film import write_film
 
+FILM = "film.gif"  # of `--film`
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
 RunT = TypeVar("RunT", bound=MissionRun[Any, Any, Any])
 
@@ -69,12 +71,12 @@ class MissionCommand(ABC, Generic[RunT]):
 
 def run_mission(
     make: Callable[[], MissionCommand[Any]], out: Path | None, as_json: bool,
-    logs: Sequence[Path] = (), page_port: int | None = None,
+    logs: Sequence[Path] = (), page_port: int | None = None, film: bool = False,
 ) -> int:  # fmt: skip
     """Run a mission to its end; returns the exit code.
 
     `make` may raise ScenarioError. `page_port`: of a map that shows the run, and at a terminal stays
-    after its end.
+    after its end. `film`: also film.gif, what `headland export --film` makes.
     """
     console = Console(stderr=as_json, quiet=Verbosity.quiet)
     shown = None
@@ -87,7 +89,8 @@ def run_mission(
         folder = folder_for(out, name)
         if page_port is not None:
             shown = MapThread(Recording(), setting.field.name, page_port)
-        recorder = RunRecorder(setting, folder, None if shown is None else shown.server.recording)
+        recording = shown.server.recording if shown is not None else Recording() if film else None
+        recorder = RunRecorder(setting, folder, recording)
     except (ScenarioError, ServerError, FolderError) as problem:
         return _wrong(problem)
     except (OSError, ValueError) as problem:
@@ -98,7 +101,7 @@ def run_mission(
         _compile(console, command.warm)
     command.run.out, command.run.logs, command.run.attach = folder, logs, recorder
     try:
-        with ProgressBar(console, name, command.run, command.unit):
+        with ProgressBar(console, name, command.run, command.unit), told_compiling(console.print):
             outcome = command.play(console, folder, recorder)
     except (RunError, FleetFullError) as problem:
         return _wrong(problem)
@@ -107,6 +110,8 @@ def run_mission(
     report = {**outcome.to_dict(), "log_hash": recorder.log_hash, **command.report(outcome)}
     (folder / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
     drawn = command.draw(outcome, folder, recorder.log_hash)
+    if film and recording is not None:
+        drawn.append(_filmed(console, recording, folder))
     if as_json:
         print(dumps(report), flush=True)
     else:
@@ -118,6 +123,18 @@ def run_mission(
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         shown.join()
     return command.exit_code(outcome)
+
+
+def _filmed(console: Console, recording: Recording, folder: Path) -> str:
+    """Write the film of a run, and tell how far it is; the name of the file."""
+    with Progress(console=console, transient=True) as progress:
+        drawing = progress.add_task("drawing the film", total=None)
+
+        def on_picture(done: int, count: int) -> None:
+            progress.update(drawing, completed=done, total=count)
+
+        write_film(recording, folder / FILM, on_picture=on_picture)
+    return FILM
 
 
 def _compile(console: Console, warm: Callable[[], None] | None) -> None:

@@ -6,7 +6,6 @@ sections off over it. Several of them, one on each tractor, share the map as the
 
 import asyncio
 import secrets
-import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -23,6 +22,7 @@ from agent.peer.inputs import Cover
 from agent.runtime.bodies.bus_fixes import BusFixes
 from agent.runtime.bodies.nmea_body import LATENCY_MS, in_field
 from agent.runtime.bodies.position_fixes import ReceiverClock
+from agent.runtime.end_signals import on_end
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import Boundary, read_boundary
 from agent.runtime.files.key_file import FLEET, KeyFileError
@@ -196,8 +196,7 @@ async def _serve(
 
 async def _told_to_end() -> None:
     end, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
     await end.wait()
 
 

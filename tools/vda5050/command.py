@@ -1,12 +1,12 @@
 """`headland vda5050`: what the command line says, and the end of it."""
 
 import asyncio
-import signal
 import sys
 from pathlib import Path
 
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.warehouse import Warehouse
+from agent.runtime.end_signals import on_end
 from agent.runtime.vda5050.broker_link import Broker, BrokerError
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
@@ -61,8 +61,7 @@ async def _serve(
     house = Warehouse(floor_of(warehouse), Carrier(1.0, 0.0))
     book = OrderBook(path)
     end, loop = asyncio.Event(), asyncio.get_running_loop()
-    for number in (signal.SIGINT, signal.SIGTERM):
-        loop.add_signal_handler(number, end.set)
+    on_end(loop, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
     bus = await _attached(where)

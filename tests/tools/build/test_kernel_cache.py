@@ -1,10 +1,12 @@
-"""A run that has to compile its kernels first says so."""
+"""A run or a launch that has to compile kernels first says so."""
 
 from pathlib import Path
+from threading import Event
 
 import pytest
 
-from tools.build.kernel_cache import kernels_kept
+from tools.build import kernel_cache
+from tools.build.kernel_cache import COMPILE, MORE, kernels_kept, told_compiling
 
 
 def test_an_empty_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -14,3 +16,37 @@ def test_an_empty_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "agent").mkdir()
     (tmp_path / "agent" / "kernel.nbi").write_bytes(b"")
     assert kernels_kept() == 1
+
+
+WAIT_S = 60.0  # for a thread to begin, on a busy machine
+
+
+def test_a_wait_for_kernels_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A launch was silent for minutes where only a run had compiled kernels before."""
+    event = pytest.importorskip("numba.core.event", reason="the extra `sim` is not installed")
+    monkeypatch.setattr(kernel_cache, "TOLD_AFTER_S", 0.0)
+    told: list[str] = []
+    said = Event()
+
+    def tell(line: str) -> None:
+        told.append(line)
+        said.set()
+
+    with told_compiling(tell):
+        assert not told
+        for _ in range(2):
+            event.start_event(COMPILE)
+            event.start_event(COMPILE)  # a kernel that it calls
+            assert said.wait(WAIT_S)
+            event.end_event(COMPILE)
+            event.end_event(COMPILE)
+    assert told == [MORE]
+
+
+def test_a_short_wait_for_kernels_needs_no_word() -> None:
+    event = pytest.importorskip("numba.core.event", reason="the extra `sim` is not installed")
+    told: list[str] = []
+    with told_compiling(told.append):
+        event.start_event(COMPILE)
+        event.end_event(COMPILE)
+    assert told == []

@@ -1,7 +1,7 @@
-"""Bus tools and runs on systems without POSIX: what Linux alone has is hidden, and they work.
+"""Bus tools, runs and launches on systems without POSIX: what Linux alone has is hidden, and they work.
 
-Hidden are `fcntl`, `resource`, `pwd` and `termios`, the numbers of users, `fork`, `eventfd`, the signals
-that Windows lacks, and the signal handlers of the event loop.
+Hidden are `fcntl`, `resource`, `pwd` and `termios`, the numbers of users, `fork`, niceness, `eventfd`,
+the signals that Windows lacks, and the signal handlers and readers of the event loop.
 """
 
 import json
@@ -27,7 +27,7 @@ for name in ("fcntl", "resource", "pwd", "grp", "termios"):
     sys.modules.pop(name, None)
 sys.meta_path.insert(0, Absent())
 for name in ("getuid", "geteuid", "fork", "eventfd", "getpgid", "killpg", "sched_getaffinity",
-             "sysconf", "getloadavg"):
+             "sysconf", "getloadavg", "nice"):
     if hasattr(os, name):
         delattr(os, name)
 for name in ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGWINCH", "SIGPIPE"):
@@ -42,6 +42,17 @@ def none(*_):
 
 import asyncio.unix_events
 asyncio.unix_events._UnixSelectorEventLoop.add_signal_handler = none
+asyncio.unix_events._UnixSelectorEventLoop.add_reader = none
+
+import subprocess
+begin = subprocess.Popen.__init__
+
+def begin_as_on_windows(self, *words, **named):
+    if named.get("preexec_fn") is not None:
+        raise ValueError("preexec_fn is not supported on Windows platforms")
+    begin(self, *words, **named)
+
+subprocess.Popen.__init__ = begin_as_on_windows
 """
 
 
@@ -99,3 +110,15 @@ def test_a_run_does_not_need_posix(tmp_path: Path) -> None:
     done = headland(tmp_path, "run", "yard", "--robots", "2", "--json")
     assert "Traceback" not in done.stderr and done.returncode in (0, 1), done.stderr
     assert json.loads(done.stdout)["coverage"] > 0.9
+
+
+@pytest.mark.slow
+def test_a_launch_does_not_need_posix(tmp_path: Path) -> None:
+    """Its robots asked the loop for handlers of signals and a reader of a pipe, its map for niceness."""
+    words = ("launch", "yard", "--robots", "2", "--seconds", "4", "--out", "fleet", "--map")
+    done = headland(tmp_path, *words, "--page-port", "0")
+    assert "Traceback" not in done.stderr and done.returncode == 1, (done.stdout, done.stderr)
+    assert "has ended" not in done.stdout, done.stdout
+    for slot in range(2):
+        log = (tmp_path / "fleet" / f"robot{slot}.log").read_text()
+        assert "is up" in log and "Error" not in log, log

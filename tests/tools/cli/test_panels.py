@@ -1,7 +1,9 @@
 """The list of commands, the names that were there before, and where the bus options come from."""
 
+import json
 import re
 from pathlib import Path
+from typing import Any
 
 import pytest
 import typer
@@ -65,6 +67,57 @@ def test_each_example_has_a_line_of_its_own() -> None:
 def test_choices_are_in_the_help() -> None:
     assert "mecanum|differential|ackermann" in shown("run", "--help")
     assert "PERSON_IN_FIELD" in shown("stop", "--help")
+
+
+def leaves() -> list[tuple[str, Any]]:
+    """Every command that is listed, with the words that call it."""
+    found, waiting = [], [("", typer.main.get_command(app))]
+    while waiting:
+        words, command = waiting.pop()
+        inner = getattr(command, "commands", {})
+        waiting += [(f"{words} {n}".strip(), c) for n, c in inner.items() if not c.hidden]
+        if not inner:
+            found.append((words, command))
+    return found
+
+
+def test_a_help_has_words_for_people_and_no_names_of_types() -> None:
+    """`<list[Path]>`, `<int range>` and `0<=x<=65535` stood there."""
+    for words, _ in leaves():
+        told = shown(*words.split(), "--help", COLUMNS="120")
+        assert not re.search(r"<list|range>|<int|<float|<str>|<=x|x[<>]=|INTEGER|FLOAT", told), told
+
+
+def test_an_option_has_one_name_everywhere() -> None:
+    """Of `--out` only the report had a short form, `mapf` said `--agents`, and five had no `--json`."""
+    long_ones = {
+        "vda5050",
+        "ros2",
+    }  # they run until they are ended, and print a line for each event
+    for words, command in leaves():
+        options = [set(param.opts) for param in command.params]
+        names = set().union(*options)
+        assert {"-o", "--out"} in options or "--out" not in names, words
+        assert "--agents" not in names, words
+        assert "--json" in names or words in long_ones, words
+
+
+def test_bench_without_a_name_measures_nothing() -> None:
+    """It began to measure all of them, for hours."""
+    told = shown("bench")
+    assert re.search(r"^wire +bus load", told, re.M) and re.search(r"^all +", told, re.M)
+    assert json.loads(shown("bench", "--json"))["wire"].startswith("bus load")
+
+
+def test_keys_and_exports_are_told_as_json(tmp_path: Path) -> None:
+    made = json.loads(shown("keys", "new", str(tmp_path / "keys"), "--robots", "1", "--json"))
+    assert [Path(each["file"]).name for each in made] == [
+        "fleet.json", "operator.json", "robot0.json",
+    ]  # fmt: skip
+    told = json.loads(shown("keys", "show", str(tmp_path / "keys"), "--json"))
+    assert [each["ids"] for each in told] == [each["ids"] for each in made[:2]]
+    written = json.loads(shown("dbc", str(tmp_path / "headland.dbc"), "--json"))
+    assert written["file"] == str(tmp_path / "headland.dbc") and written["frames"] > 50
 
 
 def test_quiet_prints_nothing_but_json(tmp_path: Path) -> None:

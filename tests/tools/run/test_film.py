@@ -7,12 +7,14 @@ import pytest
 pytest.importorskip("PIL", reason="Pillow is not installed")
 
 from PIL import Image
+from typer.testing import CliRunner
 
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from sim.files.palette import ROBOTS
 from sim.record.recording import Recording
+from tools.cli.headland import app
 from tools.run.film import DENSE, HIGH, WIDE, FilmError, View, write_film
 
 SCENE = {
@@ -92,3 +94,14 @@ def test_the_film_of_the_readme_is_small_and_twenty_seconds() -> None:
         frames = film.n_frames  # type: ignore[attr-defined]
         assert frames * film.info["duration"] == pytest.approx(20_000, abs=500)
     assert path.stat().st_size < 3_000_000
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("words", ["yard --robots 2", "visitor", "warehouse --limit 20"])
+def test_any_run_is_filmed_by_the_same_word(words: str, tmp_path: Path) -> None:
+    """`--film` was refused for all but explorations."""
+    line = f"run {words} --film --json --out {tmp_path}"
+    done = CliRunner().invoke(app, line.split(), prog_name="headland")
+    assert done.exit_code in (0, 1), done.output
+    with Image.open(tmp_path / "film.gif") as film:
+        assert film.size == (WIDE, HIGH)

@@ -21,7 +21,7 @@ def map_file(tmp_path: Path) -> Path:
 @pytest.mark.slow
 def test_a_line_for_each_number_of_robots_and_a_file_of_paths(map_file: Path) -> None:
     out = map_file.with_name("paths.txt")
-    words = ["mapf", str(map_file), "--agents", "1:4", "--loss", "0.02", "--crash", "1"]
+    words = ["mapf", str(map_file), "--robots", "1:4", "--loss", "0.02", "--crash", "1"]
     done = CliRunner().invoke(
         app, [*words, "--json", "--out", str(out), "--picture", str(out) + ".png"]
     )
@@ -36,11 +36,11 @@ def test_a_line_for_each_number_of_robots_and_a_file_of_paths(map_file: Path) ->
 @pytest.mark.parametrize(
     ("words", "line"),
     [
-        (["--agents", "x"], "--agents x: give 20, 1:100 or 10:100:30"),
-        (["--agents", "1:400"], "--agents 1:400: a bus has addresses for 108 robots"),
-        (["--agents", "80"], "connected free cells for 80 agents"),
+        (["--robots", "x"], "--robots x: give 20, 1:100 or 10:100:30"),
+        (["--robots", "1:400"], "--robots 1:400: a bus has addresses for 108 robots"),
+        (["--robots", "80"], "connected free cells for 80 agents"),
         (["--loss", "2"], "--loss is 0 to 0.9"),
-        (["--agents", "2", "absent.scen"], "absent.scen"),
+        (["--robots", "2", "absent.scen"], "absent.scen"),
     ],
 )
 def test_what_is_wrong_is_one_line(map_file: Path, words: list[str], line: str) -> None:
