@@ -83,7 +83,7 @@ class Panels(TyperGroup):
         for param in command.params:
             if not isinstance(param.callback, _Number):  # a second call in the same process
                 param.callback = _Number(param.callback)
-            setattr(param, "get_help_record", _PlainRecord(param.get_help_record))  # noqa: B010
+                setattr(param, "get_help_record", _PlainRecord(param.get_help_record))  # noqa: B010
             if param.name == "interface" and param.default == "socketcand":
                 ctx.default_map = {name: can_defaults()}
         take_plain_values(command.get_params(ctx))
