@@ -15,6 +15,9 @@ AHEAD_MIN_M: Final = 0.3  # a nearer place is within the tolerance of Nav2's goa
 RENEW_S: Final = 0.5  # a third of the way: the robot need not brake for the end of it
 TURNED_RAD: Final = 0.35  # a course that differs by more is told at once
 STANDS_M_S: Final = 0.02
+# A goal that is not answered by then was lost with its server: Nav2 starts again. Answers take
+# milliseconds, and seconds on a machine that is overloaded.
+ANSWER_S: Final = 3.0
 
 
 class _Told(NamedTuple):
@@ -40,7 +43,7 @@ class NavigateGoals:
         self.sent = 0
         self._lock = Lock()  # the bus's thread wants, and the node's answers
         self._told: _Told | None = None  # None: the robot is to stand
-        self._answering = 0  # goals that the robot has not accepted or rejected yet
+        self._unanswered = 0  # number of the goal that the robot is to accept or reject; 0: none
         self._handles: list[Any] = []  # of goals that may still be driven
 
     @property
@@ -59,11 +62,13 @@ class NavigateGoals:
             told = self._told
             if told is not None:
                 turned = abs(remainder(course_rad - told.course_rad, 2 * pi)) > TURNED_RAD
-                if self._answering or (now_s - told.at_s < RENEW_S and not turned):
+                if now_s - told.at_s < (ANSWER_S if self._unanswered else 0.0):
+                    return
+                if now_s - told.at_s < RENEW_S and not turned:
                     return
             self._told = _Told(course_rad, now_s)
-            self._answering += 1
             self.sent += 1
+            number = self._unanswered = self.sent
         ahead_m = max(AHEAD_MIN_M, AHEAD_S * speed_m_s)
         goal = self.kind.Goal()
         goal.pose.header.frame_id = frame
@@ -72,17 +77,20 @@ class NavigateGoals:
         goal.pose.pose.position.y = place[1] + ahead_m * sin(course_rad)
         goal.pose.pose.orientation.z = sin(course_rad / 2)
         goal.pose.pose.orientation.w = cos(course_rad / 2)
-        self.client.send_goal_async(goal).add_done_callback(self._answered)
+        sent = self.client.send_goal_async(goal)
+        sent.add_done_callback(lambda answer: self._answered(number, answer))
 
-    def _answered(self, answer: Any) -> None:
+    def _answered(self, number: int, answer: Any) -> None:
         handle = answer.result()
         with self._lock:
-            self._answering -= 1
+            newest = number == self.sent
+            if newest:
+                self._unanswered = 0
             if handle is None or not handle.accepted:
                 return
             stands = self._told is None
             # Nav2 has ended the earlier goals by accepting this one.
-            self._handles = [] if stands else [handle]
+            self._handles = [] if stands else [handle, *([] if newest else self._handles)]
         if stands:  # it was to stand before the robot had answered
             handle.cancel_goal_async()
 

@@ -1,6 +1,7 @@
 """A ROS 2 node of ours in a thread of its own: rclpy waits there, and this process goes on.
 
-Callbacks run in that thread, one at a time. A caller of another thread reads one attribute that holds a
+Callbacks run in that thread, one at a time. With more than one thread those of a reentrant group run
+beside the others. A caller of another thread reads one attribute that holds a
 whole value, or passes them on with `loop.call_soon_threadsafe`.
 """
 
@@ -10,7 +11,11 @@ from typing import Any
 
 import rclpy
 from rclpy.context import Context
-from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.executors import (
+    ExternalShutdownException,
+    MultiThreadedExecutor,
+    SingleThreadedExecutor,
+)
 from rclpy.node import Node
 from rclpy.qos import QoSDurabilityPolicy, QoSProfile, QoSReliabilityPolicy
 from rclpy.utilities import try_shutdown
@@ -33,7 +38,9 @@ SENSED = QoSProfile(depth=KEPT, reliability=QoSReliabilityPolicy.BEST_EFFORT)
 class Ros2Node:
     """A node with its own context, so that several of them are in one process."""
 
-    def __init__(self, name: str, namespace: str = "", domain: int | None = None) -> None:
+    def __init__(
+        self, name: str, namespace: str = "", domain: int | None = None, threads: int = 1
+    ) -> None:
         """`domain`: ROS_DOMAIN_ID; None: that of the environment. Raises OSError."""
         self.context = Context()
         try:
@@ -41,7 +48,10 @@ class Ros2Node:
             self.node = Node(name, context=self.context, namespace=namespace)
         except Exception as problem:  # rclpy raises what its C library reports, of several classes
             raise OSError(f"ROS 2: {problem}") from None
-        self._executor = SingleThreadedExecutor(context=self.context)
+        self._executor = (
+            SingleThreadedExecutor(context=self.context) if threads == 1
+            else MultiThreadedExecutor(threads, context=self.context)
+        )  # fmt: skip
         self._executor.add_node(self.node)
         self._closing = False
         self._thread = threading.Thread(target=self._spin, daemon=True, name=f"ros2 {name}")

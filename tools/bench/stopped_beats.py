@@ -14,6 +14,9 @@ LOOK_S = 0.01
 REPEAT_S = 0.005  # as a stop panel repeats its press
 TIMEOUT_S = 10.0
 SETTLED_S = 2.0  # a fleet whose places came at their rate for so long has started
+GONE_S = (
+    3.0  # nobody beats from an address any more; robots of a loaded machine are silent for a second
+)
 READY_S = 120.0  # for a whole fleet to start again, on a machine that does much else
 
 
@@ -24,6 +27,7 @@ class Beats:
         """`robots`: how many there are."""
         self.robots = robots
         self.stopped: dict[int, bool] = {}  # by source address
+        self._heard_at_s: dict[int, float] = {}  # by source address
         self.all_at_s: float | None = None  # when all said so
         self.placed = 0  # beats of all robots that say a place
 
@@ -31,7 +35,13 @@ class Beats:
         """Take one frame of the bus."""
         source, message = decode(frame)
         if isinstance(message, Pose):
+            now_s = self._heard_at_s[source] = asyncio.get_running_loop().time()
             self.stopped[source] = message.stopped
+            if len(self.stopped) > self.robots:  # one has taken another address
+                self.stopped = {
+                    address: stopped for address, stopped in self.stopped.items()
+                    if now_s - self._heard_at_s[address] < GONE_S
+                }  # fmt: skip
             self.placed += message.placed
             if self.all_at_s is None and self._all(True):
                 self.all_at_s = asyncio.get_running_loop().time()

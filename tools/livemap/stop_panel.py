@@ -10,7 +10,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
 from tools.common.bus_address import AttachError
 from tools.operate.estop import press
-from tools.operate.operator_device import Operator
+from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.reset import LISTEN_S, STEP_S, operator_keyring, release
 
 CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
@@ -40,6 +40,7 @@ class Panel:
         self.stopper = Operator(bus, keyring)
         self._listeners = [self.stopper]
         self._pressing: asyncio.Task[list[int]] | None = None
+        self._repeating: asyncio.Task[list[KnownRobot]] | None = None
         self._releasing = asyncio.Lock()
 
     def hear(self, now_s: float, frame: Frame) -> None:
@@ -59,9 +60,12 @@ class Panel:
             await asyncio.sleep(ASK_S if self.stopper.robots else LISTEN_S)
 
     async def stop(self) -> dict[str, Any]:
-        """Press, and report which robots have not confirmed. A second press waits for the same answer."""
+        """Press, and report which robots have not confirmed. A second press waits for the same answer,
+        unless robots were released meanwhile: then it is a press of its own."""
         if self._pressing is None or self._pressing.done():
             self._pressing = asyncio.create_task(self._press())
+        elif self._repeating is not None and self._released:
+            self._repeating.cancel()  # the stop that it repeats is cleared
         late = await asyncio.shield(self._pressing)
         live = [robot.slot for robot in self.stopper.live]
         return {
@@ -69,11 +73,22 @@ class Panel:
             "heard": bool(live), "signed": self.signed,
         }  # fmt: skip
 
+    @property
+    def _released(self) -> bool:
+        """Whether a robot that has repeated the stop beats without being stopped."""
+        return any(robot.echoed and not robot.stopped for robot in self.stopper.live)
+
     async def _press(self) -> list[int]:
-        for robot in self.stopper.robots.values():
-            robot.echoed = False
-        late = await press(self.stopper, Reason.OPERATOR_INTERVENTION, CONFIRM_S)
-        return [robot.slot for robot in late]
+        while True:
+            self._repeating = repeating = asyncio.create_task(
+                press(self.stopper, Reason.OPERATOR_INTERVENTION, CONFIRM_S)
+            )
+            try:
+                await asyncio.wait({repeating})
+            finally:
+                repeating.cancel()
+            if not repeating.cancelled():
+                return [robot.slot for robot in repeating.result()]
 
     @property
     def releases(self) -> bool:

@@ -79,10 +79,9 @@ def _missing(zenoh: str | None) -> str:
 async def _joined(namespace: str, domain: int | None, zenoh: str | None) -> Graph:
     """Raises GraphError and OSError."""
     if zenoh is None:
-        from agent.runtime.ros2_node import Ros2Node
         from tools.ros2.dds_graph import DdsGraph
 
-        return DdsGraph(Ros2Node(NODE, namespace, domain))
+        return DdsGraph.joined(NODE, namespace, domain)
     from protocol.links.zenoh_link import LinkError
     from tools.ros2.zenoh_graph import ZenohGraph
 

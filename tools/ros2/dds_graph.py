@@ -9,6 +9,7 @@ from typing import Any
 from numpy import int8
 from numpy.typing import NDArray
 from rclpy.action.server import ActionServer, CancelResponse, GoalResponse
+from rclpy.callback_groups import ReentrantCallbackGroup
 from rclpy.duration import Duration
 from std_msgs.msg import Bool
 from std_srvs.srv import Trigger
@@ -21,6 +22,7 @@ PROFILES = {
 }  # fmt: skip
 
 
+THREADS = 4  # a stop and a release of each of two clients, besides what is heard
 ERROR = 1  # any other than NONE: the numbers of Nav2 are of its planners
 
 
@@ -78,11 +80,19 @@ def _places(request: Any) -> list[GoalPlace]:
 
 
 class DdsGraph:
-    """A node of rclpy, whose callbacks come in its thread."""
+    """A node of rclpy, whose callbacks come in its threads: those of services beside the others.
+
+    A release waits for the bus, and meanwhile a stop has to be heard."""
+
+    @classmethod
+    def joined(cls, name: str, namespace: str, domain: int | None) -> "DdsGraph":
+        """A new node in a graph. `domain`: ROS_DOMAIN_ID; None: of the environment. Raises OSError."""
+        return cls(Ros2Node(name, namespace, domain, THREADS))
 
     def __init__(self, node: Ros2Node) -> None:
         self.node, self.kinds = node, SimpleNamespace()
         self._served: list[Any] = []
+        self._beside = ReentrantCallbackGroup()
         for name in KINDS:
             package, _, kind = name.split("/")
             try:
@@ -102,8 +112,8 @@ class DdsGraph:
         self.node.node.create_subscription(Bool, topic, heard, RELIABLE)
 
     def serve(self, name: str, answer: Callable[[Any, Any], Any]) -> None:
-        """Answer in the thread of the node."""
-        self.node.node.create_service(Trigger, name, answer)
+        """Answer in a thread of the node, beside other answers."""
+        self.node.node.create_service(Trigger, name, answer, callback_group=self._beside)
 
     def act(
         self, name: str, kind: str, accepts: Callable[[list[GoalPlace]], bool],

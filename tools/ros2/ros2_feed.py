@@ -5,8 +5,10 @@ pass what they heard to the loop and touch nothing else.
 """
 
 import asyncio
+import time
 from base64 import b64decode
 from collections.abc import Callable
+from contextlib import suppress
 from itertools import pairwise
 from math import ceil, cos, sin
 from typing import Any, Final
@@ -29,6 +31,7 @@ CELLS_MAX: Final = 1_000_000
 UNKNOWN, OPEN, SOLID = -1, 0, 100  # of an occupancy grid
 WORKED: Final = {Phase.FREE: 0, Phase.CLAIMED: 10, Phase.STARTED: 50, Phase.DONE: 100}
 HEIGHT_M, LINE_M = 0.6, 0.15
+LOOK_S: Final = 0.1  # between two looks whether the feed has been closed
 ANSWER_S: Final = 30.0  # for a service that stops or releases: as long as the panel itself may take
 GREY: Final = (0.5, 0.5, 0.5)
 Asked = Callable[[], Any]  # makes a coroutine that returns (success, message)
@@ -55,6 +58,7 @@ class Ros2Feed(Watcher):
         self._odom: dict[int, Publisher] = {}
         self._states: dict[int, Publisher] = {}
         self._plans: dict[int, Publisher] = {}
+        self._closed = False
         self._told: dict[str, object] = {}  # topic -> what was last published there
         graph.hear("emergency_stop", self._stop_heard)
         for name in self._asked:
@@ -63,6 +67,7 @@ class Ros2Feed(Watcher):
 
     def close(self) -> None:
         """Tell nothing more, and leave the graph."""
+        self._closed = True
         self._telling.cancel()
         self.graph.close()
 
@@ -80,10 +85,12 @@ class Ros2Feed(Watcher):
         def answer(_: Any, response: Any) -> Any:
             """In the thread of the graph, which waits for the bus."""
             asked = asyncio.run_coroutine_threadsafe(self._asked[name](), self._loop)
-            try:
-                response.success, response.message = asked.result(ANSWER_S)
-            except TimeoutError:
-                response.success, response.message = False, f"no answer in {ANSWER_S:.0f} s"
+            ends_at_s = time.monotonic() + ANSWER_S
+            response.success, response.message = False, f"no answer in {ANSWER_S:.0f} s"
+            while time.monotonic() < ends_at_s and not self._closed:
+                with suppress(TimeoutError):
+                    response.success, response.message = asked.result(LOOK_S)
+                    break
             return response
 
         return answer

@@ -49,6 +49,7 @@ WHEEL_M: Final = 1.0  # any radius: wheel speeds are turned back into a velocity
 NO_ROS: Final = "the body ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'"
 TTL_S: Final = ACTUATOR_TTL_US / 1e6
 CANCEL_S: Final = 0.2  # for a goal on its way to be cancelled, before the node leaves
+NORM_OFF: Final = 0.1  # of a rotation, from 1; the quaternion of a message that nobody filled is 0
 CHECK_S: Final = 10 * MS / 1e6  # between two looks whether the command has expired
 Twist3 = tuple[float, float, float]  # forward and left m/s, turn rad/s
 
@@ -153,6 +154,9 @@ class Ros2Body(RobotBody):
             message.pose.pose.orientation,
             message.twist.twist,
         )
+        norm = turn.w * turn.w + turn.x * turn.x + turn.y * turn.y + turn.z * turn.z
+        if not abs(norm - 1.0) <= NORM_OFF:
+            return  # no rotation, so no place
         x0_m, y0_m, h0_rad = self.origin
         heading_rad = h0_rad + atan2(
             2.0 * (turn.w * turn.z + turn.x * turn.y), 1.0 - 2.0 * (turn.y**2 + turn.z**2)

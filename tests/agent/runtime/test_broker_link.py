@@ -68,3 +68,57 @@ def test_a_broker_that_takes_no_message_any_more_is_left_and_reached_again(
         await asyncio.gather(running, return_exceptions=True)
 
     asyncio.run(story())
+
+
+class DyingClient(DeafClient):
+    """The broker ends while a message is on its way, and giving that up takes a while."""
+
+    def __init__(
+        self, lost: asyncio.Event, giving_up: asyncio.Event, given_up: asyncio.Event
+    ) -> None:
+        super().__init__()
+        self.lost, self.giving_up, self.given_up = lost, giving_up, given_up
+
+    async def publish(self, *_: Any, **__: Any) -> None:
+        self.published += 1
+        if self.published == 1:
+            return
+        self.lost.set()
+        try:
+            await asyncio.get_running_loop().create_future()
+        except asyncio.CancelledError:
+            self.giving_up.set()
+            await self.given_up.wait()
+            raise
+
+    async def _silence(self) -> AsyncIterator[Any]:
+        await self.lost.wait()
+        raise aiomqtt.MqttError("Disconnected during message iteration")
+        yield
+
+
+def test_a_connection_that_is_ended_while_the_broker_dies_ends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """`headland vda5050` and its broker were ended at once: the gateway took the cancellation for that of
+    the task that sends, and tried to reach the broker for 40 minutes more."""
+
+    async def story() -> None:
+        events = [asyncio.Event() for _ in range(3)]
+        up = asyncio.Event()
+        link = BrokerLink(
+            Broker.read("mqtt://127.0.0.1"), VehicleAddress("uagv", "ACME", "7"),
+            lambda _: None, up.set,
+        )  # fmt: skip
+        monkeypatch.setattr(link, "_client", lambda: DyingClient(*events))
+        running = asyncio.create_task(link.run([Topic.ORDER]))
+        async with asyncio.timeout(WAIT_S):
+            await up.wait()
+            link.publish(Visualization())
+            await events[1].wait()
+            running.cancel()
+            events[2].set()
+            await asyncio.wait({running})
+        assert running.cancelled()
+
+    asyncio.run(story())

@@ -38,6 +38,7 @@ from protocol.sync.map_sync import encode_cells
 from tests.tools.launching import WAIT_S, call, said, start
 from tools.livemap.foxglove_live import AHEAD_MAX_S, FoxgloveFeed
 from tools.livemap.foxglove_port import PortTaken, check_port
+from tools.livemap.foxglove_services import RELEASE, STOP, services_of
 
 PROTOCOL = "foxglove.sdk.v1"
 RECEIVED_BYTES = 16_384
@@ -463,3 +464,46 @@ def test_a_port_that_is_taken_is_one_line() -> None:
         taken.listen()
         with pytest.raises(PortTaken, match="choose another"):
             check_port(taken.getsockname()[1])
+
+
+class SlowPanel:
+    """A release that waits for robots, and a stop that does not."""
+
+    releases = True
+
+    def __init__(self) -> None:
+        self.released, self.releasing = asyncio.Event(), asyncio.Event()
+
+    async def stop(self) -> dict[str, Any]:
+        return {"heard": True, "late": []}
+
+    async def release(self, **_: bool) -> dict[str, Any]:
+        self.releasing.set()
+        await self.released.wait()
+        return {"heard": True, "late": []}
+
+
+def test_a_stop_is_answered_while_a_release_waits_for_the_bus() -> None:
+    async def story() -> None:
+        panel = SlowPanel()
+        feed = FoxgloveFeed(None, 0, 0.0, services_of(panel, "k"))  # type: ignore[arg-type]
+        try:
+            async with viewing(feed.url) as viewer, viewing(feed.url) as other:
+                await viewer.look({"services": lambda: RELEASE in viewer.services})
+                await other.look({"services": lambda: STOP in other.services})
+                await viewer.connection.send(_call(viewer.services[RELEASE], 1))
+                await panel.releasing.wait()
+                for each in (other, viewer):
+                    await each.connection.send(_call(each.services[STOP], 7))
+                    await each.look({"stop": partial(bool, each.answers)})
+                    assert each.answers.pop()["success"] and not panel.released.is_set()
+                panel.released.set()
+                await viewer.look({"release": partial(bool, viewer.answers)})
+        finally:
+            feed.close()
+
+    asyncio.run(story())
+
+
+def _call(service: int, number: int) -> bytes:
+    return CALL.pack(2, service, number, len(b"json")) + b"json" + json.dumps({"key": "k"}).encode()

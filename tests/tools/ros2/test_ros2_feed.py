@@ -26,7 +26,6 @@ from std_srvs.srv import Trigger
 from visualization_msgs.msg import MarkerArray
 
 from agent.interface.lifecycle import State
-from agent.runtime.ros2_node import Ros2Node
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.messages import Message
@@ -76,7 +75,9 @@ class Side:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
         domain = 101 + randbelow(100)
         self.asked: list[str] = []
-        self.graph = DdsGraph(Ros2Node("headland", "headland", domain))
+        self.released = asyncio.Event()
+        self.released.set()
+        self.graph = DdsGraph.joined("headland", "headland", domain)
         self.feed = Ros2Feed(self.graph, SCENE, self._stop, self._release)
         self.listener = Listener(domain)
 
@@ -86,6 +87,7 @@ class Side:
 
     async def _release(self) -> tuple[bool, str]:
         self.asked.append("release")
+        await self.released.wait()
         return False, "no operator's key"
 
     def say(self, message: Message, source: int = 128) -> None:
@@ -166,6 +168,31 @@ async def test_a_plan_of_a_launch_is_a_path(side: Side) -> None:
     await side.listener.until(lambda: bool(side.listener.got[topic]), "plan")
     places = [(p.pose.position.x, p.pose.position.y) for p in side.listener.got[topic][-1].poses]
     assert places == [(1.0, 2.0), (3.0, 4.0), (5.0, 6.0)]
+
+
+@pytest.mark.asyncio
+async def test_a_stop_is_heard_while_a_release_waits_for_the_bus(side: Side) -> None:
+    """A release waits up to 30 s for robots. The thread that heard stops was the one that waited."""
+    node = side.listener.node
+    releases, stops = (
+        node.create_client(Trigger, f"/headland/{name}") for name in ("release", "stop")
+    )
+    presses = node.create_publisher(Bool, "/headland/emergency_stop", 10)
+    until = side.listener.until
+    await until(
+        lambda: releases.service_is_ready() and stops.service_is_ready()
+        and presses.get_subscription_count() > 0, "services and reader of stops",
+    )  # fmt: skip
+    side.released.clear()
+    releasing = releases.call_async(Trigger.Request())
+    await until(lambda: side.asked == ["release"], "release")
+    presses.publish(Bool(data=True))
+    await until(lambda: side.asked == ["release", "stop"], "stop by the topic")
+    stopping = stops.call_async(Trigger.Request())
+    await until(stopping.done, "stop by the service")
+    assert not releasing.done()
+    side.released.set()
+    await until(releasing.done, "answer of the release")
 
 
 @pytest.mark.asyncio

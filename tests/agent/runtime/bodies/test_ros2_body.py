@@ -12,6 +12,7 @@ import pytest_asyncio
 
 pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install 'headland[ros2]')")
 
+from nav_msgs.msg import Odometry
 from sensor_msgs.msg import LaserScan
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US
@@ -136,6 +137,23 @@ async def test_a_scan_whose_angles_are_no_numbers_is_no_scan(
     before = _rays(robot)
     robot.body._scanned(scan)
     assert _rays(robot) == before
+
+
+@pytest.mark.asyncio
+@pytest.mark.parametrize("robot", [(DriveTrain.MECANUM,)], indirect=True)
+@pytest.mark.parametrize("turn", [{"w": 0.0}, {"y": 1e200}, {"z": nan}])
+async def test_odometry_whose_orientation_is_no_rotation_is_no_place(
+    robot: Robot, turn: dict[str, float]
+) -> None:
+    """One that nobody had filled was a heading of 0, and a huge one ended the thread of the node, and
+    with it what stops a robot whose commands are not renewed."""
+    odometry = Odometry()
+    odometry.pose.pose.position.x = 77.0
+    for name, value in turn.items():
+        setattr(odometry.pose.pose.orientation, name, value)
+    robot.body._placed(odometry)
+    seen = robot.body.sense(now_us())
+    assert seen is not None and seen.x_m != 77.0
 
 
 @pytest.mark.asyncio

@@ -103,9 +103,13 @@ class Navigator:
                 twist.linear.y = share * (cos(heading_rad) * dy_m - sin(heading_rad) * dx_m)
         self._commands.publish(twist)
 
-    def close(self) -> None:
+    def hang(self) -> None:
+        """It is there, and answers nothing any more."""
         self._closing = True
         self._thread.join()
+
+    def close(self) -> None:
+        self.hang()
         self._executor.shutdown()
         self._server.destroy()
         self.node.destroy_node()
@@ -117,7 +121,7 @@ class Robot:
 
     def __init__(self) -> None:
         os.environ.setdefault("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-        domain = 1 + randbelow(100)
+        self.domain = domain = 1 + randbelow(100)
         self.machine = Ros2Machine("/robot_4", domain, 0.0, 0.0, 0.0)
         self.machine.start()
         self.navigator = Navigator(self.machine, domain)
@@ -176,6 +180,22 @@ async def test_a_course_that_nobody_renews_is_cancelled(robot: Robot) -> None:
     await robot.until(lambda: at.speed_m_s == 0.0)
     assert robot.navigator.cancelled == 1
     assert at.x_m - from_m < AHEAD_S * SPEED_M_S + BRAKING_M
+
+
+@pytest.mark.asyncio
+async def test_a_server_that_ends_before_it_answers_is_asked_again_when_it_is_back(
+    robot: Robot,
+) -> None:
+    """The robot stood for ever: the answer that it waited for had gone with Nav2."""
+    goals = robot.body.goals
+    assert goals is not None
+    robot.navigator.hang()
+    await robot.drive(Drive(0.0, SPEED_M_S), lambda: goals.sent > 0)
+    robot.navigator.close()
+    robot.navigator = Navigator(robot.machine, robot.domain)
+    await robot.drive(Drive(0.0, SPEED_M_S), lambda: robot.machine.speed_m_s > 0.5)
+    robot.body.drive(HALT, _now_us())
+    await robot.until(lambda: robot.machine.speed_m_s == 0.0)
 
 
 def _now_us() -> int:

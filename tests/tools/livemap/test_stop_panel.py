@@ -1,0 +1,86 @@
+"""The operator device of a map: when a press is one of its own."""
+
+import asyncio
+from collections.abc import Callable
+
+from agent.interface.lifecycle import State
+from protocol.frames.codec import decode, encode
+from protocol.frames.fleet_frames import Heartbeat, Member
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import EmergencyStop
+from sim.fleet.virtual_clock import elapse, run_virtual
+from tools.livemap.stop_panel import CONFIRM_S, Panel
+
+PERIOD_S = 0.05
+
+
+class Robots:
+    """A bus with two: robot 0 obeys and robot 1 never confirms."""
+
+    def __init__(self) -> None:
+        self.stops: list[tuple[int, int, int]] = []  # names of stops that were pressed, in order
+        self.latched = False
+        self._spent: set[tuple[int, int, int]] = set()
+        self.panel = Panel(self, None)  # type: ignore[arg-type]
+
+    def send(self, frame: Frame) -> bool:
+        _, message = decode(frame)
+        if isinstance(message, EmergencyStop):
+            name = message[:3]
+            if name not in self.stops:
+                self.stops.append(name)
+            if name not in self._spent and not self.latched:
+                self.latched = True
+                echo = encode(message._replace(echo=True), 128)
+                asyncio.get_running_loop().call_soon(self.panel.hear, self._now_s, echo)
+        return True
+
+    def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        """The panel is told by `beat`."""
+
+    @property
+    def _now_s(self) -> float:
+        return asyncio.get_running_loop().time()
+
+    def beat(self) -> None:
+        for slot in (0, 1):
+            beat = Heartbeat(
+                1, State.WORKING, self.latched and slot == 0, False, True, False, 1.0, 0, 0
+            )
+            for message in (Member(slot, 1, 7), beat):
+                self.panel.hear(self._now_s, encode(message, 128 + slot))
+
+    def release(self) -> None:
+        """The stop is cleared, and its name is known."""
+        self._spent, self.latched = set(self.stops), False
+
+    async def run(self, for_s: float) -> None:
+        ends_at_s = self._now_s + for_s
+        while self._now_s < ends_at_s:
+            self.beat()
+            await elapse(PERIOD_S)
+
+
+def test_a_press_after_a_release_is_a_new_stop_although_the_last_one_is_not_confirmed_yet() -> None:
+    """It joined the press before it, which repeated a stop that was cleared, and robot 0 counted as
+    stopped by its echo of that. Robots answer that such a stop is spent, and then another one is pressed;
+    without that answer nobody stood when the ten seconds of the first press were over."""
+
+    async def story() -> None:
+        robots = Robots()
+        await robots.run(1.0)
+        first = asyncio.create_task(robots.panel.stop())
+        await robots.run(CONFIRM_S - 1.0)
+        assert robots.latched and not first.done() and len(robots.stops) == 1
+        robots.release()
+        await robots.run(0.5)
+        second = asyncio.create_task(robots.panel.stop())
+        await robots.run(0.2)
+        assert len(robots.stops) == 2 and robots.latched
+        third = asyncio.create_task(robots.panel.stop())
+        await robots.run(CONFIRM_S)
+        assert len(robots.stops) == 2, "of one press"
+        for answer in (await first, await second, await third):
+            assert answer["stopped"] == [0] and answer["late"] == [1]
+
+    run_virtual(story())
