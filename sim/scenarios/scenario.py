@@ -565,7 +565,9 @@ def _validate(
     if mission not in MISSIONS:
         meant = get_close_matches(str(mission), MISSIONS, n=1)
         hint = f"did you mean {meant[0]!r}?" if meant else f"it is one of {', '.join(MISSIONS)}"
-        raise ScenarioError(f"{name}: mission: not {str(mission)!r:.60}; {hint}")
+        line = line_of(text, ("mission",))
+        where = "" if line is None else f"line {line}: "
+        raise ScenarioError(f"{name}: {where}mission: not {str(mission)!r:.60}; {hint}")
     try:
         scenario = kind(**{**document, "folder": folder})
     except ValidationError as problem:

@@ -124,7 +124,7 @@ keys operator bob --folder folder --roles king | king
 keys make | keys --help
 new file | .toml
 run smal | small
-run small --film | small is a field
+run open.map --film | is a grid map
 run small --out file | --out file: is a file; name a folder
 run small --limit 5min | '5min' is not a number
 run small --feature nosuch | nosuch

@@ -39,8 +39,9 @@ def from_bus(open_bus: Callable[[], CanBus], inspector: Inspector) -> Feed:
 
     async def feed(screen: InspectScreen) -> None:
         bus, loop = open_bus(), asyncio.get_running_loop()
+        begun_s = loop.time()
         try:
-            bus.subscribe(lambda frame: inspector.hear(loop.time(), frame))
+            bus.subscribe(lambda frame: inspector.hear(loop.time() - begun_s, frame))
             operator = Operator(bus, None)
             await operator.listen(HEARD_S)
             operator.ask_work()  # what was claimed before we came

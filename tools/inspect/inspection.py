@@ -156,8 +156,9 @@ async def _listen(
 
     bus = attach(interface, channel, bitrate, host, port)
     loop = asyncio.get_running_loop()
+    begun_s = loop.time()  # of a clock whose zero tells nobody anything
     try:
-        bus.subscribe(lambda frame: inspector.hear(loop.time(), frame))
+        bus.subscribe(lambda frame: inspector.hear(loop.time() - begun_s, frame))
         operator = Operator(bus, None)
         loop.call_later(HEARD_S, operator.ask_work)
         end_s = inf if seconds is None else loop.time() + seconds
@@ -165,7 +166,7 @@ async def _listen(
             await operator.listen(left_s if tell is None else min(left_s, WATCH_S))
             if tell is not None:
                 if inspector.first_s is not None:
-                    inspector.now_s = loop.time()  # quiet is time, too
+                    inspector.now_s = loop.time() - begun_s  # quiet is time, too
                 tell(inspector)
     finally:
         bus.close()

@@ -125,7 +125,9 @@ def _tell(
             "y_m": None if report is None else round(report.y_m, 1), "signed": signed,
         }))  # fmt: skip
         return
-    said = "nothing" if report is None else report.matter.name.replace("_", " ")
-    print(f"robot {robot.slot}: {'obeys' if obeyed else 'DOES NOT OBEY'} {what}; it says: {said}")
+    said = "" if report is None else f"; it says: {report.matter.name.replace('_', ' ')}"
+    if report is None and not obeyed:
+        said = "; it has not answered"
+    print(f"robot {robot.slot}: {'obeys' if obeyed else 'DOES NOT OBEY'} {what}{said}")
     if not signed:
         print(NOT_SIGNED)

@@ -79,7 +79,7 @@ async def _reset(
             shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
             for slot in asked:
                 print(f"asked for at the terminal that robot {slot} serves")
-            print(f"stops cleared: {shown}")
+            print(f"stops cleared: {shown}" if shown else "no stop was shown, so none was cleared")
             for robot in operator.members:
                 print(f"robot {robot.slot}: {word(operator, robot, start)}")
                 for why in stands(operator, robot):
@@ -92,10 +92,10 @@ async def _reset(
 
 
 def in_sum(operator: Operator) -> str:
-    """Of stops that are cleared without their names."""
+    """Of stops that are cleared without their names; empty if no robot shows one."""
     most = max((held.stops for held in operator.shown.told.values()), default=0)
     count = f"{most} or more" if most >= COUNT_TOLD_MAX else f"{most}"
-    return f"all {count} that hold a robot" if most else "none was shown"
+    return f"all {count} that hold a robot" if most else ""
 
 
 async def hear_causes(operator: Operator) -> None:

@@ -11,13 +11,14 @@ from rich.console import Console
 
 from sim.files.coverage_plan_file import Plan, write_plan
 from sim.files.grid_map import Cell, Instance, Walls
+from sim.files.palette import rgb_of
 from sim.files.strict_json import dumps
 from sim.runs.planned_coverage import Arrival, Death, work
 from sim.world.plan_judge import PlanJudge, PlanScore, judge, lower_bound, steps_from
 from tools.common.result_table import fact_table
 
 WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
-COLORS = {ROBOT: "\x1b[1;32mo\x1b[0m", WRECK: "\x1b[1;31mx\x1b[0m", DIRT: "\x1b[33m·\x1b[0m"}
+COLORS = {WRECK: "\x1b[1;31mx\x1b[0m", DIRT: "\x1b[33m·\x1b[0m"}
 
 
 def solved(
@@ -97,30 +98,47 @@ def figures(plan: Plan, verdict: PlanScore, turn_cost: float) -> dict[str, Any]:
 
 
 def drawing(court: PlanJudge, wanted: set[Cell], screen: bool) -> str:
-    """The map as text; on a screen in colour, and coarser where it would not fit.
+    """The map as text, with the last digit of each robot's number. On a screen it is in colour, each
+    robot in its own, and coarser where it would not fit; cells are square where there is room.
 
     A coarse mark is what matters most in its block: a wreck, a robot, dirt, clean ground, walls.
     """
     rows, columns = court.plan.walls.shape
-    coarse = 1
+    coarse, wide = 1, False
     if screen:
         room = shutil.get_terminal_size()
         coarse = max(1, -(-columns // room.columns), -(-rows // max(1, room.lines - 2)))
+        wide = 2 * -(-columns // coarse) <= room.columns
+    robots: dict[Cell, int] = {}  # by block, the lowest number
     marks = [[WALL if wall else DIRT for wall in row] for row in court.walls]
     for row, column in court.covered:
         marks[row][column] = CLEAN
     for robot, (row, column) in court.at.items():
         marks[row][column] = WRECK if robot in court.wrecks else ROBOT
+        if robot not in court.wrecks:
+            block_of = (row // coarse, column // coarse)
+            robots[block_of] = min(robot, robots.get(block_of, robot))
     lines = []
     for top in range(0, rows, coarse):
         line = ""
         for left in range(0, columns, coarse):
             block = {m for row in marks[top : top + coarse] for m in row[left : left + coarse]}
             mark = next(m for m in (WRECK, ROBOT, DIRT, CLEAN, WALL) if m in block)
-            line += COLORS.get(mark, mark) if screen else mark
+            if mark == ROBOT:
+                line += _robot(robots[top // coarse, left // coarse], screen, wide)
+            else:
+                line += COLORS.get(mark, mark) * (2 if wide else 1) if screen else mark
         lines.append(line)
     left_over = len(wanted - court.covered.keys())
     return "\n".join([*lines, f"step {court.step} of {court.plan.makespan}, {left_over} to cover"])
+
+
+def _robot(number: int, screen: bool, wide: bool) -> str:
+    if not screen:
+        return str(number % 10)
+    red, green, blue = (round(255 * part) for part in rgb_of(number))
+    shown = f"{number % 100:>2}" if wide else str(number % 10)
+    return f"\x1b[38;2;{red};{green};{blue}m{shown}\x1b[0m"
 
 
 def _print(title: str, report: dict[str, Any], as_json: bool) -> None:

@@ -7,8 +7,12 @@ from agent.runtime.declared_values import FieldTable, FleetTable, WarehouseTable
 from sim.scenarios.delivery_scenario import is_warehouse, load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.scenario import load
+from sim.scenarios.scenario import ScenarioError, load
+from sim.scenarios.scenario_kind import Kind, named
 
+UNLAUNCHED = {
+    Kind.ERRANDS: "a scenario of errands", Kind.EXPLORATION: "an arena", Kind.GRID: "a grid map",
+}  # fmt: skip
 BODY = "sim.record.remote_body:WorldBody"
 
 AnySetting = FieldSetup | DeliverySetup
@@ -17,7 +21,13 @@ AnySetting = FieldSetup | DeliverySetup
 def setting_of(
     scenario: str, robots: int | None, seed: int | None, keys: Path | None
 ) -> AnySetting:
-    """A field's, or a warehouse's. Raises ScenarioError."""
+    """A field's, or a warehouse's. Raises ScenarioError, also for a scenario of another kind."""
+    kind, found = named(scenario)
+    if kind in UNLAUNCHED:
+        raise ScenarioError(
+            f"{scenario}: this is {UNLAUNCHED[kind]}, and a launch has fields and warehouses; "
+            f"it is played by: headland run {found}"
+        )
     if is_warehouse(scenario):
         return DeliverySetup(load_warehouse(scenario).changed(robots, seed, keys))
     return FieldSetup(load(scenario).changed(robots, seed, keys))

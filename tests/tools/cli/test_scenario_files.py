@@ -51,9 +51,10 @@ def test_a_new_scenario_is_right_as_it_is_written(
     [
         ("run oxtd", "did you mean 'oxted'"), ("run warehous", "did you mean 'warehouse'"),
         ("check smal", "did you mean 'small'"), ("runn", "Did you mean 'run'"), ("new x", ".toml"),
-        ("new x.toml --like nothing", "is none of"), ("run small --film", "--film"),
+        ("new x.toml --like nothing", "is none of"), ("run no.map --film", "--film"),
         ("run ring --map", "an arena"), ("run no.map --robots 3", "no.map"),
         ("run small --robts 3", "--robots"), ("check", "scenarios"),
+        ("launch rooms", "headland run rooms"), ("launch arena", "headland run arena"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_one_line_with_what_was_meant(

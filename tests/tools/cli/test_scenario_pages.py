@@ -29,7 +29,7 @@ WRONG = {
     FIELD + '[[fault]]\nkind = "box"\nat_s = 3\nx_m = 5000\ny_m = 0\nfor_s = 3\n': "outside of the field",
     FIELD + '[[fault]]\nkind = "order"\norder = "set_goal"\nat_s = 3\nrobot = 0\nx_m = 900\n': "outside",
     FIELD + '[[fault]]\nkind = "partition"\nat_s = 3\nislands = [[0, 1], [1]]\n': "on two islands",
-    'mission = "feild"\n' + FIELD: "did you mean 'field'",
+    'mission = "feild"\n' + FIELD: "line 1: mission: not 'feild'; did you mean 'field'",
     'mission = "explore"\n' + FIELD: "exploration",
     'name = "x"\nmission = "delivery"\n[warehouse]\nmap = "x"\nbay = []\n': "did you mean 'bays'",
 }  # fmt: skip

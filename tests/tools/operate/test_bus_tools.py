@@ -14,6 +14,8 @@ from pathlib import Path
 import can
 import pytest
 
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.frame import Frame
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_server import Hub
@@ -174,3 +176,38 @@ def test_a14_frames_that_no_robot_reads_are_counted_in_a_log(
     seen = json.loads(capsys.readouterr().out)
     assert seen["other_frames"] == 3 and seen["malformed"] == {}
     assert seen["unknown"] == {"PGN 65036 (working set member)": 1}
+
+
+def test_a_live_bus_is_told_in_seconds_since_we_listen(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """`WORKING@1318.1` was a time of the machine's own clock."""
+
+    async def story(hub: Hub, other: FieldBus) -> None:
+        loop = asyncio.get_running_loop()
+        beats = loop.create_task(said_again(other))
+        where = ("socketcand", "can0", 250_000, "127.0.0.1", hub.port)
+        words = (False, None, True, None, True)  # no diagram, no why, JSON, no traces, plain
+        told = await asyncio.to_thread(inspect, None, *where, 1.0, *words)
+        beats.cancel()
+        assert told == 0
+
+    on_a_hub(story)
+    (robot,) = json.loads(capsys.readouterr().out)["robots"]
+    assert robot["transitions"], robot
+    assert all(0.0 <= step["t_s"] <= LIMIT_S for step in robot["transitions"])
+
+
+async def said_again(bus: FieldBus) -> None:
+    """A robot that works, as its frames tell it, ten times a second."""
+    loop = asyncio.get_running_loop()
+    said = (
+        Member(3, 1, 0), Heartbeat(3, 1, False, False, True, False, 1.0, 0, 0),
+        Pose(1.0, 2.0, 0.0, 1.0, 1, False, 255),
+    )  # fmt: skip
+    while True:
+        for frame in (encode(each, 0x83) for each in said):
+            bus.send(can.Message(arbitration_id=frame.identifier, data=frame.data))
+        turn = loop.create_future()
+        loop.call_later(0.1, turn.set_result, None)
+        await turn

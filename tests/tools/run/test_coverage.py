@@ -1,15 +1,20 @@
 """`headland coverage` as people use it: solve, replay, export; bad input is one line and exit 2."""
 
 import json
+import os
+import re
 from pathlib import Path
 
+import numpy as np
 import pytest
 from typer.testing import CliRunner, Result
 
-from sim.files.coverage_plan_file import read_plan
+from sim.files.coverage_plan_file import Plan, read_plan
 from sim.files.grid_map import read_instance
-from sim.world.plan_judge import judge
+from sim.files.palette import rgb_of
+from sim.world.plan_judge import PlanJudge, judge
 from tools.run.coverage import app
+from tools.run.coverage_report import drawing
 
 
 def call(*words: object) -> Result:
@@ -25,7 +30,8 @@ def test_the_missions_own_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     assert all(len(line) == plan["makespan"] for line in plan["per_agent_actions"])
     again = call("replay", "--plan", "vacuum_plan.json", "--delay", "0.03", "--stop-on-done")
     assert again.exit_code == 0 and "0 to cover" in again.stdout
-    assert again.stdout.count("o") >= 20
+    drawn = again.stdout.split("\nstep ")[0]
+    assert len(re.findall(r"\d", drawn)) == 20, "every robot, by the last digit of its number"
 
 
 def test_equal_seeds_give_equal_plans(tmp_path: Path) -> None:
@@ -100,3 +106,25 @@ def test_a_bad_plan_is_one_line(change: dict[str, object] | None, tmp_path: Path
     plan.write_text(json.dumps([] if change is None else {**good, **change}))
     done = call("replay", plan)
     assert done.exit_code == 2 and done.output.strip().count("\n") == 0
+
+
+def test_a_drawing_tells_which_robot_is_where_and_in_its_colour(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Every robot was a green `o`, on cells that were twice as high as wide."""
+    walls = np.zeros((2, 12), dtype=np.bool_)
+    walls[1, 11] = True
+    starts = [(0, column) for column in range(12)]
+    court = PlanJudge(Plan(walls, starts, [[] for _ in starts], ~walls))
+    plain = drawing(court, court.wanted(), False).splitlines()
+    assert plain[:2] == ["012345678901", "·" * 11 + "█"]
+    size = os.terminal_size((80, 24))
+    monkeypatch.setattr("shutil.get_terminal_size", lambda: size)
+    shown = drawing(court, court.wanted(), True).splitlines()
+    for number, start in enumerate(starts):
+        red, green, blue = (round(255 * part) for part in rgb_of(number))
+        assert f"\x1b[38;2;{red};{green};{blue}m{number:>2}\x1b[0m" in shown[0], start
+    assert shown[1].endswith("██")
+    size = os.terminal_size((6, 24))  # two cells a mark, and none to spare
+    coarse = re.sub(r"\x1b\[[\d;]*m", "", drawing(court, court.wanted(), True)).splitlines()
+    assert coarse[0] == "024680"
