@@ -17,7 +17,9 @@ from tools.operate.operator_device import KnownRobot, Operator
 
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # ten beats: a robot that was not heard by then is absent
-AGAIN_S = 0.1  # if no robot has latched by then, the dot may be a cleared one: try another
+# If no robot has latched by then, the dot may be a cleared one: try another, and wait twice as long for
+# each further one. On a bus that is a second behind, ten names were drawn, and 20 robots repeat each.
+AGAIN_S = 0.1
 SIGN_AGAIN_S = 0.5  # robots echo each dot once; if an echo was lost, a new dot gets a new echo
 FIRST_STOP = 1  # count of stops in the standard frame, since this device was started
 NOT_ALL, WRONG = 1, 2
@@ -96,6 +98,7 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Kn
     loop = asyncio.get_running_loop()
     operator.begin_press()
     begun_s = dot_s = loop.time()
+    unlatched_s = AGAIN_S
     stop = operator.new_stop(reason)
     operator.stop(stop)
     operator.send(AllImplementsStop(FIRST_STOP, Switch.STOP))
@@ -117,10 +120,11 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Kn
             return late
         none_stopped = not any(r.stopped or r.echoed for r in operator.live)
         unsigned = operator.signs and any(not r.signed for r in operator.live)
-        again_s = AGAIN_S if none_stopped else SIGN_AGAIN_S
+        again_s = unlatched_s if none_stopped else SIGN_AGAIN_S
         again = operator.live and (none_stopped or unsigned) and now_s - dot_s >= again_s
         if again or stop[:3] in operator.shown.spent:
             stop, dot_s = operator.new_stop(reason), now_s
+            unlatched_s *= 2
         if late or not heard:
             operator.stop(stop)
         if operator.unknown and round((now_s - begun_s) / REPEAT_S) % 20 == 0:

@@ -20,7 +20,6 @@ from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
 from agent.runtime.vda5050.messages import (
     Action,
     ActionStatus,
-    ConnectionState,
     InstantActions,
     MasterOrder,
     MessageHeader,
@@ -314,7 +313,6 @@ class _Port:
             self.index = gateway.desk.wanted[booked.number][0]
         self.told: VehicleState | None = None
         self.told_s = self.shown_s = 0.0
-        self.present = True  # as its connection topic says
         named = gateway.named
         identity = VehicleAddress(
             named.interface, named.manufacturer, gateway.serial(vehicle.slot), named.version
@@ -324,7 +322,7 @@ class _Port:
         self.running = asyncio.create_task(self.link.run([Topic.ORDER, Topic.INSTANT_ACTIONS]))
 
     def _up(self) -> None:
-        self.told_s, self.present = 0.0, True
+        self.told_s = 0.0
 
     def _invalid(self, topic: str, why: ValueError) -> None:
         self.vehicle.invalid(topic, str(why).splitlines()[0])
@@ -338,11 +336,8 @@ class _Port:
     def tell(self, now_s: float, gateway: MasterGateway) -> None:
         """Publish what is due."""
         vehicle = self.vehicle
-        if vehicle.robot.heard is not self.present and self.link.connected:
-            self.present = vehicle.robot.heard
-            self.link.say(
-                ConnectionState.ONLINE if self.present else ConnectionState.CONNECTIONBROKEN
-            )
+        if vehicle.robot.heard is not self.link.present:
+            self.link.say(vehicle.robot.heard)
         state = vehicle.state(gateway.named.map_id, gateway.serial)
         changed = self.told is None or state.model_dump(exclude=CHANGES) != self.told.model_dump(
             exclude=CHANGES

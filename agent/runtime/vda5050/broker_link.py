@@ -105,6 +105,7 @@ class BrokerLink:
         is the vehicle's master control."""
         self.broker, self.identity, self.heard, self.up = broker, identity, heard, up
         self.is_vehicle, self.connected = is_vehicle, False
+        self.present = True  # as `say` was told last; each new connection begins with it
         self.refused: Counter[str] = Counter()  # received and not valid, by what is wrong
         # Told of a message that is not valid: its topic, and why.
         self.invalid: Callable[[str, ValueError], None] = lambda topic, why: None
@@ -121,9 +122,16 @@ class BrokerLink:
         self._wake.set()
         return True
 
-    def say(self, state: ConnectionState) -> bool:
-        """Say whether the vehicle itself is there; False without a broker."""
-        return self.publish(self._state(state))
+    def say(self, present: bool) -> None:
+        """Say whether the vehicle itself is there, now and whenever the broker is reached again."""
+        self.present = present
+        self.publish(self._presence)
+
+    @property
+    def _presence(self) -> Connection:
+        return self._state(
+            ConnectionState.ONLINE if self.present else ConnectionState.CONNECTIONBROKEN
+        )
 
     async def run(self, topics: Sequence[Topic]) -> None:
         """Stay connected, subscribed to these topics, until it is cancelled; then say OFFLINE."""
@@ -158,10 +166,13 @@ class BrokerLink:
         for topic in topics:
             # A connection message counts, as the standard says: once at least.
             await client.subscribe(self.identity.topic(topic), qos=int(topic is Topic.CONNECTION))
+        said = self._presence
         if self.is_vehicle:
-            await self._send(client, self._state(ConnectionState.ONLINE))
+            await self._send(client, said)
         self._waiting.clear()
         self.connected = True
+        if self.is_vehicle and said != self._presence:
+            self.publish(self._presence)
         self.up()
         sending = asyncio.create_task(self._sending(client))
         reading = asyncio.create_task(self._reading(client))

@@ -1,6 +1,7 @@
 """The connection to a broker when the broker takes nothing any more."""
 
 import asyncio
+import json
 from collections.abc import AsyncIterator
 from typing import Any
 
@@ -120,5 +121,39 @@ def test_a_connection_that_is_ended_while_the_broker_dies_ends(
             events[2].set()
             await asyncio.wait({running})
         assert running.cancelled()
+
+    asyncio.run(story())
+
+
+class Listening(DeafClient):
+    """Takes all, and keeps what it was told of the vehicle."""
+
+    def __init__(self, told: list[str]) -> None:
+        super().__init__()
+        self.told = told
+
+    async def publish(self, _: str, payload: str, **__: Any) -> None:
+        self.told.append(json.loads(payload)["connectionState"])
+
+
+def test_a_vehicle_whose_robot_is_silent_is_not_online_when_the_broker_is_back(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Each time the broker came back a dead robot was ONLINE for 70 ms, and a master gave it an order."""
+
+    async def story() -> None:
+        up, told = asyncio.Event(), list[str]()
+        link = BrokerLink(
+            Broker.read("mqtt://127.0.0.1"), VehicleAddress("uagv", "ACME", "7"),
+            lambda _: None, up.set,
+        )  # fmt: skip
+        monkeypatch.setattr(link, "_client", lambda: Listening(told))
+        link.say(False)
+        running = asyncio.create_task(link.run([Topic.ORDER]))
+        async with asyncio.timeout(WAIT_S):
+            await up.wait()
+        assert told == ["CONNECTIONBROKEN"]
+        running.cancel()
+        await asyncio.gather(running, return_exceptions=True)
 
     asyncio.run(story())

@@ -84,6 +84,27 @@ def test_t14_who_fell_silent_or_was_only_told_of_counts_and_is_named() -> None:
     assert "NOT HEARD" in word(tool, tool.robots[3], False)
 
 
+def test_on_a_bus_that_is_seconds_behind_a_press_draws_few_names(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Twenty robots on an overloaded machine: a press drew ten names before the first echo came. Each
+    robot repeats each of them, which made the bus later still, and all have to be cleared."""
+    tool = operator()
+    say(tool, 0.0, 0, Member(0, 1, 7), beat())
+    names = set()
+    monkeypatch.setattr(tool, "stop", lambda message: names.add(message[:3]))
+
+    async def story() -> None:
+        pressing = asyncio.create_task(press(tool, Reason.OPERATOR_INTERVENTION, 3.0))
+        while not pressing.done():
+            say(tool, asyncio.get_running_loop().time(), 0, beat())
+            await elapse(0.05)
+        assert await pressing == [tool.robots[0]]
+
+    run_virtual(story())
+    assert 4 <= len(names) <= 6, "a name may be a cleared one, so another is tried"
+
+
 def test_t14_another_device_at_an_address_is_not_the_robot_that_was_there() -> None:
     tool = operator()
     say(tool, 0.0, 1, AddressClaimed(fleet_name("f", 1).pack()), Member(1, 1, 7), beat())
