@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -52,12 +53,18 @@ def run(
     return run_mission(make, out, as_json, logs, page_port, film)
 
 
+def work_export() -> tuple[str, str]:
+    """The command by which farm software gets the work, with what is installed, and why."""
+    form = "--geojson work.json" if find_spec("isoxml") is None else "--isoxml TASKDATA"
+    return f"export {{}} {form}", "the finished work, for farm software"
+
+
 class FieldCommand(MissionCommand[FieldRun]):
     """A field in virtual time, with its picture, and work for farm software."""
 
     unit = "sections"
     warm = staticmethod(warm_field)
-    follow_up = (("export {} --isoxml TASKDATA", "the finished work, for farm software"),)
+    follow_up = (work_export(),)
 
     def report(self, outcome: FieldOutcome) -> dict[str, Any]:
         return {"faults": self.run.told_faults}
