@@ -19,13 +19,13 @@ from agent.field.travel_times import Remainder
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
-from sim.world.ground_truth import TrackPoint
 from tools.bench.drawn_fields import drawn_setup
 from tools.bench.field_changes import FleetChange, changed_run
 from tools.bench.field_opponent import central_plan_s, problem_at, problem_of, snake_s
 from tools.bench.field_tractors import tractor_problem
 from tools.bench.figure import Figure
 from tools.bench.last_sections import ideal_split
+from tools.bench.standing_times import standing_times
 
 SEARCH_S, QUICK_SEARCH_S = 40.0, 5.0
 QUICK: Final = (("small", 3),)
@@ -33,7 +33,6 @@ CASES: Final = (
     ("small", 3), ("small", 6), ("oxted", 6), ("oxted", 12), ("oxted", 24),
     ("curitiba", 8), ("curitiba", 16),
 )  # fmt: skip
-STILL_M_S = 0.05  # a slower robot stands
 MEAN_MAX, WORST_MAX = 1.03, 1.10
 ALONE: Final = ("small", "oxted", "curitiba")
 ALONE_MAX = 1.02
@@ -62,7 +61,8 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
         computed_s = process_time() - began_s
         planned_s = central_plan_s(problem_of(setup), search_s)
         ratios.append(outcome.makespan_s / planned_s)
-        idle = standing_share(list(run.tracks.values()), outcome.makespan_s)
+        stands = standing_times(list(run.tracks.values()), outcome.makespan_s)
+        idle = stands.total_s / outcome.makespan_s
         scope = (
             f"{len(setup.field.sections)} sections, {outcome.makespan_s:.0f} s driven against "
             f"{planned_s:.0f} s planned; same sections, starts, paths and bodies; seed {seed}"
@@ -73,7 +73,9 @@ def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
         most = IDLE_MAX.get(robots)
         yield Figure(f"time standing, {name}, {robots} robots", idle, "",
                      "" if most is None else f"<= {most:g}", None if most is None else idle <= most,
-                     "", f"mean share of the robots until the fleet's end; seed {seed}")  # fmt: skip
+                     "", "mean share of the robots until the fleet's end; of "
+                     f"{stands.total_s:.1f} s, {stands.before_s:.1f} s before they leave and "
+                     f"{stands.after_s:.1f} s after their last work; seed {seed}")  # fmt: skip
         split = ideal_split(run.tracks, setup.vehicle.speed_m_s)
         yield Figure(f"end if last sections were split, {name}, {robots} robots",
                      split.split_end_s / split.end_s, "x", "", None, "",
@@ -182,17 +184,3 @@ def _drawn(seeds: Sequence[int]) -> Iterator[Figure]:
                  "<= 0", not flawed, "",
                  f"{len(seeds)} stars, combs, letters U, slivers and fields with islands, "
                  f"{robots} robots in sum{named}")  # fmt: skip
-
-
-def standing_share(tracks: Sequence[Sequence[TrackPoint]], end_s: float) -> float:
-    """Mean share of the time up to `end_s`, seconds, in which a robot stands."""
-    shares = []
-    for track in tracks:
-        rows = np.array([point[:3] for point in track], dtype=np.float64)
-        rows = rows[rows[:, 0] <= end_s * 1e6]
-        passed_s = np.diff(rows[:, 0]) / 1e6
-        driven_m = np.hypot(np.diff(rows[:, 1]), np.diff(rows[:, 2]))
-        stood = driven_m < STILL_M_S * np.maximum(passed_s, 1e-9)
-        unseen_s = max(0.0, end_s - rows[-1, 0] / 1e6)  # a track may end where the robot stands
-        shares.append((float(passed_s[stood].sum()) + unseen_s) / end_s)
-    return float(np.mean(shares))

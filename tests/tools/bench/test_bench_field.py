@@ -6,13 +6,13 @@ from pathlib import Path
 import pytest
 from shapely.geometry import LineString, Point
 
+from agent.interface.config import S
 from agent.interface.vehicle import Vehicle
 from agent.motion.tractor_tracker import LATERAL_M_S2
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.bench.drawn_fields import drawn_setup
-from tools.bench.field import standing_share
 from tools.bench.field_changes import WatchedRun
 from tools.bench.field_opponent import (
     TICK_S,
@@ -23,6 +23,7 @@ from tools.bench.field_opponent import (
     snake_s,
 )
 from tools.bench.field_tractors import dubins_s, tractor_problem
+from tools.bench.standing_times import standing_times
 
 pytest.importorskip("ortools", reason="the opponent is in the extra dev")
 
@@ -45,10 +46,14 @@ def test_a_body_stops_at_each_corner() -> None:
     assert drive_s([(0.0, 0.0), (0.0, 0.0)], vehicle) == 0.0
 
 
-def test_a_robot_that_stands_for_a_quarter_of_the_time() -> None:
-    drives = [(k * 1_000_000, float(k), 0.0, False) for k in range(76)]
-    stands = [(k * 1_000_000, 75.0, 0.0, False) for k in range(76, 90)]
-    assert standing_share([[*drives, *stands]], 100.0) == pytest.approx(0.25)
+def test_a_robot_stands_before_it_leaves_among_its_work_and_after_it() -> None:
+    """Five seconds, three, and thirty. Its track ends when it stands for the last time."""
+    waits = [(k * S, 0.0, 0.0, False) for k in range(5)]
+    works = [(k * S, float(k - 5), 0.0, True) for k in range(5, 40)]
+    halts = [(k * S, 34.0, 0.0, True) for k in range(40, 43)]
+    leaves = [(k * S, float(k - 8), 0.0, k < 60) for k in range(43, 71)]
+    found = standing_times([[*waits, *works, *halts, *leaves]], 100.0)
+    assert found == pytest.approx((5.0, 3.0, 30.0)) and found.total_s == pytest.approx(38.0)
 
 
 def test_one_robot_that_takes_the_sections_in_their_order_is_no_faster_than_the_search() -> None:
