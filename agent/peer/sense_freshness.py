@@ -295,6 +295,10 @@ class Senses(Part):
             self._expected = (0.0, 0.0)
             self._turn_frozen = False
             drive, fastest_m_s = self._drive, FASTER * self.limits.speed_m_s
+            told_m_s = max(self._most_m_s, hypot(drive.vx_m_s, drive.vy_m_s))
+            if anchor is not None:  # nor was it faster than it was told, or could become
+                could_m_s = self._since.speed_m_s + self._acceleration_m_s2 * passed_for_us / S
+                fastest_m_s = min(fastest_m_s, max(told_m_s, could_m_s))
             self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
             before_m_s = max(self._expected_m_s, hypot(here.vx_m_s, here.vy_m_s))
             self._moved_on(min(before_m_s, fastest_m_s))  # a jump is no speed

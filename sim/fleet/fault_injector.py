@@ -317,6 +317,10 @@ class FaultPlan:
             for dot in sorted(dots):
                 cluster.order(EmergencyReset(*dot, OPERATOR))
             yield self._now_us() + round(ASK_S * S)
-        cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+        keyed = cluster.setting.keyring(OPERATOR, "operator") is not None
+        for again in (False, True)[: 1 + keyed]:
+            if again:  # a robot that has started meanwhile has asked for proof, and dropped the order
+                yield self._now_us() + round(ASK_S * S)
+            cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
         yield self._now_us() + round(SETTLE_S * S)
         cluster.order(OperatorCommand(Command.START, 255, OPERATOR))
