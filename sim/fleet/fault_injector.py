@@ -319,7 +319,9 @@ class FaultPlan:
             yield self._now_us() + round(ASK_S * S)
         keyed = cluster.setting.keyring(OPERATOR, "operator") is not None
         for again in (False, True)[: 1 + keyed]:
-            if again:  # a robot that has started meanwhile has asked for proof, and dropped the order
+            if (
+                again
+            ):  # a robot that has started meanwhile has asked for proof, and dropped the order
                 yield self._now_us() + round(ASK_S * S)
             cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
         yield self._now_us() + round(SETTLE_S * S)
