@@ -318,11 +318,10 @@ class FaultPlan:
                 cluster.order(EmergencyReset(*dot, OPERATOR))
             yield self._now_us() + round(ASK_S * S)
         keyed = cluster.setting.keyring(OPERATOR, "operator") is not None
-        for again in (False, True)[: 1 + keyed]:
-            if (
-                again
-            ):  # a robot that has started meanwhile has asked for proof, and dropped the order
-                yield self._now_us() + round(ASK_S * S)
-            cluster.order(OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR))
+        reset = OperatorCommand(Command.MANUAL_RESET, 255, OPERATOR)
+        cluster.order(reset)
+        if keyed:  # a robot that has started meanwhile has asked for proof, and dropped the order
+            yield self._now_us() + round(ASK_S * S)
+            cluster.order(reset)
         yield self._now_us() + round(SETTLE_S * S)
         cluster.order(OperatorCommand(Command.START, 255, OPERATOR))

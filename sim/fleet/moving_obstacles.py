@@ -23,6 +23,9 @@ CLEAR_M = 0.6  # from body to body, at which one that yields stands: an arm's le
 ENTRY_M = 3.0  # from body to body: a robot that drives stops from 2.5 m/s in less
 PATIENCE_US = 5 * S  # for which a person waits before a robot that stands, before it turns round
 TURNS_MAX = 1  # one way back; after that the route is blocked at both ends
+TURNS_BESIDE_M = (
+    0.1  # from body to body, at which a vehicle does not turn: its corners sweep further out
+)
 LEAVE_M = (
     30.0  # length of the way out: three times the range of the sensors, so no robot waits for it
 )
@@ -63,18 +66,21 @@ def walk(
         at_us = now_us()
         yield at_us + CONTROL_PERIOD_US
         next_m = gone_m + onward * speed_m_s * CONTROL_PERIOD_US / S
-        next_place, heading_rad = _on(route, next_m)
-        if yields and _in_the_way(world, place, next_place, shape):
+        next_place, next_rad = _on(route, next_m)
+        if yields and (
+            _in_the_way(world, place, next_place, shape)
+            or (next_rad != heading_rad and _turns_into(world, next_place, next_rad, shape))
+        ):
             stood_at_us = at_us if stood_at_us is None else stood_at_us
             if at_us - stood_at_us >= PATIENCE_US:
                 onward, turns, stood_at_us = -onward, turns + 1, None
                 if turns > TURNS_MAX:
-                    route = _way_out(world, place)
+                    route = _way_out(world, place, shape)
                     onward, gone_m, long_m = 1, 0.0, _length_m(route)
             continue
         stood_at_us = None
         world.remove_box(number)
-        gone_m, place = next_m, next_place
+        gone_m, place, heading_rad = next_m, next_place, next_rad
         number = _put(world, place, shape, heading_rad)
     now_us()
     world.remove_box(number)
@@ -84,13 +90,14 @@ def _length_m(route: list[XY]) -> float:
     return sum(dist(*leg) for leg in pairwise(route))
 
 
-def _way_out(world: World, place: XY) -> list[XY]:
+def _way_out(world: World, place: XY, shape: Shape) -> list[XY]:
     """A straight way from here, in the direction that passes the robots at the greatest distance."""
     bodies = [body.position for body in world.robots.values()]
     angles_rad = [2 * pi * k / DIRECTIONS for k in range(DIRECTIONS)]
 
-    def room_m(angle_rad: float) -> tuple[float, float]:
-        """The least distance on the way, and at its end if many ways begin beside the same robot."""
+    def room_m(angle_rad: float) -> tuple[bool, float, float]:
+        """Whether it can turn there, the least distance on the way, and at its end if many ways begin
+        beside the same robot."""
         ux, uy = cos(angle_rad), sin(angle_rad)
         gaps_m, ends_m = [], []
         for x_m, y_m in bodies:
@@ -98,7 +105,7 @@ def _way_out(world: World, place: XY) -> list[XY]:
             along_m = min(max(dx_m * ux + dy_m * uy, 0.0), LOOK_M)
             gaps_m.append(hypot(dx_m - along_m * ux, dy_m - along_m * uy))
             ends_m.append(hypot(dx_m - LOOK_M * ux, dy_m - LOOK_M * uy))
-        return min(gaps_m), min(ends_m)
+        return not _turns_into(world, place, angle_rad, shape), min(gaps_m), min(ends_m)
 
     best_rad = max(angles_rad, key=room_m)
     return [place, (place[0] + LEAVE_M * cos(best_rad), place[1] + LEAVE_M * sin(best_rad))]
@@ -137,3 +144,18 @@ def _in_the_way(world: World, place: XY, next_place: XY, shape: Shape) -> bool:
         and dist(next_place, body.position) < dist(place, body.position)
         for body in world.robots.values()
     )
+
+
+def _turns_into(world: World, place: XY, heading_rad: float, shape: Shape) -> bool:
+    """Whether a vehicle that has turned there touches a robot. A robot that keeps off its long side may
+    stand within the circle of its corners."""
+    if not shape.wide_m:
+        return False
+    ux, uy = cos(heading_rad), sin(heading_rad)
+    for body in world.robots.values():
+        dx_m, dy_m = body.position[0] - place[0], body.position[1] - place[1]
+        beyond_m = max(abs(dx_m * ux + dy_m * uy) - shape.long_m / 2, 0.0)
+        beside_m = max(abs(dy_m * ux - dx_m * uy) - shape.wide_m / 2, 0.0)
+        if hypot(beyond_m, beside_m) < body.radius_m + TURNS_BESIDE_M:
+            return True
+    return False

@@ -4,6 +4,8 @@ from math import hypot
 from pathlib import Path
 
 import pytest
+import shapely
+from shapely.affinity import affine_transform
 
 from agent.interface.config import CONTROL_PERIOD_US, S
 from sim.fleet.moving_obstacles import PATIENCE_US, Shape, walk
@@ -116,3 +118,27 @@ def test_a_wrong_route_is_one_line(tmp_path: Path, faults: str, words: str) -> N
     with pytest.raises(ScenarioError) as told:
         setup_of(tmp_path, f"[[fault]]\n{faults}\n")
     assert words in str(told.value) and "\n" not in str(told.value)
+
+
+def test_s17_a_vehicle_does_not_turn_into_a_robot_beside_it(tmp_path: Path) -> None:
+    """Chaos, profile traffic, seed 9100066: a robot stood beside the long side of a vehicle, which then
+    left its route. It turned on the spot, and its corner came 9 cm into the robot."""
+    world = setup_of(tmp_path, "").world()
+    clock = {"now": 0}
+    beside, *others = world.robots.values()
+    beside.teleport(-0.5, 20.0)
+    for k, body in enumerate(others):
+        body.teleport(30.0, 10.0 * k)
+    shape, nearest_m = Shape(4.5, 2.0), 9.0
+    corner = [(-6.0, 0.0), (0.0, 0.0), (4.0, 8.0)]
+    for due_at_us in walk(world, lambda: clock["now"], shape, corner, 1.0, yields=True):
+        for _, x_m, y_m, *half_m, cosine, sine in (r for r in world.obstacles() if r[0] == BOX):
+            box = shapely.box(-half_m[0], -half_m[1], half_m[0], half_m[1])
+            there = affine_transform(box, [cosine, -sine, sine, cosine, x_m, y_m])
+            nearest_m = min(nearest_m, there.distance(shapely.Point(beside.position)))
+            if x_m > -0.06 and beside.position[1] > 19.0:  # right before the corner of its route
+                beside.teleport(-0.5, 1.0 + beside.radius_m + 0.2)
+        clock["now"] = due_at_us
+        if due_at_us > 60 * S:
+            break
+    assert beside.radius_m < nearest_m < beside.radius_m + 0.5
