@@ -112,9 +112,10 @@ def outlines() -> dict[str, Polygon]:
 
 
 OUTLINES = outlines()
+real = pytest.mark.skipif(not OUTLINES, reason="../shared/data/fields is absent")
 
 
-@pytest.mark.skipif(not OUTLINES, reason="../shared/data/fields is absent")
+@real
 @pytest.mark.parametrize("name", sorted(OUTLINES))
 def test_real_fields_are_covered(name: str) -> None:
     check(OUTLINES[name], width_m=9.0, overlap_m=0.3)
@@ -317,7 +318,8 @@ def test_the_angle_is_that_of_all_angles_cut(
     check_angle(drawn_star(radii_m, hole), strip_m)
 
 
+@real
 @pytest.mark.sampled(10)
-@pytest.mark.parametrize("name", sorted(outlines()))
+@pytest.mark.parametrize("name", sorted(OUTLINES))
 def test_the_angle_of_a_real_field_is_that_of_all_angles_cut(name: str) -> None:
-    check_angle(outlines()[name], 6.8)
+    check_angle(OUTLINES[name], 6.8)
