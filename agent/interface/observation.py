@@ -49,3 +49,6 @@ class Observation(NamedTuple):
     position_accuracy_m: float = 0.0
     heading_accuracy_rad: float = 0.0  # standard deviation
     implement_down: bool | None = None  # None: nothing senses it
+    # Whether a machine that takes orders carries ours out. Before it does, and when it has ended one, its
+    # place need not follow what it is told.
+    under_way: bool = True

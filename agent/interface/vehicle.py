@@ -4,7 +4,7 @@ from enum import IntEnum
 from math import radians, tan
 from typing import NamedTuple
 
-from agent.interface.config import BRAKING_SHARE
+from agent.interface.config import ACTUATOR_TTL_US, BRAKING_SHARE, S
 from agent.interface.motion_controller import BodyLimits
 
 
@@ -37,6 +37,10 @@ class Vehicle(NamedTuple):
     def braking_m_s2(self) -> float:
         """The deceleration that missions plan with."""
         return BRAKING_SHARE * self.acceleration_m_s2
+
+    def stopping_m(self, speed_m_s: float) -> float:
+        """Metres until it stands after its newest command, as other robots reckon with it."""
+        return speed_m_s * ACTUATOR_TTL_US / S + speed_m_s**2 / (2.0 * self.acceleration_m_s2)
 
     @property
     def turn_radius_m(self) -> float:

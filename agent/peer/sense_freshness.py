@@ -1,13 +1,13 @@
 """Whether the senses of a robot are current: absent, old, frozen or impossible senses stop it.
 
-An observation carries the time at which it was sensed. Without one younger than `AGE_MAX_US` the
-robot does not know where it is. A receiver with a hung filter sends the same place with new times.
-This shows when the wheels are commanded to drive and the place does not change: two control periods
-at full speed are enough to detect it, and a tenth of a metre from standstill. A body that turns on the
-spot shows it by its heading. Spinning wheels look the same as a frozen place, so the robot stops in this
-case as well. What is limited is the way without a believed place, not the time: a slow body takes longer
-for a tenth of a metre. `frozen_way_m` says how far it drives, which is less than the plan leaves before
-a fence at that speed.
+An observation carries the time at which it was sensed. Without one younger than `AGE_MAX_US` the robot
+does not know where it is. A receiver with a hung filter sends the same place with new times. This shows
+when the wheels are commanded to drive and the place does not change: two control periods at full speed
+are enough to detect it, and a tenth of a metre from standstill. A body that turns on the spot shows it
+by its heading. Spinning wheels look the same as a frozen place, so the robot stops in this case as
+well. Of a machine that takes orders and does not carry one out, nothing is expected. What is limited is
+the way without a believed place, not the time: a slow body takes longer for a tenth of a metre.
+`frozen_way_m` says how far it drives, which is less than the plan leaves before a fence at that speed.
 
 A place is lost when its accuracy is worse than the clearances allow, or when it changes by more than the
 wheels can drive in that time. After a step back of its own clock that time is not known, and only the
@@ -312,6 +312,10 @@ class Senses(Part):
             self._unseen = self._unseen.then(Unseen(0.0, 0.0, self._since.turned_rad))
             self._since = self._since._replace(turned_rad=0.0)
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
+        if not here.under_way:
+            self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
+            self._periods = 0
+            return ""
         # After the lifetime of the command it is void.
         passed_for_s = min(max(sensed_at_us - start_at_us, 0), ACTUATOR_TTL_US) / S
         (ux, uy), told_m_s = self._told(here, anchor)

@@ -51,6 +51,11 @@ class NavigateGoals:
         """Whether the robot has such an action."""
         return bool(self.client.server_is_ready())
 
+    @property
+    def is_under_way(self) -> bool:
+        """Whether the robot has accepted a goal that was not cancelled."""
+        return bool(self._handles)
+
     def want(self, place: tuple[float, float], velocity: tuple[float, float], frame: str) -> None:
         """Drive on: metres and metres a second in `frame`, the frame of the robot's odometry."""
         speed_m_s = hypot(*velocity)

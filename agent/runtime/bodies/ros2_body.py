@@ -213,7 +213,10 @@ class Ros2Body(RobotBody):
         lifts, down = self._lifts, self._down
         if lifts != self._lifts_told:
             self._lifts_told, down = lifts, False
-        return None if seen is None else seen._replace(ranges_m=ranges_m, implement_down=down)
+        under_way = self.goals is None or self.goals.is_under_way
+        if seen is None:
+            return None
+        return seen._replace(ranges_m=ranges_m, implement_down=down, under_way=under_way)
 
     # ---------------------------------------------------------------- what the robot is told
 

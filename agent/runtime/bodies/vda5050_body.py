@@ -19,6 +19,10 @@ body is sick.
 A vehicle does not see parcels. What lies within reach is what the fleet's registers say, and what this
 vehicle has put down itself.
 
+An order may be refused, lost or late, and so may a place. A place that does not follow is a frozen one,
+and only a person ends that. So it has to follow only while the vehicle says that it drives by our order,
+and says new places.
+
 A place that jumps stops a robot. Vehicles that turn on the spot between two messages would look like
 that, so the heading that the robot gets follows the vehicle's at `TURN_RAD_S`.
 """
@@ -48,7 +52,7 @@ from agent.runtime.vda5050.messages import (
     Visualization,
     told_at_us,
 )
-from agent.runtime.vda5050.vehicle_orders import VehicleOrders
+from agent.runtime.vda5050.vehicle_orders import OrderPhase, VehicleOrders
 from crdt import Phase
 
 FIRST_S: Final = 10.0  # for the broker and the first place of the vehicle
@@ -63,6 +67,8 @@ ACCURACY_M: Final = 0.02
 # A place is brought forward by this at most: a vehicle that has turned since is elsewhere, and from
 # 0.3 m on the next place would have jumped.
 FORWARD_US: Final = 100 * MS
+# Without a new place for this long the place is brought forward no more, and seems to stand.
+RENEWED_US: Final = 3 * FORWARD_US // 2
 LATE_US: Final = 2 * S  # after this a message with an earlier time is from a clock that jumped
 OURS: Final = (OperatingMode.AUTOMATIC, OperatingMode.SEMIAUTOMATIC)  # else a person drives it
 TURN_RAD_S: Final = 2.0
@@ -121,8 +127,9 @@ class Vda5050Body(RobotBody):
         self._running: asyncio.Task[None] | None = None
 
     def declare(self, machine: DeclaredMachine) -> None:
-        """Take the speed that the vehicle can have."""
+        """Take the speed that the vehicle can have, and how it brakes."""
         self._speed_max_m_s = machine.vehicle.speed_m_s
+        self.orders.vehicle = machine.vehicle
 
     async def open(self) -> None:
         """Reach the broker, and wait for the first place. Raises OSError."""
@@ -209,6 +216,7 @@ class Vda5050Body(RobotBody):
             load=self.orders.load, parcels=self._within_reach((x_m, y_m)),
             sensed_at_us=now_us if fresh else heard_at_us, health=0.0 if sick else 1.0,
             position_accuracy_m=ACCURACY_M,
+            under_way=drives and self.orders.phase is OrderPhase.ACTIVE and age_us <= RENEWED_US,
         )  # fmt: skip
 
     def _turned(self, theta_rad: float, now_us: int) -> float:

@@ -1,9 +1,11 @@
 """Drives a VDA 5050 vehicle by orders that are a step long, so that it does what a robot wants now.
 
 A robot wants a velocity every 50 ms. A vehicle takes orders: nodes, and edges between them. So the
-velocity becomes an edge that is `STEP_S` long, and the next edge is added before the vehicle reaches
-the end. To stand, or to turn away, the order is cancelled. A vehicle that hears nothing any more stands
-at the end of its step. Handling a parcel is an order with one node and an action.
+velocity becomes an edge, and the next edge is added before the vehicle reaches the end. To stand, or
+to turn away, the order is cancelled. Handling a parcel is an order with one node and an action.
+
+A vehicle that hears nothing any more drives to the end of its edge. Other robots reckon that one which
+drives at this velocity needs its stopping distance, so the edge is that long and no longer.
 
 Messages get lost: a broker ends, a vehicle starts again. A step that no state shows in time is given
 up, and so is an order that states have shown and show no more. An order to handle a parcel is sent again
@@ -19,6 +21,7 @@ from typing import Any, Final, NamedTuple
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Drive
+from agent.interface.vehicle import Vehicle
 from agent.runtime.vda5050.messages import (
     ENDED,
     Action,
@@ -35,11 +38,14 @@ from agent.runtime.vda5050.messages import (
 )
 from protocol.state_machine import StateMachine, matrix
 
-STEP_S: Final = 0.6  # of driving in one order; a vehicle that hears nothing more stands after it
+STEP_S: Final = 0.6  # of driving in one order, at most
 STEP_MIN_M: Final = 0.15  # a shorter edge is within the tolerance of most vehicles
 AHEAD_S: Final = (
     0.25  # the next edge is sent this long before the end: two messages and a control period
 )
+# Of driving in one order, at least: a shorter edge ends before the next one can arrive. So a body that
+# is declared to brake harder than 1.8 m/s² at 1 m/s is further than other robots reckon.
+STEP_MIN_S: Final = 1.5 * AHEAD_S
 STANDS_M_S: Final = 0.03  # a slower command is none
 TURNED_RAD: Final = pi / 4  # a command this far off the edge cancels it, unless it is nearly over
 ACCEPTED_US: Final = 1 * S  # an order, or an update, that no state shows by then is lost or refused
@@ -134,6 +140,7 @@ class VehicleOrders:
         drop."""
         self.boot, self.map_id = boot, map_id
         self.parameters = [ActionParameter(key=k, value=v) for k, v in parameters.items()]
+        self.vehicle: Vehicle | None = None  # as the fleet declares it
         self.load = NOTHING_ABOARD
         self.dropped: dict[
             int, tuple[float, float]
@@ -303,7 +310,7 @@ class VehicleOrders:
     def _step(self, command: Drive, at: tuple[float, float], now_us: int) -> MasterOrder:
         speed_m_s = hypot(command.vx_m_s, command.vy_m_s)
         course_rad = atan2(command.vy_m_s, command.vx_m_s)
-        length_m = max(STEP_MIN_M, STEP_S * speed_m_s)
+        length_m = self._step_m(speed_m_s)
         sent = self._sent
         # The next edge begins where the vehicle will be, and leads to where the robot wants to go.
         goal = at[0] + length_m * cos(course_rad), at[1] + length_m * sin(course_rad)
@@ -324,6 +331,12 @@ class VehicleOrders:
         return MasterOrder(
             order_id=order_id, order_update_id=update, nodes=[begin, end], edges=[edge]
         )
+
+    def _step_m(self, speed_m_s: float) -> float:
+        longest_m, shortest_m = STEP_S * speed_m_s, max(STEP_MIN_M, STEP_MIN_S * speed_m_s)
+        if self.vehicle is None:
+            return max(shortest_m, longest_m)
+        return max(shortest_m, min(self.vehicle.stopping_m(speed_m_s), longest_m))
 
     def _handle(self, parcel: int, at: tuple[float, float], now_us: int) -> MasterOrder:
         kind = "drop" if self.load == parcel else "pick"

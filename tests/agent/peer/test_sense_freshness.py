@@ -150,6 +150,20 @@ def test_item_3_a_frozen_place_stops_a_robot_that_begins_to_drive() -> None:
     assert FROZEN_M < robot.x_m < 0.6, "and it does not try again by itself"
 
 
+def test_a_machine_that_does_not_carry_out_an_order_has_no_frozen_place() -> None:
+    """A VDA 5050 vehicle ended one order and had no newer one yet. It was told to drive all the time, and
+    stood at the same place to the millimetre. Its robot took that place for a frozen one, gave no more
+    orders, and stood with its parcel until the trial ended."""
+    robot = Robot().periods(1)
+    robot.frozen, robot.spoilt = True, lambda sensed: sensed._replace(under_way=False)
+    assert not robot.periods(100).held
+    robot.spoilt, from_m = (lambda sensed: sensed), robot.x_m
+    for _ in range(10):
+        robot.period()
+    assert robot.held == {StopCause.PLACE_FROZEN}, "it is noticed as soon as an order is under way"
+    assert robot.x_m - from_m < 2.5
+
+
 def test_a_brake_between_two_periods_is_no_frozen_place() -> None:
     robot = driving()
     effects = robot.peer.step(Hold(), robot.now_us)

@@ -8,8 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.interface.config import MS, S
+from agent.avoidance.stopping_constraint import REACTION_S
+from agent.interface.config import ACTUATOR_TTL_US, MS, S
 from agent.interface.effects import Drive
+from agent.interface.vehicle import Vehicle
 from agent.runtime.vda5050.messages import (
     ActionState,
     ActionStatus,
@@ -99,6 +101,28 @@ def test_a_velocity_is_an_edge_and_the_next_one_is_added_before_its_end() -> Non
     more = ordered(orders.want(EAST, (1.2, 1.0), 150 * MS))
     assert (more.order_id, more.order_update_id) == (first.order_id, 1)
     assert more.nodes[0].node_id == first.nodes[-1].node_id
+
+
+@pytest.mark.parametrize(
+    ("speed_m_s", "acceleration_m_s2", "length_m"),
+    [
+        (0.8, 1.0, 0.08 + 0.32),  # what others reckon with
+        (0.4, 1.0, 0.15),  # within the tolerance of vehicles
+        (1.5, 0.5, 0.9),  # 0.6 s of driving
+        (1.0, 9.0, 0.375),  # the next edge needs as long to arrive
+    ],
+)
+def test_a_vehicle_that_hears_nothing_more_stands_within_its_stopping_distance(
+    speed_m_s: float, acceleration_m_s2: float, length_m: float
+) -> None:
+    orders = fresh()
+    orders.vehicle = Vehicle(speed_m_s=1.5, acceleration_m_s2=acceleration_m_s2)
+    end = ordered(orders.want(Drive(speed_m_s, 0.0), (1.0, 2.0), 0)).nodes[-1].node_position
+    assert end is not None and end.x == pytest.approx(1.0 + length_m)
+
+
+def test_a_body_and_the_robots_round_it_reckon_with_the_same_stopping_distance() -> None:
+    assert ACTUATOR_TTL_US / S == REACTION_S
 
 
 def test_standing_cancels_once_and_the_next_order_waits_for_the_end() -> None:

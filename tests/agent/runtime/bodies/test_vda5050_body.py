@@ -5,14 +5,16 @@ from math import pi
 import pytest
 
 from agent.interface.config import MS
-from agent.interface.effects import Drive, GatedDrive
+from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.vehicle import Vehicle
-from agent.runtime.bodies.vda5050_body import LATE_US, Vda5050Body
+from agent.runtime.bodies.vda5050_body import LATE_US, RENEWED_US, Vda5050Body
 from agent.runtime.robot_body import DeclaredMachine
 from agent.runtime.vda5050.messages import (
     AgvPosition,
     BatteryState,
     EStop,
+    MasterOrder,
+    NodeState,
     OperatingMode,
     SafetyState,
     VehicleState,
@@ -95,6 +97,40 @@ def test_a_vehicle_that_a_person_drives_gets_no_orders(
     ours = mode in (OperatingMode.AUTOMATIC, OperatingMode.SEMIAUTOMATIC)
     seen = made.sense(now_us[0])
     assert seen is not None and (seen.health == 1.0) is ours and bool(sent) is ours
+
+
+def test_a_place_follows_while_the_vehicle_drives_by_our_order_and_says_new_places(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    now_us = [1_000 * MS]
+    made = body(monkeypatch, now_us)
+    sent: list[MasterOrder] = []
+    monkeypatch.setattr(made.link, "publish", sent.append)
+
+    def under_way(after_us: int = 0) -> bool:
+        seen = made.sense(now_us[0] + after_us)
+        assert seen is not None
+        return seen.under_way
+
+    made._heard(state(1.0))
+    assert not under_way(), "it drives, and by no order of ours"
+    made.drive(GatedDrive(Drive(0.5, 0.0)), now_us[0])
+    assert not under_way(), "no state shows the order yet"
+    node = sent[0].nodes[-1]
+    shown = state(1.0).model_copy(
+        update={
+            "order_id": sent[0].order_id,
+            "node_states": [
+                NodeState(node_id=node.node_id, sequence_id=node.sequence_id, released=True)
+            ],
+        }
+    )
+    made._heard(shown.model_copy(update={"driving": False}))
+    assert not under_way(), "it has not begun"
+    made._heard(shown)
+    assert under_way() and under_way(RENEWED_US) and not under_way(RENEWED_US + 1)
+    made.drive(HALT, now_us[0])
+    assert not under_way(), "it was told to end it"
 
 
 def said(at_us: int, x_m: float, map_id: str = "hall") -> Visualization:
