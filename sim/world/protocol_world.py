@@ -115,6 +115,7 @@ class StationaryBody(SimulatedBody):
             0.0,
             0.0,
             None,
+            True,
         )
         return _tuple(Observation, seen)
 

@@ -106,7 +106,7 @@ class SimulatedBody:
         ranges_m = world.ranges(self.index)
         return OBSERVATION(Observation, (
             x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m, 1.0, (), -1,
-            NOTHING_SEEN, now_us, 1.0, 0.0, 0.0, self.tool_on,
+            NOTHING_SEEN, now_us, 1.0, 0.0, 0.0, self.tool_on, True,
         ))  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:

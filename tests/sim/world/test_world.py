@@ -10,6 +10,7 @@ from shapely.geometry import LineString, Point, Polygon, box
 
 from agent.interface.config import ACTUATOR_TTL_US, SPEED_MAX_M_S
 from agent.interface.effects import Drive
+from agent.interface.observation import Observation
 from agent.interface.ports import Body
 from agent.interface.vehicle import DriveTrain
 from sim.world.drive_trains import STEP_US, TRACTOR, Chassis
@@ -53,6 +54,13 @@ def test_one_history_whoever_asks_and_however_often(seed: int) -> None:
     assert all(a.body(s).track.points == b.body(s).track.points for s in a.robots)
     other = crowd(seed + 100, 9, Random("a"))
     assert other.motion.tobytes() != a.motion.tobytes()
+
+
+def test_what_a_body_senses_has_every_field_of_an_observation() -> None:
+    world = World([], 1)
+    world.add_robot(0, (0.0, 0.0), 0.5, Chassis())
+    seen = world.body(0).sense(1_000)
+    assert seen == Observation(**seen._asdict()) and len(seen) == len(Observation._fields)
 
 
 def test_slip_of_one_robot_does_not_depend_on_the_others() -> None:
