@@ -181,18 +181,21 @@ def _fleets() -> None:
     from sim.world.drive_trains import Chassis
     from sim.world.lidar import Lidar
     from sim.world.world import World
-    from tools.bench.kernels.agent_table import AGENT_COLUMNS
-    from tools.bench.kernels.occupancy_fleet import OccupancyFleet
-    from tools.bench.kernels.orca_fleet import OrcaFleet
 
     ring = [(0.0, 0.0), (20.0, 0.0), (20.0, 20.0), (0.0, 20.0)]
     walls = obstacle_tree([ring[::-1]])
-    OrcaFleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
     OrcaSolver(0.5, 2.0, 1.0, 4.0, 0.05, np.zeros((0, 4)), walls=walls).among_known(
         (5.0, 5.0), (0.0, 0.0), (1.0, 0.0), 0.0
     )
     world = World([ring], 0, Lidar(8, 4.0))
     world.add_robot(0, (5.0, 5.0), 0.5, Chassis())
+    try:
+        from tools.bench.kernels.agent_table import AGENT_COLUMNS
+        from tools.bench.kernels.occupancy_fleet import OccupancyFleet
+        from tools.bench.kernels.orca_fleet import OrcaFleet
+    except ModuleNotFoundError:
+        return  # a wheel has no benches
+    OrcaFleet(np.ones((2, AGENT_COLUMNS), dtype=np.float32), 0.05, walls).step()
     maps = OccupancyFleet(1, np.zeros((100, 100), dtype=np.bool_), (0.0, 0.0), 0.5, 0.7)
     maps.observe(world.motion[:, :3], world.ranges_of_all(), 4.0)
 

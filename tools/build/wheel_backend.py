@@ -43,7 +43,17 @@ __all__ = [
 
 PACKAGE = "headland"
 LAYERS = ("crdt", "protocol", "agent", "sim", "tools")
-ONLY_IN_A_CHECKOUT = (f"{PACKAGE}/checkout.py",)
+# What only works on sources; a base install would be a fortieth larger with it.
+ONLY_IN_A_CHECKOUT = (
+    f"{PACKAGE}/checkout.py",
+    "tools/bench/", "sim/rigs/",
+    *(f"tools/build/{name}.py" for name in (
+        "audit", "docstring_checker", "prose_checker", "release", "site_hooks", "wheel_backend",
+    )),
+    *(f"tools/cli/{name}.py" for name in (
+        "api_page", "chart_pages", "doc_pages", "frame_pages", "route_pages", "state_pages",
+    )),
+)  # fmt: skip
 FROM = re.compile(rb"from\s+")
 DATE = (1980, 1, 1, 0, 0, 0)  # the earliest of the format: equal sources make equal wheels
 READABLE = 0o644
@@ -96,7 +106,7 @@ def packed(files: Mapping[str, bytes]) -> dict[str, bytes]:
     record = ""
     for path, content in files.items():
         top, _, rest = path.partition("/")
-        if path in ONLY_IN_A_CHECKOUT or not rest:
+        if path.startswith(ONLY_IN_A_CHECKOUT) or not rest:
             continue
         if top in LAYERS:
             path = f"{PACKAGE}/{path}"

@@ -1,5 +1,6 @@
 """Commands that try the fleet: bad luck, any bytes, and figures measured again."""
 
+import sys
 from pathlib import Path
 from typing import Annotated
 
@@ -124,6 +125,14 @@ def bench(
 
     Example: headland bench wire --quick --json
     """
-    from tools.bench.command import bench as command
+    try:
+        from tools.bench.command import bench as command
+    except ModuleNotFoundError as problem:
+        if not str(problem.name).endswith("tools.bench"):
+            raise
+        print(
+            "headland: the benches are in a checkout (git clone), not in a wheel", file=sys.stderr
+        )
+        raise SystemExit(2) from None
 
     raise SystemExit(command(name, quick, seed, json, cluster, seconds))

@@ -121,6 +121,34 @@ def test_no_other_module_is_named_in_a_string() -> None:
     assert found == NAMED
 
 
+# Imports of what a wheel leaves out. Each is guarded, and says so or does without.
+GUARDED = {
+    ("tools/cli/test_commands.py", "tools.bench.command"),
+    ("tools/build/warmup.py", "tools.bench.kernels.agent_table"),
+    ("tools/build/warmup.py", "tools.bench.kernels.occupancy_fleet"),
+    ("tools/build/warmup.py", "tools.bench.kernels.orca_fleet"),
+}
+
+
+def test_a_wheel_imports_nothing_that_it_leaves_out() -> None:
+    files = {str(path.relative_to(ROOT)): path.read_bytes() for path in sources()}
+    kept = packed({**files, "headland-1.dist-info/RECORD": b""})
+    left = {path for path in files if f"headland/{path}" not in kept}
+    assert "tools/bench/people.py" in left and "tools/build/warmup.py" not in left
+    gone = {
+        path.removesuffix("/__init__.py").removesuffix(".py").replace("/", ".") for path in left
+    }
+    found = {
+        (path, name)
+        for path in set(files) - left
+        for node in ast.walk(ast.parse(files[path]))
+        if isinstance(node, ast.ImportFrom)
+        for name in (node.module or "", *(f"{node.module}.{each.name}" for each in node.names))
+        if name in gone
+    }
+    assert found == GUARDED
+
+
 def test_in_a_checkout_a_module_has_two_names_and_is_one() -> None:
     assert import_module("headland.agent.runtime.robot_body") is robot_body
     assert robot_body.__spec__ is not None and robot_body.__spec__.name == robot_body.__name__
@@ -172,6 +200,8 @@ def test_a_wheel_works_beside_strangers(tmp_path: Path) -> None:
     python = str(tmp_path / "env" / "bin" / "python")
     assert run([command, "--version"], folder).startswith(f"headland {own_version()}")
     assert "oxted" in run([command, "list"], folder)
+    said = run([command, "bench", "wire"], folder, 2, errors=True)
+    assert said == "headland: the benches are in a checkout (git clone), not in a wheel\n"
     assert run([python, "-m", "headland", "--version"], folder).startswith("headland")
     assert run([python, "-c", IN_PYTHON], folder) == "good\n"
     assert "robot_process" in run(
@@ -214,7 +244,7 @@ def install(wheel: Path, folder: Path) -> Path:
     return site
 
 
-def run(words: list[str], folder: Path, code: int = 0) -> str:
+def run(words: list[str], folder: Path, code: int = 0, *, errors: bool = False) -> str:
     own = {
         key: value for key, value in os.environ.items() if not key.startswith(("PYTHON", "NUMBA"))
     }
@@ -222,7 +252,7 @@ def run(words: list[str], folder: Path, code: int = 0) -> str:
         words, cwd=folder, env=own, capture_output=True, text=True, check=False, timeout=400
     )
     assert done.returncode == code, f"{words}: {done.stdout}\n{done.stderr}"
-    return done.stdout
+    return done.stderr if errors else done.stdout
 
 
 def own_version() -> str:
