@@ -351,6 +351,7 @@ def vda5050(
         Literal["2.0.0", "2.1.0"], typer.Option(help="Version that messages say; they are the same.")
     ] = "2.0.0",
     seconds: Annotated[float | None, typer.Option(help="End after this time.")] = None,
+    json: Json = False,
 ) -> None:  # fmt: skip
     """Show a delivering fleet to a VDA 5050 master control as its vehicles, and take its orders.
 
@@ -360,7 +361,7 @@ def vda5050(
 
     where = (interface, channel, bitrate, host, port)
     raise SystemExit(
-        serve(broker, scenario, book, where, keys, topics, manufacturer, standard, seconds)
+        serve(broker, scenario, book, where, keys, topics, manufacturer, standard, seconds, json)
     )
 
 
@@ -383,6 +384,7 @@ def ros2(
         str | None,
         typer.Option(metavar="ENDPOINT", help="Without ROS: by this router of rmw_zenoh, tcp/HOST:7447."),
     ] = None,
+    json: Json = False,
 ) -> None:  # fmt: skip
     """Show a fleet to ROS 2: odometry, states, plans, maps, diagnostics. Stops go both ways.
 
@@ -392,4 +394,6 @@ def ros2(
     from tools.ros2.command import serve
 
     where = (interface, channel, bitrate, host, port)
-    raise SystemExit(serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh))
+    raise SystemExit(
+        serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh, json)
+    )

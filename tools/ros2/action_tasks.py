@@ -7,6 +7,7 @@ from typing import Final
 
 from protocol.frames.operator_frames import goal_frames
 from tools.common.bus_address import AttachError
+from tools.common.event_lines import EventLines
 from tools.inspect.inspector import Inspector
 from tools.ros2.graph import ActionGoal, Ended, GoalPlace
 
@@ -17,7 +18,8 @@ TELL_S: Final = 0.2  # between two words to a client
 class ActionTasks:
     """Begins a task for each goal that was accepted, and ends them together."""
 
-    def __init__(self) -> None:
+    def __init__(self, lines: EventLines) -> None:
+        self.lines = lines
         self._loop = asyncio.get_running_loop()
         self._working: set[asyncio.Task[None]] = set()
 
@@ -42,18 +44,17 @@ class ActionTasks:
         try:
             await serve(goal)
         except AttachError as problem:  # the key has ended, or its file is gone
-            abort(goal, str(problem))
+            self.abort(goal, str(problem))
 
     def cancel(self) -> None:
         """End all of them; clients are told nothing more."""
         for task in self._working:
             task.cancel()
 
-
-def abort(goal: ActionGoal, why: str) -> None:
-    """Results of Nav2 in Jazzy have no room for a reason, so people read it here."""
-    print(f"goal aborted: {why}", flush=True)
-    goal.end(Ended.ABORTED, why)
+    def abort(self, goal: ActionGoal, why: str) -> None:
+        """Results of Nav2 in Jazzy have no room for a reason, so people read it here."""
+        self.lines.say("goal-aborted", f"goal aborted: {why}", why=why)
+        goal.end(Ended.ABORTED, why)
 
 
 def tell(

@@ -22,6 +22,7 @@ from sim.record.scene import Scene, in_folder
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import LAUNCH, AttachError, scenario_of_launch
 from tools.common.bus_attach import attach
+from tools.common.event_lines import EventLines
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import check_operator_key
@@ -45,6 +46,7 @@ Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, po
 def serve(
     where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
     namespace: str, domain: int | None, seconds: float | None, zenoh: str | None = None,
+    as_json: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland ros2`: 0 when it was ended, 2 for a wrong argument.
 
@@ -57,7 +59,10 @@ def serve(
         return WRONG
     try:
         check_operator_key(operator_key)
-        asyncio.run(_serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh))
+        asyncio.run(
+            _serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh,
+                   EventLines(as_json))
+        )  # fmt: skip
     except (AttachError, SourceError, GraphError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
@@ -114,12 +119,12 @@ def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
     return scene if isinstance(scene, dict) else None
 
 
-def _proofs(operator_key: Path | None) -> ToolProofs | None:
+def _proofs(operator_key: Path | None, lines: EventLines) -> ToolProofs | None:
     """None also for a key that allows no transports: it may still release."""
     try:
-        return proofs_of(operator_key, lambda line: print(line, flush=True))
+        return proofs_of(operator_key, lines.note)
     except KeyFileError as problem:
-        print(f"transports are not accepted: {problem}", flush=True)
+        lines.say("no-transports", f"transports are not accepted: {problem}", why=str(problem))
         return None
 
 
@@ -134,6 +139,7 @@ def _house(scenario: str | None) -> Warehouse | None:
 async def _serve(
     where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
     namespace: str, domain: int | None, seconds: float | None, zenoh: str | None,
+    lines: EventLines,
 ) -> None:  # fmt: skip
     from tools.ros2.goal_desk import GoalDesk
     from tools.ros2.ros2_feed import Ros2Feed
@@ -172,12 +178,12 @@ async def _serve(
     graph = await _joined(namespace, domain, zenoh)
     feed = Ros2Feed(graph, scene, stop, release)
     device = panel.stopper.device
-    goals = GoalDesk(bus, device, operator_key, feed, graph)
+    goals = GoalDesk(bus, device, operator_key, feed, graph, lines)
     house = _house(scenario or scenario_of_launch(interface, host, port))
     carriers: TransportDesk | None = None
     if house is not None:
-        device.proofs = _proofs(operator_key)
-        carriers = TransportDesk(bus, device, house, feed, graph)
+        device.proofs = _proofs(operator_key, lines)
+        carriers = TransportDesk(bus, device, house, feed, graph, lines)
 
     def heard(frame: Frame) -> None:
         if end.is_set():
@@ -195,7 +201,8 @@ async def _serve(
         beside.append(loop.create_task(carriers.run()))
     if launch.get("bodies"):
         beside.append(loop.create_task(_watch(feed, Path(str(launch["bodies"])))))
-    print(f"ROS 2: node /{namespace.strip('/')}/{NODE}   (Ctrl-C ends it)", flush=True)
+    node = f"/{namespace.strip('/')}/{NODE}"
+    lines.say("ready", f"ROS 2: node {node}   (Ctrl-C ends it)", node=node)
     try:
         await end.wait()
     finally:

@@ -11,12 +11,13 @@ from typing import Final
 from agent.interface.ports import Bus
 from protocol.frames.frame import Frame
 from protocol.frames.operator_frames import ReportKind
+from tools.common.event_lines import EventLines
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.operate.operator_device import OPERATOR_SLOT, KnownRobot, Operator
 from tools.operate.order import LISTEN_S, convey
 from tools.operate.reset import operator_keyring
 from tools.operate.tool_address import DeviceAddress
-from tools.ros2.action_tasks import TELL_S, ActionTasks, abort, in_field, tell
+from tools.ros2.action_tasks import TELL_S, ActionTasks, in_field, tell
 from tools.ros2.graph import ActionGoal, Ended, GoalPlace, Graph
 
 GO_TO: Final = "NavigateToPose"
@@ -31,7 +32,8 @@ class GoalDesk:
     """Offers an action for each robot, and conveys what clients ask."""
 
     def __init__(
-        self, bus: Bus, device: DeviceAddress, key: Path | None, inspector: Inspector, graph: Graph
+        self, bus: Bus, device: DeviceAddress, key: Path | None, inspector: Inspector, graph: Graph,
+        lines: EventLines,
     ) -> None:  # fmt: skip
         """`device`: whose address it speaks from. `key`: the operator's; without one every goal is
         rejected."""
@@ -41,7 +43,7 @@ class GoalDesk:
         self._newest: dict[int, ActionGoal] = {}  # by robot: a later goal replaces an earlier one
         self._loop = asyncio.get_running_loop()
         self._speaking = asyncio.Lock()
-        self._tasks = ActionTasks()
+        self._tasks = ActionTasks(lines)
 
     def hear(self, now_s: float, frame: Frame) -> None:
         """Take one frame of the bus."""
@@ -81,7 +83,7 @@ class GoalDesk:
         operator, robot, why = await self._ordered(slot, "set-goal", (place.x_m, place.y_m))
         try:
             if robot is None:
-                abort(goal, why)
+                self._tasks.abort(goal, why)
                 return
             fine_s = self._loop.time()
             while True:
@@ -90,7 +92,7 @@ class GoalDesk:
                     if not why:
                         goal.end(Ended.CANCELLED, "")
                         return
-                    print(f"goal not taken back yet: {why}", flush=True)
+                    self._tasks.lines.say("goal-kept", f"goal not taken back yet: {why}", why=why)
                 matter = None if robot.report is None else robot.report.matter
                 if matter is ReportKind.ARRIVED:
                     goal.end(Ended.SUCCEEDED, "")
@@ -101,7 +103,7 @@ class GoalDesk:
                 if not why and self._loop.time() - fine_s > GIVEN_UP_S:
                     why = held
                 if why:
-                    abort(goal, why)
+                    self._tasks.abort(goal, why)
                     return
                 tell(goal, self.inspector, slot, place, 1)
                 await asyncio.sleep(TELL_S)

@@ -14,6 +14,7 @@ from agent.interface.ports import Bus
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.frame import Frame
 from sim.fleet.transport_orders import TransportClient
+from tools.common.event_lines import EventLines
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
 from tools.operate.tool_address import DeviceAddress
@@ -31,7 +32,13 @@ class TransportDesk:
     """Offers the action of a fleet that delivers, and orders what clients ask."""
 
     def __init__(
-        self, bus: Bus, device: DeviceAddress, house: Warehouse, inspector: Inspector, graph: Graph
+        self,
+        bus: Bus,
+        device: DeviceAddress,
+        house: Warehouse,
+        inspector: Inspector,
+        graph: Graph,
+        lines: EventLines,
     ) -> None:
         """`device`: whose address it speaks from, with the proofs of transports."""
         self.bus, self.device, self.house = bus, device, house
@@ -39,7 +46,7 @@ class TransportDesk:
         self.client = TransportClient()
         self._loop = asyncio.get_running_loop()
         self._heard_at_s = self._loop.time()
-        self._tasks = ActionTasks()
+        self._tasks = ActionTasks(lines)
 
     def hear(self, now_s: float, frame: Frame) -> None:
         """Take one frame of the bus."""

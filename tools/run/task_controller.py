@@ -11,8 +11,6 @@ from collections.abc import Callable
 from pathlib import Path
 from random import Random
 
-from rich.console import Console
-
 from agent.implements.as_applied_map import AsAppliedMap, by_row
 from agent.implements.task_controller import TaskController, controller_name
 from agent.interface.config import MS
@@ -35,9 +33,9 @@ from protocol.authentication import Keys
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 from protocol.name import fleet_name
-from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
+from tools.common.event_lines import EventLines
 
 WRONG = 2
 TICK_S = 0.005
@@ -75,26 +73,11 @@ class SharedBus:
             callback(frame)
 
 
-class Sayer:
-    """Says what happens, as lines for people or as JSON."""
-
-    def __init__(self, as_json: bool) -> None:
-        self.as_json = as_json
-        self._console = Console(highlight=False, soft_wrap=True)
-
-    def say(self, event: str, text: str, **values: object) -> None:
-        """Print one event at once: its text, or with `as_json` its name and values."""
-        if self.as_json:
-            print(dumps({"event": event, **values}), flush=True)
-        else:
-            self._console.print(text)
-
-
 class Service:
     """The task controller and its member of the fleet, on their buses."""
 
     def __init__(
-        self, controller: TaskController, bus: SharedBus, runner: PeerRunner, sayer: Sayer
+        self, controller: TaskController, bus: SharedBus, runner: PeerRunner, sayer: EventLines
     ) -> None:
         self.controller, self.bus, self.runner, self.sayer = controller, bus, runner, sayer
         self._known: dict[int, str] = {}
@@ -151,7 +134,7 @@ def _identity(boundary: Boundary, slot: int, machines: int, first_boot: bool) ->
 
 async def _serve(
     boundary: Boundary, keys: Keys | None, buses: tuple[Bus, Bus | None], machine: tuple[int, int],
-    hitch_m: float, accuracy_m: float, memory: Path, sayer: Sayer,
+    hitch_m: float, accuracy_m: float, memory: Path, sayer: EventLines,
 ) -> None:  # fmt: skip
     slot, machines = machine
     first_boot = not memory.exists()
@@ -217,7 +200,7 @@ def task_controller(
             try:
                 await _serve(
                     boundary, fleet_keys, (own, other), machine, hitch_m, accuracy_m, memory,
-                    Sayer(as_json),
+                    EventLines(as_json),
                 )  # fmt: skip
             finally:
                 if other is not None:

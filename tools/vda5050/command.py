@@ -15,6 +15,7 @@ from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, keep_attached
+from tools.common.event_lines import EventLines
 from tools.common.launch_keys import own_keys
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookError, OrderBook
@@ -26,7 +27,7 @@ Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, po
 
 def serve(
     broker: str, scenario: str, book: Path, where: Where, keys: Path | None, interface: str,
-    manufacturer: str, version: str, seconds: float | None,
+    manufacturer: str, version: str, seconds: float | None, as_json: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland vda5050`: 0 when it was ended, 2 for a wrong argument."""
     keys = keys or own_keys(where[0], where[3], where[4])
@@ -42,6 +43,7 @@ def serve(
                 manufacturer,
                 version,
                 seconds,
+                EventLines(as_json),
             )
         )
     except (BrokerError, ScenarioError, AttachError, BookError) as problem:
@@ -55,7 +57,7 @@ def serve(
 
 async def _serve(
     broker: Broker, scenario: str, path: Path, where: Where, keys: Path | None, interface: str,
-    manufacturer: str, version: str, seconds: float | None,
+    manufacturer: str, version: str, seconds: float | None, lines: EventLines,
 ) -> None:  # fmt: skip
     warehouse = load_warehouse(scenario)
     house = Warehouse(floor_of(warehouse), Carrier(1.0, 0.0))
@@ -69,10 +71,10 @@ async def _serve(
         named = FleetNames(
             interface, manufacturer, warehouse.name, warehouse.fleet.vehicle, version
         )
-        gateway = MasterGateway(
-            bus, house, book, broker, named, keys, told=lambda line: print(line, flush=True)
-        )
+        gateway = MasterGateway(bus, house, book, broker, named, keys, lines)
         bus.subscribe(gateway.hear)
+        lines.say("ready", f"the fleet is at {broker} within {LISTEN_S:.0f} s   (Ctrl-C ends it)",
+                  broker=str(broker), topics=interface)  # fmt: skip
         await gateway.operator.listen(LISTEN_S)
         await gateway.run(end)
     finally:

@@ -15,7 +15,6 @@ from agent.delivery.task_registry import TASKS_MAX
 from agent.delivery.warehouse import Warehouse
 from agent.interface.ports import Bus
 from agent.interface.vehicle import Vehicle
-from agent.runtime.files.printable_text import printable
 from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
 from agent.runtime.vda5050.messages import (
     Action,
@@ -33,6 +32,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
 from sim.fleet.transport_orders import TransportClient
 from tools.common.bus_address import AttachError
+from tools.common.event_lines import EventLines
 from tools.inspect.inspector import SILENT_S, Inspector, Seen
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
@@ -67,14 +67,14 @@ class MasterGateway:
 
     def __init__(
         self, bus: Bus, house: Warehouse, book: OrderBook, broker: Broker, named: FleetNames,
-        keys: Path | None, told: Callable[[str], None],
+        keys: Path | None, lines: EventLines,
     ) -> None:  # fmt: skip
-        """`keys`: the operator's key file, in a fleet with keys. `told`: takes lines for people."""
+        """`keys`: the operator's key file, in a fleet with keys. `lines`: say what happens."""
         self.house, self.book, self.broker = house, book, broker
-        self.told: Callable[[str], None] = lambda line: told(printable(line))  # words of a master
+        self.lines = lines
         self.named, self.keys = named, keys
         self.operator = Operator(bus, None)
-        self.operator.device.proofs = proofs_of(keys, told)
+        self.operator.device.proofs = proofs_of(keys, lines.note)
         self.inspector, self.desk = Inspector(), TransportClient(max(book.tasks, default=-1) + 1)
         self.courses: dict[int, float] = {}  # of each robot, radians
         self.ports: dict[int, _Port] = {}
@@ -140,7 +140,10 @@ class MasterGateway:
         if booked is not None and not (booked.cancelled and booked.number is None):
             transport = transport_of(booked.order, self.house, self.named.map_id)
         self.ports[slot] = _Port(self, FleetVehicle(slot, booked, transport))
-        self.told(f"{self.serial(slot)}: a vehicle at {self.broker}")
+        serial = self.serial(slot)
+        self.lines.say(
+            "vehicle", f"{serial}: a vehicle at {self.broker}", robot=slot, serial=serial
+        )
 
     # ---------------------------------------------------------------- what the bus says
 
@@ -192,7 +195,7 @@ class MasterGateway:
             transport = transport_of(whole, self.house, self.named.map_id)
         except OrderRefused as refused:
             vehicle.refuse(refused.error(order))
-            self.told(f"{self.serial(vehicle.slot)}: order {order.order_id} refused: {refused}")
+            self._refused(vehicle.slot, order, str(refused))
             return
         number, index = None, None
         if transport is not None:
@@ -207,12 +210,21 @@ class MasterGateway:
                 self.desk.forget(number)
             why = f"it cannot be booked: {problem.strerror or problem}"
             vehicle.refuse(OrderRefused("orderError", why).error(order))
-            self.told(f"{self.serial(vehicle.slot)}: order {order.order_id} refused: {why}")
+            self._refused(vehicle.slot, order, why)
             return
         vehicle.accept(booked, transport)
         port.index = index
         if number is not None:
-            self.told(f"{self.serial(vehicle.slot)}: order {order.order_id} is task {number}")
+            self.lines.say(
+                "order", f"{self.serial(vehicle.slot)}: order {order.order_id} is task {number}",
+                robot=vehicle.slot, order=order.order_id, task=number,
+            )  # fmt: skip
+
+    def _refused(self, slot: int, order: MasterOrder, why: str) -> None:
+        self.lines.say(
+            "order-refused", f"{self.serial(slot)}: order {order.order_id} refused: {why}",
+            robot=slot, order=order.order_id, why=why,
+        )  # fmt: skip
 
     def act(self, port: "_Port", actions: InstantActions) -> None:
         """Begin the instant actions that are new."""

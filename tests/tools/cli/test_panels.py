@@ -43,6 +43,19 @@ def test_the_page_of_the_command_line_names_every_command_in_its_panel() -> None
             assert re.search(rf"^\| {panel} \|.*`{name}`", page, re.M), (panel, name)
 
 
+def test_every_command_can_print_json() -> None:
+    """`vda5050` and `ros2` could not, although they run until they are ended, as others that can."""
+
+    def without(command: Any, name: str) -> list[str]:
+        under = getattr(command, "commands", {})
+        if under:
+            return [each for key, own in under.items() for each in without(own, f"{name} {key}")]
+        has = any("--json" in param.opts for param in command.params)
+        return [] if has or command.hidden else [name]
+
+    assert without(typer.main.get_command(app), "headland") == []
+
+
 @pytest.mark.parametrize("words", OLD)
 def test_an_old_name_still_works(words: str) -> None:
     parse(["headland", *words.split()], whole=True)

@@ -1,6 +1,7 @@
 """The gateway of a fleet to a master, on a bus without robots."""
 
 import asyncio
+import json
 from pathlib import Path
 
 import can
@@ -21,6 +22,7 @@ from agent.runtime.vda5050.messages import (
 )
 from protocol.links.bus import CanBus
 from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
+from tools.common.event_lines import EventLines
 from tools.vda5050.fleet_vehicle import UNHEARD
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookedOrder, OrderBook
@@ -41,7 +43,9 @@ def test_a_robot_that_died_while_the_gateway_was_away_is_still_told_of(tmp_path:
         named = FleetNames("uagv", "Headland", "yard", Vehicle(), "2.0.0")
         broker = Broker.read("mqtt://127.0.0.1:1")  # nobody serves there
         made, end = asyncio.Event(), asyncio.Event()
-        gateway = MasterGateway(bus, HOUSE, book, broker, named, None, told=lambda line: made.set())
+        gateway = MasterGateway(
+            bus, HOUSE, book, broker, named, None, EventLines(out=lambda line: made.set())
+        )
         running = asyncio.create_task(gateway.run(end))
         async with asyncio.timeout(WAIT_S):
             await made.wait()
@@ -57,13 +61,13 @@ def test_a_robot_that_died_while_the_gateway_was_away_is_still_told_of(tmp_path:
     asyncio.run(story())
 
 
-def gateway_on(tmp_path: Path, told: list[str]) -> MasterGateway:
+def gateway_on(tmp_path: Path, told: list[str], as_json: bool = False) -> MasterGateway:
     """Of a fleet that nobody hears, at a broker that nobody serves; needs a running loop."""
     bus = CanBus(can.Bus(f"gateway {tmp_path}", interface="virtual"))
     named = FleetNames("uagv", "Headland", "yard", Vehicle(), "2.0.0")
     broker = Broker.read("mqtt://127.0.0.1:1")
     book = OrderBook(tmp_path / "book.jsonl")
-    gateway = MasterGateway(bus, HOUSE, book, broker, named, None, told.append)
+    gateway = MasterGateway(bus, HOUSE, book, broker, named, None, EventLines(as_json, told.append))
     gateway._add(0)
     return gateway
 
@@ -108,6 +112,23 @@ def test_an_order_that_cannot_be_booked_is_refused_and_the_next_record_is_whole(
     again = OrderBook(tmp_path / "book.jsonl")
     again.close()
     assert again.orders[0].order.order_id == WHOLE.order_id
+
+
+def test_with_json_each_event_of_the_gateway_is_one_object(tmp_path: Path) -> None:
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, told, as_json=True)
+        gateway.order(gateway.ports[0], WHOLE)
+        gateway.order(gateway.ports[0], order(BRING, name="another"))
+        await left(gateway)
+
+    asyncio.run(story())
+    vehicle, taken, refused = map(json.loads, told)
+    assert vehicle == {"event": "vehicle", "robot": 0, "serial": "robot0"}
+    assert taken["event"] == "order" and taken["order"] == WHOLE.order_id
+    assert refused["event"] == "order-refused" and refused["order"] == "another" and refused["why"]
+    assert isinstance(taken["task"], int) and {taken["robot"], refused["robot"]} == {0}
 
 
 def test_an_order_that_its_updates_make_too_long_is_refused_and_the_book_is_read_again(
