@@ -17,7 +17,7 @@ class EventLines:
         """`out`: takes the lines, one at a time."""
         self.as_json, self.out = as_json, out
 
-    def say(self, event: str, text: str, **values: object) -> None:
+    def say(self, event: str, text: str, /, **values: object) -> None:
         """One event: its text, or with `as_json` its name and values. Words of others in the text do not
         steer a terminal."""
         self.out(

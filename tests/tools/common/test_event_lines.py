@@ -18,3 +18,9 @@ def test_an_event_is_a_line_for_people_or_one_object() -> None:
         "left_m": None,
     }
     assert "\x1b" not in told[1] and "\n" not in told[1]
+
+
+def test_a_note_is_an_event_with_its_text() -> None:
+    told: list[str] = []
+    EventLines(as_json=True, out=told.append).note("a newer key is there")
+    assert json.loads(told[0]) == {"event": "note", "text": "a newer key is there"}
