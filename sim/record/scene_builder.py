@@ -7,9 +7,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.coverage.cell_map import CellMap
 from agent.mapping.building import Floor
+from crdt.progress import BLOCK_UNITS
 from sim.record.mcap_schema import THING
 from sim.record.scene import Scene
+from sim.scenarios.coverage_setup import CoverageSetup
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.field_setup import FieldSetup
@@ -55,7 +58,7 @@ def scene_of(setting: FleetSetup) -> Scene:
         scene["kind"] = "arena"
     elif isinstance(setting, FieldSetup):
         field = setting.field
-        scene["name"] = field.name
+        scene["field"] = field.name  # as its file calls it
         scene["rings"] = [_line(ring) for ring in (field.exterior, *field.holes)]
         scene["gate"], scene["width_m"] = _point(field.gate), field.implement_width_m
         scene["earth"] = list(field.origin)  # latitude and longitude of (0, 0), degrees
@@ -63,6 +66,18 @@ def scene_of(setting: FleetSetup) -> Scene:
             {"id": s.id, "swaths": [_line(swath) for swath in s.swaths], "units": list(s.units_of)}
             for s in field.sections
         ]
+    elif isinstance(setting, CoverageSetup):
+        ground = setting.ground
+        west, south = -ground.columns * ground.cell_m / 2, -ground.rows * ground.cell_m / 2
+        scene["grid"] = _grid(ground.walls[::-1], (west, south), ground.cell_m)  # row 0 is north
+        scene["width_m"], scene["kind"] = ground.cell_m, "grid"
+        scene["sections"] = [
+            {
+                "id": section, "units": [1] * units,
+                "swaths": [_cell(ground, section * BLOCK_UNITS + k) for k in range(units)],
+            }
+            for section, units in ground.section_units.items()
+        ]  # fmt: skip
     return scene
 
 
@@ -87,6 +102,12 @@ def _point(at: Sequence[float]) -> list[float]:
 
 def _line(points: Iterable[Sequence[float]]) -> list[list[float]]:
     return [_point(at) for at in points]
+
+
+def _cell(ground: CellMap, number: int) -> list[list[float]]:
+    """From the west side of a cell to its east side."""
+    x_m, y_m = ground.centre(number)
+    return _line(((x_m - ground.cell_m / 2, y_m), (x_m + ground.cell_m / 2, y_m)))
 
 
 def _box(west: float, south: float, east: float, north: float) -> list[list[float]]:

@@ -15,6 +15,7 @@ from sim.runs.coverage_run import CoverageOutcome, CoverageRun
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
 from tools.common.result_table import fact_table
+from tools.common.run_recorder import RunRecorder
 from tools.run.coverage_report import closed_off
 from tools.run.run_mission import ProgressBar, next_commands
 
@@ -100,8 +101,14 @@ def driven(
 ) -> int:  # fmt: skip
     """`cells_left`: free cells that are not connected with any start."""
     run = CoverageRun(setting, out)
-    with ProgressBar(Console(stderr=True), setting.instance.name, run, "cells"):
-        outcome = run.run()
+    recorder = None if out is None else RunRecorder(setting, out)
+    run.attach = recorder
+    try:
+        with ProgressBar(Console(stderr=True), setting.instance.name, run, "cells"):
+            outcome = run.run()
+    finally:
+        if recorder is not None:
+            recorder.close()
     report = {**outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left}
     if out is not None:
         (out / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
@@ -109,8 +116,8 @@ def driven(
         print(dumps(report))
     else:
         _print(outcome)
-        if out is not None:
-            print(f"report.json, trace.jsonl and can.log are in {out}")
+        if out is not None and recorder is not None:
+            print(f"report.json, trace.jsonl, {recorder.logs} are in {out}")
             print(next_commands(out))
     closed = closed_off(cells_left, reachable_only)
     if closed:

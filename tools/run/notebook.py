@@ -201,7 +201,7 @@ def play(
     """
     run = run_of(scenario, robots, seed, faults, time_limit_s, drive, mission)
     recording = Recording()
-    recording.scene = None if isinstance(run, CoverageRun) else scene_of(run.setting)
+    recording.scene = scene_of(run.setting)
 
     sampled: dict[int, list[tuple[float, float, float]]] = {}  # bodies on a grid keep no track
 

@@ -6,7 +6,9 @@ import numpy as np
 import pytest
 
 from agent.mapping.building import Floor
+from sim.files.grid_map import Instance
 from sim.record.scene_builder import scene_named, scene_of
+from sim.scenarios.coverage_setup import CoverageSetup
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.navigation_setup import NavigationSetup
@@ -40,6 +42,27 @@ def test_a_floor_with_its_walls() -> None:
     bits = np.unpackbits(np.frombuffer(b64decode(grid["walls"]), dtype=np.uint8))
     assert np.array_equal(bits[: shape[0] * shape[1]].reshape(shape), floor.walls)
     assert scene_of(setting)["goals"] == [[0, 5.5, 3.0]]
+
+
+def test_a_map_of_cells_has_its_walls_and_a_unit_for_each_free_cell() -> None:
+    walls = np.zeros((4, 30), dtype=np.bool_)
+    walls[0, 3:7] = True  # in the north
+    setting = CoverageSetup.made(Instance("cells", walls, [(1, 0)]))
+    scene = scene_of(setting)
+    grid = scene["grid"]
+    bits = np.unpackbits(np.frombuffer(b64decode(grid["walls"]), dtype=np.uint8))
+    assert np.array_equal(bits[: walls.size].reshape(walls.shape), walls[::-1])
+    assert grid["origin"] == [-60.0, -8.0] and scene["kind"] == "grid"
+    cells = [swath for section in scene["sections"] for swath in section["swaths"]]
+    assert len(cells) == np.count_nonzero(~walls)
+    (x_m, y_m), (east_m, _) = cells[setting.ground.number((1, 0))]
+    assert (x_m, east_m, y_m) == (-60.0, -56.0, 2.0)
+
+
+def test_the_title_is_that_of_the_scenario_and_the_field_s_own_name_stays() -> None:
+    """The map of the demo was called NM_Oxted_NullMeridian_Hole."""
+    scene = scene_of(FieldSetup(load("oxted")))
+    assert scene["name"] == "oxted" and scene["field"].startswith("NM_Oxted")
 
 
 def test_by_name() -> None:

@@ -128,6 +128,38 @@ def test_a_warehouse_shows_its_parcels() -> None:
         )
         assert page.execute_script("return headland.field.cellAt(12)") == [2.5, 1.5]
         assert page.execute_script("return headland.field.delivered") == [1, 2]
+        assert page.find_element("id", "has").text == "tasks", (
+            "robots of a warehouse have no sections"
+        )
+        assert complaints(page) == []
+
+
+def in_light(page: "Chrome", scheme: str) -> None:
+    features = [{"name": "prefers-color-scheme", "value": scheme}]
+    page.execute_cdp_cmd("Emulation.setEmulatedMedia", {"features": features})
+
+
+CORNER = (
+    "const f = headland.field.ground.getContext('2d').getImageData(2, 2, 1, 1).data;"
+    "return f[0] + f[1] + f[2]"
+)
+
+
+@pytest.mark.slow
+@needs_browser
+def test_another_light_changes_colours_and_nothing_else() -> None:
+    """The page was loaded again: the time, the chosen robot and an open dialog were lost, and on a live
+    map STOP was away meanwhile."""
+    served = MapThread(delivering(), "house", 0)
+    with browser() as page:
+        in_light(page, "light")
+        page.get(served.url)
+        until(page, "document.querySelector('#fleet tr[data-slot]')", WAIT_S)
+        until(page, f"(() => {{ {CORNER}; }})() > 700")
+        page.execute_script("window.same = true; document.getElementById('help-open').click()")
+        in_light(page, "dark")
+        until(page, f"(() => {{ {CORNER}; }})() < 150")
+        assert page.execute_script("return window.same && document.getElementById('help').open")
         assert complaints(page) == []
 
 

@@ -1,10 +1,13 @@
 """The commands that a run names at its end can be called with what is installed."""
 
 from importlib.machinery import ModuleSpec
+from pathlib import Path
 
 import pytest
 
+from tools.livemap.command import recorded
 from tools.run import run_field
+from tools.run.coverage import drive_grid
 from tools.run.run_field import work_export
 
 
@@ -14,3 +17,15 @@ def test_task_data_is_offered_only_where_its_package_is(monkeypatch: pytest.Monk
     assert "--geojson" in work_export()[0]
     monkeypatch.setattr(run_field, "find_spec", lambda name: ModuleSpec(name, None))
     assert "--isoxml" in work_export()[0]
+
+
+def test_a_run_on_a_grid_leaves_what_the_map_shows(tmp_path: Path) -> None:
+    """`headland map` was named as a next command, and had neither a scene nor a run.mcap."""
+    (tmp_path / "four.map").write_text(
+        "type octile\nheight 4\nwidth 4\nmap\n....\n.@..\n....\n....\n"
+    )
+    out = tmp_path / "run"
+    assert drive_grid(tmp_path / "four.map", 2, 1, out, True) == 0
+    recording = recorded(out, None)
+    assert recording.scene is not None and recording.scene["kind"] == "grid"
+    assert recording.count > 100 and (out / "run.mcap").exists()

@@ -36,7 +36,7 @@ export class Field {
     this.sections = new Map(); // id -> {phase, owner}
     this.done = new Map(); // id -> array of bits, one for each unit
     this.trails = new Map();
-    this.known = new Set(); // cells of an explored map
+    this.known = new Map(); // cells of an explored map -> what was seen there
     this.transports = new Map(this.scene?.transports?.map(([task, from, to]) => [task, [from, to]])); // task -> cells
     this.stale = true;
     this.groundAt = 0;
@@ -114,11 +114,22 @@ export class Field {
     for (let k = 0; k < 16; k++) {
       const value = values[k];
       if (value === UNKNOWN) continue;
-      this.known.add((row + (k >> 2)) * canvas.width + column + (k % 4));
+      this.known.set((row + (k >> 2)) * canvas.width + column + (k % 4), value);
       pen.fillStyle = value === OPEN ? paint().open : paint().wall;
       pen.fillRect(column + (k % 4), canvas.height - 1 - (row + (k >> 2)), 1, 1);
     }
     this.stale = true;
+  }
+
+  // In another light; all that was told stays.
+  recolour() {
+    if (this.grid) this.grid = gridPicture(this.scene.grid);
+    for (const [cell, value] of this.known) {
+      const { pen, canvas } = this.cells;
+      pen.fillStyle = value === OPEN ? paint().open : paint().wall;
+      pen.fillRect(cell % canvas.width, canvas.height - 1 - Math.floor(cell / canvas.width), 1, 1);
+    }
+    this.stale = true; this.groundAt = 0;
   }
 
   // ---------------------------------------------------------------- looking

@@ -72,6 +72,7 @@ function begin({ title, scene, live: isLive, releases: mayRelease, colours }) {
   $("name").textContent = scene?.name ?? "Headland";
   $("source").textContent = live ? `live · ${title}` : title;
   document.title = `${scene?.name ?? "Headland"} · Headland`;
+  $("has").textContent = scene?.bays ? "tasks" : "section";
   $("work-name").textContent = scene?.cells ? "seen" : scene?.bays ? "delivered" : "work";
   $("walls-line").hidden = !scene?.cells;
   side.showWhy(null); keep(false);
@@ -345,8 +346,9 @@ addEventListener("keydown", (event) => {
   act();
 });
 
-// Another light: the ground and the maps on it are drawn again in its colours.
-matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => location.reload());
+// Another light: what is drawn gets its colours. The page is not loaded again: STOP, an open dialog, the time
+// and the place that a person looks at stay.
+matchMedia("(prefers-color-scheme: light)").addEventListener("change", () => { field.recolour(); dirty = true; });
 addEventListener("hashchange", () => { if (location.hash.length > 1) location.reload(); });
 takeToken();
 connect();
