@@ -12,7 +12,6 @@ driving order.
 
 import itertools
 from collections.abc import Iterable, Sequence
-from functools import cached_property
 from math import hypot
 from typing import Final
 
@@ -65,6 +64,7 @@ class Parking:
         self._looked_at_us: int | None = None
         # For each robot that works near us, by slot: its position, and since when it is there.
         self._beside: dict[int, tuple[float, float, int]] = {}
+        self._kept_ground: shapely.Geometry | None = None  # once it was needed
 
     @property
     def room_m(self) -> float:
@@ -218,11 +218,11 @@ class Parking:
                     break
         return found
 
-    @cached_property
     def _free_ground(self) -> shapely.Geometry:
-        free = self.field.polygon.buffer(-self.radius_m - FENCE_M)
-        shapely.prepare(free)
-        return free
+        if self._kept_ground is None:
+            self._kept_ground = self.field.polygon.buffer(-self.radius_m - FENCE_M)
+            shapely.prepare(self._kept_ground)
+        return self._kept_ground
 
     def _ground(self, here: Point) -> NDArray[np.float64]:
         """Places (n, 2) of free ground round us, metres."""
@@ -231,7 +231,7 @@ class Parking:
             np.round(here[0] / GROUND_M) * GROUND_M + steps,
             np.round(here[1] / GROUND_M) * GROUND_M + steps,
         )
-        inside = shapely.contains_xy(self._free_ground, x_m, y_m)
+        inside = shapely.contains_xy(self._free_ground(), x_m, y_m)
         return np.column_stack((x_m[inside], y_m[inside]))
 
 

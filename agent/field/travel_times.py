@@ -6,7 +6,6 @@ a little longer than what `Route` finds, and a matrix of them costs milliseconds
 """
 
 from collections.abc import Callable, Sequence
-from functools import cached_property
 from itertools import pairwise
 from math import hypot, sqrt
 from typing import NamedTuple
@@ -65,6 +64,14 @@ class TravelTimes:
         self.plans: dict[
             bytes, Solution
         ] = {}  # of the newest problems (`agent/field/fleet_plan.py`)
+        # What follows from these, once it was needed. Not `cached_property`: a compiled one computes
+        # its value at each look.
+        self._kept_ends: Floats | None = None
+        self._kept_opened: list[Point] | None = None
+        self._kept_nodes: Floats | None = None
+        self._kept_works: Whole | None = None
+        self._kept_links: Whole | None = None
+        self._kept_ways: Floats | None = None
         # Seconds and metres for one metre a second more or less, up and down together.
         self._ramp_s2_m = 1 / acceleration_m_s2 + 1 / deceleration_m_s2
 
@@ -74,30 +81,38 @@ class TravelTimes:
         short = np.sqrt(2 * np.minimum(lengths_m, ramps_m) * self._ramp_s2_m)
         return short + np.maximum(lengths_m - ramps_m, 0.0) / self.speed_m_s
 
-    @cached_property
+    @property
     def ends(self) -> Floats:
         """(2 sections, 2): where each section begins and ends, metres."""
-        return np.array(
-            [end for section in self.field.sections for end in section.ends], dtype=np.float64
-        ).reshape(-1, 2)
+        if self._kept_ends is None:
+            self._kept_ends = np.array(
+                [end for section in self.field.sections for end in section.ends], dtype=np.float64
+            ).reshape(-1, 2)
+        return self._kept_ends
 
-    @cached_property
+    @property
     def _opened(self) -> list[Point]:
         """The ends and the corners, those at fences moved to free ground."""
-        places = [*self.ends.tolist(), *self.corners]
-        return [self.route.opened((x_m, y_m)) for x_m, y_m in places]
+        if self._kept_opened is None:
+            places = [*self.ends.tolist(), *self.corners]
+            self._kept_opened = [self.route.opened((x_m, y_m)) for x_m, y_m in places]
+        return self._kept_opened
 
-    @cached_property
+    @property
     def _nodes(self) -> Floats:
         """(2 sections + corners, 2): the ends and the corners, metres."""
-        corners = np.array(self.corners, dtype=np.float64).reshape(-1, 2)
-        return np.vstack((self.ends, corners))
+        if self._kept_nodes is None:
+            corners = np.array(self.corners, dtype=np.float64).reshape(-1, 2)
+            self._kept_nodes = np.vstack((self.ends, corners))
+        return self._kept_nodes
 
-    @cached_property
+    @property
     def work_for_ms(self) -> Whole:
         """(sections,): all swaths of each section, with the turns between them."""
-        works_for_ms = [self.driven_for_ms(section.swaths) for section in self.field.sections]
-        return np.array(works_for_ms, dtype=np.int64)
+        if self._kept_works is None:
+            works_for_ms = [self.driven_for_ms(section.swaths) for section in self.field.sections]
+            self._kept_works = np.array(works_for_ms, dtype=np.int64)
+        return self._kept_works
 
     def remainder(self, section: Section, is_covered: Callable[[int], bool]) -> Remainder:
         """What is left of a section with an uncovered unit. `is_covered`: of each unit."""
@@ -136,18 +151,25 @@ class TravelTimes:
             now_m_s = end_m_s
         return for_s
 
-    @cached_property
+    @property
     def link_for_ms(self) -> Whole:
         """(2 sections, 2 sections): from each end to each other one."""
-        return self._links_for_ms()
+        if self._kept_links is None:
+            self._kept_links = self._links_for_ms()
+        return self._kept_links
 
     def _links_for_ms(self) -> Whole:
         links_for_ms: Whole = np.rint(self._ways_for_ms[: len(self.ends)]).astype(np.int64)
         return links_for_ms
 
-    @cached_property
+    @property
     def _ways_for_ms(self) -> Floats:
         """(2 sections + corners, 2 sections): from each end and each corner to each end."""
+        if self._kept_ways is None:
+            self._kept_ways = self._all_ways_for_ms()
+        return self._kept_ways
+
+    def _all_ways_for_ms(self) -> Floats:
         count, ends = len(self._nodes), len(self.ends)
         straight_for_ms = np.full((count, count), np.inf)
         for a in range(count):

@@ -8,7 +8,6 @@ of a neighbour appear under one number, that of the neighbour.
 """
 
 from collections.abc import Mapping
-from functools import cached_property
 from typing import NamedTuple
 
 GUEST_FIRST = 108  # owners of other segments in registers; slots of robots are below
@@ -40,19 +39,13 @@ class Area:
         assert all(0 <= section < home for section in self.lent)
         assert all(section >= home for section in self.borrowed), "numbers of copies are above"
         assert all(place.segment != segment for place in self.borrowed.values())
+        # Segments that share a section with this one, sorted.
+        beside = {place.segment for place in self.borrowed.values()}
+        self.neighbours: tuple[int, ...] = tuple(sorted(beside.union(*self.lent.values())))
         assert len(self.neighbours) <= NEIGHBOURS_MAX, "a register cannot name more neighbours"
-
-    @cached_property
-    def neighbours(self) -> tuple[int, ...]:
-        """Segments that share a section with this one, sorted."""
-        borrowed = {place.segment for place in self.borrowed.values()}
-        return tuple(sorted(borrowed.union(*self.lent.values())))
-
-    @cached_property
-    def number_of(self) -> dict[SegmentPlace, int]:
-        """The number here of every section that is lent or borrowed, by its place."""
-        numbers = {place: section for section, place in self.borrowed.items()}
-        return numbers | {SegmentPlace(self.segment, section): section for section in self.lent}
+        # The number here of every section that is lent or borrowed, by its place.
+        self.number_of = {place: section for section, place in self.borrowed.items()}
+        self.number_of |= {SegmentPlace(segment, section): section for section in self.lent}
 
     def place_of(self, section: int) -> SegmentPlace:
         """The home segment of a section of ours, and its number there."""

@@ -7,21 +7,19 @@ sync and all frames on a bus of 250 kbit/s. Only bodies and sensors are simpler 
 (`grid_world`).
 """
 
-from collections import deque
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from agent.coverage.cell_map import NONE
-from agent.coverage.coverage_mission import GridWork
 from agent.interface.config import S
 from sim.fleet.scheduler import Host
-from sim.fleet.simulated_fleet import Cluster, Record, Robot
+from sim.fleet.simulated_fleet import Record
+from sim.runs.grid_fleet import CoverageFleet
 from sim.runs.run import MissionRun, RunProgress, states_of
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
-from sim.world.grid_world import GridWorld
-from sim.world.plan_judge import lower_bound, steps_from
+from sim.world.plan_judge import lower_bound
 
 QUIET_US = 10 * S  # after the last cell, registers and replicas must be in order within this time
 
@@ -72,88 +70,6 @@ class CoverageOutcome(NamedTuple):
         """The figures as plain values for JSON."""
         plain = {**self._asdict(), "frames": dict(self.frames)}
         return {**plain, "ratio": round(self.ratio, 4), "success": self.success}
-
-
-class CoverageFleet(Cluster):
-    """A cluster in the world of cells. It knows which robots never died, because only these are
-    asked for equal replicas."""
-
-    def __init__(self, setting: CoverageSetup, channel: str, record: Record, host: Host) -> None:
-        super().__init__(setting, channel, record, host)
-        self.place = setting
-        assert isinstance(self.world, GridWorld)
-        self.grid_world = self.world
-        self.never_died = set(range(len(setting.starts)))
-
-    def boot(self, slot: int) -> Robot:
-        """Boot a robot; a new one is put into the free cell next to its start."""
-        if self.boots[slot]:
-            self.never_died.discard(slot)
-        if slot not in self.grid_world.robots:
-            number = self._room_for(slot)
-            self.grid_world.put_robot(slot, number, self.host.now_us())
-        return super().boot(slot)
-
-    def kill(self, slot: int) -> None:
-        self.never_died.discard(slot)
-        super().kill(slot)
-
-    def _room_for(self, slot: int) -> int:
-        ground, start = self.place.ground, self.place.cells[slot]
-        seen, queue = {start}, deque([start])
-        while queue:
-            number = queue.popleft()
-            if self.grid_world.is_empty(number, self.host.now_us()):
-                return number
-            row, column = ground.cell(number)
-            for cell in (
-                (row - 1, column),
-                (row + 1, column),
-                (row, column - 1),
-                (row, column + 1),
-            ):
-                near = ground.number(cell)
-                if near != NONE and near not in seen:
-                    seen.add(near)
-                    queue.append(near)
-        raise AssertionError("more robots than cells")
-
-    def mission(self, robot: Robot) -> GridWork:
-        """The coverage mission of a robot."""
-        mission = robot.peer.mission
-        assert isinstance(mission, GridWork)
-        return mission
-
-    @property
-    def finished(self) -> bool:
-        """Whether every running robot is at the end of its plan, and covered cells are done."""
-        return any(self.mission(robot).agreement.going for robot in self.running) and all(
-            self.mission(robot).over and self._in_order(robot) for robot in self.running
-        )
-
-    def _in_order(self, robot: Robot) -> bool:
-        peer = robot.peer
-        complete = sum(peer.progress.complete(s) for s in self.place.ground.section_units)
-        return peer.allocation.done_count() >= complete
-
-    def reachable(self) -> set[int]:
-        """Cells that some running robot can reach; bodies of the others block their cells
-        permanently."""
-        ground = self.place.ground
-        walls = ground.walls.copy()
-        for slot, body in self.grid_world.robots.items():
-            if not self.is_up(slot):
-                for number in np.flatnonzero(self._near(body.position)).tolist():
-                    walls[ground.cell(number)] = True
-        sources = [ground.cell_at(*self.grid_world.body(r.slot).position) for r in self.running]
-        found = steps_from(walls.tolist(), [s for s in sources if not walls[s]])
-        return {ground.number(cell) for cell in found}
-
-    def _near(self, at: tuple[float, float]) -> Any:
-        """Cells without room beside a body, or possibly without. Others know its position by its
-        last beat; how far it moved after that is known to 0.1 of a cell."""
-        off = np.abs(self.grid_world._centres - at)
-        return (off < 0.8 * self.place.ground.cell_m).all(axis=1)
 
 
 class ReplanAuditor:

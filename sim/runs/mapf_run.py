@@ -18,8 +18,9 @@ from agent.coverage.cell_map import NONE
 from agent.interface.config import S
 from sim.files.mapf_paths import PathError, timed, tracks, without_broken_moves
 from sim.fleet.scheduler import Host
-from sim.fleet.simulated_fleet import Record, Robot
-from sim.runs.coverage_run import QUIET_US, CoverageFleet
+from sim.fleet.simulated_fleet import Record
+from sim.runs.coverage_run import QUIET_US
+from sim.runs.grid_fleet import MapfFleet
 from sim.runs.run import MissionRun, RunProgress, states_of
 from sim.scenarios.coverage_setup import STEP_S
 from sim.scenarios.mapf_setup import MapfSetup
@@ -75,18 +76,6 @@ class MapfOutcome(NamedTuple):
         plain = {**self._asdict(), "frames": dict(self.frames)}
         more = {"solvable": self.solvable, "ratio": round(self.ratio, 4), "success": self.success}
         return {**plain, **more}
-
-
-class MapfFleet(CoverageFleet):
-    """A cluster on a map where each robot has a goal."""
-
-    def _in_order(self, robot: Robot) -> bool:
-        """Whether all that the robot knows as arrived is also marked as done, but of dead robots."""
-        peer = robot.peer
-        return all(
-            not peer.progress.complete(other.slot) or peer.allocation.done_count() > 0
-            for other in self.running
-        )
 
 
 class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):

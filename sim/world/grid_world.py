@@ -29,21 +29,20 @@ Cell = tuple[int, int]
 class GridBody(SimulatedBody):
     """One robot's position, its command, and the time of the command."""
 
-    world: "GridWorld"
-
     def __init__(self, world: "GridWorld", slot: int, row: int) -> None:
         super().__init__(world, slot, row, world.radius_m, Chassis())
+        self.grid = world
 
     @property
     def position(self) -> tuple[float, float]:
         """Metres east and north, at the time of the last command."""
-        x_m, y_m = self.world.positions[self.index].tolist()
+        x_m, y_m = self.grid.positions[self.index].tolist()
         return x_m, y_m
 
     def sense(self, now_us: int) -> Observation:
         """What the robot senses now: its place, its speed while a command is valid, and other
         bodies in sight."""
-        world, row = self.world, self.index
+        world, row = self.grid, self.index
         world.advance(now_us)
         x_m, y_m = world.now(row, now_us)
         vx, vy = world.speeds[row].tolist() if now_us < world.drive_ends_at_us[row] else (0.0, 0.0)
@@ -52,14 +51,14 @@ class GridBody(SimulatedBody):
 
     def drive(self, command: Drive, now_us: int) -> None:
         """Follow a velocity from now on, without delay, until the command expires."""
-        world, row = self.world, self.index
+        world, row = self.grid, self.index
         world.positions[row] = world.now(row, now_us)
         world.placed_at_us[row] = now_us
         world.speeds[row] = command.vx_m_s, command.vy_m_s
         world.drive_ends_at_us[row] = now_us + ACTUATOR_TTL_US
 
 
-@dataclass(slots=True)
+@dataclass
 class GridTruth:
     """What was really covered, and by which robot; how near bodies came, and what they drove into."""
 

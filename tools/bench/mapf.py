@@ -2,7 +2,7 @@
 
 The sum of costs is compared with that of the shortest paths, which no solver can beat. A hundred peers on
 one instance take minutes of CPU, so the whole bench takes hours; `--quick` has smaller maps. A part of
-it, with a line for each instance:
+it, with a line for each instance, on the compiled core (`headland compile`) if there is one:
 
     python -m tools.bench.mapf random --trouble "2 % loss" --instances 1:5
 """
@@ -16,6 +16,7 @@ from sim.files.mapf_scenario import drawn_scenario
 from sim.files.strict_json import dumps
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import data_folder
+from tools.build.compiled_core import use
 
 PUBLIC = ("room-64-64-8", "warehouse-10-20-10-2-1")
 ROBOTS, INSTANCES, SIDE = 100, 25, 64
@@ -115,6 +116,7 @@ def lines(map_name: str, robots: int, troubles: list[str], first: int, last: int
 
 
 if __name__ == "__main__":
+    use()
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("map", help="the beginning of its name")
     parser.add_argument("--robots", type=int, default=ROBOTS)

@@ -25,21 +25,22 @@ LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
-# `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. mypyc calls a `cached_property`
-# each time.
+# `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. None has a `cached_property`: mypyc
+# calls it each time.
 GROUP = {
     "crdt": "allocation claim_register clock digest progress",
     "protocol": "address extended_transport frames.codec frames.identifier links.bus state_machine "
     "sync.digest_comparison sync.replica sync.synchronizer task_client terminal_client "
     "transport",
-    "agent": "avoidance.orca coverage.coverage_mission coverage.plan_agreement "
-    "coverage.proximity_guard field.displacement_detector field.field_mission "
+    "agent": "avoidance.orca coverage.cell_map coverage.coverage_mission coverage.joint_course "
+    "coverage.plan_agreement coverage.proximity_guard field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_shares field.steered_travel_times field.tractor_mission "
     "field.travel_times field.work_leg "
     "interface.effects motion.deadlock_yield motion.holonomic_motion motion.obstacle_detector "
     "motion.obstacle_stop motion.path_tracker motion.right_of_way motion.stopping_zone "
-    "motion.tractor_motion pathfinding.goal_agreement pathfinding.pathfinding_mission "
+    "motion.tractor_motion pathfinding.goal_agreement pathfinding.goal_course "
+    "pathfinding.pathfinding_mission "
     "peer.announcements peer.control_cycle peer.departure "
     "peer.diagnostic_broadcasts peer.diagnostics peer.durable_records peer.fleet_clock "
     "peer.fleet_summary peer.fleet_views peer.implement_check peer.key_renewal "
@@ -56,8 +57,9 @@ GROUP = {
     "sim": "can.can_wire can.frame_counter can.frame_timing can.simulated_bus "
     "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
     "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "
-    "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder world.checkers world.ground_truth "
-    "world.protocol_world world.pymunk_engine world.robot_body world.world",
+    "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder runs.grid_fleet world.checkers "
+    "world.grid_world world.ground_truth world.protocol_world world.pymunk_engine world.robot_body "
+    "world.world",
 }  # fmt: skip
 
 

@@ -469,6 +469,9 @@ def mapf(
     a share of all frames from 0 to 1, `--crash` a number of robots.
     Example: headland mapf room-64-64-8.map room-64-64-8-random-1.scen --robots 1:50 --loss 0.02
     """
+    from tools.build.compiled_core import use
+
+    use()  # a hundred peers cost minutes of CPU
     from sim.files.grid_map import GridFileError
     from tools.run.mapf import counts_of, measured
 

@@ -4,6 +4,7 @@ import ast
 import json
 import subprocess
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 
 import pytest
@@ -14,7 +15,15 @@ from tools.build.compile import ToolMissingError, build
 from tools.build.compiled_core import Finder, place
 from tools.common.fingerprint import ROOT
 
-RUNS = [("protocol", 3), ("all", 1), ("stop", 2), ("crash", 5), ("tractors", 1)]
+RUNS = [
+    ("protocol", 3),
+    ("all", 1),
+    ("stop", 2),
+    ("crash", 5),
+    ("tractors", 1),
+    ("mapf", 1),
+    ("cover", 1),
+]
 FEW = RUNS[:2]  # of a small core: these go through all of its modules
 SMALL = {  # a minute to compile
     "crdt": "digest progress clock",
@@ -30,7 +39,25 @@ used = use(Path(sys.argv[1])) if len(sys.argv) > 1 else False
 from sim.chaos.fault_profiles import draw
 from sim.chaos.verdict import judge
 from sim.scenarios.scenario import load
+def on_grid(profile, seed):
+    from sim.files.grid_map import Instance, random_walls
+    from sim.files.mapf_scenario import drawn_scenario
+    from sim.runs.coverage_run import CoverageRun
+    from sim.runs.mapf_run import MapfRun
+    from sim.scenarios.coverage_setup import CoverageSetup
+    from sim.scenarios.mapf_setup import MapfSetup
+    from tools.run.mapf import crashes_of
+    mapf = drawn_scenario("grid", random_walls(14, 14, 0.15, seed), 8, seed)
+    faults = [fault.model_copy(update={"at_s": 6.0}) for fault in crashes_of(1, 8, seed)]
+    if profile == "cover":
+        instance = Instance(mapf.name, mapf.walls, mapf.starts)
+        return CoverageRun(CoverageSetup.made(instance, seed=seed, faults=faults)).run()
+    return MapfRun(MapfSetup.of(mapf, seed=seed, loss=0.02, faults=faults)).run()
 def played(profile, seed):
+    if profile in ("mapf", "cover"):
+        outcome = on_grid(profile, seed)
+        assert outcome.success, outcome
+        return outcome
     if profile != "tractors":  # no profile draws them
         return judge(draw(seed, profile))
     verdict = judge(load("yard").changed(2, seed, drive="ackermann", time_limit_s=40.0))
@@ -45,7 +72,7 @@ print(json.dumps([used, crdt.digest.__file__, hashes]))
 def play(runs: list[tuple[str, int]], *folder: str) -> tuple[bool, str, list[str]]:
     done = subprocess.run(
         [sys.executable, "-c", PLAY, *folder], input=json.dumps(runs), text=True,
-        capture_output=True, timeout=200,
+        capture_output=True, timeout=400,
     )  # fmt: skip
     assert done.returncode == 0, done.stderr
     used, file, hashes = json.loads(done.stdout)
@@ -97,12 +124,35 @@ def test_every_module_of_the_core_is_there() -> None:
 
 # Their classes are not extension classes, so anything may be derived from them.
 PLAIN = {"Enum", "Exception", "Flag", "IntEnum", "NamedTuple", "Protocol", "ValueError"}
-# What a campaign imports. Runs of one fleet never use a core.
+# What a campaign imports, and `headland mapf`. Other runs of one fleet never use a core.
 OF_CAMPAIGNS = ("crdt", "protocol", "agent", "sim/chaos", "sim/fleet")
+OF_MAPF = ("sim.runs.mapf_run", "sim.runs.coverage_run", "sim.scenarios.mapf_setup")
+
+
+def imported(names: Iterable[str]) -> set[Path]:
+    """The files of these modules, and of all that they import, and these in turn."""
+    found, left = set[Path](), list(names)
+    while left:
+        file = ROOT / f"{left.pop().replace('.', '/')}.py"
+        if file in found or not file.is_file():
+            continue
+        found.add(file)
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.ImportFrom) and node.module:
+                left += [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return found
+
+
+def test_no_module_of_the_core_has_a_cached_property() -> None:
+    """mypyc computes its value at each look: all ways of a field, for each robot and plan."""
+    texts = {file: (ROOT / file).read_text() for file in compiling.files(compiling.GROUP)}
+    assert not [file for file, text in texts.items() if "import cached_property" in text]
+    assert not [file for file, text in texts.items() if "functools.cached_property" in text]
 
 
 def test_what_is_derived_from_a_compiled_class_is_compiled() -> None:
-    """A part that was not in the list made every campaign with a core end with a TypeError."""
+    """A part that was not in the list made every campaign with a core end with a TypeError, and
+    fleets on grids that were not in it ended `headland mapf` so."""
     compiled = {
         file.removesuffix(".py").replace("/", ".") for file in compiling.files(compiling.GROUP)
     }
@@ -113,7 +163,8 @@ def test_what_is_derived_from_a_compiled_class_is_compiled() -> None:
         if isinstance(node, ast.ClassDef) and not {ast.unparse(base) for base in node.bases} & PLAIN
     }
     missing = []
-    for file in (path for folder in OF_CAMPAIGNS for path in sorted((ROOT / folder).rglob("*.py"))):
+    of_campaigns = {path for folder in OF_CAMPAIGNS for path in (ROOT / folder).rglob("*.py")}
+    for file in sorted(of_campaigns | imported(OF_MAPF)):
         module = ".".join(file.relative_to(ROOT).with_suffix("").parts)
         nodes = list(ast.walk(ast.parse(file.read_text(encoding="utf-8"))))
         names = {
