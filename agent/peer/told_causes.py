@@ -27,10 +27,11 @@ class ToldCauses:
 
     def moves(self) -> None:
         """Its heartbeat reports that it may move, so only causes that slow it down remain."""
-        self._told = {
-            cause: seen for cause, seen in self._told.items()
-            if (known := cause_of(cause)) is not None and known.severity is Severity.SLOW
-        }  # fmt: skip
+        if self._told:
+            self._told = {
+                cause: seen for cause, seen in self._told.items()
+                if (known := cause_of(cause)) is not None and known.severity is Severity.SLOW
+            }  # fmt: skip
         self._number = len(self._told)
 
     def forget(self) -> None:

@@ -9,6 +9,7 @@ before that is told beside it, because solvers do not count their planning as a 
 
 from collections import deque
 from collections.abc import Iterable, Mapping
+from itertools import product
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -96,7 +97,7 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
         return RunProgress(now_s, done, len(goals), done / len(goals), states_of(cluster))
 
     def measure(self, cluster: MapfFleet) -> dict[str, Any]:
-        setting, truth, ground = self.setting, cluster.grid_world.truth, self.setting.ground
+        setting, truth = self.setting, cluster.grid_world.truth
         up = {robot.slot for robot in cluster.running}
         moved = [at_us for at_us, slot, cell in truth.visits if cell != setting.cells[slot]]
         first_at_us = min(moved, default=STEP_US) - STEP_US
@@ -108,20 +109,7 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
             else (came_at_us[slot] - first_at_us) / STEP_US
             for slot in there
         }  # fmt: skip
-        visits = [
-            ((at_us - first_at_us) / STEP_US, slot, cell) for at_us, slot, cell in truth.visits
-        ]
-        for slot in set(range(len(setting.goals))) - up:  # where its wreck mostly is
-            cell = ground.at(*cluster.grid_world.body(slot).position)
-            if cell not in (NONE, truth.at[slot]):
-                visits.append((visits[-1][0], slot, cell))
-        conflict = ""
-        self.steps = []
-        try:
-            found = tracks(timed(without_broken_moves(visits), len(setting.goals)))
-            self.steps = [list(cells) for cells in zip(*found, strict=True)]
-        except PathError as error:
-            conflict = str(error)
+        conflict = self._follow(cluster, up, first_at_us)
         return {
             "map": setting.instance.name,
             "crashed": len(setting.goals) - len(up),
@@ -136,6 +124,49 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
             "closest_m": truth.closest_m,
             "rounds": max(cluster.mission(r).agreement.rounds for r in cluster.robots.values()),
         }
+
+    def _follow(self, cluster: MapfFleet, up: set[int], first_at_us: int) -> str:
+        """Set `steps` to the cells in which the bodies were. Returns why they are no plan, if so.
+
+        A body is in the cell that holds its centre. A wreck across the border of two cells is in one
+        of them, and no other body may have been there since; which of both it is does not matter.
+        """
+        self.steps, why = [], ""
+        crossings, world = cluster.grid_world.truth.crossings, cluster.grid_world
+        crashed_at_us = {
+            f.robot: round(f.at_s * S) for f in self.setting.scenario.fault if f.kind == "crash"
+        }
+        across = [
+            [None, *[(crashed_at_us.get(slot, crossings[-1][0]), slot, cell) for cell in
+                     self._beside(world.body(slot).position)]]
+            for slot in sorted(set(world.robots) - up)
+        ]  # fmt: skip
+        for chosen in product(*across):
+            found = sorted([*crossings, *[each for each in chosen if each is not None]])
+            # It comes to the middle of a cell half a unit after the border.
+            visits = [
+                ((at_us - first_at_us) / STEP_US + 0.5, slot, cell) for at_us, slot, cell in found
+            ]
+            try:
+                tracked = tracks(timed(without_broken_moves(visits), len(self.setting.goals)))
+            except PathError as error:
+                why = why or str(error)
+                continue
+            self.steps = [list(cells) for cells in zip(*tracked, strict=True)]
+            return ""
+        return why
+
+    def _beside(self, place: tuple[float, float]) -> list[int]:
+        """The free cells that a body at a place blocks, besides the one that it is in."""
+        ground, (x_m, y_m) = self.setting.ground, place
+        row, column = ground.cell_at(x_m, y_m)
+        found = []
+        for cell in ((row + 1, column), (row - 1, column), (row, column + 1), (row, column - 1)):
+            cx_m, cy_m = ground.centre_of(cell)
+            near = max(abs(cx_m - x_m), abs(cy_m - y_m)) < BESIDE * ground.cell_m
+            if near and ground.number(cell) != NONE:
+                found.append(ground.number(cell))
+        return found
 
     def _shortest(self, slots: Iterable[int]) -> list[int]:
         """The shortest path of each robot on the map without others, in moves."""

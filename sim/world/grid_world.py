@@ -71,6 +71,8 @@ class GridTruth:
     at: dict[int, int] = field(default_factory=dict)  # slot -> the cell that it covered last
     # Each time that a robot came to the middle of another cell: when, the slot, the cell.
     visits: list[tuple[int, int, int]] = field(default_factory=list)
+    # Each time that a robot crossed the border into another cell, in the same form.
+    crossings: list[tuple[int, int, int]] = field(default_factory=list)
 
 
 class GridWorld(World):
@@ -86,6 +88,9 @@ class GridWorld(World):
         self.drive_ends_at_us = np.empty(0, dtype=np.int64)
         count = len(ground)
         self.truth = GridTruth(np.full(count, NONE, np.int64), np.full(count, NONE, np.int16))
+        self._inside = np.empty(
+            0, dtype=np.int64
+        )  # the cell of each body when that was last judged
         self._looked_at_us = 0
         self._centres = np.array([ground.centre(n) for n in range(count)]).reshape(-1, 2)
 
@@ -100,6 +105,7 @@ class GridWorld(World):
         self.speeds = np.vstack((self.speeds, (0.0, 0.0)))
         self.placed_at_us = np.append(self.placed_at_us, now_us)
         self.drive_ends_at_us = np.append(self.drive_ends_at_us, now_us)
+        self._inside = np.append(self._inside, NONE)
 
     def now(self, row: int, now_us: int) -> tuple[float, float]:
         """Where the body in that row is at `now_us`, metres east and north. It stands from the end
@@ -165,6 +171,9 @@ class GridWorld(World):
         rows = np.rint((ground.rows - 1) / 2 - places[:, 1] / ground.cell_m).astype(np.int64)
         numbers = ground.number_of[(rows + 1) * ground.width + columns + 1]
         truth.through_walls += int(np.count_nonzero(numbers == NONE))
+        for row in np.flatnonzero((numbers != self._inside) & (numbers != NONE)).tolist():
+            truth.crossings.append((now_us, slots[row], int(numbers[row])))
+            self._inside[row] = numbers[row]
         off = places - self._centres[numbers]
         middle = (np.hypot(off[:, 0], off[:, 1]) <= COVERED * ground.cell_m) & (numbers != NONE)
         for row in np.flatnonzero(middle).tolist():

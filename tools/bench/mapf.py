@@ -9,7 +9,7 @@ it, with a line for each instance, on the compiled core (`headland compile`) if 
 
 import argparse
 from collections.abc import Iterator
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from sim.files.grid_map import Walls, random_walls, read_map
 from sim.files.mapf_scenario import drawn_scenario
@@ -17,6 +17,9 @@ from sim.files.strict_json import dumps
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import data_folder
 from tools.build.compiled_core import use
+
+if TYPE_CHECKING:
+    from sim.runs.mapf_run import MapfRun
 
 PUBLIC = ("room-64-64-8", "warehouse-10-20-10-2-1")
 ROBOTS, INSTANCES, SIDE = 100, 25, 64
@@ -58,7 +61,8 @@ class Driven(NamedTuple):
     success: bool  # all that could arrive did, nothing touched, and the judge has no remark
     arrived: int
     solvable: int
-    collisions: int  # by true positions, and remarks of the judge of path files
+    collisions: int  # by true positions, remarks of the judge of path files, conflicts by pymapf
+    judges: int  # 3, or 2 where pymapf is not installed
     ratio: float  # the sum of costs by that of the shortest paths
     before_for_s: float  # until the first robot set out
     simulated_s: float
@@ -73,12 +77,26 @@ def driven(name: str, walls: Walls, robots: int, trouble: Trouble, instance: int
     mapf = drawn_scenario(name, walls, robots, instance)
     run = MapfRun(setting_of(mapf, instance, trouble.loss, trouble.crashes))
     outcome = run.run()
-    faults = len(judged(run, outcome, walls).faults)
+    conflicts = _by_pymapf(run)
+    faults = len(judged(run, outcome, walls).faults) + (conflicts or 0)
     return Driven(
         name, robots, trouble.name, instance, outcome.success and not faults, outcome.arrived,
-        outcome.solvable, outcome.collisions + faults, round(outcome.ratio, 4),
+        outcome.solvable, outcome.collisions + faults, 2 if conflicts is None else 3,
+        round(outcome.ratio, 4),
         round(outcome.before_for_s, 1), outcome.simulated_s, round(outcome.cpu_s, 1),
     )  # fmt: skip
+
+
+def _by_pymapf(run: "MapfRun") -> int | None:
+    """Whether a validator that is not ours finds a conflict, 0 or 1; None: it is not installed."""
+    try:
+        from pymapf import find_first_conflict
+    except ImportError:
+        return None
+    ground = run.setting.ground
+    tracks = zip(*run.steps, strict=True)
+    paths = {f"{slot}": [ground.cell(cell) for cell in track] for slot, track in enumerate(tracks)}
+    return int(find_first_conflict(paths) is not None)
 
 
 def figures(quick: bool) -> Iterator[Figure]:
@@ -100,7 +118,7 @@ def figures(quick: bool) -> Iterator[Figure]:
             )  # fmt: skip
             yield Figure(
                 f"{what}: collisions", collisions, "", "= 0", not collisions,
-                "true positions, and a judge of path files", scope,
+                f"{min(r.judges for r in runs)} judges: true positions, path files, pymapf", scope,
             )  # fmt: skip
 
 

@@ -48,6 +48,27 @@ def test_a_robot_that_fails_on_the_way_is_driven_round(seed: int) -> None:
     assert not judged(run, outcome, mapf.walls).faults, seed
 
 
+def test_a_robot_behind_a_wreck_is_in_the_cell_that_holds_its_centre() -> None:
+    """It stood past the border, another robot went through the cell that it had left, and it came back.
+    Visits of middles alone said that both were in that cell. The wreck is across the next border."""
+    mapf = drawn_scenario("grid", random_walls(12, 12, 0.1, 1), 8, 1)
+    faults = [Crash(at_s=17.13, kind="crash", robot=4), Crash(at_s=24.53, kind="crash", robot=2)]
+    run, outcome = play(mapf, *faults)
+    assert outcome.success and outcome.arrived == 6 and not outcome.conflict, outcome
+    assert not judged(run, outcome, mapf.walls).faults
+
+
+@pytest.mark.slow
+def test_a_robot_that_stands_past_a_border_for_long_has_left_its_cell() -> None:
+    """By middles, agents 13 and 14 changed places, 3 m from each other at the nearest."""
+    mapf = drawn_scenario("grid", random_walls(16, 16, 0.15, 39), 20, 39)
+    crashes = ((15, 4.72), (5, 6.71), (8, 12.39))
+    faults = [Crash(at_s=at_s, kind="crash", robot=robot) for robot, at_s in crashes]
+    run, outcome = play(mapf, *faults, seed=39)
+    assert outcome.success and outcome.arrived == 17, outcome
+    assert not judged(run, outcome, mapf.walls).faults
+
+
 def test_a_wreck_in_the_only_door_closes_off_goals_and_the_others_arrive() -> None:
     walls = parse_map("type octile\nheight 3\nwidth 9\nmap\n....@....\n.........\n....@....\n")
     mapf = MapfInstance(
