@@ -6,14 +6,22 @@ base ends, or a repetition, which is dropped. Robot and vehicle speak by the rea
 
 from collections.abc import Callable
 from math import hypot
+from random import Random
 from typing import Any
 
+import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import HALT, Drive, GatedDrive
+from agent.interface.lifecycle import State
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.observation import Observation
+from agent.motion.holonomic_motion import HolonomicMotion
+from agent.peer.inputs import Sensed
+from agent.peer.sense_freshness import Senses
 from agent.runtime.bodies.vda5050_body import Vda5050Body
 from agent.runtime.vda5050.messages import (
     Action,
@@ -31,6 +39,8 @@ from agent.runtime.vda5050.messages import (
     Visualization,
     timestamp,
 )
+from agent.safety.stop_cause import StopCause
+from tests.agent.lone_peer import peer_in
 
 PARCEL = 7
 PICKUP, DROPOFF = (1.2, 0.0), (1.2, -1.0)
@@ -40,6 +50,8 @@ HANDLE_US = 400 * MS
 STATE_US, SHOWN_US = S, 100 * MS
 ENDS_US = 60 * S  # the story takes 8 s if nothing is lost
 HELD_US = 1500 * MS  # a message that is late
+SEEDS = (340, 742, 1322, *range(20))  # the first three stood for ever
+Spans = list[tuple[int, int]]  # from and until, microseconds
 
 
 class Vehicle:
@@ -173,6 +185,13 @@ class Story:
         self.now_us, self.number, self.what, self.count = 10 * S, number, what, 0
         self.kinds: list[str] = []
         self._held: list[tuple[int, Callable[[], None]]] = []
+        self.pauses: Spans = []  # the robot's program does nothing between these times
+        self.stands: Spans = []  # the robot has to stand between these times
+        self.late_us = 0  # each message, and those of places
+        self._waiting: list[Callable[[], None]] = []  # messages that it has not read
+        motion = HolonomicMotion(0, BodyLimits(0.35, SPEED_M_S, 1.0), np.empty((0, 4)))
+        self.safety = peer_in(State.WORKING, None).safety
+        self.senses = Senses(self.safety, motion, drives=True)
         monkeypatch.setattr(
             "agent.runtime.bodies.vda5050_body.time.monotonic_ns", lambda: self.now_us * 1000
         )
@@ -186,10 +205,35 @@ class Story:
         self.body.link.publish = self._to_vehicle  # type: ignore[method-assign]
 
     def _to_robot(self, message: MessageHeader) -> None:
-        self._carry(message, lambda: self.body._heard(message))
+        self._carry(
+            message, lambda: self._hold(lambda: self._arrives(lambda: self.body._heard(message)))
+        )
+
+    def _hold(self, arrives: Callable[[], None]) -> None:
+        if self.late_us:
+            self._held.append((self.now_us + self.late_us, arrives))
+        else:
+            arrives()
+
+    def _arrives(self, arrives: Callable[[], None]) -> None:
+        if self.is_paused:
+            self._waiting.append(arrives)
+        else:
+            arrives()
+
+    def after(self, periods: int) -> int:
+        """So many control periods from now, microseconds."""
+        return self.now_us + periods * CONTROL_PERIOD_US
+
+    @property
+    def is_paused(self) -> bool:
+        return self._is_in(self.pauses)
+
+    def _is_in(self, spans: Spans) -> bool:
+        return any(begin_us <= self.now_us < end_us for begin_us, end_us in spans)
 
     def _to_vehicle(self, message: MessageHeader) -> bool:
-        self._carry(message, lambda: self.vehicle.take(message, self.now_us))
+        self._carry(message, lambda: self._hold(lambda: self.vehicle.take(message, self.now_us)))
         return True
 
     def _carry(self, message: MessageHeader, arrives: Callable[[], None]) -> None:
@@ -220,12 +264,28 @@ class Story:
             self._held = [each for each in self._held if each[0] > self.now_us]
             for arrives in due:
                 arrives()
+            if self.is_paused:
+                continue
+            waiting, self._waiting = self._waiting, []
+            for arrives in waiting:
+                arrives()
             here = self.body.sense(self.now_us)
             if here is not None:
-                at = here.x_m, here.y_m
-                fresh = here.sensed_at_us == self.now_us
-                command = self._wanted(at, here.load) if fresh else HALT
-                self.body.drive(GatedDrive(command), self.now_us)
+                self._control(here)
+
+    def _control(self, here: Observation) -> None:
+        """The senses of a robot watch, too: a place that they take for frozen ends the story."""
+        self.senses.listens_direct[Sensed](Sensed(here), self.now_us)
+        self.senses.look(self.now_us)
+        fresh = here.sensed_at_us == self.now_us and not self.is_frozen
+        goes = fresh and not self._is_in(self.stands)
+        command = self._wanted((here.x_m, here.y_m), here.load) if goes else HALT
+        self.senses.drove(command)
+        self.body.drive(GatedDrive(command), self.now_us)
+
+    @property
+    def is_frozen(self) -> bool:
+        return self.safety.holds(StopCause.PLACE_FROZEN)
 
     @property
     def is_over(self) -> bool:
@@ -274,3 +334,29 @@ def test_whatever_happens_to_one_message_the_parcel_is_handled_once(
         assert story.is_over, f"it stands after {what} of message {number}, {kind}"
         assert story.vehicle.done == {"pick": 1, "drop": 1}, f"after {what} of {number}, {kind}"
         assert not story.vehicle.loaded
+
+
+def busy(seed: int) -> Story:
+    """A parcel is fetched and put down on a busy machine: each message is late, the robot's program is
+    held up now and then, and the robot has to stand now and then."""
+    rng = Random(seed)
+
+    def spans(count: int, periods: int) -> list[tuple[int, int]]:
+        begins = [rng.randint(0, 200) for _ in range(count)]
+        return [(story.after(k), story.after(k + rng.randint(1, periods))) for k in begins]
+
+    with pytest.MonkeyPatch.context() as patch:
+        story = Story(patch)
+        story.late_us = rng.randint(0, 300) * MS
+        story.pauses, story.stands = spans(4, 16), spans(6, 8)
+        story.run()
+    return story
+
+
+@pytest.mark.parametrize("seed", SEEDS)
+def test_a_busy_machine_makes_no_place_a_frozen_one(seed: int) -> None:
+    """A vehicle stood with its parcel until its trial ended: its robot was told to drive before the next
+    order was shown, and took the place for a frozen one."""
+    story = busy(seed)
+    assert story.is_over, f"frozen: {story.is_frozen}"
+    assert story.vehicle.done == {"pick": 1, "drop": 1}
