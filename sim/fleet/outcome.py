@@ -49,6 +49,8 @@ class FieldOutcome(NamedTuple):
     pymunk_steps: int = 0
     # Ground of the field that the bodies cannot work, and why.
     unreached: tuple[Unreached, ...] = ()
+    # What they could have worked and did not: how much, where, and which robot stands there.
+    missed: str = ""
     # Contacts of lowered implements with each other or with bodies. They do not count for
     # `success`: robots that steer, and robots that lose frames, do not avoid all of them.
     implement_contacts: int = 0

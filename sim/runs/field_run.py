@@ -11,6 +11,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
 from sim.world.implement_contacts import implement_contacts
+from sim.world.missed_ground import told_missed
 
 RASTER_M = 0.25  # of the coverage check
 
@@ -49,6 +50,9 @@ class FieldRun(WorkRun[FieldSetup]):
             "reachable": ground.share,
             "reached": truth.reached,
             "unreached": ground.unreached,
+            "missed": told_missed(
+                truth.missed, raster.cell_m, field.implement_width_m, self.tracks
+            ),
             "makespan_s": truth.last_at_us / 1e6,
             "worked_twice": truth.twice,
             "work_m": field.work_m,

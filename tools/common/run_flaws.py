@@ -18,8 +18,10 @@ def flaws(figures: dict[str, Any]) -> list[str]:
     coverage = figures.get("coverage")
     if isinstance(coverage, float) and coverage < 1.0:
         left = f"{coverage:.2%} of the area is covered"
-        parts = figures.get("unreached")
-        if isinstance(parts, list):
+        missed, parts = figures.get("missed"), figures.get("unreached")
+        if isinstance(missed, str) and missed:
+            left += f" ({missed})"
+        elif isinstance(parts, list):  # all is worked that can be
             why = "; ".join(str(p["why"]) for p in parts if isinstance(p, dict) and "why" in p)
             left += f" ({why})" if why else ""
         found.append(left)

@@ -92,5 +92,5 @@ def write(out: Path, evidence: "RunEvidence", found: "Sequence[Chapter]") -> Non
                 writer = csv.writer(file, lineterminator="\n")
                 writer.writerow(chapter.values[0])
                 writer.writerows(chapter.values[1])
-    title = f"Headland: {evidence.name}"
-    out.write_text(page(title, evidence.figures, found, quote(folder.name)), encoding="utf-8")
+    told = page(evidence.name, evidence.figures, found, quote(folder.name), evidence.about)
+    out.write_text(told, encoding="utf-8")

@@ -14,7 +14,7 @@ STYLE = """
         --bad: #b00020; --good: #1a7f37; --note: #8a4b00; }
 body { font: 15px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 70rem; padding: 0 1rem;
        color: var(--text); background: var(--ground); }
-h1 { font-size: 1.6rem; }
+h1 { font-size: 1.6rem; margin-bottom: 0.2rem; } .about { color: var(--dim); margin-top: 0; }
 h2 { font-size: 1.2rem; margin-top: 2.5rem; border-bottom: 1px solid var(--edge); }
 .picture { overflow-x: auto; } svg { max-width: 100%; height: auto; border-radius: 6px; }
 .table { overflow-x: auto; }
@@ -39,16 +39,20 @@ nav a { margin-right: 1rem; }
 """
 
 
-def page(title: str, figures: dict[str, Any], chapters: Sequence[Chapter], beside: str) -> str:
-    """`beside`: the folder of the files that lie next to it, for the names that it tells."""
+def page(
+    title: str, figures: dict[str, Any], chapters: Sequence[Chapter], beside: str, about: str = ""
+) -> str:
+    """`beside`: the folder of the files that lie next to it, for the names that it tells. `about`: a line
+    below the title."""
+    below = f'<p class="about">{escape(about)}</p>\n' if about else ""
     body = "".join(_chapter(chapter, beside) for chapter in chapters)
     links = "".join(f'<a href="#{c.name}">{escape(c.title)}</a>' for c in chapters)
     return (
         "<!doctype html>\n"
-        f'<html lang="en"><head><meta charset="utf-8"><title>{escape(title)}</title>'
+        f'<html lang="en"><head><meta charset="utf-8"><title>{escape(title)} · Headland</title>'
         f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">'
         '<meta name="viewport" content="width=device-width">'
-        f"<style>{STYLE}</style></head><body><main>\n<h1>{escape(title)}</h1>\n<nav>{links}</nav>\n"
+        f"<style>{STYLE}</style></head><body><main>\n<h1>{escape(title)}</h1>\n{below}<nav>{links}</nav>\n"
         f"{_figures(figures)}{body}</main></body></html>\n"
     )
 

@@ -1,8 +1,10 @@
 """What a run left behind: its frames and intents, its figures, and the faults that were done to it."""
 
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, NamedTuple
 
+from agent.interface.config import S
 from agent.runtime.files.given_file import REPORT_BYTES_MAX, GivenFileError, read_json
 from sim.record.recording import Recording
 from tools.inspect.log_frames import SourceError
@@ -28,6 +30,24 @@ class RunEvidence(NamedTuple):
         if told is None and self.campaign:
             told = f"chaos, profile {self.campaign.get('profile')}"
         return str(told or self.source.name or self.source)
+
+    @property
+    def about(self) -> str:
+        """What a reader of many reports tells this one by: how many robots, how long, and which day."""
+        told = []
+        for key, one, more in (("robots", "1 robot", "{} robots"), ("seed", "seed 1", "seed {}")):
+            value = self.figures.get(key)
+            if isinstance(value, int) and not isinstance(value, bool):
+                told.append(one if value == 1 else more.format(value))
+        if self.recording is not None and self.recording.count:
+            whole_s = (self.recording.end_at_us - self.zero_at_us) // S
+            told.append(f"{whole_s // 60}:{whole_s % 60:02} on the bus")
+        try:
+            written = datetime.fromtimestamp(self.source.stat().st_mtime, UTC)
+            told.append(f"{written:%Y-%m-%d %H:%M} UTC")
+        except OSError:
+            pass  # gone since
+        return ", ".join(told)
 
     @property
     def faults(self) -> list[dict[str, Any]] | None:

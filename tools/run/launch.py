@@ -27,6 +27,7 @@ from sim.record.scene_builder import scene_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import implement_contacts
+from sim.world.missed_ground import told_missed
 from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
 from tools.common.bus_address import CHANNEL, absolute
@@ -377,6 +378,8 @@ class Launch:
         of_it = {
             "coverage": truth.share, "reachable": ground.share, "reached": truth.reached,
             "unreached": [part._asdict() for part in ground.unreached],
+            "missed": told_missed(truth.missed, raster.cell_m, field.implement_width_m,
+                                  {slot: track.points for slot, track in tracks.items()}),
             "implement_contacts": len(met),
         }  # fmt: skip
         touches = f"{len(self.world.contacts)} contacts, {len(met)} of implements"

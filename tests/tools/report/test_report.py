@@ -3,6 +3,7 @@
 import csv
 import json
 import math
+import os
 import random
 import re
 import shutil
@@ -29,10 +30,11 @@ from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, 
 from tools.bench.browser import browser, complaints, missing
 from tools.common.run_flaws import flaws
 from tools.common.run_recorder import RunRecorder
+from tools.livemap.command import recorded
 from tools.report.command import report
 from tools.report.figures import gantt, tracks
 from tools.report.page import page
-from tools.report.run_data import gather
+from tools.report.run_data import RunEvidence, gather
 from tools.report.svg_chart import Axes, AxisSpan, PlotBox, ticks
 from tools.report.timeline import BusAddress, History, TimelineEvent, TimelineSpan
 from tools.report.tracking_error import SAME_M, followed
@@ -453,6 +455,8 @@ def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     bad = good | {"success": False, "coverage": 0.9981, "unreached": left, "contacts": 2}
     told = page("t", bad, [], "t")
     assert "99.81% of the area is covered (under a &lt;wreck&gt;); 2 contacts of bodies" in told
+    missed = {"missed": "39.1 m2 are left at 0.9,20.5, where robot 2 stands since 40.0 s"}
+    assert f"covered ({missed['missed']}); 2 contacts" in page("t", bad | missed, [], "t")
     where = "at 61.2 s robot 1 touched robot 3 at 12.0,-3.5"
     assert flaws({"contacts": 2, "first_contact": where}) == [f"2 contacts of bodies ({where})"]
     assert flaws({"success": False}) == ["report.json has the figures"]
@@ -462,3 +466,17 @@ def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
 def test_a_figure_that_is_none_makes_no_tile(value: object) -> None:
     figures = {"success": False, "coverage": value, "contacts": value, "unreached": value}
     assert "<b>" not in page("t", figures, [], "t")
+
+
+def test_the_title_is_the_scenario_s_and_the_line_below_tells_runs_apart(tmp_path: Path) -> None:
+    """The title was alone: robots, length and day were nowhere at the top."""
+    log = tmp_path / "can.log"
+    log.write_text("(0.000000) can0 18EAFFFE#00EE00\n(125.000000) can0 18EAFFFE#00EE00\n")
+    os.utime(log, (1e9, 1e9))
+    figures = {"scenario": "yard", "robots": 3, "seed": 7}
+    evidence = RunEvidence(log, recorded(log, None), figures, {}, 0)
+    assert evidence.about == "3 robots, seed 7, 2:05 on the bus, 2001-09-09 01:46 UTC"
+    text = page(evidence.name, figures, [], "t", evidence.about)
+    assert "<title>yard · Headland</title>" in text
+    assert f'<h1>yard</h1>\n<p class="about">{evidence.about}</p>' in text
+    assert evidence._replace(source=tmp_path / "gone").about == "3 robots, seed 7, 2:05 on the bus"

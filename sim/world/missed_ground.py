@@ -1,0 +1,60 @@
+"""What a run has left unworked, in one sentence: how much, where most of it is, and who stands there."""
+
+from collections.abc import Mapping, Sequence
+from math import dist
+
+import numpy as np
+import scipy.ndimage
+from numpy.typing import NDArray
+
+from agent.interface.config import S
+from sim.world.ground_truth import TrackPoint
+
+MOVED_M = 0.1  # less is standing: bodies are pushed a little
+Floats = NDArray[np.float64]
+
+
+def told_missed(
+    missed: Floats, cell_m: float, width_m: float, tracks: Mapping[int, Sequence[TrackPoint]]
+) -> str:
+    """Empty if nothing is left. `missed`: (n, 2), centres of the cells that can be reached and were never
+    worked, metres. `width_m`: of the implement; a robot that stands nearer than that is named."""
+    if not len(missed):
+        return ""
+    patch, count = _largest(missed, cell_m)
+    x_m, y_m = patch.mean(axis=0)
+    told = f"{len(missed) * cell_m**2:.1f} m2 are left"
+    if count > 1:
+        told += f" in {count} places, the largest of {len(patch) * cell_m**2:.1f} m2"
+    told += f" at {x_m:.1f},{y_m:.1f}"
+    beside = []
+    for slot, track in sorted(tracks.items()):
+        if not track:
+            continue
+        _, x_of, y_of, _ = track[-1]
+        gap_m = np.hypot(patch[:, 0] - x_of, patch[:, 1] - y_of).min()
+        if gap_m <= width_m:
+            beside.append((_stood_from_us(track), slot))
+    if not beside:
+        return told
+    at_us, slot = min(beside)  # the one that is there longest, not one that has come by at the end
+    return f"{told}, where robot {slot} stands since {at_us / S:.1f} s"
+
+
+def _largest(missed: Floats, cell_m: float) -> tuple[Floats, int]:
+    """The cells of the largest piece, and how many pieces there are."""
+    cells = np.rint((missed - missed.min(axis=0)) / cell_m).astype(np.int64)
+    flags = np.zeros(cells.max(axis=0) + 1, dtype=np.bool_)
+    flags[cells[:, 0], cells[:, 1]] = True
+    pieces, count = scipy.ndimage.label(flags, structure=np.ones((3, 3)))
+    of_cell = pieces[cells[:, 0], cells[:, 1]]
+    return missed[of_cell == np.bincount(of_cell).argmax()], int(count)
+
+
+def _stood_from_us(track: Sequence[TrackPoint]) -> int:
+    """Since when it is where it is at the end."""
+    _, *end, _ = track[-1]
+    for t_us, *at, _ in reversed(track):
+        if dist(at, end) > MOVED_M:
+            return t_us
+    return track[0][0]
