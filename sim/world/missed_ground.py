@@ -34,7 +34,7 @@ def told_missed(
         _, x_of, y_of, _ = track[-1]
         gap_m = np.hypot(patch[:, 0] - x_of, patch[:, 1] - y_of).min()
         if gap_m <= width_m:
-            beside.append((_stood_from_us(track), slot))
+            beside.append((_standing_at_us(track), slot))
     if not beside:
         return told
     at_us, slot = min(beside)  # the one that is there longest, not one that has come by at the end
@@ -51,7 +51,7 @@ def _largest(missed: Floats, cell_m: float) -> tuple[Floats, int]:
     return missed[of_cell == np.bincount(of_cell).argmax()], int(count)
 
 
-def _stood_from_us(track: Sequence[TrackPoint]) -> int:
+def _standing_at_us(track: Sequence[TrackPoint]) -> int:
     """Since when it is where it is at the end."""
     _, *end, _ = track[-1]
     for t_us, *at, _ in reversed(track):
