@@ -6,7 +6,6 @@ mutation of the corpus. An input that breaks a promise is written to a file and 
 
 import importlib.util
 import re
-import resource
 import subprocess
 import sys
 import tempfile
@@ -45,7 +44,7 @@ class Fuzzed(NamedTuple):
     crash: str  # the file with the input that broke a promise; empty: none
     why: str
     worst_s: float = 0.0  # of computing, for one input
-    peak_mb: float = 0.0  # of this process so far, all of its memory
+    peak_mb: float = 0.0  # of this process so far, all of its memory; 0: the system does not tell
 
     @property
     def ok(self) -> bool:
@@ -177,6 +176,10 @@ def _peak_mb() -> float:
         for line in Path("/proc/self/status").read_text().splitlines():
             if line.startswith("VmHWM:"):
                 return int(line.split()[1]) * 1024 / 1e6
+    try:
+        import resource
+    except ImportError:
+        return 0.0  # Windows does not tell
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e6
 
 

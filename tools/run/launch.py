@@ -346,7 +346,10 @@ class Launch:
         running = [p for p in everybody if p.returncode is None]
         for process in running:
             with contextlib.suppress(ProcessLookupError):
-                process.terminate()
+                if process.stdin is not None:
+                    process.stdin.close()  # a robot leaves the fleet, and ends; see `on_closed_input`
+                else:
+                    process.terminate()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(GRACE_S):
                 await asyncio.gather(*(p.wait() for p in running))

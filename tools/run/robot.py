@@ -7,21 +7,17 @@ the pipe on its stdin is at its end.
 """
 
 import asyncio
-import contextlib
 import json
-import os
 import signal
 import sys
-from collections.abc import Callable
 from pathlib import Path
-from threading import Thread
 from typing import Any
 
 from agent.runtime.ready_kernels import use_ready_kernels
 
 use_ready_kernels()  # before anything is imported that has kernels
 
-from agent.runtime.end_signals import on_end
+from agent.runtime.end_signals import on_closed_input, on_end
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_file import RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, run_robot
@@ -34,26 +30,12 @@ async def run(order: dict[str, Any]) -> None:
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     on_end(loop, end.set, (signal.SIGTERM,))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the launcher decides
-    _on_closed_input(loop, end.set)
+    on_closed_input(loop, end.set)
 
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)
 
     await run_robot(robot, end, first_boot=bool(order["first_boot"]), started=started)
-
-
-def _on_closed_input(loop: asyncio.AbstractEventLoop, end: Callable[[], object]) -> None:
-    """Call `end` when the launch is gone: it writes no more, so a readable pipe is a closed one."""
-    try:
-        loop.add_reader(sys.stdin, end)
-    except NotImplementedError:  # the loop of Windows reads no pipes
-
-        def wait() -> None:
-            os.read(sys.stdin.fileno(), 1)
-            with contextlib.suppress(RuntimeError):  # the loop is closed: the robot has ended
-                loop.call_soon_threadsafe(end)
-
-        Thread(target=wait, daemon=True).start()
 
 
 def main() -> None:

@@ -17,7 +17,7 @@ import sys
 from collections.abc import Callable, Iterator
 from typing import Any
 
-from agent.runtime.end_signals import on_end
+from agent.runtime.end_signals import on_closed_input, on_end
 from agent.runtime.robot_file import RobotBusTable, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, opened_bus
 from protocol.frames.frame import Frame
@@ -79,7 +79,7 @@ async def serve(told: dict[str, Any]) -> None:
     slot, robot = int(told["slot"]), int(told["robot"])
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     on_end(loop, end.set)
-    loop.add_reader(sys.stdin, end.set)
+    on_closed_input(loop, end.set)
     hearing: list[Callable[[float, Frame], None]] = []
     with contextlib.ExitStack() as stack:
         if told["metrics"] is not None:

@@ -4,6 +4,7 @@ Hidden are `fcntl`, `resource`, `pwd` and `termios`, the numbers of users, `fork
 the signals that Windows lacks, and the signal handlers and readers of the event loop.
 """
 
+import ast
 import json
 import os
 import signal
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from tests.tools.launching import ENVIRONMENT, ROOT
+from tools.build.wheel_backend import ONLY_IN_A_CHECKOUT
 
 HIDE = """
 import asyncio, os, signal, socket, sys
@@ -30,6 +32,7 @@ for name in ("getuid", "geteuid", "fork", "eventfd", "getpgid", "killpg", "sched
              "sysconf", "getloadavg", "nice"):
     if hasattr(os, name):
         delattr(os, name)
+killed = signal.SIGKILL
 for name in ("SIGKILL", "SIGHUP", "SIGUSR1", "SIGUSR2", "SIGALRM", "SIGWINCH", "SIGPIPE"):
     if hasattr(signal, name):
         delattr(signal, name)
@@ -53,6 +56,11 @@ def begin_as_on_windows(self, *words, **named):
     begin(self, *words, **named)
 
 subprocess.Popen.__init__ = begin_as_on_windows
+
+def end_as_on_windows(self):  # TerminateProcess: nothing of the process runs after it
+    self.send_signal(killed)
+
+subprocess.Popen.terminate = subprocess.Popen.kill = end_as_on_windows
 """
 
 
@@ -73,7 +81,8 @@ def headland(folder: Path, *words: str) -> subprocess.CompletedProcess[str]:
     ("words", "code"),
     [
         ("list", 0), ("check small", 0), ("dbc out.dbc", 0), ("keys new keys", 0), ("new mine.toml", 0),
-        ("inspect can.log", 0), ("stop", 2), ("release", 2), ("say stop", 2), ("map", 2),
+        ("inspect can.log", 0), ("fuzz --help", 0),
+        ("stop", 2), ("release", 2), ("say stop", 2), ("map", 2),
     ],
 )  # fmt: skip
 def test_a_command_does_not_need_posix(words: str, code: int, tmp_path: Path) -> None:
@@ -115,10 +124,28 @@ def test_a_run_does_not_need_posix(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_a_launch_does_not_need_posix(tmp_path: Path) -> None:
     """Its robots asked the loop for handlers of signals and a reader of a pipe, its map for niceness."""
-    words = ("launch", "yard", "--robots", "2", "--seconds", "4", "--out", "fleet", "--map")
+    words = ("launch", "yard", "--robots", "2", "--seconds", "12", "--out", "fleet", "--map")
     done = headland(tmp_path, *words, "--page-port", "0")
     assert "Traceback" not in done.stderr and done.returncode == 1, (done.stdout, done.stderr)
     assert "has ended" not in done.stdout, done.stdout
     for slot in range(2):
         log = (tmp_path / "fleet" / f"robot{slot}.log").read_text()
         assert "is up" in log and "Error" not in log, log
+    seen = json.loads(headland(tmp_path, "inspect", "fleet", "--json").stdout)
+    assert [robot["left"] for robot in seen["robots"]] == [True, True], "each has said farewell"
+
+
+def test_a_module_of_the_wheel_imports_nothing_of_posix_at_its_top() -> None:
+    """`headland fuzz` imported `resource` there, and could not even say its help on Windows."""
+    posix = {"fcntl", "resource", "pwd", "grp", "termios", "tty", "pty"}
+    for layer in ("crdt", "protocol", "agent", "sim", "tools", "headland"):
+        for path in (ROOT / layer).rglob("*.py"):
+            name = str(path.relative_to(ROOT))
+            if name.startswith(ONLY_IN_A_CHECKOUT):
+                continue
+            for node in ast.parse(path.read_text(encoding="utf-8")).body:
+                found = {
+                    each.name for each in getattr(node, "names", ()) if isinstance(node, ast.Import)
+                }
+                found |= {node.module} if isinstance(node, ast.ImportFrom) else set()
+                assert not found & posix, name
