@@ -3,22 +3,52 @@
 import itertools
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
 
 from agent.field.field_map import Field
 from sim.files.palette import colour_of
 
+Cells = NDArray[np.float64]
+LEFT = "#d62728"  # ground that was not worked
+SIDE_IN, LEGEND_IN = (
+    9.0,
+    1.6,
+)  # longest side of the field in the picture, and what is beside it, inches
+# What can be marked, as matplotlib draws it.
+MARKS = {"crash": "x", "box": "s", "stop pressed": "8", "person, vehicle": "D"}
+
+
+class PlaceMark(NamedTuple):
+    """Where something happened: one of MARKS."""
+
+    what: str
+    x_m: float
+    y_m: float
+
+
 Track = Sequence[tuple[float, float, bool]]  # x, y in metres, implement down
 
 
-def draw_field(field: Field, tracks: Mapping[int, Track], title: str, out: Path) -> None:
-    """One PNG: boundary, holes, tracks with the implement down in the robot's colour."""
+def draw_field(
+    field: Field, tracks: Mapping[int, Track], title: str, out: Path, missed: Cells | None = None,
+    marks: Sequence[PlaceMark] = (),
+) -> None:  # fmt: skip
+    """One PNG: boundary, holes, tracks with the implement down in the robot's colour.
+
+    `missed`: (n, 2), centres of the cells that could have been worked and were not, metres.
+    """
     import matplotlib
 
     matplotlib.use("Agg")
     from matplotlib import pyplot
     from matplotlib.collections import LineCollection
 
-    figure, axes = pyplot.subplots(figsize=(10, 10), dpi=110)
+    figure, axes = pyplot.subplots(figsize=_size_in(field), dpi=110)
+    if missed is not None and len(missed):
+        axes.plot(*missed.T, "s", color=LEFT, markersize=2, alpha=0.5, label="not worked", zorder=0)
     for ring in (field.exterior, *field.holes):
         closed = [*ring, ring[0]]
         axes.plot([p[0] for p in closed], [p[1] for p in closed], color="0.2", linewidth=1.2)
@@ -47,12 +77,26 @@ def draw_field(field: Field, tracks: Mapping[int, Track], title: str, out: Path)
                 markersize=7,
                 label=f"robot {slot}",
             )
+    named = set()
+    for what, x_m, y_m in marks:
+        name = what if what not in named else "_"  # once in the legend
+        named.add(what)
+        axes.plot([x_m], [y_m], MARKS[what], color="k", markersize=11, markeredgewidth=2.2,
+                  markerfacecolor="none", label=name)  # fmt: skip
     axes.plot([field.gate[0]], [field.gate[1]], "k^", markersize=10, label="gate")
     axes.set_aspect("equal")
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.set_title(title)
-    axes.legend(loc="upper right", fontsize=8)
+    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)  # it covers no track
     figure.tight_layout()
     figure.savefig(out)
     pyplot.close(figure)
+
+
+def _size_in(field: Field) -> tuple[float, float]:
+    """Of the picture: as long and as high as the field is, without empty margins."""
+    x_m, y_m = zip(*field.exterior, strict=True)
+    wide_m, high_m = max(x_m) - min(x_m), max(y_m) - min(y_m)
+    scale = SIDE_IN / max(wide_m, high_m, 1e-9)
+    return max(wide_m * scale, 3.0) + LEGEND_IN, max(high_m * scale, 3.0) + 0.9

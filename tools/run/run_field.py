@@ -1,11 +1,12 @@
 """`headland run` of a field, a building or a protocol: to the end in virtual time, with a report."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime, timedelta
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
+from agent.interface.config import S
 from sim.fleet.outcome import FieldOutcome
 from sim.runs.field_run import FieldRun
 from sim.runs.work_geojson import write_geojson
@@ -13,9 +14,10 @@ from sim.runs.work_record import record_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.navigation_scenario import NavigationScenario, load_mission
 from sim.scenarios.scenario import ScenarioError
+from sim.world.ground_truth import TrackPoint
 from tools.build.warmup import warm_field
 from tools.common.result_table import NO_KEYS, Fact
-from tools.run.picture import draw_field
+from tools.run.picture import PlaceMark, draw_field
 from tools.run.run_mission import MissionCommand, run_mission
 from tools.run.run_navigation import NavigationCommand
 
@@ -53,6 +55,31 @@ def run(
     return run_mission(make, out, as_json, logs, page_port, film)
 
 
+MARKED = {
+    "crash": "crash", "estop": "stop pressed", "box": "box", "person": "person, vehicle",
+    "vehicle": "person, vehicle",
+}  # fmt: skip
+
+
+def marks_of(
+    faults: Sequence[Mapping[str, Any]], tracks: Mapping[int, Sequence[TrackPoint]]
+) -> list[PlaceMark]:
+    """Where faults were, of those that have a place: of a robot, where it was then."""
+    found = []
+    for fault in faults:
+        what, at_us = MARKED.get(fault["kind"]), fault["t_s"] * S
+        if what is None:
+            continue
+        if "x_m" in fault:
+            found.append(PlaceMark(what, fault["x_m"], fault["y_m"]))
+        elif fault.get("route"):
+            found.append(PlaceMark(what, *fault["route"][0]))
+        else:
+            before = [point for point in tracks.get(fault["robot"], ()) if point[0] <= at_us]
+            found += [PlaceMark(what, before[-1][1], before[-1][2])] if before else []
+    return found
+
+
 def work_export() -> tuple[str, str]:
     """The command by which farm software gets the work, with what is installed, and why."""
     form = "--geojson work.json" if find_spec("isoxml") is None else "--isoxml TASKDATA"
@@ -71,9 +98,11 @@ class FieldCommand(MissionCommand[FieldRun]):
 
     def draw(self, outcome: FieldOutcome, folder: Path, log_hash: str) -> list[str]:
         field, tracks = self.run.setting.field, self.run.tracks
-        title = f"{field.name}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
+        title = f"{outcome.scenario}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
         rows = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in tracks.items()}
-        draw_field(field, rows, title, folder / "field.png")
+        missed = None if self.run.truth is None else self.run.truth.missed
+        marks = marks_of(self.run.told_faults, tracks)
+        draw_field(field, rows, title, folder / "field.png", missed, marks)
         started = datetime.now(UTC) - timedelta(seconds=outcome.wall_s)
         work = record_of(field, tracks, outcome.finished, started)
         write_geojson(work, folder / "work.geojson", log_hash)
