@@ -102,7 +102,9 @@ def _nearest(work: Buffer, near: Longs, squares: Singles) -> Number:
 
 @njit(cache=True, error_model="numpy")
 def _stop_lines(work: Buffer, near: Longs, count: Number, lines: Lines, hard: Number) -> Number:
-    """Half-planes within which we can stop before each of the nearest, after the `hard` ones."""
+    """Half-planes within which we can stop before each of the nearest, after the `hard` ones.
+
+    A peer that was not heard for too long counts as standing."""
     own = sqrt(work[VX] * work[VX] + work[VY] * work[VY]) + work[STOPPING] * work[DT]
     own = min(own, work[SPEED_MAX])
     for k in range(count):

@@ -10,10 +10,10 @@ were lost, because a robot that drives away stops beyond its last received posit
 Both robots brake by at least `braking`, and know that of each other, because they are of one fleet.
 Standing is always permitted, so these half-planes never contradict each other.
 
-Wheels have one grip for braking and for swerving. So the stopping distance is that of our whole
-speed, not of the part of it towards the body. Where a swerve is wanted that the wheels cannot reach
-in one period, and what they do reach is too fast, the robot brakes straight. From where it may be,
-that is always in time.
+Wheels have one grip for braking and for swerving. So the stopping distances are those of whole
+speeds, ours and the other's, not of the parts of them towards each other. Where a swerve is wanted that
+the wheels cannot reach in one period, and what they do reach is too fast, the robot brakes straight.
+From where it may be, that is always in time.
 
 Units: metres, m/s, m/s² and seconds. `lines` (half-planes, 4) are described in
 `agent.avoidance.linear_program`.
@@ -65,7 +65,8 @@ def before_agent(
     if away > 0.0:
         room += max(away - SAID_M_S, 0.0) ** 2 / (2.0 * HARDEST_M_S2) - away * age
     else:
-        room -= -away * REACTION_S + away * away / (2.0 * braking)
+        coming = sqrt(ux * ux + uy * uy)
+        room -= -away * (REACTION_S + coming / (2.0 * braking))
     limit = 0.0
     if room > 0.0:
         limit = room / (REACTION_S + own / (2.0 * braking))

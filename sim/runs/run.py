@@ -148,7 +148,11 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
                 "cpu_s": cpu_s,
                 **self.measure(cluster),
             }
-            outcome: OutcomeT = self.kind(**{name: found[name] for name in self.kind._fields})
+            # What a kind of run does not measure has the default of its field.
+            given = self.kind._field_defaults.keys() - found.keys()
+            outcome: OutcomeT = self.kind(
+                **{name: found[name] for name in self.kind._fields if name not in given}
+            )
             return outcome
         finally:
             self.faults = plan.done

@@ -1,6 +1,6 @@
 """Nobody is ever where it cannot stop before another that halts, whatever beats were lost."""
 
-from math import hypot
+from math import cos, hypot, pi, sin
 from random import Random
 
 import numpy as np
@@ -9,7 +9,13 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.avoidance.orca import OrcaSolver
-from agent.avoidance.stopping_constraint import HARDEST_M_S2, within_grip
+from agent.avoidance.stopping_constraint import (
+    HARDEST_M_S2,
+    REACTION_S,
+    SLACK_M,
+    before_agent,
+    within_grip,
+)
 
 NO_FENCES = np.zeros((0, 4))
 RADIUS_M, SPEED_M_S, BRAKING_M_S2, DT_S, STEP_S = 0.35, 1.0, 2.0, 0.05, 0.01
@@ -102,6 +108,29 @@ def test_a_crowd_whose_robots_halt_does_not_touch(seed: int, loss: float) -> Non
     robots = [Robot(x + rng.uniform(-0.2, 0.2), y, 0.0, True) for x, y in places]
     goals = [(rng.uniform(-1, 5), rng.uniform(-1, 4)) for _ in places]
     assert play(rng, robots, goals, loss, 0.02) > 0.0
+
+
+@given(
+    far_m=st.floats(2.0, 12.0), bearing_rad=st.floats(0.0, 2 * pi), own_m_s=st.floats(0.1, 2.5),
+    peer_m_s=st.floats(0.0, 2.5), aslant_rad=st.floats(-pi / 2, pi / 2),
+)  # fmt: skip
+def test_two_that_brake_straight_on_any_courses_have_room_for_it(
+    far_m: float, bearing_rad: float, own_m_s: float, peer_m_s: float, aslant_rad: float
+) -> None:
+    """One of two robots that came aslant towards each other lost its place and braked. The other one had
+    reckoned with the part of that robot's speed towards it, and touched it at 0.2 m/s."""
+    radius_m, braking_m_s2 = 1.75, 1.5
+    px, py = far_m * cos(bearing_rad), far_m * sin(bearing_rad)
+    course_rad = bearing_rad + pi + aslant_rad
+    ux, uy = peer_m_s * cos(course_rad), peer_m_s * sin(course_rad)
+    lines = np.zeros((1, 4), dtype=np.float32)
+    limited = before_agent(px, py, ux, uy, radius_m, 0.0, braking_m_s2, own_m_s, own_m_s, lines, 0)
+    towards_m_s = float(hypot(*lines[0, :2])) if limited else own_m_s
+    coming_m_s = peer_m_s * cos(aslant_rad)
+    own_m = towards_m_s * (REACTION_S + own_m_s / (2 * braking_m_s2))
+    peer_m = coming_m_s * (REACTION_S + peer_m_s / (2 * braking_m_s2))
+    if towards_m_s > 0.0:
+        assert own_m + peer_m <= far_m - radius_m + SLACK_M + 1e-5
 
 
 def test_a_train_without_it_does() -> None:
