@@ -84,4 +84,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted({*globals(), *__all__})
+    """What Tab shows: the names that are meant for others."""
+    return [name for name in globals() if name.startswith("__")] + sorted(__all__)

@@ -6,6 +6,10 @@ from importlib.util import find_spec
 from pathlib import Path
 from threading import Timer
 from time import perf_counter
+from types import TracebackType
+
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
 
 WAIT = "compiling kernels: once on this machine, about 25 s on two idle cores"
 MORE = "compiling more kernels: once on this machine, up to two minutes on two idle cores"
@@ -61,3 +65,35 @@ def told_compiling(tell: Callable[[str], object]) -> Iterator[None]:
 
     with event.install_listener(COMPILE, Heard()):
         yield
+
+
+class Compiling:
+    """How far compiling is: a bar at a terminal, elsewhere a line for each part that took long."""
+
+    def __init__(self, console: Console) -> None:
+        self.console = console
+        self._bar = Progress(
+            TextColumn("compiling {task.description}"), BarColumn(), MofNCompleteColumn(),
+            TimeElapsedColumn(), console=console, transient=True, disable=not console.is_terminal,
+        )  # fmt: skip
+        self._task = self._bar.add_task("kernels", total=None)
+        self._doing, self._since_s = "", perf_counter()
+
+    def __enter__(self) -> "Compiling":
+        self._bar.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None,
+        trace: TracebackType | None,
+    ) -> None:  # fmt: skip
+        self._bar.stop()
+
+    def step(self, done: int, of: int, name: str) -> None:
+        """A part is done and the next one begins."""
+        now_s = perf_counter()
+        took_s = now_s - self._since_s
+        if self._doing and took_s >= TOLD_AFTER_S and not self.console.is_terminal:
+            self.console.print(f"compiled {self._doing} in {took_s:.0f} s: {done} of {of}")
+        self._doing, self._since_s = name, now_s
+        self._bar.update(self._task, completed=done, total=of, description=name)

@@ -13,6 +13,7 @@ import numpy as np
 from rich.console import Console
 
 from sim.files.strict_json import dumps
+from tools.build.kernel_cache import kernels_kept
 from tools.common.child_process import module_command
 
 
@@ -238,13 +239,33 @@ FIELD_HERE, FIELD_BESIDE = ("plans", "world"), ("paths", "avoidance")
 FIELD_LATER = ("plain paths", "verdict")  # not needed before the end
 
 
-def warm(steering: bool) -> None:
-    """Compile what is not compiled; a fraction of a second where everything is."""
-    for name, part in PARTS:
-        # Only bodies that steer plan turns, and only simulations compute for all robots at once.
-        # Playing in fields takes seconds also where everything is compiled.
-        if name not in ("fleets", "fields") and (steering or name != "turns"):
+NO_LAUNCH = ("coverage", "exploration")  # missions that `headland launch` has not
+Step = Callable[[int, int, str], object]  # parts done, of how many, the name of the next one
+
+
+def warm(steering: bool, delivering: bool = False, on_step: Step | None = None) -> None:
+    """Compile what a launch needs and is not compiled; a fraction of a second where everything is.
+
+    `on_step` is called before each part. On a new machine a second process compiles every other part.
+    """
+    # Only bodies that steer plan turns, and only simulations compute for all robots at once.
+    # Playing in fields takes seconds also where everything is compiled.
+    left_out = {"fleets", "fields", *NO_LAUNCH}
+    left_out |= (set() if steering else {"turns"}) | (set() if delivering else {"delivery"})
+    parts = [each for each in PARTS if each[0] not in left_out]
+    other = _beside([name for name, _ in parts[1::2]]) if kernels_kept() == 0 else None
+    # Those that the other process compiles come last: they are found compiled then, or nearly so.
+    ordered = parts if other is None else parts[::2] + parts[1::2]
+    try:
+        for done, (name, part) in enumerate(ordered):
+            if on_step is not None:
+                on_step(done, len(ordered), name)
+            if other is not None and done == len(parts[::2]):
+                other.wait()
             part()
+    finally:
+        if other is not None and other.poll() is None:
+            other.kill()
 
 
 def rehearse() -> None:

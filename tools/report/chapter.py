@@ -1,10 +1,10 @@
 """The chapters of a report: a picture, a short table, all values as CSV; or why there is none."""
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from datetime import UTC, datetime
 from math import isfinite
 from statistics import median
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from sim.record.recording import Recording
 from sim.record.scene import Scene
@@ -20,6 +20,20 @@ ROWS_MAX = 40  # most rows of a table on the page; the CSV has them all
 Table = tuple[Sequence[str], Sequence[Sequence[Any]]]  # head, rows
 
 
+# Of the values of chapters: the same in a run that has none of them.
+COLUMNS: Final[Mapping[str, tuple[str, ...]]] = {
+    "tracks": ("robot", "t_s", "x_m", "y_m", "speed_m_s", "stopped"),
+    "planned": (
+        "robot", "RMSE, m", "implement down, m", "implement up, m", "worst, m", "samples", "ways",
+    ),
+    "errors": ("robot", "t_s", "x_m", "y_m", "off_m", "implement_down"),
+    "sections": ("section", "phase", "owner", "from_s", "until_s"),
+    "states": ("robot", "state", "from_s", "until_s"),
+    "stops": ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s"),
+    "events": ("t_s", "kind", "who", "what"),
+}  # fmt: skip
+
+
 class Chapter(NamedTuple):
     """One chapter of a report, or the reason why it is missing."""
 
@@ -28,7 +42,7 @@ class Chapter(NamedTuple):
     about: str
     picture: drawing.Drawn | None = None
     table: Table | None = None  # on the page
-    values: Table | None = None  # in the CSV
+    values: Table | None = None  # in the CSV; COLUMNS has their names where there is none
     missing: str = ""  # why there is nothing to see
 
 
@@ -96,9 +110,8 @@ def _tracks(scene: Scene | None, history: History) -> Chapter:
         (slot, round(p.t_s, 3), round(p.x_m, 2), round(p.y_m, 2), round(p.speed_m_s, 2), int(p.stopped))
         for slot, track in sorted(history.places.items()) for p in track
     ]  # fmt: skip
-    head = ("robot", "t_s", "x_m", "y_m", "speed_m_s", "stopped")
     return Chapter("tracks", title, about, _drawn(drawing.tracks, scene, history.places),
-                   values=(head, rows))  # fmt: skip
+                   values=(COLUMNS["tracks"], rows))  # fmt: skip
 
 
 def planned_chapters(
@@ -120,15 +133,7 @@ def planned_chapters(
         yield Chapter("planned", title, about, missing="Planned ways go beside the bus, into run.mcap "
                       "(headland[operator]); this recording has none.")  # fmt: skip
         return
-    head = (
-        "robot",
-        "RMSE, m",
-        "implement down, m",
-        "implement up, m",
-        "worst, m",
-        "samples",
-        "ways",
-    )
+    head = COLUMNS["planned"]
     values = [
         (r.slot, _metres(r.rmse_m()), _metres(r.rmse_m(True)), _metres(r.rmse_m(False)),
          _metres(r.worst_m), len(r.samples), len(r.lines))
@@ -142,7 +147,7 @@ def planned_chapters(
         for r in robots for s in r.samples
     ]  # fmt: skip
     yield Chapter("errors", "The same over time", "", drawing.errors(robots),
-                  values=(("robot", "t_s", "x_m", "y_m", "off_m", "implement_down"), rows))  # fmt: skip
+                  values=(COLUMNS["errors"], rows))  # fmt: skip
 
 
 def _metres(value: float) -> float | None:
@@ -219,7 +224,7 @@ def _states(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
     head = ("robot", *(f"{name.lower()}, s" for name in names))
     picture = drawing.states(history.states, history.now_s, marks)
     return Chapter("states", "States", about, picture, (head, table),
-                   (("robot", "state", "from_s", "until_s"), rows))  # fmt: skip
+                   (COLUMNS["states"], rows))  # fmt: skip
 
 
 def _stops(history: History) -> Chapter:
@@ -242,9 +247,8 @@ def _stops(history: History) -> Chapter:
          *(round(of[slot], 6) if slot in of else None for of in (s.echo_s, s.latch_s, s.still_s)))
         for s in history.pressed for slot in s.present
     ]  # fmt: skip
-    columns = ("dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s")
     return Chapter("stops", "Stops", about, drawing.latencies(history.pressed),
-                   (head, table), (columns, rows))  # fmt: skip
+                   (head, table), (COLUMNS["stops"], rows))  # fmt: skip
 
 
 def _releases(evidence: RunEvidence) -> Iterator[Chapter]:
@@ -294,7 +298,7 @@ def _events(evidence: RunEvidence, faults: Sequence[TimelineEvent], history: His
         return Chapter("events", "Chaos and other events", about, missing="Nothing happened.")
     head = ("t, s", "what", "who", "")
     return Chapter("events", "Chaos and other events", about, table=(head, table),
-                   values=(("t_s", "kind", "who", "what"), rows))  # fmt: skip
+                   values=(COLUMNS["events"], rows))  # fmt: skip
 
 
 def _campaign(evidence: RunEvidence) -> Chapter:

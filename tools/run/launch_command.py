@@ -10,7 +10,7 @@ from rich.console import Console
 from sim.files.strict_json import dumps
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError
-from tools.build.kernel_cache import told_compiling
+from tools.build.kernel_cache import Compiling, told_compiling
 from tools.build.warmup import warm
 from tools.common.bus_address import AttachError
 from tools.common.launch_keys import fleet_keys
@@ -96,8 +96,9 @@ def launch(
     if fleet.said:
         console.print(fleet.said)
     # Here once, and not in every robot at the same time.
-    with told_compiling(console.print):
-        warm(isinstance(setting, FieldSetup) and setting.turn_radius_m > 0.0)
+    with told_compiling(console.print), Compiling(console) as compiling:
+        steering = isinstance(setting, FieldSetup) and setting.turn_radius_m > 0.0
+        warm(steering, not isinstance(setting, FieldSetup), compiling.step)
     kind = Launch if isinstance(setting, FieldSetup) else HaulLaunch
     running = kind(setting, scenario, fleet, console, keys or own, page_port)
     operator_key = operator_key or own

@@ -26,7 +26,7 @@ from sim.record.recording import Recording
 from sim.record.scene_builder import scene_of
 from sim.runs.coverage_run import CoverageRun
 from sim.scenarios.own_mission_setup import MissionMaker
-from tools.report.chapter import Chapter, chapters
+from tools.report.chapter import COLUMNS, Chapter, chapters
 from tools.report.command import write
 from tools.report.page import table_of
 from tools.report.run_data import RunEvidence
@@ -128,10 +128,12 @@ class Run:
 
     def frame(self, chapter: str) -> Any:
         """All values of a chapter as a pandas DataFrame; numbers have their unit in the name of the
-        column, as `rmse_m`. Raises ImportError without pandas."""
+        column, as `rmse_m`. Without values it has its columns and no rows. Raises ImportError without
+        pandas."""
         import pandas
 
-        frame = pandas.DataFrame(self.table(chapter))
+        rows = self.table(chapter)
+        frame = pandas.DataFrame(rows, columns=None if rows else COLUMNS.get(chapter))
         return frame.rename(columns={name: column_name(name) for name in frame})
 
     def plot(self, what: str = "tracks", ax: Any = None) -> Any:

@@ -1,12 +1,14 @@
 """A run or a launch that has to compile kernels first says so."""
 
+from io import StringIO
 from pathlib import Path
 from threading import Event
 
 import pytest
+from rich.console import Console
 
 from tools.build import kernel_cache
-from tools.build.kernel_cache import COMPILE, MORE, kernels_kept, told_compiling
+from tools.build.kernel_cache import COMPILE, MORE, Compiling, kernels_kept, told_compiling
 
 
 def test_an_empty_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -50,3 +52,16 @@ def test_a_short_wait_for_kernels_needs_no_word() -> None:
         event.start_event(COMPILE)
         event.end_event(COMPILE)
     assert told == []
+
+
+def test_without_a_terminal_each_part_that_took_long_is_a_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = iter([0.0, 0.0, 31.4, 31.5])
+    monkeypatch.setattr(kernel_cache, "perf_counter", lambda: next(clock))
+    console = Console(file=StringIO(), force_terminal=False, width=200)
+    with Compiling(console) as compiling:
+        for step in ((0, 3, "paths"), (1, 3, "plans"), (2, 3, "world")):
+            compiling.step(*step)
+    assert isinstance(console.file, StringIO)
+    assert console.file.getvalue().strip() == "compiled paths in 31 s: 1 of 3"

@@ -2,9 +2,11 @@
 
 import subprocess
 import sys
+from functools import partial
 
 import pytest
 
+from tools.build import warmup
 from tools.build.warmup import FIELD_BESIDE, FIELD_HERE, FIELD_LATER, PARTS
 
 CHECK = """
@@ -47,3 +49,41 @@ def test_every_kernel_that_a_robot_calls_is_compiled() -> None:
 def test_what_a_field_needs_are_parts() -> None:
     assert {*FIELD_HERE, *FIELD_BESIDE, *FIELD_LATER} <= dict(PARTS).keys()
     assert not {*FIELD_HERE} & {*FIELD_BESIDE}, "or both processes compile the same"
+
+
+@pytest.mark.parametrize("kept", [0, 90])
+def test_a_launch_compiles_what_it_needs_and_says_how_far_it_is(
+    kept: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It compiled the kernels of all missions, in one process, and said one line in minutes."""
+    done: list[str] = []
+    beside: list[str] = []
+    told: list[tuple[int, int, str]] = []
+
+    class Other:
+        def wait(self) -> int:
+            done.append("the other process has ended")
+            return 0
+
+        def poll(self) -> int:
+            return 0
+
+    def start(names: list[str]) -> Other:
+        beside.extend(names)
+        return Other()
+
+    parts = tuple((name, partial(done.append, name)) for name, _ in PARTS)
+    monkeypatch.setattr(warmup, "PARTS", parts)
+    monkeypatch.setattr(warmup, "_beside", start)
+    monkeypatch.setattr(warmup, "kernels_kept", lambda: kept)
+    warmup.warm(steering=False, delivering=False, on_step=lambda *step: told.append(step))
+    assert not {"coverage", "exploration", "delivery", "turns", "fields", "fleets"} & {*done}
+    assert {*FIELD_HERE, *FIELD_BESIDE, *FIELD_LATER, "map", "wheels", "wire"} <= {*done}
+    names = [name for name in done if name in dict(PARTS)]
+    assert told == [(k, len(names), name) for k, name in enumerate(names)]
+    assert bool(beside) == (kept == 0)
+    if beside:
+        at = done.index("the other process has ended")
+        assert set(done[at + 1 :]) == set(beside) and not {*done[:at]} & {*beside}
+    warmup.warm(steering=True, delivering=True)
+    assert {"turns", "delivery"} <= {*done}

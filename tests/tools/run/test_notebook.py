@@ -13,6 +13,7 @@ import pytest
 import headland as hl
 from sim.scenarios.scenario import ScenarioError
 from tests.tools.launching import ROOT
+from tools.report.chapter import COLUMNS
 from tools.run.notebook import Picture, Run, play
 from tools.run.run_field import run as run_command
 
@@ -116,7 +117,7 @@ def test_the_face_has_what_it_says_and_imports_it_when_asked() -> None:
         "import sys, headland as hl; "
         "early = [m for m in sys.modules if m.split('.')[0] in ('tools', 'sim', 'agent')]; "
         "assert not early, early; "
-        "assert set(hl.__all__) <= set(dir(hl)); "
+        "assert set(hl.__all__) == {n for n in dir(hl) if n[0] != '_'}; "
         "assert all(getattr(hl, name).__doc__ for name in hl.__all__)"
     )
     done = subprocess.run(
@@ -141,6 +142,12 @@ def test_a_sweep_has_a_row_for_each_run() -> None:
     assert frame["log_hash"][1] == alone.log_hash, "a row is the run of `play`"
     stops = alone.frame("sections")
     assert len(stops) == len(alone.table("sections"))
+    assert list(alone.frame("stops")) == [
+        "dot", "t_s", "by", "reason", "robot", "echo_s", "stopped_s", "stands_s",
+    ], "nobody pressed one, and a program that asks for the slowest is the same"  # fmt: skip
+    for chapter, columns in COLUMNS.items():
+        if alone.table(chapter):
+            assert tuple(alone.table(chapter)[0]) == columns, chapter
     axes = alone.plot()
     assert len(axes.lines) == 2 + 3 and axes.get_xlabel() == "m east"
 
