@@ -28,6 +28,7 @@ SECTIONS = ("section", "phase", "owner", "units")
 FRAMES = ("frame", "all", "chosen")
 FONT_FACE = re.compile(r"@font-face \{.*?\}\s*", re.DOTALL)
 Feed = Callable[["InspectScreen"], Awaitable[None]]
+BOTH_ROWS = 36  # of a terminal in which the states and an answer of six lines fit
 
 
 class InspectScreen(App[None]):
@@ -149,6 +150,8 @@ class InspectScreen(App[None]):
             self._text("machine", "no robot is heard yet")
             return
         machine.border_title = f"robot {robot.slot}"
+        # On a low screen the picture of the states leaves no row for an answer, which was asked for.
+        machine.display = self.why_of is None or self.size.height >= BOTH_ROWS
         state = (robot.state, robot.transitions[-1].source if robot.transitions else "")
         if state != self.drawn:
             self.drawn = state

@@ -93,6 +93,26 @@ def test_the_fleet_a_state_machine_sections_frames_and_load(
     asyncio.run(main())
 
 
+def test_why_is_seen_in_a_terminal_of_80_by_24(frames: list[tuple[int, Frame]]) -> None:
+    """The panel of the answer lay below its box, so that `w` did nothing that a person could see."""
+
+    async def main() -> None:
+        inspector = Inspector()
+        screen = InspectScreen(inspector, "a run", from_log(frames, inspector, at_once=True))
+        async with screen.run_test(size=(80, 24)) as pilot:
+            await fed(screen, pilot)
+            await pilot.press("w")
+            await pilot.pause()
+            box, answer = screen.query_one("#top").region, screen.query_one("#path").region
+            assert box.contains_region(answer) and answer.height >= 8, (box, answer)
+            assert "claims it" in text_of(screen, "path")
+            await pilot.press("w")
+            await pilot.pause()
+            assert screen.query_one("#machine").display
+
+    asyncio.run(main())
+
+
 def test_the_screen_as_a_picture(frames: list[tuple[int, Frame]], tmp_path: Path) -> None:
     inspector, path = Inspector(), tmp_path / "inspect.svg"
     draw(InspectScreen(inspector, "a run", from_log(frames, inspector, at_once=True)), path)
