@@ -158,6 +158,16 @@ _NOT = {
     "model_type": "not a table", "dict_type": "not a table", "finite_number": "not a finite number",
 }  # fmt: skip
 
+# What a value out of its range should be, by pydantic's name of the error; braces: values that it tells.
+_BOUNDS = {
+    "greater_than_equal": "should be {ge:g} or more", "greater_than": "should be more than {gt:g}",
+    "less_than_equal": "should be {le:g} or less", "less_than": "should be less than {lt:g}",
+    "too_short": "should have {min_length} or more items, has {actual_length}",
+    "too_long": "should have {max_length} or fewer items, has {actual_length}",
+    "string_too_short": "should have {min_length} or more characters",
+    "string_too_long": "should have {max_length} or fewer characters",
+}  # fmt: skip
+
 
 def first_error(problem: ValidationError, model: type[BaseModel], text: str = "") -> str:
     """One line: the wrong key, what is wrong with it, and the key or value that was probably meant.
@@ -191,6 +201,10 @@ def first_error(problem: ValidationError, model: type[BaseModel], text: str = ""
     tail = f" (and {more} more)" if more else ""
     if error["type"] in _NOT:
         return f"{where}: {_NOT[error['type']]}: {_said(error['input'])}{tail}"
+    if error["type"] in _BOUNDS:
+        told = _BOUNDS[error["type"]].format(**context)
+        counted = "" if "has" in told.split() else f", not {_said(error['input'])}"
+        return f"{where}: {told}{counted}{tail}"
     message = error["msg"][0].lower() + error["msg"][1:]
     return f"{where}: {message}, not {_said(error['input'])}{tail}"
 
