@@ -113,21 +113,33 @@ async def convey(
     return False
 
 
+ANSWERS = ("wait", "continue", "replan")  # to a question of the robot
+
+
+def _why(matter: ReportKind, what: str, asked: bool) -> str:
+    """Why a robot refuses, as far as can be known from outside; empty: no reason is known."""
+    if matter is not ReportKind.REFUSED or what not in ANSWERS or asked:
+        return ""
+    return f"{what} answers a robot that asks what to do about an obstacle, and it has not asked"
+
+
 def _tell(
     robot: KnownRobot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool
 ) -> None:
     report = robot.report
+    why = "" if obeyed or report is None else _why(report.matter, what, asked)
     if as_json:
         print(dumps({
             "robot": robot.slot, "order": what, "obeyed": obeyed, "was_asking": asked,
             "answer": None if report is None else report.matter.name,
             "x_m": None if report is None else round(report.x_m, 1),
-            "y_m": None if report is None else round(report.y_m, 1), "signed": signed,
+            "y_m": None if report is None else round(report.y_m, 1), "signed": signed, "why": why or None,
         }))  # fmt: skip
         return
     said = "" if report is None else f"; it says: {report.matter.name.replace('_', ' ')}"
     if report is None and not obeyed:
         said = "; it has not answered"
+    said += f": {why}" if why else ""
     print(f"robot {robot.slot}: {'obeys' if obeyed else 'DOES NOT OBEY'} {what}{said}")
     if not signed:
         print(NOT_SIGNED)

@@ -1,7 +1,10 @@
 """What an order and a release say to a person where there is little to say."""
 
+import json
+
 import pytest
 
+from protocol.frames.operator_frames import OperatorReport, ReportKind
 from tools.operate import order
 from tools.operate.operator_device import KnownRobot
 
@@ -16,3 +19,22 @@ def test_a_robot_that_says_nothing_is_not_quoted(
     """`obeys start; it says: nothing` sounded as if something were wrong."""
     order._tell(KnownRobot(0, 128, 0.0), "start", False, obeyed, True, False)
     assert capsys.readouterr().out == f"{line}\n"
+
+
+@pytest.mark.parametrize(
+    ("what", "asked", "ends"),
+    [
+        ("replan", False, "it says: REFUSED: replan answers a robot that asks what to do about an "
+         "obstacle, and it has not asked"),
+        ("replan", True, "it says: REFUSED"), ("set-goal", False, "it says: REFUSED"),
+    ],
+)  # fmt: skip
+def test_an_answer_to_nothing_is_told_as_one(
+    what: str, asked: bool, ends: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tutorial's `order 2 replan` was refused, and nothing said why."""
+    robot = KnownRobot(0, 128, 0.0, report=OperatorReport(0, 0, ReportKind.REFUSED, 0.0, 0.0))
+    order._tell(robot, what, asked, False, True, False)
+    assert capsys.readouterr().out.endswith(f"{ends}\n")
+    order._tell(robot, what, asked, False, True, True)
+    assert bool(json.loads(capsys.readouterr().out)["why"]) == ("not asked" in ends)
