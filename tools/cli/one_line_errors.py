@@ -1,5 +1,6 @@
 """What no command expected, but a person can cause, is one line on stderr and an exit code."""
 
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -20,7 +21,13 @@ def one_line_errors() -> Iterator[None]:
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
     try:
-        yield
+        try:
+            yield
+        finally:
+            if (
+                sys.stdout is not None
+            ):  # what cannot be written shows here, and not when Python ends
+                sys.stdout.flush()
     except KeyboardInterrupt:
         raise SystemExit(INTERRUPTED) from None
     except ImportError as problem:
@@ -33,7 +40,18 @@ def one_line_errors() -> Iterator[None]:
         tell_origin()
         name = "" if problem.filename is None else f"{problem.filename}: "
         print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
+        _drop_output()
         raise SystemExit(WRONG) from None
+
+
+def _drop_output() -> None:
+    """What could not be written is not tried again when Python ends: that would be a second error."""
+    try:
+        sys.stdout.flush()
+    except OSError:
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def tell_origin() -> None:

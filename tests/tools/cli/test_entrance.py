@@ -1,5 +1,6 @@
 """A robot that the entrance starts is told what the command line would tell it; all else goes there."""
 
+import os
 import signal
 import subprocess
 import sys
@@ -117,12 +118,14 @@ def test_ctrl_c_while_modules_are_loaded_says_nothing(name: str) -> None:
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
-@pytest.mark.parametrize("words", [["dbc"], ["--help"], ["list"]])
-def test_output_that_cannot_be_written_is_one_line(words: list[str]) -> None:
+@pytest.mark.parametrize("words", [["dbc"], ["--help"], ["list"], ["--version"]])
+@pytest.mark.parametrize("unbuffered", ["", "1"])
+def test_output_that_cannot_be_written_is_one_line(words: list[str], unbuffered: str) -> None:
+    """Where the environment has no PYTHONUNBUFFERED, Python wrote once more at its end: three lines."""
     with Path("/dev/full").open("w") as full:
         told = subprocess.run(
             [sys.executable, "-m", "headland", *words], stdout=full, stderr=subprocess.PIPE, text=True,
-            check=False, cwd=ROOT,
+            check=False, cwd=ROOT, env={**os.environ, "PYTHONUNBUFFERED": unbuffered},
         )  # fmt: skip
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert "No space left on device" in told.stderr and "None" not in told.stderr
