@@ -472,8 +472,9 @@ def mapf(
     from tools.build.compiled_core import use
 
     use()  # a hundred peers cost minutes of CPU
-    from sim.files.grid_map import GridFileError
-    from tools.run.mapf import counts_of, measured
+    with told_loading():
+        from sim.files.grid_map import GridFileError
+        from tools.run.mapf import counts_of, measured
 
     try:
         counts = counts_of(robots)

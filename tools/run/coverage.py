@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from tools.common.options import Json, Silence
+from tools.common.told_wait import told_loading
 
 if TYPE_CHECKING:
     import numpy as np
@@ -133,8 +134,10 @@ def drive(
     """
     from sim.files.grid_map import GridFileError
     from sim.scenarios.scenario import ScenarioError
-    from tools.run.coverage_drive import driven, faults_of, setting_of
-    from tools.run.coverage_report import unreached
+
+    with told_loading():
+        from tools.run.coverage_drive import driven, faults_of, setting_of
+        from tools.run.coverage_report import unreached
 
     try:
         instance = _instance(map, robots, seed, (height, width, wall_prob), gate)
@@ -152,8 +155,10 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
     from sim.files.grid_map import GridFileError
     from sim.scenarios.scenario import ScenarioError
     from tools.common.run_folder import FolderError, folder_for
-    from tools.run.coverage_drive import driven, setting_of
-    from tools.run.coverage_report import unreached
+
+    with told_loading():
+        from tools.run.coverage_drive import driven, setting_of
+        from tools.run.coverage_report import unreached
 
     try:
         instance = instance_of(map, robots, seed)
