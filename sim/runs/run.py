@@ -149,9 +149,9 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
                 **self.measure(cluster),
             }
             # What a kind of run does not measure has the default of its field.
-            given = self.kind._field_defaults.keys() - found.keys()
+            unmeasured = self.kind._field_defaults.keys() - found.keys()
             outcome: OutcomeT = self.kind(
-                **{name: found[name] for name in self.kind._fields if name not in given}
+                **{name: found[name] for name in self.kind._fields if name not in unmeasured}
             )
             return outcome
         finally:
