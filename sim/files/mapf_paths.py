@@ -16,12 +16,14 @@ which it happened, or a later one where the order of the visits of one cell asks
 nothing forward in time, and visits that no such order allows are an error.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
 Cell = tuple[int, int]  # row, column
 Visit = tuple[float, int, int]  # units of time, robot, cell number
 MARGIN = 0.5  # of a unit: a visit is rounded to the nearest one
+# A body is in a cell for a unit if it goes to the middle and back; looks at bodies are 0.03 units apart.
+TO_THE_MIDDLE = 0.9
 
 
 class PathError(Exception):
@@ -34,8 +36,18 @@ def without_broken_moves(visits: Sequence[Visit]) -> list[Visit]:
     A robot follows another one closely. If that one is stopped between two cells, the follower is in
     a cell that the other has not left for any other, and goes back. The rules of the problem have no
     place for a body between cells. So such a move is left out, as if the follower had waited.
+
+    A body that is back within less than a unit was never in the middle of the cell, which is half a
+    unit behind the border. Such a move is left out whoever was there. A robot that cannot get on
+    behind a wreck makes several, and the shortest one is left out first: where it goes to and fro,
+    its longer stays say where it waited.
     """
     kept = list(visits)
+    while True:
+        short = _short_move(kept)
+        if short is None:
+            break
+        del kept[short]
     while True:
         broken = _broken_move(kept)
         if broken is None:
@@ -43,18 +55,37 @@ def without_broken_moves(visits: Sequence[Visit]) -> list[Visit]:
         del kept[broken]
 
 
-def _broken_move(visits: Sequence[Visit]) -> int | None:
-    """The index of the last visit of a cell that its robot left for the one it came from, before the
-    robot that was there came to another one. None: there is none."""
+def _own_visits(visits: Sequence[Visit]) -> Iterator[list[int]]:
+    """For each robot the indices of its visits, in their order, without repeats of the cell that it
+    is in."""
     own: dict[int, list[int]] = {}
     for k, (_, robot, cell) in enumerate(visits):
         row = own.setdefault(robot, [])
         if not row or visits[row[-1]][2] != cell:
             row.append(k)
-    following = {k: later for row in own.values() for k, later in pairwise([*row, len(visits)])}
+    yield from own.values()
+
+
+def _short_move(visits: Sequence[Visit]) -> int | None:
+    """The index of the shortest visit of less than a unit from which a robot went back to the cell
+    that it came from. None: there is none."""
+    stays = [
+        (visits[later][0] - visits[k][0], k)
+        for row in _own_visits(visits)
+        for before, k, later in zip(row, row[1:], row[2:], strict=False)
+        if visits[before][2] == visits[later][2]
+    ]
+    return next((k for for_units, k in sorted(stays)[:1] if for_units < TO_THE_MIDDLE), None)
+
+
+def _broken_move(visits: Sequence[Visit]) -> int | None:
+    """The index of the last visit of a cell that its robot left for the one it came from, before the
+    robot that was there came to another one. None: there is none."""
+    own = list(_own_visits(visits))
+    following = {k: later for row in own for k, later in pairwise([*row, len(visits)])}
     back = {
         k
-        for row in own.values()
+        for row in own
         for before, k, later in zip(row, row[1:], row[2:], strict=False)
         if visits[before][2] == visits[later][2]
     }

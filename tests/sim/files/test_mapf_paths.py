@@ -42,3 +42,30 @@ def test_nothing_happens_earlier_than_it_did() -> None:
     visits = [(0.0, 0, 0), (0.0, 1, 5), (3.0, 0, 1), (4.1, 0, 2), (5.0, 1, 1)]
     for row, own in zip(timed(visits, 2), ([0, 3, 4], [0, 5]), strict=True):
         assert [at for at, _ in row] == own
+
+
+def test_a_robot_that_goes_to_and_fro_behind_a_wreck_is_where_it_stayed_longest() -> None:
+    """Robot 0 cannot come to the middle of cell 1 because of a wreck. While others turn through cell
+    0, it goes back and forth over the border. Seen with `room-64-64-8`, two crashes, instance 12.
+    """
+    pokes = [(4.19, 0, 0), (4.56, 0, 1), (5.37, 0, 0), (5.69, 0, 1), (6.5, 0, 0), (6.81, 0, 1)]
+    visits = sorted([
+        (0.0, 0, 0), (0.7, 0, 1), *pokes, (8.81, 0, 0),
+        (0.0, 1, 5), (4.22, 1, 0), (5.47, 1, 2), (6.47, 1, 3), (7.47, 1, 9),
+        (0.0, 2, 7), (4.0, 2, 5), (5.38, 2, 0), (6.59, 2, 2), (7.59, 2, 3),
+        (0.0, 3, 3), (5.0, 3, 4), (6.5, 3, 0), (7.72, 3, 5),
+        (0.0, 4, 2), (4.91, 4, 3), (6.37, 4, 4),
+    ])  # fmt: skip
+    kept = without_broken_moves(visits)
+    assert [each for each in visits if each not in kept] == [
+        (4.19, 0, 0),
+        (5.37, 0, 0),
+        (6.5, 0, 0),
+    ]
+    for at_once in zip(*tracks(timed(kept, 5)), strict=True):
+        assert len(set(at_once)) == 5
+
+
+def test_a_move_to_the_middle_and_back_is_a_move() -> None:
+    visits = [(0.0, 0, 2), (0.0, 1, 1), (1.0, 0, 3), (1.0, 1, 2), (2.0, 1, 1)]
+    assert without_broken_moves(visits) == visits
