@@ -19,7 +19,10 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import ProtocolSetup, drill
 from tools.bench import forged_frames, proof_cost, stolen_key
+from tools.bench.chaos import RESULTS
 from tools.bench.figure import Figure
+from tools.chaos.chaos_report import KEYED, KEYED_HOURS_WANTED, ReportError, judged_hours
+from tools.common.fingerprint import ROBOTS, fingerprint
 
 ROOT = Path(__file__).parents[2]
 # The attacks of the findings, each a test that names it; the threat model names those that remain.
@@ -31,9 +34,7 @@ ATTACKS = (
 PRESS_ROBOTS, PRESS_AT_S = 20, 12.0
 PRESSES, QUICK_PRESSES = 20, 2
 SAME_MS = 1.0  # a frame more on the wire before a stop takes 0.6 ms
-PROFILES = ("forged", "forged_field", "stolen")
-SEEDS, QUICK_SEEDS = 400, 1  # of each profile
-HOURS = 5_000.0
+SEEDS, QUICK_SEEDS = 20, 1  # of each profile
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
@@ -114,9 +115,12 @@ def attacks() -> Iterator[Figure]:
 
 
 def campaigns(quick: bool, seed: int) -> Iterator[Figure]:
-    """Fleets with keys, with attackers on the bus, under all rules of chaos."""
+    """Fleets with keys, with attackers on the bus, under all rules of chaos.
+
+    A few are played here. The hours are those of the committed results, by the robots of today.
+    """
     count = QUICK_SEEDS if quick else SEEDS
-    profiles = ("forged",) if quick else PROFILES
+    profiles = KEYED[:1] if quick else KEYED
     hours, broken = 0.0, []
     for profile in profiles:
         for number in range(seed, seed + count):
@@ -128,7 +132,12 @@ def campaigns(quick: bool, seed: int) -> Iterator[Figure]:
         "docs/how/chaos.md", f"{hours:.1f} robot-hours of {', '.join(profiles)}, {count} seeds each"
         + "".join(f"; {each}" for each in broken[:3]),
     )  # fmt: skip
+    try:
+        hours, failed = judged_hours(RESULTS, fingerprint(ROBOTS), KEYED)
+    except ReportError:  # installed without its documents
+        return
     yield Figure(
-        "chaos with attackers on the bus: robot-hours", round(hours, 1), "h", f">= {HOURS:.0f}",
-        None if quick else hours >= HOURS, "", "of the figure above",
+        "chaos with attackers on the bus: robot-hours without a broken rule", hours, "h",
+        f">= {KEYED_HOURS_WANTED}", hours >= KEYED_HOURS_WANTED and not failed, "",
+        f"read from {RESULTS.relative_to(ROOT)}, not played in this run; {failed} rules broken",
     )  # fmt: skip

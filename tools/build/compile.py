@@ -29,8 +29,8 @@ CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has
 # calls it each time.
 GROUP = {
     "crdt": "allocation claim_register clock digest progress",
-    "protocol": "address extended_transport frames.codec frames.identifier links.bus state_machine "
-    "sync.digest_comparison sync.replica sync.synchronizer task_client terminal_client "
+    "protocol": "address extended_transport frame_proofs frames.codec frames.identifier links.bus "
+    "state_machine sync.digest_comparison sync.replica sync.synchronizer task_client terminal_client "
     "transport",
     "agent": "avoidance.orca coverage.cell_map coverage.coverage_mission coverage.joint_course "
     "coverage.plan_agreement coverage.proximity_guard field.displacement_detector field.field_mission "

@@ -5,11 +5,14 @@ The folder holds the JSON files that `headland chaos` and `headland fuzz` have w
 
 import json
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-HOURS_WANTED, BUGS_WANTED = 20_000, 20  # robot-hours, planted bugs
+HOURS_WANTED, BUGS_WANTED = 20_000, 20  # robot-hours of DRILLS, planted bugs
+DRILLS = ("protocol",)
+KEYED = ("forged", "forged_field", "stolen")  # fleets with keys, and attackers on the bus
+KEYED_HOURS_WANTED = 5_000
 RUNS_WANTED = 10_000_000  # of decoders
 Result = dict[str, Any]
 Kept = dict[tuple[str, int], str]  # profile and seed: code of the checkers that found nothing
@@ -56,12 +59,12 @@ def survived(folder: Path) -> Survived:
     )  # fmt: skip
 
 
-def judged_hours(folder: Path, robots: str) -> tuple[float, int]:
-    """Robot-hours of `protocol` that these robots were judged by, and how many rules they broke. Raises
-    ReportError."""
+def judged_hours(folder: Path, robots: str, profiles: Sequence[str] = DRILLS) -> tuple[float, int]:
+    """Robot-hours of these profiles that these robots were judged by, and how many rules they broke.
+    Raises ReportError."""
     campaigns, kept = _judged(_results(folder))
-    theirs = [c for c in campaigns if c["profile"] == "protocol" and c.get("robots") == robots]
-    broken = [b for c in theirs for b in c["broken"] if ("protocol", b["seed"]) not in kept]
+    theirs = [c for c in campaigns if c["profile"] in profiles and c.get("robots") == robots]
+    broken = [b for c in theirs for b in c["broken"] if (c["profile"], b["seed"]) not in kept]
     return sum(c["robot_hours"] for c in theirs), len(broken)
 
 
@@ -122,7 +125,8 @@ def _campaigns(campaigns: list[Result], kept: Kept) -> Iterable[str]:
          f"{c['cpu_s'] / 3600:.2f}", len(c["failed"]), c["code"], c["hash"])
         for c in campaigns
     ]  # fmt: skip
-    total, drills = sum(hours.values()), hours["protocol"]
+    total, drills = sum(hours.values()), sum(hours[profile] for profile in DRILLS)
+    keyed = sum(hours[profile] for profile in KEYED)
     runs = sum(c["runs"] for c in campaigns)
     told = [((c["profile"], b["seed"]), b) for c in campaigns for b in c["broken"]]
     broken = [b for run, b in told if run not in kept]
@@ -133,6 +137,14 @@ def _campaigns(campaigns: list[Result], kept: Kept) -> Iterable[str]:
         f"{total:.1f} robot-hours judged in {runs} runs, {drills:.1f} of them "
         f"protocol only (wanted: {HOURS_WANTED}, {verdict}); {len(broken)} rules broken."
     )
+    if keyed:
+        attacked = [c for c in campaigns if c["profile"] in KEYED]
+        theirs = sum((c["profile"], b["seed"]) not in kept for c in attacked for b in c["broken"])
+        verdict = "reached" if keyed >= KEYED_HOURS_WANTED and not theirs else "**missed**"
+        yield (
+            f"{keyed:.1f} robot-hours are of fleets with keys and attackers on their bus (wanted: "
+            f"{KEYED_HOURS_WANTED}, {verdict}); {theirs} rules broken in them."
+        )
     yield _table(
         ("profile", "seeds", "runs", "robot-hours", "CPU hours", "failed", "code", "hash"), rows
     )

@@ -16,7 +16,7 @@ from sim.scenarios.protocol_setup import drill
 from sim.scenarios.scenario import DiskFull
 from tools.chaos import chaos as campaign
 from tools.chaos.chaos import chaos
-from tools.chaos.chaos_report import ReportError, judged_hours, report
+from tools.chaos.chaos_report import KEYED, ReportError, judged_hours, report
 from tools.chaos.fuzz import fuzz
 from tools.chaos.planted_bug_hunt import RESULTS, hunt_all
 from tools.cli.test_commands import PROFILES as PROFILE_NAMES
@@ -68,6 +68,23 @@ def test_a_false_alarm_is_one_that_the_same_robots_are_cleared_of(
     assert ("reached" in text.split("Planted")[0]) is (broken == 0)
     assert judged_hours(tmp_path, "same") == (30_000.0, broken)
     assert judged_hours(tmp_path, "of tomorrow") == (0.0, 0), "they show nothing of other robots"
+
+
+def test_hours_of_fleets_with_keys_are_counted_apart(tmp_path: Path) -> None:
+    row: dict[str, Any] = {
+        "profile": "stolen", "seeds": [0, 10], "robot_hours": 5_001.0, "runs": 10, "cpu_s": 1.0,
+        "failed": [], "broken": [], "code": "code", "robots": "same", "hash": "", "faults": {},
+    }  # fmt: skip
+    (tmp_path / "a.json").write_text(json.dumps(row))
+    assert "5001.0 robot-hours are of fleets with keys" in report(tmp_path)
+    assert "(wanted: 5000, reached); 0 rules broken in them." in report(tmp_path)
+    assert judged_hours(tmp_path, "same") == (0.0, 0)
+    assert judged_hours(tmp_path, "same", KEYED) == (5_001.0, 0)
+    what = {"seed": 7, "rule": "S1", "t_s": 1.0, "what": "moved"}
+    (tmp_path / "a.json").write_text(json.dumps(row | {"failed": [7], "broken": [what]}))
+    assert "(wanted: 5000, **missed**); 1 rules broken in them." in report(tmp_path)
+    assert judged_hours(tmp_path, "same", KEYED) == (5_001.0, 1)
+    assert {name for name, profile in PROFILES.items() if profile.keyed} == set(KEYED)
 
 
 @pytest.mark.slow
