@@ -8,13 +8,23 @@ greater order keeps it; robots apply the same rule.
 
 from collections.abc import Sequence
 
-from agent.delivery.task_registry import TransportTask
+from agent.delivery.task_registry import TASKS_MAX, TransportTask
 from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import TOOL_FUNCTION, Name
 
 ENOUGH = 2
+
+
+class NumbersSpentError(Exception):
+    """Every number that a transport can have belongs to one. One line for the person."""
+
+    def __init__(self) -> None:
+        super().__init__(
+            f"all {TASKS_MAX} numbers of transports are used: robots keep each one for ever, so start a "
+            "fleet with new state folders"
+        )
 
 
 class TransportClient:
@@ -26,14 +36,15 @@ class TransportClient:
         # Task number -> index of our order, and the order.
         self.wanted: dict[int, tuple[int, TransportTask]] = {}
         self.robots: set[int] = set()  # source addresses that have reported what they know
-        self._first_free = known
+        self._known = self._first_free = known
+        self._used: set[int] = set()  # numbers that were heard of
         self._tools: set[int] = set()  # source addresses of tools, which confirm nothing
         self._sure: dict[int, set[int]] = {}  # task -> robots that know it
         self._count = 0
 
     def order(self, orders: Sequence[TransportTask]) -> list[int]:
         """Order transports, each under the next number that is free. The results are their indexes,
-        by which `number_of` names them also after a conflict."""
+        by which `number_of` names them also after a conflict. Raises NumbersSpentError."""
         return [self.recall(self._free(), order) for order in orders]
 
     def recall(self, number: int, order: TransportTask) -> int:
@@ -69,8 +80,8 @@ class TransportClient:
             for k in range(BUCKET_TASKS):
                 if message.bits >> k & 1:
                     self._know(message.bucket * BUCKET_TASKS + k, source)
-        elif isinstance(message, TaskOrder):
-            self._first_free = max(self._first_free, message.task + 1)
+        elif isinstance(message, TaskOrder) and message.task < TASKS_MAX:
+            self._use(message.task)
             mine = self.wanted.get(message.task)
             other = TransportTask(message.pickup, message.dropoff)
             if mine is not None and other == mine[1] and other.withdrawn and source in self.robots:
@@ -83,18 +94,34 @@ class TransportClient:
                 return
             if mine is not None and other > mine[1]:  # the number belongs to another device's order
                 del self.wanted[message.task]
-                self.wanted[self._free()] = mine
+                try:
+                    number = self._free()
+                except NumbersSpentError:  # it stays unconfirmed
+                    number = TASKS_MAX + mine[0]
+                self.wanted[number] = mine
 
     def _know(self, task: int, source: int) -> None:
         mine = self.wanted.get(task)
         if mine is not None and mine[1].withdrawn:
             return  # that a robot knows the task does not say that it knows this
         self._sure.setdefault(task, set()).add(source)
-        if task not in self.wanted:
-            self._first_free = max(self._first_free, task + 1)
+        if task not in self.wanted and task < TASKS_MAX:
+            self._use(task)
+
+    def _use(self, task: int) -> None:
+        self._used.add(task)
+        self._first_free = max(self._first_free, task + 1)
 
     def _free(self) -> int:
-        return max(self._first_free, *(number + 1 for number in self.wanted), 0)
+        """Above all that are used. Where somebody has used the last one, the lowest that is not."""
+        above = max(self._first_free, *(number + 1 for number in self.wanted), 0)
+        if above < TASKS_MAX:
+            return above
+        used = self._used | self.wanted.keys()
+        gap = next((task for task in range(self._known, TASKS_MAX) if task not in used), None)
+        if gap is None:
+            raise NumbersSpentError
+        return gap
 
     def confirmed(self, number: int) -> bool:
         """Whether two robots, or all there are, know the task with this number."""
@@ -108,7 +135,7 @@ class TransportClient:
         return [
             TaskOrder(number, *order)
             for number, (_, order) in self.wanted.items()
-            if not self.confirmed(number)
+            if number < TASKS_MAX and not self.confirmed(number)
         ]
 
     @property

@@ -13,7 +13,7 @@ from protocol.frame_proofs import ToolProofs
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.frame import Frame
 from sim.files.strict_json import dumps
-from sim.fleet.transport_orders import TransportClient
+from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
@@ -115,7 +115,10 @@ async def _order(
             raise AttachError(
                 "no delivering fleet is heard on this bus: headland run warehouse --live"
             )
-        desk.order(orders)
+        try:
+            desk.order(orders)
+        except NumbersSpentError as spent:
+            raise AttachError(str(spent)) from None
         end_s = loop.time() + CONFIRM_S
         while loop.time() < end_s and desk.due():
             for order in desk.due():

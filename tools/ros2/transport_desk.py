@@ -13,7 +13,7 @@ from agent.delivery.warehouse import Warehouse
 from agent.interface.ports import Bus
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.frame import Frame
-from sim.fleet.transport_orders import TransportClient
+from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 from tools.common.event_lines import EventLines
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
@@ -77,7 +77,12 @@ class TransportDesk:
         assert task is not None, "it was accepted"
         # Before that the numbers of other tasks may be unknown.
         await asyncio.sleep(max(0.0, self._heard_at_s + LISTEN_S - self._loop.time()))
-        index, client = self.client.order([task])[0], self.client
+        client = self.client
+        try:
+            index = client.order([task])[0]
+        except NumbersSpentError as spent:
+            goal.end(Ended.ABORTED, str(spent))
+            return
         said_at_s = asked_at_s = 0.0
         while True:
             number, now_s = client.number_of(index), self._loop.time()

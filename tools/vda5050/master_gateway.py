@@ -30,7 +30,7 @@ from protocol.frames.codec import Malformed, decode
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
-from sim.fleet.transport_orders import TransportClient
+from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 from tools.common.bus_address import AttachError
 from tools.common.event_lines import EventLines
 from tools.inspect.inspector import SILENT_S, Inspector, Seen
@@ -199,7 +199,12 @@ class MasterGateway:
             return
         number, index = None, None
         if transport is not None:
-            index = self.desk.order([transport.task])[0]
+            try:
+                index = self.desk.order([transport.task])[0]
+            except NumbersSpentError as spent:
+                vehicle.refuse(OrderRefused("orderError", str(spent)).error(order))
+                self._refused(vehicle.slot, order, str(spent))
+                return
             number = self.desk.number_of(index)
         task = None if transport is None else transport.task
         booked = BookedOrder(vehicle.slot, whole, number, task)

@@ -11,6 +11,7 @@ pytest.importorskip("aiomqtt", reason="the extra `vda5050` is not installed")
 pytest.importorskip("vda5050.validation", reason="pip install vda5050-sdk: it has the schemas")
 
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase
+from agent.delivery.task_registry import TASKS_MAX
 from agent.interface.vehicle import Vehicle
 from agent.runtime.vda5050.broker_link import Broker
 from agent.runtime.vda5050.messages import (
@@ -21,6 +22,7 @@ from agent.runtime.vda5050.messages import (
     InstantActions,
 )
 from protocol.links.bus import CanBus
+from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
 from tools.common.event_lines import EventLines
 from tools.vda5050.fleet_vehicle import UNHEARD
@@ -112,6 +114,23 @@ def test_an_order_that_cannot_be_booked_is_refused_and_the_next_record_is_whole(
     again = OrderBook(tmp_path / "book.jsonl")
     again.close()
     assert again.orders[0].order.order_id == WHOLE.order_id
+
+
+def test_an_order_for_which_no_number_is_left_is_refused(tmp_path: Path) -> None:
+    """Found: it was accepted, and robots ignored it."""
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, told)
+        gateway.desk = TransportClient(TASKS_MAX)
+        gateway.order(gateway.ports[0], WHOLE)
+        vehicle = gateway.ports[0].vehicle
+        assert vehicle.booked is None and "24576" in str(vehicle.errors[-1].error_description)
+        assert "start a fleet with new state folders" in told[-1]
+        await left(gateway)
+
+    asyncio.run(story())
+    assert not (tmp_path / "book.jsonl").read_bytes()
 
 
 def test_with_json_each_event_of_the_gateway_is_one_object(tmp_path: Path) -> None:
