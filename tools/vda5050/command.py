@@ -7,6 +7,7 @@ from pathlib import Path
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.warehouse import Warehouse
 from agent.runtime.end_signals import on_end
+from agent.runtime.files.printable_text import printable
 from agent.runtime.vda5050.broker_link import Broker, BrokerError
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
@@ -22,6 +23,7 @@ from tools.vda5050.order_book import BookError, OrderBook
 
 WRONG = 2
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
+WILD = "+#\0"  # no topic that is published has them
 Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
@@ -34,7 +36,7 @@ def serve(
     try:
         asyncio.run(
             _serve(
-                Broker.read(broker),
+                _named(broker, interface, manufacturer),
                 scenario,
                 book,
                 where,
@@ -53,6 +55,22 @@ def serve(
         print(f"headland: --book {book}: {problem.strerror or problem}", file=sys.stderr)
         return WRONG
     return 0
+
+
+def _named(url: str, interface: str, manufacturer: str) -> Broker:
+    """The broker, if it and the topics have names that can be used. Raises BrokerError: the connection
+    itself would end without a word."""
+    broker = Broker.read(url)
+    try:
+        broker.host.encode("idna")
+    except UnicodeError:
+        raise BrokerError(f"{broker}: no host has this name") from None
+    for option, word, not_in in (
+        ("--topics", interface, WILD), ("--manufacturer", manufacturer, f"{WILD}/"),
+    ):  # fmt: skip
+        if not word or any(sign in word for sign in not_in):
+            raise BrokerError(f"{option} {printable(word)}: a level of a topic, without + and #")
+    return broker
 
 
 async def _serve(

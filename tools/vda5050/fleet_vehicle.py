@@ -36,7 +36,13 @@ from agent.runtime.vda5050.messages import (
     Visualization,
 )
 from tools.vda5050.order_book import BookedOrder
-from tools.vda5050.transport_rules import OrderRefused, ParcelOrder, check_graph, in_order
+from tools.vda5050.transport_rules import (
+    OrderRefused,
+    ParcelOrder,
+    by_sequence,
+    check_graph,
+    in_order,
+)
 
 MOVES_M_S = 0.05  # a robot that is slower stands; the step of speeds in POSE
 THETA_MAX_RAD = 3.1415  # a rounded pi would be beyond the limit of the standard
@@ -93,7 +99,7 @@ class FleetVehicle:
         """The order to book, joined with the one that it updates; None for a repetition.
 
         Raises OrderRefused."""
-        booked = self.booked
+        order, booked = by_sequence(order), self.booked
         if booked is None or booked.order.order_id != order.order_id:
             if self.busy:
                 raise OrderRefused("orderError", "the order before it is not done; cancel it first")

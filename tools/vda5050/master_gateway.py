@@ -15,6 +15,7 @@ from agent.delivery.task_registry import TASKS_MAX
 from agent.delivery.warehouse import Warehouse
 from agent.interface.ports import Bus
 from agent.interface.vehicle import Vehicle
+from agent.runtime.files.printable_text import printable
 from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
 from agent.runtime.vda5050.messages import (
     Action,
@@ -40,7 +41,7 @@ from tools.operate.order_proofs import proofs_of
 from tools.operate.reset import operator_keyring
 from tools.vda5050.factsheet import factsheet_of
 from tools.vda5050.fleet_vehicle import UNHEARD, FleetVehicle, HeardRobot
-from tools.vda5050.order_book import BookedOrder, OrderBook
+from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
 from tools.vda5050.transport_rules import OrderRefused, transport_of
 
 TICK_S: Final = 0.05
@@ -98,7 +99,7 @@ class MasterGateway:
         return f"robot{slot}"
 
     async def run(self, end: asyncio.Event) -> None:
-        """Serve until `end` is set."""
+        """Serve until `end` is set. Raises BookError where the book is of another building."""
         loop = asyncio.get_running_loop()
         for number, task in self.book.tasks.items():
             self.desk.recall(number, task)
@@ -138,7 +139,13 @@ class MasterGateway:
         booked = self.book.orders.get(slot)
         transport = None
         if booked is not None and not (booked.cancelled and booked.number is None):
-            transport = transport_of(booked.order, self.house, self.named.map_id)
+            try:
+                transport = transport_of(booked.order, self.house, self.named.map_id)
+            except OrderRefused as refused:
+                raise BookError(printable(
+                    f"--book {self.book.path}: its order {booked.order.order_id} is of another building: "
+                    f"{refused}; name another book, or the --scenario of this one"
+                )) from None  # fmt: skip
         self.ports[slot] = _Port(self, FleetVehicle(slot, booked, transport))
         serial = self.serial(slot)
         self.lines.say(

@@ -60,6 +60,14 @@ def in_order(order: MasterOrder) -> list[Ordered]:
     return sorted((*order.nodes, *order.edges), key=lambda each: each.sequence_id)
 
 
+def by_sequence(order: MasterOrder) -> MasterOrder:
+    """The same order with its lists as they are travelled: the standard numbers them, and a master may
+    send them in any order."""
+    nodes = sorted(order.nodes, key=lambda node: node.sequence_id)
+    edges = sorted(order.edges, key=lambda edge: edge.sequence_id)
+    return order.model_copy(update={"nodes": nodes, "edges": edges})
+
+
 def check_graph(order: MasterOrder) -> None:
     """Raises OrderRefused if the nodes and edges of an order are not one path."""
     numbers = [each.sequence_id for each in in_order(order)]
@@ -103,7 +111,7 @@ def transport_of(order: MasterOrder, house: Warehouse, map_id: str) -> ParcelOrd
                 )  # fmt: skip
             found.append((each, action))
     kinds = [action.action_type for _, action in found]
-    complete = order.nodes[-1].released
+    complete = in_order(order)[-1].released
     if kinds != [PICK, DROP]:
         if not complete and kinds in ([], [PICK]):
             return None

@@ -25,9 +25,10 @@ from protocol.links.bus import CanBus
 from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
 from tools.common.event_lines import EventLines
+from tools.vda5050.command import serve
 from tools.vda5050.fleet_vehicle import UNHEARD
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
-from tools.vda5050.order_book import BookedOrder, OrderBook
+from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
 from tools.vda5050.transport_rules import transport_of
 
 WAIT_S = 20.0
@@ -211,3 +212,68 @@ def test_an_instant_action_that_comes_twice_is_done_once_also_after_the_next_ord
         await left(gateway)
 
     asyncio.run(story())
+
+
+def test_what_a_master_lists_last_need_not_be_travelled_last(tmp_path: Path) -> None:
+    """Found: the base was looked for in the order of the list, so a drop in the horizon was ordered."""
+    hidden = BRING | {"sequenceId": 2, "released": False}
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port = gateway.ports[0]
+        for update, whole in enumerate(
+            (order(FETCH, hidden), order(FETCH, BRING | {"sequenceId": 2}))
+        ):
+            changed = {"nodes": whole.nodes[::-1], "order_update_id": update}
+            gateway.order(port, whole.model_copy(update=changed))
+            assert len(gateway.desk.due()) == update
+        port.vehicle.outcome = TaskOutcome(TaskPhase.DELIVERED, 0)
+        state = port.vehicle.state("yard", str)
+        assert (state.last_node_id, state.last_node_sequence_id) == ("b", 2)
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_book_of_another_building_is_one_line(tmp_path: Path) -> None:
+    """Found: a traceback. The usual place of the book is the same for each scenario."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        gateway.order(gateway.ports[0], WHOLE)
+        await left(gateway)
+        book = OrderBook(tmp_path / "book.jsonl")
+        bus = CanBus(can.Bus("another building", interface="virtual"))
+        named = gateway.named._replace(map_id="hall")
+        other = MasterGateway(bus, HOUSE, book, gateway.broker, named, None, EventLines(out=print))
+        with pytest.raises(
+            BookError, match=r"--book .*map yard is not known.*another book"
+        ) as told:
+            await other.run(asyncio.Event())
+        assert "\x1b" not in str(told.value)
+        bus.close()
+        book.close()
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("mqtt://" + "a" * 70, "uagv", "Headland"), "no host has this name"),
+        (("mqtt://x..y", "uagv", "Headland"), "no host has this name"),
+        (("mqtt://127.0.0.1", "yard/#", "Headland"), "--topics yard/#: a level of a topic"),
+        (("mqtt://127.0.0.1", "uagv", "A/B"), "--manufacturer A/B: a level of a topic"),
+        (("mqtt://127.0.0.1", "uagv", ""), "--manufacturer : a level of a topic"),
+    ],
+)
+def test_names_that_no_broker_takes_are_one_line(
+    words: tuple[str, str, str], line: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Found: the command ran, and no vehicle ever came to the broker."""
+    broker, topics, manufacturer = words
+    where = ("socketcand", "can0", 250_000, "127.0.0.1", 1)
+    book = tmp_path / "book.jsonl"
+    assert serve(broker, "warehouse", book, where, None, topics, manufacturer, "2.0.0", 0.1) == 2
+    told = capsys.readouterr().err
+    assert line in told and len(told.splitlines()) == 1
