@@ -18,7 +18,7 @@ from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, keys_of, opened_body, opened_bus
 from agent.runtime.robot_work import work_of
 from tools.common.findings import Finding, print_findings
-from tools.run.robot_command import BLIND, import_from, memory, sees
+from tools.run.robot_command import BLIND, import_from, is_written, memory, sees
 
 ANSWER_FOR_S = 3.0  # a bus server answers within milliseconds
 FIRST_PLACE_FOR_US = 3 * S  # a body that is open senses within this
@@ -107,7 +107,7 @@ def _limits(declared: RobotFile) -> Finding:
 
 def _journal(declared: RobotFile) -> Finding:
     path = memory(declared)
-    if path.exists():
+    if is_written(path):
         return Finding("memory", os.access(path, os.W_OK), str(path))
     if path.parent.is_dir() and os.access(path.parent, os.W_OK):
         return Finding("memory", None, f"none yet in {path.parent}: --first-boot")

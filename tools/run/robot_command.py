@@ -12,6 +12,7 @@ from agent.runtime.body_plugins import factory_of
 from agent.runtime.robot_body import FactoryError, named
 from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
+from tools.common.private_memory import keep_private
 
 BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
@@ -37,7 +38,7 @@ def robot(
 
             check_viewers(metrics, foxglove)
             viewers = viewers_beside(declared, metrics, foxglove)
-        if not first_boot and not memory(declared).exists():
+        if not first_boot and not is_written(memory(declared)):
             print(
                 f"headland: robot {declared.robot.slot} has no memory in {memory(declared).parent}; "
                 "it stays stopped until a reset. A new machine starts with --first-boot",
@@ -45,6 +46,7 @@ def robot(
             )
         if not sees(declared):
             print(f"headland: robot {declared.robot.slot}: {BLIND}", file=sys.stderr)
+        keep_private(memory(declared))
         with viewers:
             asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
     except RobotError as problem:
@@ -65,6 +67,11 @@ def import_from(folder: Path) -> None:
 def memory(declared: RobotFile) -> Path:
     """The file of its durable memory."""
     return declared.folder / declared.robot.journal / f"robot{declared.robot.slot}.sqlite"
+
+
+def is_written(memory: Path) -> bool:
+    """Whether a robot has ever had this memory: one that could not start leaves an empty file."""
+    return memory.exists() and memory.stat().st_size > 0
 
 
 def sees(declared: RobotFile) -> bool:
