@@ -32,6 +32,16 @@ async def keep_attached(channel: str, host: str, port: int, seed: str) -> Socket
     return link
 
 
+async def stay_attached(
+    interface: str, channel: str, bitrate: int, host: str, port: int, seed: str
+) -> CanBus | SocketcandLink:
+    """The bus of a program that runs until it is ended. python-can's client of socketcand takes a whole
+    core once its server has ended, and hears nothing of the next one. Raises AttachError."""
+    if interface == "socketcand":
+        return await keep_attached(channel, host, port, seed)
+    return attach(interface, channel, bitrate, host, port)
+
+
 def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> CanBus:
     """Open the bus. Raises AttachError. Needs a running event loop."""
     options: dict[str, object] = {}
@@ -52,7 +62,7 @@ def _reach(host: str, port: int) -> None:
     """python-can tries a closed port for ten seconds and prints each try; one try is enough here."""
     try:
         socket.create_connection((host, port), REACH_S).close()
-    except (OSError, OverflowError) as problem:
+    except (OSError, OverflowError, UnicodeError) as problem:
         raise AttachError(
             f"cannot open socketcand at {host}:{port}: {problem}; is a launch running there?"
         ) from None

@@ -17,7 +17,7 @@ from protocol.links.bus import CanBus
 from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
-from tools.common.bus_attach import attach
+from tools.common.bus_attach import attach, stay_attached
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
@@ -154,7 +154,8 @@ async def _listen(
 ) -> None:
     from tools.operate.operator_device import Operator
 
-    bus = attach(interface, channel, bitrate, host, port)
+    where = (interface, channel, bitrate, host, port)
+    bus = attach(*where) if tell is None else await stay_attached(*where, "inspect")
     loop = asyncio.get_running_loop()
     begun_s = loop.time()  # of a clock whose zero tells nobody anything
     try:

@@ -21,6 +21,7 @@ from agent.runtime.files.key_file import OPERATOR, KeyFileError, read
 from agent.runtime.gc_tuning import freeze_gc
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
 from sim.files.strict_json import dumps
 from sim.record.intent_stream import IntentListener
 from sim.record.live_recording import LiveRecording
@@ -28,7 +29,7 @@ from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
 from sim.record.scene import Scene, in_folder
 from tools.common.bus_address import LAUNCH, AttachError
-from tools.common.bus_attach import attach
+from tools.common.bus_attach import stay_attached
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.log_frames import NO_LOG, SourceError, columns_of
@@ -309,7 +310,7 @@ def _live(
     title = f"launch {host}:{port}" if interface == "socketcand" else f"{interface} {channel}"
 
     async def run() -> None:
-        bus = attach(interface, channel, bitrate, host, port)
+        bus = await stay_attached(interface, channel, bitrate, host, port, "map")
         recording, panel = LiveRecording(scene), Panel(bus, keyring, keys.operator)
         loop = asyncio.get_running_loop()
         recording.follow(lambda: round(loop.time() * 1e6))
@@ -382,7 +383,7 @@ def _viewers(
 
 @contextlib.contextmanager
 def _hearing(
-    bus: CanBus, recording: Recording, panel: Panel, listeners: Sequence[Heard]
+    bus: CanBus | SocketcandLink, recording: Recording, panel: Panel, listeners: Sequence[Heard]
 ) -> Iterator[None]:
     loop = asyncio.get_running_loop()
 

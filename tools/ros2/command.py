@@ -21,7 +21,7 @@ from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import LAUNCH, AttachError, scenario_of_launch
-from tools.common.bus_attach import attach
+from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
@@ -156,7 +156,7 @@ async def _serve(
     on_end(loop, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
-    bus = attach(interface, channel, bitrate, host, port)
+    bus = await stay_attached(interface, channel, bitrate, host, port, "ros2")
     panel = Panel(bus, keyring_of(keys), operator_key)
 
     async def stop() -> tuple[bool, str]:

@@ -9,13 +9,11 @@ from agent.delivery.warehouse import Warehouse
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.printable_text import printable
 from agent.runtime.vda5050.broker_link import Broker, BrokerError
-from protocol.links.bus import CanBus
-from protocol.links.socketcand_link import SocketcandLink
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import AttachError
-from tools.common.bus_attach import attach, keep_attached
+from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.launch_keys import own_keys
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
@@ -84,7 +82,7 @@ async def _serve(
     on_end(loop, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
-    bus = await _attached(where)
+    bus = await stay_attached(*where, "vda5050")
     try:
         named = FleetNames(
             interface, manufacturer, warehouse.name, warehouse.fleet.vehicle, version
@@ -98,10 +96,3 @@ async def _serve(
     finally:
         bus.close()
         book.close()
-
-
-async def _attached(where: Where) -> CanBus | SocketcandLink:
-    interface, channel, bitrate, host, port = where
-    if interface == "socketcand":
-        return await keep_attached(channel, host, port, "vda5050")
-    return attach(interface, channel, bitrate, host, port)
