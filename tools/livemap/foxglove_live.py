@@ -15,10 +15,8 @@ import foxglove
 import numpy as np
 from foxglove import channels, messages
 from foxglove.websocket import Capability, ChannelView, Client, ServerListener, Service
-from pyproj import CRS, Transformer
 
 from agent.interface.lifecycle import State
-from agent.runtime.files.field_file import plane
 from crdt import Phase
 from protocol.frames.codec import UNKNOWN, Malformed, decode
 from protocol.frames.fleet_frames import Pose
@@ -387,6 +385,10 @@ def _to_degrees(scene: Scene) -> Callable[..., Any] | None:
     origin = scene.get("earth")
     if not origin:
         return None
+    from pyproj import CRS, Transformer  # of the extra `robot`: who knows a field has it
+
+    from agent.runtime.files.field_file import plane
+
     latitude, longitude = map(float, origin)
     made = Transformer.from_crs(plane((latitude, longitude)), CRS("EPSG:4326"), always_xy=True)
     convert: Callable[..., Any] = made.transform

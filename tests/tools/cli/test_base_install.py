@@ -112,6 +112,19 @@ def told(done: subprocess.CompletedProcess[str], extra: str) -> None:
         assert "pip install" not in done.stderr, done.stderr
 
 
+def test_viewers_of_a_bus_need_no_more_than_their_extra(tmp_path: Path) -> None:
+    """Found: the extra `foxglove` lacked pyproj, which only a field on earth needs."""
+    pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
+    (tmp_path / "sitecustomize.py").write_text(
+        BLOCK.format(names=set(EXTRA_OF) - {"foxglove", "numpy"})
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", "import tools.livemap.foxglove_live"], capture_output=True, text=True,
+        env={**ENVIRONMENT, "PYTHONPATH": f"{tmp_path}{os.pathsep}{ROOT}"}, cwd=tmp_path, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+
+
 def test_g_a_launch_that_was_killed_is_noticed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,6 +9,7 @@ import re
 import signal
 import subprocess
 import sys
+import tomllib
 from asyncio.subprocess import DEVNULL, Process
 from importlib.util import find_spec
 from pathlib import Path
@@ -32,6 +33,8 @@ RUN = (
     "coverage replay PLAN", "--help", "--show-completion", "--version", "list", "doctor",
     "check small", "check --schema",
 )  # fmt: skip
+# What a base install does not have: tests/tools/cli/test_base_install.py.
+NEED_SIM = {"launch", "run", "mapf", "coverage", "ros2", "vda5050", "plan", "list"}
 # Why a command is only parsed, by what it contains; the first that fits.
 PARSED = {
     "floor.map": "run by tests/tools/cli/test_tutorials.py",
@@ -117,6 +120,29 @@ def test_b2_every_documented_command_is_sorted_and_parses(command: Shown) -> Non
     assert is_run(command) or any(part in command.text for part in PARSED), (
         f"{command}: neither run here nor listed with a reason"
     )
+
+
+def installed_by(extras: set[str]) -> set[str]:
+    """These extras of ours, and the ones that they bring along."""
+    table = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
+    found, left = set[str](), set(extras)
+    while left:
+        extra = left.pop()
+        found.add(extra)
+        named = re.findall(r"headland\[([\w,]+)\]", " ".join(table[extra]))
+        left |= {word for words in named for word in words.split(",")} - found
+    return found
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "use").glob("*.md")), ids=lambda p: p.stem)
+def test_what_a_block_installs_is_enough_for_its_commands(page: Path) -> None:
+    """Found: six pages that begin from nothing ended at their second command, for want of numpy."""
+    for _, block in blocks(f"use/{page.name}"):
+        installs = re.findall(r"^pip install '?headland(?:\[([\w,]+)\])?'?", block, re.M)
+        if installs:
+            commands = set(re.findall(r"^headland (\w+)", block, re.M))
+            has = installed_by({word for words in installs for word in words.split(",") if word})
+            assert not commands & NEED_SIM or "sim" in has, (page.name, commands & NEED_SIM, has)
 
 
 @pytest.mark.slow
