@@ -93,6 +93,10 @@ class FleetCollector(Collector):
         yield _by_robot(
             "leads", "1: it answers for the fleet.", robots, lambda r: r.slot == seen.leader
         )
+        yield _by_robot(
+            "keyed", "1: it says that its fleet has keys; 0: any device may release it.",
+            [robot for robot in robots if robot.keyed is not None], lambda r: bool(r.keyed),
+        )  # fmt: skip
         state = GaugeMetricFamily(
             f"{ROBOT}_state", "1: it is in this state.", labels=["robot", "state"]
         )

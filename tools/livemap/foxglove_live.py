@@ -25,7 +25,7 @@ from protocol.frames.messages import GROUPS, Message
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, HeldReset
 from sim.files.palette import rgb_of
 from sim.record.scene import Scene
-from tools.inspect.inspector import SILENT_S, Seen
+from tools.inspect.inspector import NO_KEYS, SILENT_S, Seen
 from tools.livemap.foxglove_fixes import FixTopics
 from tools.livemap.foxglove_port import LOOPBACK, PortTaken
 from tools.livemap.map_state import Watcher
@@ -88,6 +88,7 @@ class FoxgloveFeed(Watcher):
         self._again: asyncio.TimerHandle | None = None
         self._log_asked = False  # by a viewer that has not been told yet what holds now
         self._latched: set[Dot] = set()  # that the log has told
+        self._keyless_told = False  # the log says that the fleet has no keys
         try:
             self._server = foxglove.start_server(
                 name="headland", host=LOOPBACK, port=port, context=context,
@@ -232,6 +233,7 @@ class FoxgloveFeed(Watcher):
                 self._say(now_s, f"robot {slot}", _level_of(robot.state), text)
         for dot in sorted(self._latched):
             self._say(now_s, "fleet", messages.LogLevel.Error, f"{_stop_named(dot)} holds")
+        self._keyless_told = False
 
     def _tell_stops(self, t_s: float) -> None:
         """What a frame has changed: at once, because a stop and its reset may be close together."""
@@ -248,6 +250,9 @@ class FoxgloveFeed(Watcher):
             self._tell(self._loop.time(), again=False)
 
     def _tell(self, now_s: float, again: bool) -> None:
+        if self.keyed is False and not self._keyless_told:
+            self._keyless_told = True
+            self._say(now_s, "fleet", messages.LogLevel.Error, NO_KEYS)
         if self._tf.has_sinks():
             self._fixes.offer_again(now_s)
         if self._scene.has_sinks():
@@ -261,6 +266,15 @@ class FoxgloveFeed(Watcher):
             self._fleet.log(self.to_dict(), log_time=self._ns(now_s))
 
     def _draw_scene(self, now_s: float) -> None:
+        if self.keyed is False and self._new("no keys", True):
+            text = messages.TextPrimitive(
+                pose=_at(0.0, 0.0, HEIGHT_M), billboard=True, font_size=TEXT_PX,
+                scale_invariant=True, color=_colour(RED), text=NO_KEYS,
+            )  # fmt: skip
+            entity = messages.SceneEntity(
+                timestamp=self._stamp(now_s), frame_id=FIELD, id="no keys", texts=[text]
+            )
+            self._put(self._scene, now_s, entity)
         for number, ring in enumerate(self.scene.get("rings", ())):
             name = f"outline {number}"
             if ring and self._new(name, True):

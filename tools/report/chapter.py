@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from sim.record.recording import Recording
 from sim.record.scene import Scene
 from tools.common.release_records import records_or_none
+from tools.inspect.inspector import NO_KEYS
 from tools.report import figures as drawing
 from tools.report.run_data import RunEvidence
 from tools.report.timeline import SILENT, History, Stop, TimelineEvent
@@ -44,6 +45,7 @@ class Chapter(NamedTuple):
     table: Table | None = None  # on the page
     values: Table | None = None  # in the CSV; COLUMNS has their names where there is none
     missing: str = ""  # why there is nothing to see
+    warning: str = ""  # in red
 
 
 # As `planned_chapters`, but of somebody who is told early and asked for the chapters later.
@@ -68,7 +70,10 @@ def chapters(evidence: RunEvidence, planned: Planned | None = None) -> Iterator[
     told = sorted([*faults, *history.seen], key=lambda event: event.t_s)
     marks = [event for event in told if drawing.is_mark(event)]
     bitrate = (scene or {}).get("bitrate", history.load.bitrate)
-    yield _events(evidence, faults, history)
+    events = _events(evidence, faults, history)
+    if history.keyed is False and "authenticated" not in evidence.figures:
+        events = events._replace(warning=NO_KEYS)
+    yield events
     yield _sections(history, told)
     yield _stops(history)
     yield from _releases(evidence)

@@ -107,6 +107,8 @@ def _tiles(figures: dict[str, Any]) -> str:
 
 def _chapter(chapter: Chapter, beside: str) -> str:
     parts = [f'<h2 id="{chapter.name}">{escape(chapter.title)}</h2>\n']
+    if chapter.warning:
+        parts.append(f'<p class="bad">{escape(chapter.warning)}</p>\n')
     if chapter.about:
         parts.append(f"<p>{escape(chapter.about)}</p>\n")
     if chapter.missing:

@@ -20,7 +20,7 @@ from crdt import Phase
 from protocol.frames.fleet_frames import Pose
 from sim.files.palette import rgb_of
 from sim.record.scene import Scene
-from tools.inspect.inspector import SILENT_S, Seen
+from tools.inspect.inspector import NO_KEYS, SILENT_S, Seen
 from tools.livemap.map_state import Watcher
 from tools.ros2.graph import Graph, Publisher, Quality
 
@@ -203,6 +203,9 @@ class Ros2Feed(Watcher):
                 self._kinds.KeyValue(key=key, value=value) for key, value in values.items()
             ]
             report.status.append(status)
+        if self.keyed is False:
+            kind = self._kinds.DiagnosticStatus
+            report.status.append(kind(name="headland: keys", level=kind.ERROR, message=NO_KEYS))
         return report
 
     def _covered(self, phases: dict[int, Phase]) -> Any:

@@ -19,7 +19,7 @@ from prometheus_client.parser import text_string_to_metric_families
 
 from agent.interface.lifecycle import State
 from protocol.frames.codec import encode
-from protocol.frames.fleet_frames import Member, Pose
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.messages import Message
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import WorkProgress
@@ -102,6 +102,15 @@ def test_silence_states_and_work_by_robot() -> None:
     assert fleet.value("headland_worked_units") == 3.0
     assert fleet.value("headland_frames_total", kind="POSE") == 3.0
     assert fleet.value("headland_robots") == 2.0
+
+
+@pytest.mark.parametrize("keyed", [False, True])
+def test_a_fleet_without_keys_is_a_figure(keyed: bool) -> None:
+    fleet = Fleet()
+    assert fleet.value("headland_robot_keyed", robot="0") is None, "it has not said so yet"
+    beat = Heartbeat(0, State.IDLE, False, False, True, False, 1.0, 0, 0, keyed)
+    fleet.say(128, beat)
+    assert fleet.value("headland_robot_keyed", robot="0") == keyed
 
 
 def test_groups_of_others_are_one_kind() -> None:

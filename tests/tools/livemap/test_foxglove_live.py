@@ -36,6 +36,7 @@ from protocol.frames.map_frames import MapPatch
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, Reason
 from protocol.sync.map_sync import encode_cells
 from tests.tools.launching import WAIT_S, call, said, start
+from tools.inspect.inspector import NO_KEYS
 from tools.livemap.foxglove_live import AHEAD_MAX_S, FoxgloveFeed
 from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.livemap.foxglove_services import RELEASE, STOP, services_of
@@ -320,6 +321,27 @@ def test_a_late_viewer_is_told_states_and_stops_of_now() -> None:
                     "the state": lambda: viewer.logged("is WORKING"),
                     "the stop": lambda: viewer.logged("emergency stop 0.1.5 holds"),
                 })  # fmt: skip
+        finally:
+            feed.close()
+
+    asyncio.run(story())
+
+
+def test_a_fleet_without_keys_is_an_error_in_the_log_and_a_red_text_in_the_scene() -> None:
+    async def story() -> None:
+        feed = FoxgloveFeed(None, 0, 0.0)
+        try:
+            told_working(feed, asyncio.get_running_loop().time())
+            async with viewing(feed.url) as viewer:
+                await viewer.look({
+                    "the log": lambda: viewer.logged(NO_KEYS),
+                    "the scene": lambda: "no keys" in viewer.drawn["/scene"],
+                })  # fmt: skip
+                line = next(x for x in viewer.seen["/log"] if x.message == NO_KEYS)
+                assert line.level == LogLevel.Error
+                entities = [e for told in viewer.seen["/scene"] for e in told.entities]
+                (text,) = next(e for e in entities if e.id == "no keys").texts
+                assert text.text == NO_KEYS and text.color.r > 0.8 > 0.2 > text.color.g
         finally:
             feed.close()
 

@@ -18,8 +18,9 @@ import pytest
 from matplotlib.ticker import MaxNLocator
 from PIL import Image
 
+from agent.interface.lifecycle import State
 from protocol.frames.codec import encode
-from protocol.frames.fleet_frames import Member, Pose
+from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from sim.files.candump import CandumpWriter
@@ -30,7 +31,9 @@ from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, 
 from tools.bench.browser import browser, complaints, missing
 from tools.common.run_flaws import flaws
 from tools.common.run_recorder import RunRecorder
+from tools.inspect.inspector import NO_KEYS
 from tools.livemap.command import recorded
+from tools.report.chapter import chapters
 from tools.report.command import report
 from tools.report.figures import gantt, tracks
 from tools.report.page import page
@@ -460,6 +463,20 @@ def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     where = "at 61.2 s robot 1 touched robot 3 at 12.0,-3.5"
     assert flaws({"contacts": 2, "first_contact": where}) == [f"2 contacts of bodies ({where})"]
     assert flaws({"success": False}) == ["report.json has the figures"]
+
+
+@pytest.mark.parametrize("keyed", [False, True])
+def test_a_log_of_a_fleet_without_keys_says_so_in_red(keyed: bool, tmp_path: Path) -> None:
+    """Without a report.json nobody said it: the heartbeats do."""
+    log = tmp_path / "can.log"
+    beat = Heartbeat(0, State.IDLE, False, False, True, False, 1.0, 0, 0, keyed)
+    writer = CandumpWriter(log)
+    for t_us, message in ((0, Member(1, 1, 7)), (1_000_000, beat)):
+        writer.write(t_us, encode(message, 129))
+    writer.close()
+    evidence = gather(log)
+    told = page("t", evidence.figures, list(chapters(evidence)), "t")
+    assert (f'<p class="bad">{NO_KEYS}</p>' in told) is not keyed
 
 
 @pytest.mark.parametrize("value", [10**400, float("inf"), "<b>", None, [1], {"a": 1}, float("nan")])

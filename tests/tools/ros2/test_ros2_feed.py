@@ -14,7 +14,7 @@ import pytest_asyncio
 pytest.importorskip("rclpy", reason="ROS 2 is not installed (pip install 'headland[ros2]')")
 
 import rclpy
-from diagnostic_msgs.msg import DiagnosticArray
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from nav_msgs.msg import OccupancyGrid, Odometry, Path
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
@@ -29,6 +29,7 @@ from agent.interface.lifecycle import State
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.messages import Message
+from tools.inspect.inspector import NO_KEYS
 from tools.ros2.dds_graph import DdsGraph
 from tools.ros2.ros2_feed import Ros2Feed
 
@@ -152,7 +153,9 @@ async def test_states_grids_markers_and_diagnostics_come_also_to_a_late_reader(s
     kinds = {(m.ns, m.id) for m in got["/headland/markers"][-1].markers}
     assert kinds == {("outlines", 0), ("robots", 0)}
     assert got["/headland/stopped"][-1].data is False
-    assert got["/diagnostics"][-1].status[0].name == "headland: robot 0"
+    robot, keys = got["/diagnostics"][-1].status
+    assert robot.name == "headland: robot 0"
+    assert keys.message == NO_KEYS and keys.level == DiagnosticStatus.ERROR
     side.say(_beat("EMERGENCY_STOP"))
     await side.listener.until(lambda: got["/headland/stopped"][-1].data is True, "stop")
 
