@@ -182,8 +182,14 @@ PROFILES = {
 }  # fmt: skip
 
 
+# Added to the name of any profile: the same faults in a fleet with keys, and an attacker without one.
+FORGER = "+forger"
+FORGERS_MAX = 2  # of a run
+
+
 def draw(seed: int, profile: str = "all") -> Scenario:
-    """The scenario of a seed; KeyError for an unknown profile."""
+    """The scenario of a seed; KeyError for an unknown profile. It may have `FORGER` at its end."""
+    attacked, profile = profile.endswith(FORGER), profile.removesuffix(FORGER)
     kind, rng = PROFILES[profile], Random(f"{seed}/trouble/{profile}")
     robots, span = rng.randint(*kind.robots), SPANS[kind.mission]
     names = sorted(kind.weights)
@@ -196,12 +202,23 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_at_s)
     if kind.mission == "field":
         faults += sensor_faults(seed, profile, robots, span, faults)
-    keys = DRAWN if kind.keyed else None
+    if attacked:
+        faults += forgers(seed, profile, robots, span)
+    keys = DRAWN if kind.keyed or attacked else None
     if kind.mission == "field":
         yard = load("yard").changed(robots, seed)
         fleet = yard.fleet.model_copy(update={"keys": keys})
         return with_faults(yard.model_copy(update={"fleet": fleet}), faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
+
+
+def forgers(seed: int, profile: str, robots: int, span: Span) -> list[Fault]:
+    """Attackers without a key for the run of a seed, by a random source of their own."""
+    rng, found = Random(f"{seed}/forger/{profile}"), list[Fault]()
+    for _ in range(rng.randint(1, FORGERS_MAX)):
+        at_s = round(rng.uniform(span.first_at_s, span.calm_at_s - 0.5), 3)
+        found += DRAWS["forger"](rng, robots, at_s, span.calm_at_s)
+    return found
 
 
 def sensor_faults(

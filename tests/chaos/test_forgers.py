@@ -2,7 +2,7 @@
 
 import pytest
 
-from sim.chaos.fault_profiles import PROFILES, draw, with_faults
+from sim.chaos.fault_profiles import FORGER, PROFILES, draw, with_faults
 from sim.chaos.verdict import judge
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import drill
@@ -34,3 +34,21 @@ def test_profiles_with_attackers_have_keys() -> None:
     assert attacked and all(PROFILES[name].keyed for name in attacked)
     assert draw(1, "forged").fleet.keys == DRAWN
     assert draw(1, "protocol").fleet.keys is None
+
+
+@pytest.mark.parametrize("profile", PROFILES)
+def test_every_profile_can_be_played_with_keys_and_an_attacker(profile: str) -> None:
+    """Attackers were drawn in three profiles only. All other faults of the seed stay what they were."""
+    for seed in range(5):
+        plain, attacked = draw(seed, profile), draw(seed, profile + FORGER)
+        assert attacked.fleet.keys == DRAWN and attacked == draw(seed, profile + FORGER)
+        more = [fault for fault in attacked.fault if fault not in plain.fault]
+        assert more and {fault.kind for fault in more} == {"forger"}, f"seed {seed}: {more}"
+        assert [fault for fault in attacked.fault if fault not in more] == plain.fault
+
+
+@pytest.mark.sampled(2)
+@pytest.mark.parametrize("profile", ["press", "claims", "devices", "flood", "split", "strangers"])
+def test_an_attacker_beside_other_trouble_breaks_no_rule(profile: str) -> None:
+    verdict = judge(draw(1, profile + FORGER))
+    assert verdict.ok and verdict.faults["forger"], verdict.broken

@@ -16,7 +16,7 @@ from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from agent.runtime.gc_tuning import freeze_gc
-from sim.chaos.fault_profiles import PROFILES, draw
+from sim.chaos.fault_profiles import FORGER, PROFILES, draw
 from sim.chaos.golden_story import difference, golden_path, tell
 from sim.chaos.planted_bugs import MUTANTS
 from sim.chaos.shrink import shrink
@@ -46,8 +46,11 @@ def chaos(
         for name in only:
             if name not in MUTANTS:
                 raise ValueError(f"no planted bug {name}: choose of {', '.join(MUTANTS)}")
-        if profile not in PROFILES:
-            raise ValueError(f"no profile {profile}: choose one of {', '.join(PROFILES)}")
+        if profile.removesuffix(FORGER) not in PROFILES:
+            names = ", ".join(PROFILES)
+            raise ValueError(
+                f"no profile {profile}: choose one of {names}; each also with {FORGER}"
+            )
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)

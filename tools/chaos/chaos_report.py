@@ -5,13 +5,14 @@ The folder holds the JSON files that `headland chaos` and `headland fuzz` have w
 
 import json
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, NamedTuple
 
 HOURS_WANTED, BUGS_WANTED = 20_000, 20  # robot-hours of DRILLS, planted bugs
 DRILLS = ("protocol",)
 KEYED = ("forged", "forged_field", "stolen")  # fleets with keys, and attackers on the bus
+ATTACKED = "+forger"  # at the end of the name of any profile: the same with keys and an attacker
 KEYED_HOURS_WANTED = 5_000
 RUNS_WANTED = 10_000_000  # of decoders
 Result = dict[str, Any]
@@ -37,6 +38,11 @@ def report(folder: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def is_keyed(profile: str) -> bool:
+    """Whether the fleets of a profile have keys, and there is an attacker on the bus."""
+    return profile in KEYED or profile.endswith(ATTACKED)
+
+
 class Survived(NamedTuple):
     """What the campaigns of a folder were judged by."""
 
@@ -59,11 +65,13 @@ def survived(folder: Path) -> Survived:
     )  # fmt: skip
 
 
-def judged_hours(folder: Path, robots: str, profiles: Sequence[str] = DRILLS) -> tuple[float, int]:
-    """Robot-hours of these profiles that these robots were judged by, and how many rules they broke.
-    Raises ReportError."""
+def judged_hours(
+    folder: Path, robots: str, counts: Callable[[str], bool] = DRILLS.__contains__
+) -> tuple[float, int]:
+    """Robot-hours of profiles that count, that these robots were judged by, and how many rules they
+    broke. Raises ReportError."""
     campaigns, kept = _judged(_results(folder))
-    theirs = [c for c in campaigns if c["profile"] in profiles and c.get("robots") == robots]
+    theirs = [c for c in campaigns if counts(c["profile"]) and c.get("robots") == robots]
     broken = [b for c in theirs for b in c["broken"] if (c["profile"], b["seed"]) not in kept]
     return sum(c["robot_hours"] for c in theirs), len(broken)
 
@@ -126,7 +134,7 @@ def _campaigns(campaigns: list[Result], kept: Kept) -> Iterable[str]:
         for c in campaigns
     ]  # fmt: skip
     total, drills = sum(hours.values()), sum(hours[profile] for profile in DRILLS)
-    keyed = sum(hours[profile] for profile in KEYED)
+    keyed = sum(spent for profile, spent in hours.items() if is_keyed(profile))
     runs = sum(c["runs"] for c in campaigns)
     told = [((c["profile"], b["seed"]), b) for c in campaigns for b in c["broken"]]
     broken = [b for run, b in told if run not in kept]
@@ -138,7 +146,7 @@ def _campaigns(campaigns: list[Result], kept: Kept) -> Iterable[str]:
         f"protocol only (wanted: {HOURS_WANTED}, {verdict}); {len(broken)} rules broken."
     )
     if keyed:
-        attacked = [c for c in campaigns if c["profile"] in KEYED]
+        attacked = [c for c in campaigns if is_keyed(c["profile"])]
         theirs = sum((c["profile"], b["seed"]) not in kept for c in attacked for b in c["broken"])
         verdict = "reached" if keyed >= KEYED_HOURS_WANTED and not theirs else "**missed**"
         yield (

@@ -15,6 +15,7 @@ PROFILES = (
     "all, bus, crash, stop, body, senses, stalls, rays, implement, protocol, press, devices, strangers, "
     "claims, split, flood, traffic, forged, forged_field or stolen."
 )
+ATTACKED = "With +forger at its end: in a fleet with keys, with an attacker on the bus."
 app = typer.Typer()
 
 
@@ -23,7 +24,7 @@ def chaos(
     seeds: Annotated[
         str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
     ] = "0:20",
-    profile: Annotated[str, typer.Option(help=PROFILES)] = "all",
+    profile: Annotated[str, typer.Option(help=f"{PROFILES} {ATTACKED}")] = "all",
     jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
     out: Annotated[

@@ -9,14 +9,14 @@ from typing import Any
 import pytest
 from rich.console import Console
 
-from sim.chaos.fault_profiles import PROFILES, with_faults
+from sim.chaos.fault_profiles import FORGER, PROFILES, with_faults
 from sim.chaos.scenario_judge import RUNNER_LOG
 from sim.chaos.verdict import Verdict, judge
 from sim.scenarios.protocol_setup import drill
 from sim.scenarios.scenario import DiskFull
 from tools.chaos import chaos as campaign
 from tools.chaos.chaos import chaos
-from tools.chaos.chaos_report import KEYED, ReportError, judged_hours, report
+from tools.chaos.chaos_report import KEYED, ReportError, is_keyed, judged_hours, report
 from tools.chaos.fuzz import fuzz
 from tools.chaos.planted_bug_hunt import RESULTS, hunt_all
 from tools.cli.test_commands import PROFILES as PROFILE_NAMES
@@ -79,12 +79,14 @@ def test_hours_of_fleets_with_keys_are_counted_apart(tmp_path: Path) -> None:
     assert "5001.0 robot-hours are of fleets with keys" in report(tmp_path)
     assert "(wanted: 5000, reached); 0 rules broken in them." in report(tmp_path)
     assert judged_hours(tmp_path, "same") == (0.0, 0)
-    assert judged_hours(tmp_path, "same", KEYED) == (5_001.0, 0)
+    assert judged_hours(tmp_path, "same", is_keyed) == (5_001.0, 0)
     what = {"seed": 7, "rule": "S1", "t_s": 1.0, "what": "moved"}
     (tmp_path / "a.json").write_text(json.dumps(row | {"failed": [7], "broken": [what]}))
     assert "(wanted: 5000, **missed**); 1 rules broken in them." in report(tmp_path)
-    assert judged_hours(tmp_path, "same", KEYED) == (5_001.0, 1)
+    assert judged_hours(tmp_path, "same", is_keyed) == (5_001.0, 1)
     assert {name for name, profile in PROFILES.items() if profile.keyed} == set(KEYED)
+    (tmp_path / "a.json").write_text(json.dumps(row | {"profile": "bus" + FORGER}))
+    assert judged_hours(tmp_path, "same", is_keyed) == (5_001.0, 0), "any profile with an attacker"
 
 
 @pytest.mark.slow
