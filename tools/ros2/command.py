@@ -1,6 +1,7 @@
 """`headland ros2`: a fleet on a bus as topics of ROS 2, and stops from either side on both."""
 
 import asyncio
+import re
 import sys
 from importlib.util import find_spec
 from pathlib import Path
@@ -15,6 +16,7 @@ from agent.runtime.files.given_file import (
     read_json,
 )
 from agent.runtime.files.key_file import KeyFileError
+from agent.runtime.files.printable_text import printable
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
@@ -34,6 +36,7 @@ from tools.ros2.graph import Graph
 
 WRONG = 2
 NODE = "headland"
+NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", re.ASCII)
 NO_ROS = (
     "headland ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'. Without either: "
     "--zenoh"
@@ -59,6 +62,10 @@ def serve(
         return WRONG
     try:
         check_operator_key(operator_key)
+        if NAMESPACE.fullmatch(namespace) is None:
+            raise GraphError(
+                f"--namespace {printable(namespace)}: letters, digits and _, with / between the parts"
+            )
         asyncio.run(
             _serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh,
                    EventLines(as_json))
@@ -84,15 +91,17 @@ def _missing(zenoh: str | None) -> str:
 async def _joined(namespace: str, domain: int | None, zenoh: str | None) -> Graph:
     """Raises GraphError and OSError."""
     if zenoh is None:
-        from tools.ros2.dds_graph import DdsGraph
-
+        try:
+            from tools.ros2.dds_graph import DdsGraph
+        except ImportError as problem:  # a ROS of another Python, or a part of one
+            raise GraphError(f"rclpy cannot be loaded: {str(problem).splitlines()[0]}") from None
         return DdsGraph.joined(NODE, namespace, domain)
     from protocol.links.zenoh_link import LinkError
     from tools.ros2.zenoh_graph import ZenohGraph
 
     try:
         return await ZenohGraph.open(zenoh, NODE, namespace, domain)
-    except LinkError as problem:
+    except (LinkError, ValueError) as problem:
         raise GraphError(str(problem)) from None
 
 

@@ -80,8 +80,10 @@ class GoalDesk:
     async def _go(self, slot: int, goal: ActionGoal) -> None:
         place = goal.places[0]
         self._newest[slot] = goal
-        operator, robot, why = await self._ordered(slot, "set-goal", (place.x_m, place.y_m))
+        operator = Operator(self.bus, None, self.device)
+        self._listeners.append(operator)
         try:
+            robot, why = await self._ordered(operator, slot, "set-goal", (place.x_m, place.y_m))
             if robot is None:
                 self._tasks.abort(goal, why)
                 return
@@ -128,18 +130,15 @@ class GoalDesk:
         return f"robot {slot} is silent" if self._loop.time() - seen.last_s > SILENT_S else ""
 
     async def _ordered(
-        self, slot: int, what: str, place: tuple[float, float] | None
-    ) -> tuple[Operator, KnownRobot | None, str]:
-        """The operator that ordered it, which goes on listening, and the robot if it obeys, or why it
-        does not."""
-        operator = Operator(self.bus, None, self.device)
-        self._listeners.append(operator)
+        self, operator: Operator, slot: int, what: str, place: tuple[float, float] | None
+    ) -> tuple[KnownRobot | None, str]:
+        """The robot if it obeys, or why it does not."""
         await operator.listen(LISTEN_S)
         robot = next((known for known in operator.live if known.slot == slot), None)
         if robot is None:
-            return operator, None, f"robot {slot} is not heard"
+            return None, f"robot {slot} is not heard"
         why = await self._conveyed(operator, robot, what, place)
-        return operator, None if why else robot, why
+        return None if why else robot, why
 
     async def _conveyed(
         self, operator: Operator, robot: KnownRobot, what: str, place: tuple[float, float] | None

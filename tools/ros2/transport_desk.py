@@ -81,7 +81,7 @@ class TransportDesk:
         try:
             index = client.order([task])[0]
         except NumbersSpentError as spent:
-            goal.end(Ended.ABORTED, str(spent))
+            self._tasks.abort(goal, str(spent))
             return
         said_at_s = asked_at_s = 0.0
         while True:

@@ -21,6 +21,7 @@ from protocol.links.zenoh_link import LinkError, configure
 from tools.ros2.bag_messages import jazzy, kinds_of
 from tools.ros2.graph import KINDS, TAKEN, ActionGoal, GoalPlace, Publisher, Quality
 
+DOMAIN_MAX: Final = 232
 ROUTER: Final = "tcp/localhost:7447"  # where rmw_zenoh looks for its router
 TOKENS: Final = "@ros2_lv"
 NONE: Final = "%"  # an empty part of a token, and a slash in one
@@ -60,8 +61,14 @@ def attachment(number: int, at_ns: int, gid: bytes) -> bytes:
 
 
 def domain_of(domain: int | None) -> int:
-    """The number of a ROS graph, ROS_DOMAIN_ID; `domain` None: that of the environment, or 0."""
-    return int(os.environ.get("ROS_DOMAIN_ID", "0")) if domain is None else domain
+    """The number of a ROS graph, ROS_DOMAIN_ID; `domain` None: that of the environment, or 0. Raises
+    ValueError."""
+    if domain is not None:
+        return domain
+    told = os.environ.get("ROS_DOMAIN_ID", "") or "0"
+    if not (told.isascii() and told.isdecimal() and len(told) <= 3 and int(told) <= DOMAIN_MAX):
+        raise ValueError(f"ROS_DOMAIN_ID is {told!r}: a number from 0 to {DOMAIN_MAX}")
+    return int(told)
 
 
 class _ZenohPublisher:
@@ -107,7 +114,8 @@ class ZenohGraph:
         cls, endpoint: str, name: str, namespace: str, domain: int | None
     ) -> "ZenohGraph":
         """Join by a router of Zenoh, as `ros2 run rmw_zenoh_cpp rmw_zenohd` starts one. `domain`: the
-        number of the ROS graph; None: that of the environment. Raises LinkError."""
+        number of the ROS graph; None: that of the environment. Raises LinkError, ValueError."""
+        number = domain_of(domain)
         config = configure([endpoint], [], "client")
         config.insert_json5("connect/timeout_ms", str(OPEN_MS))
         config.insert_json5("connect/exit_on_failure", "true")
@@ -119,7 +127,7 @@ class ZenohGraph:
         except Exception as problem:  # the binding raises undocumented exceptions
             why = str(problem).splitlines()[0]
             raise LinkError(f"no router of Zenoh at {endpoint}: {why}") from None
-        return cls(session, name, namespace, domain_of(domain))
+        return cls(session, name, namespace, number)
 
     def _token(self, kind: str, *rest: str) -> Any:
         """Tell all that an entity of ours is there: NN a node, MP a publisher, MS a subscriber."""
@@ -135,7 +143,9 @@ class ZenohGraph:
 
     def _key(self, kind: str, topic: str) -> tuple[str, tuple[str, str, str]]:
         """The key of a topic, and topic, type and hash as a token has them."""
-        whole = topic.strip("/") if topic.startswith("/") else f"{self._namespace}/{topic}"
+        whole = (
+            topic.strip("/") if topic.startswith("/") else f"{self._namespace}/{topic}".strip("/")
+        )
         name, check = dds_type(kind), self._store.hash_rihs01(kind)
         told = (NONE + whole.replace("/", NONE), name, check)
         return f"{self._domain}/{whole}/{name}/{check}", told
