@@ -170,12 +170,18 @@ def test_promtool_accepts_rules_and_configuration(words: tuple[str, ...]) -> Non
     assert done.returncode == 0, done.stdout + done.stderr
 
 
+def test_the_page_says_how_many_alerts_there_are() -> None:
+    told = re.search(r"\| (\d+) alerts;", (FILES.parents[1] / "docs/use/monitoring.md").read_text())
+    assert told and int(told[1]) == (FILES / "alerts.yml").read_text().count("- alert: ")
+
+
 def test_the_dashboard_asks_for_metrics_that_exist() -> None:
     board = json.loads((FILES / "grafana.json").read_text())
     asked = "".join(t["expr"] for panel in board["panels"] for t in panel["targets"])
     asked += (FILES / "alerts.yml").read_text()
     fleet = Fleet()
     RobotProcesses(lambda: [0], lambda: {0: os.getpid()}, fleet.registry)
+    GatewayCollector(lambda: {"leads": True, "bus": "ACTIVE", "reached": []}, fleet.registry)
     known = {family.name for family in fleet.registry.collect()}
     asks = set(re.findall(r"headland_\w+", asked)) - {"headland_robots"}
     assert len(asks) > 15
