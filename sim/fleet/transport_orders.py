@@ -35,6 +35,7 @@ class TransportClient:
         """`known`: all robots know tasks below this number from the start."""
         # Task number -> index of our order, and the order.
         self.wanted: dict[int, tuple[int, TransportTask]] = {}
+        self._number: dict[int, int] = {}  # index of our order -> its task number
         self.robots: set[int] = set()  # source addresses that have reported what they know
         self._known = self._first_free = known
         self._used: set[int] = set()  # numbers that were heard of
@@ -50,6 +51,7 @@ class TransportClient:
     def recall(self, number: int, order: TransportTask) -> int:
         """Order a transport under the number that it had before a restart. The result is its index."""
         self.wanted[number] = (self._count, order)
+        self._number[self._count] = number
         self._count += 1
         return self._count - 1
 
@@ -59,7 +61,7 @@ class TransportClient:
 
     def number_of(self, index: int) -> int:
         """The task number of one of our orders."""
-        return next(number for number, (mine, _) in self.wanted.items() if mine == index)
+        return self._number[index]
 
     def withdraw(self, number: int) -> None:
         """Take one of our orders back; it is said until a robot repeats that."""
@@ -99,6 +101,7 @@ class TransportClient:
                 except NumbersSpentError:  # it stays unconfirmed
                     number = TASKS_MAX + mine[0]
                 self.wanted[number] = mine
+                self._number[mine[0]] = number
 
     def _know(self, task: int, source: int) -> None:
         mine = self.wanted.get(task)

@@ -28,6 +28,7 @@ from tools.run.launch_setup import AnySetting
 
 FLEET = "fleet.json"
 TRUTH = "truth.jsonl"
+BOOK = "vda5050.jsonl"  # of the orders of a VDA 5050 master
 JOURNALS = "robot*.sqlite*"
 LOGS = (*WRITTEN, "robot*.log", "bus.json", "places.toml")
 FLEET_BYTES_MAX = 64 * 1024
@@ -142,7 +143,7 @@ def _write(folder: Path, identity: str, over: bool) -> None:
 
 def _put_away(folder: Path, journals: bool) -> int:
     """Move what an earlier launch left into `launch-N`; returns the number of this launch."""
-    names = (*LOGS, JOURNALS, TRUTH, QUEUE) if journals else LOGS
+    names = (*LOGS, JOURNALS, TRUTH, QUEUE, BOOK) if journals else LOGS
     old = sorted({path for name in names for path in folder.glob(name)})
     number = max((n for n, _ in folders(folder, "launch")), default=0)
     if old:

@@ -25,7 +25,7 @@ from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
 from tools.common.bus_address import CHANNEL
 from tools.common.bus_attach import attach
 from tools.common.run_folder import QUEUE, FolderError, folder_for
-from tools.run.fleet_folder import end_fleet, fleet_folder
+from tools.run.fleet_folder import _put_away, end_fleet, fleet_folder
 from tools.run.launch import STRAIGHT_M
 
 EPOCH_2020_S = 1_577_836_800
@@ -261,6 +261,15 @@ def test_e2_parcels_go_on_where_they_lay(folder: Path) -> None:
     WorldMemory(path, setting.world(), again).close()
     assert again.aboard == {0: 900} and again.dropoff == parcels.dropoff
     assert again.to_plain() == parcels.to_plain() and again.flaws == parcels.flaws
+
+
+@pytest.mark.parametrize("goes_on", [True, False])
+def test_a_new_fleet_begins_without_the_book_of_a_master(tmp_path: Path, goes_on: bool) -> None:
+    """Found: with --out and --fresh the orders of the last fleet were carried again."""
+    (tmp_path / "vda5050.jsonl").write_text("")
+    _put_away(tmp_path, journals=not goes_on)
+    assert (tmp_path / "vda5050.jsonl").exists() is goes_on
+    assert (tmp_path / "launch-1" / "vda5050.jsonl").exists() is not goes_on
 
 
 def test_m22_faults_in_a_launch_are_refused(
