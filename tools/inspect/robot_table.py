@@ -9,6 +9,11 @@ if TYPE_CHECKING:  # slow to import, and `--json` does without
     from rich.console import Console
     from rich.table import Table
 
+# What is heard here is not proven, so that somebody without a key can make any robot a suspect.
+SUSPECT = (
+    "broken, or its key is stolen, or somebody speaks in its name: see what other robots trace "
+    "(headland inspect --traces N) before headland keys revoke"
+)
 RELEASE_ASKED = "a release is asked for at its terminal; with a key: headland release"
 UNKNOWN_SHOWN = 12  # groups of other devices in the text; --json has all
 
@@ -79,7 +84,7 @@ def show(seen: dict[str, Any], console: "Console | None" = None) -> None:
     if seen["keyed"] is False:
         console.print(f"[bold red]{NO_KEYS}")
     for suspect in seen["suspects"]:
-        console.print(f"[bold red]{suspect}: broken, or its key is stolen: headland keys revoke")
+        console.print(f"[bold red]{suspect}: {SUSPECT}")
     if seen["latched"]:
         console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
     for key, whose in (
