@@ -49,6 +49,7 @@ STATE_S: Final = 1.0  # between states in which nothing has changed; the standar
 VISUALIZATION_S: Final = 0.5
 SAY_S: Final = 0.5  # between repetitions of an order that is not confirmed
 ASK_S: Final = 5.0  # between questions to the fleet for its registers, while orders are open
+AGAIN_S: Final = 2.0  # after a connection has failed for a reason that nobody expected
 OBEY_S: Final = 5.0  # for a robot to obey
 CHANGES: Final = {"agv_position", "velocity", "battery_state", "driving"}  # no reason for a state
 
@@ -343,7 +344,28 @@ class _Port:
         )
         self.link = BrokerLink(gateway.broker, identity, self._heard, self._up)
         self.link.invalid = self._invalid
-        self.running = asyncio.create_task(self.link.run([Topic.ORDER, Topic.INSTANT_ACTIONS]))
+        self.running = self._begun()
+
+    def _begun(self) -> asyncio.Task[None]:
+        running = asyncio.create_task(self.link.run([Topic.ORDER, Topic.INSTANT_ACTIONS]))
+        running.add_done_callback(self._is_over)
+        return running
+
+    def _is_over(self, running: asyncio.Task[None]) -> None:
+        """A connection comes back by itself. One that has failed is begun again, and told to people."""
+        problem = None if running.cancelled() else running.exception()
+        if problem is None:
+            return
+        serial, why = self.gateway.serial(self.vehicle.slot), repr(problem)
+        self.gateway.lines.say(
+            "connection-failed", f"{serial}: its connection has failed and is begun again: {why}",
+            robot=self.vehicle.slot, serial=serial, why=why,
+        )  # fmt: skip
+        self.running = asyncio.create_task(self._again())
+
+    async def _again(self) -> None:
+        await asyncio.sleep(AGAIN_S)
+        self.running = self._begun()
 
     def _up(self) -> None:
         self.told_s = 0.0

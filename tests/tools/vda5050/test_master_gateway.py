@@ -10,10 +10,13 @@ import pytest
 pytest.importorskip("aiomqtt", reason="the extra `vda5050` is not installed")
 pytest.importorskip("vda5050.validation", reason="pip install vda5050-sdk: it has the schemas")
 
+from agent.delivery.cost_matrix import Carrier
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase
 from agent.delivery.task_registry import TASKS_MAX
+from agent.delivery.warehouse import Warehouse
 from agent.interface.vehicle import Vehicle
-from agent.runtime.vda5050.broker_link import Broker
+from agent.mapping.building import Floor
+from agent.runtime.vda5050.broker_link import Broker, BrokerLink
 from agent.runtime.vda5050.messages import (
     NODES_MAX,
     Action,
@@ -29,7 +32,7 @@ from tools.vda5050.command import serve
 from tools.vda5050.fleet_vehicle import UNHEARD
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
-from tools.vda5050.transport_rules import transport_of
+from tools.vda5050.transport_rules import OrderRefused, transport_of
 
 WAIT_S = 20.0
 
@@ -277,3 +280,39 @@ def test_names_that_no_broker_takes_are_one_line(
     assert serve(broker, "warehouse", book, where, None, topics, manufacturer, "2.0.0", 0.1) == 2
     told = capsys.readouterr().err
     assert line in told and len(told.splitlines()) == 1
+
+
+def test_a_place_beyond_all_cells_is_refused() -> None:
+    """Found: it ended the vehicle's connection for good."""
+    house = Warehouse(Floor.drawn("............\n" * 6, 0.5, 0.2), Carrier(1.0, 0.0))
+    beyond = FETCH | {"nodePosition": {"x": 1.7e308, "y": 0.5, "mapId": "yard"}}
+    with pytest.raises(OrderRefused, match="no robot can stand at"):
+        transport_of(order(beyond, BRING | {"sequenceId": 2}), house, "yard")
+
+
+def test_a_connection_that_fails_is_begun_again_and_told(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Found: whatever was wrong with one message, the vehicle was gone from the broker without a word."""
+    told: list[str] = []
+    monkeypatch.setattr("tools.vda5050.master_gateway.AGAIN_S", 0.01)
+
+    async def story() -> None:
+        runs = asyncio.Queue[int]()
+
+        async def run(link: BrokerLink, topics: object) -> None:
+            runs.put_nowait(1)
+            if runs.qsize() == 1:
+                raise RuntimeError("that nobody expected")
+            await asyncio.get_running_loop().create_future()
+
+        monkeypatch.setattr(BrokerLink, "run", run)
+        gateway = gateway_on(tmp_path, told)
+        async with asyncio.timeout(WAIT_S):
+            while runs.qsize() < 2:
+                await asyncio.sleep(0.01)
+        assert "robot0: its connection has failed" in told[-1] and "nobody expected" in told[-1]
+        await left(gateway)
+        assert gateway.ports[0].running.cancelled() and len(told) == 2
+
+    asyncio.run(story())
