@@ -22,12 +22,14 @@ from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
+from agent.segments.work_relay import WorkRelay
 from protocol.authentication import Keys
 from protocol.backbone_messages import BackboneKind
 from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
+from protocol.sync.synchronizer import Synchronizer
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, keep_attached
@@ -160,6 +162,17 @@ class GatewayKeys:
             raise AttachError(f"--keys {problem}") from None
 
 
+def renew(gateway: Gateway, keys: Keys, now_us: int) -> None:
+    """Other keys for a gateway that has some. What it has heard of work it forgets, because a robot that
+    was revoked may have said it, and learns again from the robots what they still believe."""
+    assert gateway.proofs is not None, "a gateway without keys is given none"
+    gateway.proofs.rekey(keys)
+    before = gateway.sync
+    gateway.border = WorkRelay(gateway.area)
+    gateway.sync = Synchronizer(before.slot, gateway.border.allocation, gateway.border.progress)
+    gateway.sync.live(before.divergence.live, now_us)
+
+
 async def carry(
     area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str,
     served: MetricsAddress | None = None, keys: GatewayKeys | None = None,
@@ -194,7 +207,7 @@ async def carry(
     while not end.is_set():
         renewed = None if keys is None else keys.renewed()
         if renewed is not None and gateway.proofs is not None:
-            gateway.proofs.rekey(renewed)
+            renew(gateway, renewed, now_us())
         status = told()
         news = (status["number"], status["leads"], status["reached"], status["bus"])
         if news != shown:

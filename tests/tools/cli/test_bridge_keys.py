@@ -5,8 +5,13 @@ from pathlib import Path
 
 import pytest
 
+from agent.interface.config import S
+from agent.peer.inputs import ClaimSection, Leave
 from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, fresh, write
-from tools.cli.bridge import GatewayKeys
+from crdt import Phase
+from protocol.authentication import Keys
+from sim.rigs.segments_rig import SegmentFleet
+from tools.cli.bridge import GatewayKeys, renew
 from tools.common.bus_address import AttachError
 
 
@@ -39,3 +44,34 @@ def test_a_gateways_file_that_others_may_read_is_refused(tmp_path: Path) -> None
         GatewayKeys(folder)
     with pytest.raises(AttachError, match="is needed"):
         GatewayKeys(folder / NAMES[OPERATOR])
+
+
+def test_a_gateway_with_new_keys_does_not_bring_back_what_a_revoked_robot_said() -> None:
+    """It corrected the first honest claim of the section with the end that the thief had told it."""
+    thief, section, keys = 2, 10, Keys(b"m" * 16, b"o" * 16)
+    fleet = SegmentFleet(2, 3, 28, candidates=1, keys=keys, shared=2)
+    assert fleet.run(10 * S, lambda: fleet.joined)
+    fleet.run(2 * S)  # the gateways know the fleet's time
+    fleet.finish(1, thief, section)
+    fleet.run(6 * S)
+    others = fleet.peers(1)[:thief]
+    assert all(peer.allocation.phase_of(section) is Phase.DONE for peer in others)
+    fleet.shells[1, thief].operate(Leave())
+    fleet.run(S)
+    for peer in others:  # what they do at the switch
+        peer.named.state_sync.sync.void(thief, None)
+        peer.membership.revoke(thief, fleet.swarm.now_us())
+    for shell in fleet.gateways[1]:
+        renew(shell.gateway, Keys(keys.master, None), fleet.swarm.now_us())
+    fleet.run(2 * S)
+    fleet.shells[1, 0].operate(ClaimSection(section, 3))
+    fleet.run(3 * S)
+    for peer in others:
+        assert peer.allocation.phase_of(section) is not Phase.DONE
+        assert peer.allocation.owner_of(section) == 0
+    lent = 38
+    fleet.finish(1, 1, lent)
+    there = next(n for n, place in fleet.areas[2].borrowed.items() if place.section == lent)
+    known = [peer.allocation for peer in fleet.peers(2)]
+    assert fleet.run(15 * S, lambda: all(a.phase_of(there) is Phase.DONE for a in known))
+    fleet.end()
