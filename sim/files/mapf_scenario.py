@@ -27,8 +27,11 @@ class MapfInstance(NamedTuple):
     goals: list[Cell]
 
 
-def parse_scenario(text: str, name: str, agents: int) -> tuple[list[Cell], list[Cell]]:
-    """Starts and goals of the first `agents` lines of a `.scen`. Raises GridFileError.
+def parse_scenario(
+    text: str, name: str, agents: int, shape: tuple[int, ...] | None = None
+) -> tuple[list[Cell], list[Cell]]:
+    """Starts and goals of the first `agents` lines of a `.scen`. `shape`: rows and columns of the map,
+    which each line has to name; None: any. Raises GridFileError.
 
     >>> parse_scenario("version 1\\n0\\tm.map\\t9\\t9\\t1\\t2\\t3\\t4\\t4.8\\n", "m.scen", 1)
     ([(2, 1)], [(4, 3)])
@@ -44,9 +47,14 @@ def parse_scenario(text: str, name: str, agents: int) -> tuple[list[Cell], list[
         try:
             if len(words) != FIELDS or not isfinite(float(words[8])):
                 raise ValueError
-            column, row, to_column, to_row = (int(word) for word in words[4:8])
+            columns, rows, column, row, to_column, to_row = (int(word) for word in words[2:8])
         except ValueError:
             raise GridFileError(f"{name}: line {number + 2} is not that of an agent") from None
+        if shape not in (None, (rows, columns)):
+            raise GridFileError(
+                f"{name}: line {number + 2} is of {words[1]} with {rows} x {columns} cells; this map has "
+                + " x ".join(map(str, shape or ()))
+            )
         starts.append((row, column))
         goals.append((to_row, to_column))
     return starts, goals
@@ -54,12 +62,12 @@ def parse_scenario(text: str, name: str, agents: int) -> tuple[list[Cell], list[
 
 def read_scenario(path: Path, walls: Walls, agents: int) -> MapfInstance:
     """The first `agents` of a `.scen` on a map that was read. Raises GridFileError, also if two
-    have one start or one goal, or one of them is in a wall."""
+    have one start or one goal, one of them is in a wall, or it is of a map of another size."""
     try:
         text = read_text(path, FILE_BYTES_MAX)
     except GivenFileError as problem:
         raise GridFileError(f"{path}: {problem}") from None
-    starts, goals = parse_scenario(text, str(path), agents)
+    starts, goals = parse_scenario(text, str(path), agents, walls.shape)
     check_starts(str(path), walls, starts)
     check_starts(f"{path}, goals", walls, goals)
     return MapfInstance(path.stem, walls, starts, goals)
