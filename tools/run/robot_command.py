@@ -18,6 +18,8 @@ BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
     "fences and members it keeps clear of"
 )
+KEYLESS = "NO KEYS: any device on the bus can stop and release it"
+RED, PLAIN = "\x1b[1;31m", "\x1b[0m"  # of a terminal
 INTERRUPTED = 130
 
 
@@ -47,6 +49,9 @@ def robot(
         if not sees(declared):
             print(f"headland: robot {declared.robot.slot}: {BLIND}", file=sys.stderr)
         keep_private(memory(declared))
+        if declared.fleet.keys is None:
+            line = f"headland: robot {declared.robot.slot}: {KEYLESS}"
+            print(f"{RED}{line}{PLAIN}" if sys.stderr.isatty() else line, file=sys.stderr)
         with viewers:
             asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
     except RobotError as problem:

@@ -126,6 +126,7 @@ def test_it_takes_part_and_ends_with_a_farewell(dry: tuple[str, ...], folder: Pa
     code, _, err = end(process)
     assert code == 0 and "foreign []" in err and "for people []" in err, err
     assert (folder / "robot0.sqlite").exists()
+    assert "headland: robot 0: NO KEYS: any device on the bus can stop and release it\n" in err
 
 
 def test_a_driver_beside_the_robot_file_is_found(folder: Path) -> None:
