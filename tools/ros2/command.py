@@ -62,10 +62,7 @@ def serve(
         return WRONG
     try:
         check_operator_key(operator_key)
-        if NAMESPACE.fullmatch(namespace) is None:
-            raise GraphError(
-                f"--namespace {printable(namespace)}: letters, digits and _, with / between the parts"
-            )
+        _check_namespace(namespace)
         asyncio.run(
             _serve(where, keys, operator_key, scenario, namespace, domain, seconds, zenoh,
                    EventLines(as_json))
@@ -78,6 +75,14 @@ def serve(
 
 class GraphError(Exception):
     """One line for the person: why a graph cannot be joined."""
+
+
+def _check_namespace(namespace: str) -> None:
+    """Raises GraphError."""
+    if NAMESPACE.fullmatch(namespace) is None:
+        raise GraphError(
+            f"--namespace {printable(namespace)}: letters, digits and _, with / between the parts"
+        )
 
 
 def _missing(zenoh: str | None) -> str:
