@@ -298,19 +298,19 @@ def test_a_connection_that_fails_is_begun_again_and_told(
     monkeypatch.setattr("tools.vda5050.master_gateway.AGAIN_S", 0.01)
 
     async def story() -> None:
-        runs = asyncio.Queue[int]()
+        runs, again = list[int](), asyncio.Event()
 
         async def run(link: BrokerLink, topics: object) -> None:
-            runs.put_nowait(1)
-            if runs.qsize() == 1:
+            runs.append(1)
+            if len(runs) == 1:
                 raise RuntimeError("that nobody expected")
+            again.set()
             await asyncio.get_running_loop().create_future()
 
         monkeypatch.setattr(BrokerLink, "run", run)
         gateway = gateway_on(tmp_path, told)
         async with asyncio.timeout(WAIT_S):
-            while runs.qsize() < 2:
-                await asyncio.sleep(0.01)
+            await again.wait()
         assert "robot0: its connection has failed" in told[-1] and "nobody expected" in told[-1]
         await left(gateway)
         assert gateway.ports[0].running.cancelled() and len(told) == 2
