@@ -85,6 +85,7 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
     kind = MapfOutcome
     quiet_for_us = QUIET_US
     steps: list[list[int]]  # after the run: the cells of all robots at each unit of time
+    excused: set[int]  # after the run: robots that crashed, or that wrecks keep from their goals
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> MapfFleet:
         return MapfFleet(self.setting, channel, record, host)
@@ -103,6 +104,7 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
         first_at_us = min(moved, default=STEP_US) - STEP_US
         came_at_us = {slot: at_us for at_us, slot, cell in truth.visits}  # the last visit of each
         closed = self._closed_off(cluster, up)
+        self.excused = closed | set(range(len(setting.goals))) - up
         there = [slot for slot in sorted(up - closed) if truth.at.get(slot) == setting.goals[slot]]
         moves = {
             slot: 0 if setting.cells[slot] == setting.goals[slot] and came_at_us[slot] < first_at_us

@@ -105,8 +105,7 @@ def judged(run: MapfRun, outcome: MapfOutcome, walls: Walls) -> PathVerdict:
     """The verdict of the judge of path files, which excuses robots that crashed or cannot arrive."""
     if outcome.conflict:
         return PathVerdict([outcome.conflict], 0, 0, 0)
-    excused = set(range(outcome.robots)) if outcome.solvable < outcome.robots else set[int]()
-    return judge_paths(path_file(run, outcome), map_text(walls), excused)
+    return judge_paths(path_file(run, outcome), map_text(walls), run.excused)
 
 
 def reports(
@@ -150,6 +149,8 @@ def measured(
     for option, path in (("--out", out), ("--picture", picture)):  # said before the runs
         if path is not None and not path.absolute().parent.is_dir():
             raise GridFileError(f"{option} {path}: {path.parent} is not a folder")
+        if path is not None and path.is_dir():
+            raise GridFileError(f"{option} {path}: it is a folder; give the name of a file")
     if picture is not None and picture.suffix not in PICTURES:
         raise GridFileError(f"--picture {picture}: a picture ends in {', '.join(PICTURES)}")
     clean = True

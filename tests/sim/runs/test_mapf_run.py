@@ -74,9 +74,14 @@ def test_a_wreck_in_the_only_door_closes_off_goals_and_the_others_arrive() -> No
     mapf = MapfInstance(
         "door", walls, [(1, 3), (0, 0), (2, 0), (0, 8)], [(1, 8), (0, 7), (0, 2), (2, 5)]
     )
-    _, outcome = play(mapf, Crash(at_s=2.3, kind="crash", robot=0))
+    run, outcome = play(mapf, Crash(at_s=2.3, kind="crash", robot=0))
     assert outcome.success and outcome.crashed == 1, outcome
     assert outcome.unsolvable == 1 and outcome.arrived == 2, "robot 1 cannot come through"
+    assert run.excused == {0, 1} and not judged(run, outcome, walls).faults
+    steps = run.steps
+    run.steps = [*steps, [*steps[-1][:2], steps[0][2], *steps[-1][3:]]]
+    faults = judged(run, outcome, walls).faults
+    assert "agent 2 does not end at its goal" in faults, "one wreck excused every robot"
 
 
 FILE_OF_FOUR = (
