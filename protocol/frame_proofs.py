@@ -9,6 +9,8 @@ anti-entropy repairs that as it repairs a lost frame.
 fleet is switched on, so no recording of an earlier day falls into its window. It only goes forward:
 each robot takes the greatest time that was proven to it. A device that boots asks for it with a nonce.
 Each sender uses a tick once, and a receiver accepts each once, `BACK` ticks late at most.
+New keys begin a new time, which is drawn from them: so what a thief has made of the time ends with its
+revocation, and no robot has to tell the others where the new time begins.
 
 **Keys.** Each sender has its own key, derived from the fleet's master secret, or from the operator's
 secret for operator devices. Each robot can derive all of them, because it must verify. So a stolen
@@ -55,7 +57,17 @@ HELD_FOR_US: Final = 1_500 * MS  # longer than the longest pause between two pro
 WAITING_MAX: Final = 2  # proofs of one address that wait for frames that are still in a queue
 WAITS_FOR_US: Final = 250 * MS
 TOOL_TIME_US: Final = 5 * S  # a device that hears no proofs asks again after this
-START_BITS: Final = WORD_BITS - 1  # the fleet's time can run for 9 million years
+START_BITS: Final = WORD_BITS - 1  # bits of the random start of the fleet's time
+# The fleet's time starts above FIRST, so that it stays positive where a clock goes back, by centuries
+# if need be. An answer can move a known time to JUMP_LAST, and teach one that is unknown up to
+# TOLD_LAST. A thief can answer as it likes, and each of its proofs moves the time by `AHEAD` at most.
+# So the time comes from JUMP_LAST to TOLD_LAST, and from there to the last one that a FLEET_TIME frame
+# can tell, in 2.2 million years, or by 7 * 10^13 proofs: 1,100 years of a bus that is full of them.
+FIRST: Final = 1 << 40
+_QUARTER: Final = 1 << START_BITS - 2
+JUMP_LAST: Final = 5 * _QUARTER
+TOLD_LAST: Final = 6 * _QUARTER
+assert FIRST + (1 << START_BITS) < JUMP_LAST < TOLD_LAST < (1 << WORD_BITS) - _QUARTER
 
 Words = tuple[bytes, ...]  # groups and data of frames, each once, in order
 
@@ -153,24 +165,38 @@ class ProofKeys:
 
 
 class FleetTime:
-    """The fleet's time as one device knows it. It never goes back."""
+    """The fleet's time as one device knows it. With the same keys it never goes back."""
 
     def __init__(self, start: int, now_us: int) -> None:
-        """`start`: used if no robot knows the time; at most `START_BITS`."""
+        """`start`: used if no robot knows the time; from `FIRST`, and `START_BITS` more at most."""
         self._offset = start - now_us // TICK_US
         self.known = False
+        self.refused = 0  # answers that no honest robot gives
+
+    def begin(self, keys: "ProofKeys", now_us: int) -> None:
+        """The fleet has these keys from now on: its time starts at what is drawn from them. A device
+        that knew no time asks for it, because the others may have switched long before."""
+        start = FIRST + keys.number(b"new keys", b"", START_BITS)
+        self._offset = start - now_us // TICK_US
 
     def at(self, now_us: int) -> int:
         """The ticks at this time of our own clock."""
         return self._offset + now_us // TICK_US
 
+    def possible(self, ticks: int) -> bool:
+        """Whether an honest robot may tell this time to a device that knows what we know."""
+        return FIRST <= ticks <= (JUMP_LAST if self.known else TOLD_LAST)
+
     def learn(self, ticks: int, now_us: int) -> bool:
         """Take over a proven time if it is later than ours, or if we know none; whether it moved by
-        more than proofs may be early."""
+        more than proofs may be early. An impossible one is counted, and changes nothing."""
         moved = ticks - self.at(now_us)
         if self.known and moved <= 0:
             return False
         jumps = not self.known or moved > AHEAD
+        if jumps and not self.possible(ticks):
+            self.refused += 1
+            return False
         self._offset += moved
         self.known = True
         return jumps
@@ -203,6 +229,11 @@ class ProofBatch:
         """The frames are not proven: our address has changed, or no time is known."""
         self._words.clear()
         self.due_at_us, self.full = None, False
+
+    def rekey(self) -> None:
+        """The fleet has other keys, and with them another time."""
+        self.clear()
+        self._last = 0
 
     def seal(self, address: int, now_us: int) -> Proof | None:
         """The proof of all frames so far, also of none; None while the fleet's time is unknown."""
@@ -319,10 +350,12 @@ class ProofChecker:
         if at is not None:
             self.dropped += len(at.frames)
 
-    def forget_all(self) -> None:
-        """The fleet has other keys: what waits is void."""
+    def rekey(self, keys: Keys) -> None:
+        """The fleet has other keys, and with them another time: what waits is void."""
         for address in list(self._at):
             self.forget(address)
+        self._replay.clear()
+        self.keys.rekey(keys)
 
     def _match(self, address: int, at: _Address, proof: Proof, now_us: int) -> Proven | None:
         if not self.time.known:
@@ -419,11 +452,11 @@ class ToolProofs:
         self._learned_at_us = -TOOL_TIME_US
 
     def renew(self, keys: Keys, badge: Badge | None) -> None:
-        """The device has another secret or badge. Robots with the new keys keep the fleet's time, but
-        we ask for it again: it may have gone on in a fleet that we did not hear."""
+        """The device has another secret or badge. Robots with new keys have another time."""
         self._keys.rekey(keys)
         self._badge = badge
-        self._batch.clear()
+        self._batch.rekey()
+        self._time.known = False
         self._learned_at_us = -TOOL_TIME_US
 
     def hear(self, source: int, message: Any, now_us: int) -> None:
@@ -432,7 +465,8 @@ class ToolProofs:
             ticks = self._answers.hear(source, message, self._question)
             if ticks is not None:
                 self._time.learn(ticks, now_us)
-                self._learned_at_us = now_us
+                if self._time.known:
+                    self._learned_at_us = now_us
 
     def after(
         self, message: Any, address: int, now_us: int

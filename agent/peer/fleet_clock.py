@@ -12,7 +12,7 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from agent.interface.config import MS, PEERS_MAX, S
-from agent.interface.effects import Send
+from agent.interface.effects import Send, Trace
 from agent.peer import notices
 from agent.peer.part import (
     FOREVER,
@@ -77,6 +77,7 @@ class FleetClock(Part):
             notices.AddressGained: self._joined,
             notices.AddressLost: self._away,
             notices.BusLost: self._away,
+            notices.KeysChanged: self._keys_changed,
             notices.TimeDoubted: self._doubted,
         }
 
@@ -143,6 +144,11 @@ class FleetClock(Part):
         self._pending.clear()
         return NOTHING
 
+    def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
+        """Who has switched before us knows a later time; we ask as soon as we hear of it."""
+        self._doubts = 0
+        return NOTHING
+
     def _doubted(self, ctx: StepContext, notice: notices.TimeDoubted) -> Outputs:
         """A proof could not be verified: its sender may know a later time than we do."""
         if not self.time.known or self.asks_at_us != FOREVER:
@@ -177,14 +183,21 @@ class FleetClock(Part):
             self._pending = {q: max(at_us, turn_at_us) for q, at_us in self._pending.items()}
         for question in list(self._pending):  # another robot has answered as we would
             ticks = self.answers.hear(header.source, m, question)
-            if ticks is not None and ticks >= self.time.at(now_us) - BACK:
+            if ticks is None or not self.time.possible(ticks):
+                continue
+            if ticks >= self.time.at(now_us) - BACK:
                 del self._pending[question]
         mine = self._question if now_us - self._asked_at_us <= NONCE_LIFE_US else None
         ticks = self.answers.hear(header.source, m, mine)
         if ticks is None:
             return NOTHING
+        refused = self.time.refused
+        learned = self.time.learn(ticks, now_us)
+        if self.time.refused > refused:
+            who = f"address {header.source}"
+            return [Trace("trust", "", "REFUSED", who, "a fleet time that no robot has")]
         self.asks_at_us = self.alone_at_us = FOREVER  # the question stays: a later time may follow
-        if not self.time.learn(ticks, now_us):
+        if not learned:
             return NOTHING
         self._doubts = 0
         return [notices.FleetTimeKnown()]

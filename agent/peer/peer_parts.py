@@ -63,7 +63,7 @@ from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from crdt import FieldAllocationCRDT, Progress, VectorClock
 from protocol.authentication import Keyring
-from protocol.frame_proofs import START_BITS, FleetTime, ProofKeys
+from protocol.frame_proofs import FIRST, START_BITS, FleetTime, ProofKeys
 from protocol.sync.map_sync import MapSync
 from protocol.sync.synchronizer import Synchronizer
 from protocol.sync.vouchers import Vouchers
@@ -205,7 +205,7 @@ class PeerParts:
         """What proves frames in a fleet with keys, and does nothing in one without."""
         keys = None if keyring is None else ProofKeys(keyring.keys, keyring.badges)
         lot = b"" if keyring is None else keyring.lot + bytes((keyring.sender,))
-        start = 0 if keys is None else keys.number(b"start", lot, START_BITS)
+        start = 0 if keys is None else FIRST + keys.number(b"start", lot, START_BITS)
         time, identity = FleetTime(start, now_us), self.identity
         self.fleet_clock = FleetClock(identity.slot, keys, time, lot, len(identity.members))
         self.proven = ProvenFrames(identity.slot, keys, time, self.membership, self.joining)

@@ -249,9 +249,9 @@ class ProvenFrames(Part):
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
         """What waits for a proof was said with the old keys, perhaps after a revoked member: drop it."""
         if self.checker is not None and self._batch is not None:
-            self._batch.clear()
-            self.checker.forget_all()
-            self.checker.keys.rekey(notice.keys)
+            self._batch.rekey()
+            self.checker.rekey(notice.keys)
+            self.checker.time.begin(self.checker.keys, ctx.now_us)
         return NOTHING
 
     def _lost(self, ctx: StepContext, notice: notices.AddressLost) -> Outputs:

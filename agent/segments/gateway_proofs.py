@@ -55,12 +55,13 @@ class GatewayProofs:
         self._asked = 0
         self._ask_at_us = now_us
 
-    def rekey(self, keys: Keys) -> None:
-        """The fleet has other keys from now on; what waits was said under the old ones."""
-        self.keys.rekey(keys)
-        self.checker.forget_all()
+    def rekey(self, keys: Keys, now_us: int) -> None:
+        """The fleet has other keys from now on; what waits was said under the old ones. We ask for the
+        time that began with them."""
+        self.checker.rekey(keys)
+        self.checker.time.known, self._ask_at_us = False, now_us
         if self._batch is not None:
-            self._batch.clear()
+            self._batch.rekey()
 
     # ---------------------------------------------------------------- from our bus
 

@@ -319,6 +319,8 @@ class Cluster:
         """The owner has given the fleet other keys: the operator's device has them, too."""
         if self._keyring is not None:
             self._keyring.rekey(keys)
+        if self._proofs is not None:
+            self._proofs.renew(keys, None)
 
     def _said(self, t_us: int, frame: Frame) -> None:
         """An order that had to wait for a full bus counts from the time it left."""

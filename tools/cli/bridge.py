@@ -166,7 +166,7 @@ def renew(gateway: Gateway, keys: Keys, now_us: int) -> None:
     """Other keys for a gateway that has some. What it has heard of work it forgets, because a robot that
     was revoked may have said it, and learns again from the robots what they still believe."""
     assert gateway.proofs is not None, "a gateway without keys is given none"
-    gateway.proofs.rekey(keys)
+    gateway.proofs.rekey(keys, now_us)
     before = gateway.sync
     gateway.border = WorkRelay(gateway.area)
     gateway.sync = Synchronizer(before.slot, gateway.border.allocation, gateway.border.progress)

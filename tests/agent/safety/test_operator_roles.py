@@ -8,7 +8,7 @@ from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
 from agent.safety.command_authentication import NEEDS, CommandAuthority, role_for
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, WINDOW, AnySigned, Keyring, Keys
-from protocol.frame_proofs import FleetTime, ProofChecker, ProofKeys, TimeAnswers, ToolProofs
+from protocol.frame_proofs import FIRST, FleetTime, ProofChecker, ProofKeys, TimeAnswers, ToolProofs
 from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.operator_frames import OperatorGoal
 from protocol.frames.safety_frames import (
@@ -153,7 +153,7 @@ def test_a_transport_order_is_proven_by_a_key_of_its_badge(roles: Role) -> None:
     badge = Badge(DEVICE, roles, TODAY + 1)
     assert FLEET.operator is not None
     tool = ToolProofs(Keys(None, badge.secret(FLEET.operator)), DEVICE, b"lot", badge)
-    book, time = BadgeBook(TODAY * DAY_S), FleetTime(123_456, 0)
+    book, time = BadgeBook(TODAY * DAY_S), FleetTime(FIRST, 0)
     time.known = True
     keys = ProofKeys(FLEET, book)
     robot, order = ProofChecker(keys, time), TaskOrder(7, 1, 2)

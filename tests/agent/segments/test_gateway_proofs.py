@@ -215,7 +215,7 @@ def test_a_gateway_with_the_keys_of_before_a_rotation_is_not_believed(fleet: Seg
     for number in fleet.segments:
         for shell in fleet.gateways[number]:
             assert shell.gateway.proofs is not None
-            shell.gateway.proofs.rekey(OTHER)
+            shell.gateway.proofs.rekey(OTHER, fleet.swarm.now_us())
     far = work_of(fleet, 2)
     fleet.finish(1, 0, LENT)
     fleet.run(10 * S)
@@ -224,5 +224,5 @@ def test_a_gateway_with_the_keys_of_before_a_rotation_is_not_believed(fleet: Seg
     for number in fleet.segments:  # its file is read again
         for shell in fleet.gateways[number]:
             assert shell.gateway.proofs is not None
-            shell.gateway.proofs.rekey(Keys(KEYS.master, None))
+            shell.gateway.proofs.rekey(Keys(KEYS.master, None), fleet.swarm.now_us())
     assert fleet.run(15 * S, lambda: all_know_done(fleet, LENT)), f"seed {SEED}"

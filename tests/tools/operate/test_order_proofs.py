@@ -20,7 +20,7 @@ from agent.runtime.files.key_file import (
 )
 from agent.runtime.files.key_folder import owned
 from protocol.authentication import Keys
-from protocol.frame_proofs import FleetTime, ProofChecker, ProofKeys, TimeAnswers
+from protocol.frame_proofs import FIRST, FleetTime, ProofChecker, ProofKeys, TimeAnswers
 from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.trust_frames import OperatorBadge, Proof, TimeQuestion
 from protocol.operator_badges import DAY_S, Badge, BadgeBook, Role
@@ -37,16 +37,16 @@ class Robot:
 
     def __init__(self, keys: Keys) -> None:
         self.keys, self.now_us = keys, 0
-        self.book, self.time = BadgeBook(DAY * DAY_S), FleetTime(123_456, 0)
+        self.book, self.time = BadgeBook(DAY * DAY_S), FleetTime(FIRST, 0)
         self.time.known = True
         self.proof_keys = ProofKeys(keys, self.book)
         self.checker = ProofChecker(self.proof_keys, self.time)
 
     def rekey(self, keys: Keys) -> None:
         self.keys = keys
-        self.proof_keys.rekey(keys)
         self.book.forget()
-        self.checker.forget_all()
+        self.checker.rekey(keys)
+        self.time.begin(self.proof_keys, self.now_us)
 
     def believes(self, desk: FileProofs, tries: int = 4) -> bool:
         """Whether it takes an order that the desk repeats, as desks do."""
