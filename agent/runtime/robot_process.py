@@ -58,9 +58,12 @@ def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
     slot = robot.robot.slot
     path = robot.folder / robot.robot.journal / f"robot{slot}.sqlite"
     try:
-        return SqliteJournal.opened(path)
+        journal, recalled = SqliteJournal.opened(path)
     except OSError as problem:
         raise RobotError(f"robot {slot}: its journal cannot be opened: {problem}") from None
+    if said := str(journal.narrowed):
+        print(f"headland: robot {slot}: {said}", file=sys.stderr)
+    return journal, recalled
 
 
 async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None = None) -> Bus:

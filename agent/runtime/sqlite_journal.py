@@ -12,11 +12,15 @@ two the journal is one ahead of the mark, which is sound. A journal behind its m
 that were revealed. If it is further ahead, its mark cannot be trusted. In both cases the memory is
 lost. A journal and a mark that are both replaced by older copies of themselves cannot be told from
 sound ones.
+
+After `headland keys rotate --running` the journal holds the fleet's secrets. So all its files are for
+their user alone from the first byte on, and those of an earlier version become so. SQLite gives its log
+and its index the mode of the database.
 """
 
 import os
 import sqlite3
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
 from struct import Struct
@@ -24,6 +28,7 @@ from zlib import crc32
 
 from agent.interface.effects import Persist
 from agent.peer.journal_recovery import LOST, senseless
+from agent.runtime.files.private_file import OWNER, Narrowed, make_private, narrow
 
 CHECK_SIZE = 4  # bytes of CRC-32 before each value
 NEWEST = "journal/newest"  # the record with the number of the newest write
@@ -31,6 +36,7 @@ NUMBER = Struct("<Q")
 MARK = Struct("<QI")  # the same number in the mark, and its CRC-32
 MARK_PLACES, MARK_SPACING = 2, 4096  # numbers alternate between two places, a page of a disk apart
 MARK_SUFFIX = "-mark"
+SUFFIXES = ("", "-wal", "-shm", MARK_SUFFIX)  # of the files of a journal
 LAG_MAX = 1  # writes that the mark may be behind: a crash between the commit and the mark
 FULL = 2  # the value of sqlite's PRAGMA synchronous for FULL
 NOT_TO_BE_HAD = {  # errors of access to the file; any other is about its contents
@@ -91,7 +97,7 @@ class Mark:
         harm later.
         """
         new = not self.path.exists()
-        file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, 0o600)
+        file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER)
         if new:
             os.pwrite(file, bytes(MARK_PLACES * MARK_SPACING), 0)
             os.fsync(file)
@@ -110,11 +116,12 @@ class SqliteJournal:
         """Open the file or create it.
 
         Raises UnreadableError if the file is no journal (any more), and OSError if it cannot be
-        accessed.
+        accessed, or if others may read it and it is another user's.
         """
         self.path = path
         self.mark = Mark(path.with_name(path.name + MARK_SUFFIX))
         self._number: int | None = None  # of the newest write; None: not read yet
+        make_private(path)
         try:
             self._database = sqlite3.connect(path, isolation_level=None, timeout=0.0)
         except PROBLEMS as problem:
@@ -140,6 +147,11 @@ class SqliteJournal:
             if _header_forbids_writing(path):
                 raise UnreadableError(f"{path}: its header forbids writing") from None
             raise self._error(problem) from None
+        try:  # only now, because what a link leads to may be no journal
+            self.narrowed: Narrowed = narrow(_parts_of(path))
+        except OSError:
+            self._database.close()
+            raise
 
     @classmethod
     def opened(cls, path: Path) -> tuple["SqliteJournal", Mapping[str, bytes]]:
@@ -263,10 +275,23 @@ def put_aside(path: Path) -> None:
         number += 1
     # A file without its log could pass for an older state, and one without its mark for a journal
     # from before there were marks.
-    for suffix in ("", "-wal", "-shm", MARK_SUFFIX):
+    for suffix in SUFFIXES:
         part = path.with_name(path.name + suffix)
         if part.exists():
             part.rename(aside.with_name(aside.name + suffix))
+
+
+def _parts_of(path: Path) -> Iterator[Path]:
+    """The files of a journal, and of those that were put aside before it."""
+    journals, number = [path], 1
+    while (aside := _aside(path, number)).exists():
+        journals.append(aside)
+        number += 1
+    for journal in journals:
+        if (
+            journal is path or not journal.is_symlink()
+        ):  # behind a link may be a file of something else
+            yield from (journal.with_name(journal.name + suffix) for suffix in SUFFIXES)
 
 
 def _aside(path: Path, number: int) -> Path:

@@ -21,15 +21,12 @@ from agent.runtime.end_signals import on_closed_input, on_end
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_file import RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, run_robot
-from tools.common.private_memory import keep_private
-from tools.run.robot_command import memory
 
 
 async def run(order: dict[str, Any]) -> None:
     """Run one robot as the order describes it, until the process is told to end. Raises RobotError
     if its journal cannot be opened."""
     robot = RobotFile.of(order["robot"], "robot", Path())
-    keep_private(memory(robot))
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     on_end(loop, end.set, (signal.SIGTERM,))
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # the launcher decides

@@ -12,7 +12,6 @@ from agent.runtime.body_plugins import factory_of
 from agent.runtime.robot_body import FactoryError, named
 from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
-from tools.common.private_memory import keep_private
 
 BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
@@ -48,7 +47,6 @@ def robot(
             )
         if not sees(declared):
             print(f"headland: robot {declared.robot.slot}: {BLIND}", file=sys.stderr)
-        keep_private(memory(declared))
         if declared.fleet.keys is None:
             line = f"headland: robot {declared.robot.slot}: {KEYLESS}"
             print(f"{RED}{line}{PLAIN}" if sys.stderr.isatty() else line, file=sys.stderr)

@@ -36,7 +36,6 @@ from protocol.name import fleet_name
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
 from tools.common.event_lines import EventLines
-from tools.common.private_memory import keep_private
 
 WRONG = 2
 TICK_S = 0.005
@@ -139,8 +138,9 @@ async def _serve(
 ) -> None:  # fmt: skip
     slot, machines = machine
     first_boot = not memory.exists()
-    keep_private(memory)
     journal, recalled = SqliteJournal.opened(memory)
+    if said := str(journal.narrowed):
+        sayer.note(said)
     try:
         bus = SharedBus(buses[0])
         fleet_bus: Bus = bus if buses[1] is None else buses[1]
