@@ -21,6 +21,7 @@ BID_MAX = 31
 LAMPORT_MAX = 0xFFFFFF  # at ten operations a second of the whole fleet: 19 days on one field
 OWNER_MAX = 0xFF
 DONE_BIT = 1 << 48
+KEY_BITS = 49
 
 
 class Phase(IntEnum):

@@ -4,6 +4,13 @@ Own operations are numbered before they are sent. Registers and progress are kep
 that loses power as a whole loses no work. The stop records belong to
 `agent/safety/stop_controller.py`.
 
+A robot with keys writes down which units it covered itself, and the generation of the keys under which
+it believed the others. What it was told counts after a restart only under the same keys, and as told by
+nobody known: a revocation takes it out, and the other robots tell it again. The end of a section that was
+written under other keys waits for its units. No name is kept with a fact, because a name would prove
+nothing: what an honest robot told may be what it heard from a thief. Records of older versions do not say
+which units are our own. They count as told by nobody known, because they may hold units of a thief.
+
 A peer without its incarnation has lost its memory. Its dots and operation numbers would be used
 twice, so it takes a random new incarnation and stays latched until a person has checked it.
 """
@@ -18,10 +25,15 @@ from agent.interface.effects import Persist
 from agent.peer import notices
 from agent.peer.part import NOTHING, Outputs, Part, StepContext
 from crdt import FieldAllocationCRDT, Progress
+from crdt.claim_register import KEY_BITS, Phase, phase_of
 from crdt.occupancy import PATCH_BYTES, OccupancyMap
+from crdt.progress import BLOCK_UNITS, FULL, name_of
+from protocol.sync.vouchers import UNKNOWN, Vouchers
 
 U16, U32, U64 = Struct("<H"), Struct("<I"), Struct("<Q")
 VOTE = Struct("<HB")
+BLOCK = Struct("<QQ")  # with keys: the units of a block and the generation; the units of our own
+GENERATION_MASK = (1 << 64 - KEY_BITS) - 1  # room beside the key of a register: 15 bits
 
 INCARNATION = "incarnation"
 OPERATIONS = "operations"
@@ -64,14 +76,35 @@ class DurableRecords(Part):
         raw = self.recalled.get(key, b"")
         return int(layout.unpack(raw)[0]) if len(raw) == layout.size else default
 
-    def restore(self, allocation: FieldAllocationCRDT, progress: Progress) -> None:
-        """Restore the records. One that does not parse is skipped, because peers have it too."""
+    def restore(
+        self, allocation: FieldAllocationCRDT, progress: Progress, vouchers: Vouchers | None = None
+    ) -> dict[int, int]:
+        """Restore the records; returns ends of sections that wait for their units, section to key.
+
+        One that does not parse is skipped, because peers have it too. `vouchers`: with keys."""
+        ends: dict[int, int] = {}
         for key, raw in sorted(self.recalled.items()):
             if key.startswith(REGISTER) and len(raw) == U64.size:
-                allocation.apply(int(key.removeprefix(REGISTER)), U64.unpack(raw)[0])
-            elif key.startswith(PROGRESS) and len(raw) == U64.size:
-                section, block = key.removeprefix(PROGRESS).split("/")
-                progress.apply(int(section), int(block), U64.unpack(raw)[0])
+                section, written = int(key.removeprefix(REGISTER)), key_of(raw)
+                end = phase_of(written) == Phase.DONE and section in progress.units
+                if end and vouchers is not None and _other_keys(raw, vouchers):
+                    ends[section] = written
+                    continue
+                allocation.apply(section, written)
+                if vouchers is not None:
+                    vouchers.register(section, written, vouchers.slot, 0)
+            elif key.startswith(PROGRESS) and len(raw) in (U64.size, BLOCK.size):
+                section, block = map(int, key.removeprefix(PROGRESS).split("/"))
+                bits, own = units_of(raw), _own_units(raw)
+                if vouchers is not None and not _same_keys(raw, vouchers):
+                    bits = own
+                progress.apply(section, block, bits)
+                if vouchers is not None:
+                    known, name = progress.bits(section, block), name_of(section, block)
+                    vouchers.cover(name, own & known)
+                    if known & ~own:
+                        vouchers.units(name, known & ~own, UNKNOWN, 0)
+        return ends
 
     def restore_map(self, chart: OccupancyMap) -> None:
         """Restore the patches of the fleet's map. One that does not parse is skipped, because peers
@@ -92,18 +125,57 @@ class DurableRecords(Part):
         return INCARNATION, U16.pack(self.incarnation)
 
     @staticmethod
-    def operation(count: int, section: int, key: int) -> tuple[tuple[str, bytes], ...]:
+    def operation(
+        count: int, section: int, key: int, vouchers: Vouchers | None = None
+    ) -> tuple[tuple[str, bytes], ...]:
         """The records of an own operation: the register after it, and the number of operations so
-        far.
+        far. `vouchers`: with keys.
         """
+        if vouchers is not None:
+            key |= (vouchers.generation & GENERATION_MASK) << KEY_BITS
         return (f"{REGISTER}{section}", U64.pack(key)), (OPERATIONS, U32.pack(count))
 
     @staticmethod
-    def progress(section: int, block: int, bits: int) -> tuple[str, bytes]:
-        """The record of 40 units of a section: key and value. `bits`: one for each unit."""
-        return f"{PROGRESS}{section}/{block}", U64.pack(bits)
+    def progress(
+        section: int, block: int, bits: int, vouchers: Vouchers | None = None
+    ) -> tuple[str, bytes]:
+        """The record of 40 units of a section: key and value. `bits`: one for each unit. `vouchers`: with
+        keys, they know which are our own."""
+        key = f"{PROGRESS}{section}/{block}"
+        if vouchers is None:
+            return key, U64.pack(bits)
+        own = vouchers.own(name_of(section, block))
+        return key, BLOCK.pack(bits | vouchers.generation << BLOCK_UNITS, own)
 
     @staticmethod
     def vote(term: int, candidate: int) -> tuple[str, bytes]:
         """The record of our newest vote: key and value. `candidate`: the slot that we voted for."""
         return ELECTION, VOTE.pack(term, candidate)
+
+
+def key_of(raw: bytes) -> int:
+    """The key in the record of a register; 0 if it is none."""
+    return int.from_bytes(raw, "little") & (1 << KEY_BITS) - 1 if len(raw) == U64.size else 0
+
+
+def units_of(raw: bytes) -> int:
+    """All units in the record of a block; none if it is none."""
+    if len(raw) not in (U64.size, BLOCK.size):
+        return 0
+    return int.from_bytes(raw[: U64.size], "little") & FULL
+
+
+def _own_units(raw: bytes) -> int:
+    return int.from_bytes(raw[U64.size :], "little") & FULL
+
+
+def _same_keys(raw: bytes, vouchers: Vouchers) -> bool:
+    """Whether the record of a block was written under the present keys. Old records do not say it."""
+    old = len(raw) == U64.size
+    return old or int.from_bytes(raw[: U64.size], "little") >> BLOCK_UNITS == vouchers.generation
+
+
+def _other_keys(raw: bytes, vouchers: Vouchers) -> bool:
+    """Whether the record of a register was written under keys that are not the present ones."""
+    generation = int.from_bytes(raw, "little") >> KEY_BITS
+    return generation != vouchers.generation & GENERATION_MASK

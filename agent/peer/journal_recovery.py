@@ -8,6 +8,7 @@ Then other records may be wrong too, so the whole memory is discarded: the robot
 from collections.abc import Callable, Mapping
 
 from agent.peer.durable_records import (
+    BLOCK,
     ELECTION,
     INCARNATION,
     MAP,
@@ -65,10 +66,12 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     FLEET_KEYS: _size(RECORD.size),
     HOLD_KEY: lambda raw: raw in (FREE, HELD, LATCHED),
 }
-_FAMILIES: Mapping[str, tuple[tuple[int, ...], int]] = {  # greatest numbers in the key; bytes
-    REGISTER: ((SECTION_MAX,), U64.size),
-    PROGRESS: ((SECTION_MAX, BLOCK_MAX), U64.size),
-    MAP: ((PATCH_MAX,), PATCH_BYTES),
+_FAMILIES: Mapping[
+    str, tuple[tuple[int, ...], tuple[int, ...]]
+] = {  # greatest numbers in the key; bytes
+    REGISTER: ((SECTION_MAX,), (U64.size,)),
+    PROGRESS: ((SECTION_MAX, BLOCK_MAX), (U64.size, BLOCK.size)),
+    MAP: ((PATCH_MAX,), (PATCH_BYTES,)),
 }
 
 
@@ -83,10 +86,10 @@ def senseless(recalled: Mapping[str, bytes]) -> str:
 
 def _known(key: str, raw: bytes) -> bool:
     """Whether a record of a known family is valid; records with an unknown key are ignored."""
-    for family, (greatest, size) in _FAMILIES.items():
+    for family, (greatest, sizes) in _FAMILIES.items():
         if key.startswith(family):
             numbers = key.removeprefix(family).split("/")
-            fits = len(raw) == size and len(numbers) == len(greatest)
+            fits = len(raw) in sizes and len(numbers) == len(greatest)
             return fits and all(map(_number, numbers, greatest))
     return True
 

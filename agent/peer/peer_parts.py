@@ -66,7 +66,7 @@ from protocol.authentication import Keyring
 from protocol.frame_proofs import FIRST, START_BITS, FleetTime, ProofKeys
 from protocol.sync.map_sync import MapSync
 from protocol.sync.synchronizer import Synchronizer
-from protocol.sync.vouchers import Vouchers
+from protocol.sync.vouchers import Vouched, Vouchers
 
 
 class PeerParts:
@@ -93,21 +93,23 @@ class PeerParts:
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         units = mission.section_units if mission else {}
         self.progress = Progress(units)
-        self.records.restore(self.allocation, self.progress)
+        kept, vouchers = KeptKeys(recalled), None
+        if keyring is not None:
+            keyring.rekey(kept.newest(keyring.keys))
+            vouchers = Vouchers(slot, keyring.keys.generation)
+        ends = self.records.restore(self.allocation, self.progress, vouchers)
         if chart is not None:
             self.records.restore_map(chart.chart)
             chart.recalled(now_us)
         self.clock = VectorClock({slot: self.records.operations})
         self.sync = Synchronizer(slot, self.allocation, self.progress)
-        if keyring is not None:
-            self.sync.replica.vouchers = Vouchers()
+        self.sync.replica.vouchers = vouchers
+        for section, key in ends.items():
+            self.sync.replica.await_units(section, key, {slot: [Vouched(key, 0)]})
         self.admission = Admission(frozenset(units), identity.members, now_us)
 
         # Stops, and the members on the bus.
         incarnation = self.records.incarnation
-        kept = KeptKeys(recalled)
-        if keyring is not None:
-            keyring.rekey(kept.newest(keyring.keys))
         self.safety = StopController(slot, incarnation, identity.silence, keyring, recalled, now_us)
         self.lifecycle = PeerLifecycle(self.safety)
         self.joining = NetworkJoin(identity, incarnation, rng, now_us)
@@ -166,7 +168,7 @@ class PeerParts:
         self.directive = OperatorDirective(slot, self.safety, mission, self.obstacle)
         self.mission_messages = MissionMessages(mission)
         self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
-        self.progress_told.with_heartbeats = self.state_sync.proven = bool(self.proven.kinds)
+        self.progress_told.with_heartbeats = bool(self.proven.kinds)
         self.claims = SectionClaims(slot, self.allocation)
         self.work = SectionWork(
             self.claims, self.clock, self.sync, self.progress_told, self.lifecycle, self.safety,

@@ -75,8 +75,9 @@ class ProgressAnnouncements(Part):
             self.redone += (known & new).bit_count()
             bits = known | new
             self.progress.apply(section, block, bits)
-            self.sync.changed_here(section, block, now_us)
-            effects.append(Persist(*DurableRecords.progress(section, block, bits)))
+            self.sync.changed_here(section, block, now_us, new)
+            vouchers = self.sync.replica.vouchers
+            effects.append(Persist(*DurableRecords.progress(section, block, bits, vouchers)))
             effects.append(Send(WorkProgress(section, block, bits)))
         self.pending.clear()
         self.next_at_us = now_us + self.period_us

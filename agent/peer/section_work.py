@@ -150,12 +150,13 @@ class SectionWork(Part):
         clock, slot = self.clock, self.claims.slot
         clock.increment(slot)
         self.sync.changed_here(section, None, now_us)
+        vouchers = self.sync.replica.vouchers
         claim = self.claims.allocation.entry(section)
         message = TaskClaim(
             section, claim.epoch, claim.phase, claim.bid, claim.lamport, claim.owner
         )
         return [
-            *(Persist(*r) for r in DurableRecords.operation(clock[slot], section, key)),
+            *(Persist(*r) for r in DurableRecords.operation(clock[slot], section, key, vouchers)),
             Send(message),
             Trace("claim", f"S{section}", what.upper(), Phase(claim.phase).name,
                   f"epoch {claim.epoch}, {why}" if why else f"epoch {claim.epoch}"),

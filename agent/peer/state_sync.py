@@ -8,15 +8,14 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from agent.interface.config import S
-from agent.interface.effects import Persist, Send, Trace
+from agent.interface.effects import Send, Trace
 from agent.interface.lifecycle import IDLE, SYNCHRONIZING, WORKING
 from agent.peer import notices
-from agent.peer.durable_records import DurableRecords
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.sender_limits import SenderLimits
 from agent.peer.work_admission import Admission
-from crdt.claim_register import epoch_of
+from crdt.claim_register import epoch_of, pack
 from protocol.frames.work_frames import (
     STOPS,
     Digests,
@@ -27,6 +26,7 @@ from protocol.frames.work_frames import (
 )
 from protocol.rekeying import NOBODY
 from protocol.sync.synchronizer import ENTRIES, Synchronizer
+from protocol.sync.vouchers import Vouchers
 
 TOLD_OF: Final = (StateSyncRequest, Digests, StateSyncResponse)
 OUTSIDER: Final = -1  # a device that is not a member, so it has no agreed replica state
@@ -46,7 +46,6 @@ class StateSync(Part):
     ) -> None:
         self.sync, self.admission, self.joining = sync, admission, joining
         self.heartbeat_period_us, self.limits = heartbeat_period_us, limits
-        self.proven = False  # in a fleet with keys it is known which member says what
         self._told_at_us = -TELL_SPACING_US  # when a device that is no member was last answered
 
     @property
@@ -100,34 +99,50 @@ class StateSync(Part):
         assert slot is not None
         if isinstance(m, ENTRIES) and not self.admission.admits(m, ctx.now_us):
             return NOTHING
-        if self.proven and not header.from_gateway:
-            excess = self.admission.excess(m, slot, self.sync.replica.allocation)
+        outputs: list[Any] = []
+        vouchers = self.sync.replica.vouchers
+        if vouchers is not None and not header.from_gateway and isinstance(m, ENTRIES):
+            excess = self.admission.excess(m, slot, self.sync.replica.allocation, vouchers)
             if excess is not None:
                 return [Trace("trust", "", "REFUSED", str(slot), excess)]
-        outputs: list[Any] = []
-        too_much = self._too_much(slot, m, ctx.now_us) if self.proven else None
-        if too_much is not None:
-            outputs.append(Trace("trust", "", "SUSPECTED", str(slot), too_much))
+            too_much = self._too_much(slot, m, vouchers, ctx.now_us)
+            if too_much is not None:
+                outputs.append(Trace("trust", "", "SUSPECTED", str(slot), too_much))
         changed = self.sync.on_message(slot, m, ctx.now_us)
+        if vouchers is not None:
+            changed |= self.sync.replica.take_returned()
         if changed:
             outputs.append(notices.SectionsMerged(frozenset(changed), slot))
         if isinstance(m, TOLD_OF):
             outputs.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
         return outputs
 
-    def _too_much(self, slot: int, m: Any, now_us: int) -> str | None:
+    def _too_much(
+        self,
+        slot: int,
+        m: TaskClaim | StateSyncResponse | WorkProgress,
+        vouchers: Vouchers,
+        now_us: int,
+    ) -> str | None:
         """What is more than this member can honestly say, before it is merged."""
         replica = self.sync.replica
-        if isinstance(m, WorkProgress) and replica.allocation.owner_of(m.section) == slot:
+        if isinstance(m, WorkProgress):
             new = m.bits & ~replica.progress.bits(m.section, m.block)
             return self.limits.progress(slot, new.bit_count(), now_us)
-        if isinstance(m, TaskClaim):
-            key = replica.allocation.key(m.section)
-            known = 0 if key is None else epoch_of(key)
-            return self.limits.claim(slot, m.epoch, known, now_us)
-        return None
+        known = replica.allocation.key(m.section) or 0
+        told = pack(m.epoch, m.phase, m.bid, m.lamport, m.owner)
+        if told <= known:
+            return None  # it says nothing new
+        jump = self.limits.claim(slot, m.epoch, epoch_of(known), now_us)
+        if m.owner == slot or m.owner not in self.sync.divergence.live:
+            return jump
+        if told <= vouchers.said_by(m.section, m.owner):
+            return jump
+        return self.limits.foreign(slot, m.owner == self.sync.slot, now_us) or jump
 
     def _members(self, ctx: StepContext, notice: notices.MembershipChanged) -> Outputs:
+        for slot in notice.live - self.sync.divergence.live:
+            self.limits.appeared(slot, ctx.now_us)
         self.sync.live(notice.live, ctx.now_us)
         return NOTHING
 
@@ -140,18 +155,21 @@ class StateSync(Part):
         return NOTHING
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
-        """What only the revoked member vouched for is void; the work is free again."""
+        """What the revoked member may have said is void; that work is free again.
+
+        Nothing is written down: records of the keys of before count no more than what is left now."""
         revoked, compromised_at_us = notice.revoked, notice.compromised_at_us
+        vouchers = self.sync.replica.vouchers
+        if vouchers is not None:
+            vouchers.generation = notice.keys.generation
         if revoked == NOBODY:
             return NOTHING
-        sections, blocks = self.sync.void(revoked, compromised_at_us)
-        progress = self.sync.replica.progress
+        sections, blocks = self.sync.void(revoked, compromised_at_us, ctx.now_us)
+        if ctx.joined:
+            self.sync.joined(ctx.now_us, self.heartbeat_period_us)
+        self.limits.learn(ctx.now_us)
         said = f"sections {sections}, {len(blocks)} blocks of units"
         outputs: list[Any] = [Trace("sync", "", "VOID", "", f"by robot {revoked}: {said}")]
-        for name in blocks:
-            section, block = name >> 8, name & 0xFF
-            kept = DurableRecords.progress(section, block, progress.bits(section, block))
-            outputs.append(Persist(*kept))
         if sections:
             outputs.append(notices.SectionsMerged(frozenset(sections), revoked))
         return outputs

@@ -6,7 +6,7 @@ hand-overs since boot explain is only deferred: a robot that was away receives i
 accepts it, while a few forged frames are not accepted.
 
 In a fleet with keys it is known which robot sends a claim. It must be the sender's own, and one robot
-holds few sections.
+holds few sections, by claims or by sync answers.
 """
 
 from collections import Counter
@@ -16,6 +16,7 @@ from agent.interface.config import CLAIM_AHEAD, S
 from crdt import FieldAllocationCRDT
 from crdt.claim_register import Phase
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
+from protocol.sync.vouchers import Vouchers
 
 # Hand-overs of one section: a fault of the fleet costs one or two, and its lease lasts 20 s.
 EPOCH_BURST = 16
@@ -64,19 +65,27 @@ class Admission:
         self.refused["epoch"] += 1
         return False
 
-    def excess(self, message: Work, slot: int, allocation: FieldAllocationCRDT) -> str | None:
+    def excess(
+        self, message: Work, slot: int, allocation: FieldAllocationCRDT, vouchers: Vouchers
+    ) -> str | None:
         """What is wrong with a claim that this member has proven; None: nothing. It is counted.
 
-        A member that says such a thing is broken, or its key is stolen."""
-        if not isinstance(message, TaskClaim):
+        The same holds for a sync answer of which it is the owner. What others say in its name uses up
+        nothing. A member that says such a thing is broken, or its key is stolen."""
+        if isinstance(message, WorkProgress):
             return None
         if message.owner != slot:
+            if isinstance(message, StateSyncResponse):
+                return None
             self.refused["claim of another"] += 1
             return f"robot {slot} claims in the name of robot {message.owner}"
         if message.phase not in (Phase.CLAIMED, Phase.STARTED):
             return None
         held = allocation.assigned_sections(slot)
         if len(held) < HELD_MAX or message.section in held:
+            return None
+        said = [s for s in held if vouchers.said_by(s, slot) == allocation.key(s)]
+        if len(said) < HELD_MAX:
             return None
         self.refused["too many sections"] += 1
         return f"robot {slot} claims more than {HELD_MAX} sections"

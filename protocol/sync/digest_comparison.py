@@ -56,6 +56,14 @@ class Divergence:
         self.suspects = set(self.live - {self.slot})
         self._told.clear()
 
+    def start_again(self) -> None:
+        """All live members have changed their replicas: what they had says nothing of what they have."""
+        others = self.live - {self.slot}
+        self.odd.clear()
+        self._agreed.clear()
+        self._met = dict.fromkeys(others, self.replica.total)
+        self.expect()
+
     def outgoing_digest(self) -> int:
         """The digest for our heartbeat. From now on it determines our position in the order."""
         self._own_told = self.replica.digest

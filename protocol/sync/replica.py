@@ -14,12 +14,12 @@ from typing import NamedTuple
 
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.allocation import KIND as REGISTERS
-from crdt.claim_register import pack
+from crdt.claim_register import owner_of, pack
 from crdt.digest import BUCKETS, MASK, bucket_of, mix, short
 from crdt.progress import KIND as BLOCKS
 from crdt.progress import name_of
 from protocol.frames.work_frames import Digests, StateSyncResponse, TaskClaim, WorkProgress
-from protocol.sync.vouchers import Vouchers
+from protocol.sync.vouchers import Revocation, Vouched, Vouchers
 
 FORKS_MAX = 256  # versions tried as a fork, newest first; takes a fifth of a millisecond
 HISTORY_MAX = 512  # own digests remembered: 10 s of the busiest fleet, minutes of a small one
@@ -64,6 +64,9 @@ class Replica:
         self.version = 1
         self._changed: dict[int, int] = {}  # entry -> version of its last change; newest last
         self._history: dict[int, ReplicaVersion] = {}  # own digest -> version; newest last
+        # Ends of sections that come back when their units are told again: what was said of them.
+        self._waiting: dict[int, tuple[int, dict[int, list[Vouched]]]] = {}
+        self._returned: set[int] = set()  # sections whose end has come back
         for entry in self.entries():
             self._changed[entry] = self.version
         self._remember()
@@ -102,44 +105,80 @@ class Replica:
         self._changed[entry] = self.version
         self._remember()
 
-    def void(self, revoked: int, compromised_at_us: int | None) -> tuple[list[int], list[int]]:
-        """Take out what only a revoked member vouched for; returns sections and names of blocks.
-
-        `compromised_at_us`: what it said before remains; None: nothing does. Without vouchers nothing is
-        known of who said what, and nothing changes."""
+    def changed_here(self, section: int, block: int | None, units: int, now_us: int) -> None:
+        """Count an own operation (no block), or `units` of a block that we covered ourselves."""
         vouchers = self.vouchers
+        if block is None:
+            self.note(entry_of(REGISTERS, section))
+            if vouchers is not None:
+                key = self.allocation.key(section)
+                assert key is not None, "an own operation was written"
+                vouchers.register(section, key, vouchers.slot, now_us)
+            return
+        self.note(entry_of(BLOCKS, name_of(section, block)))
+        if vouchers is not None:
+            vouchers.cover(name_of(section, block), units)
+            self._return_end(section)
+
+    def void(self, void: Revocation) -> tuple[list[int], list[int]]:
+        """Take out what a revoked member may have said; returns sections and names of blocks.
+
+        Without vouchers nothing is known of who said what, and nothing changes. The end of a section
+        whose units are not all here waits for them: whoever said it may have believed false units."""
+        vouchers, allocation = self.vouchers, self.allocation
         if vouchers is None:
             return [], []
-        registers = vouchers.registers_without(
-            revoked, compromised_at_us, dict(self.allocation.entries())
-        )
+        self._waiting.clear()
+        registers = vouchers.registers_without(void, dict(allocation.entries()))
+        for section, key in registers.items():
+            allocation.take_out(section, key)
+            self._taken_out(entry_of(REGISTERS, section), key is not None)
         blocks = [
-            name for name, bits in vouchers.blocks_without(revoked, compromised_at_us).items()
+            name for name, bits in vouchers.blocks_without(void).items()
             if self.progress.take_out(name >> 8, name & 0xFF, bits)
         ]  # fmt: skip
-        registers |= dict.fromkeys(self._done_too_early({name >> 8 for name in blocks}))
-        for section, key in registers.items():
-            if key is None:
-                vouchers.forget(section)
-            self.allocation.take_out(section, key)
-            self._taken_out(entry_of(REGISTERS, section), key is not None)
         for name in blocks:
             left = self.progress.bits(name >> 8, name & 0xFF)
             self._taken_out(entry_of(BLOCKS, name), bool(left))
-        if registers or blocks:
+        early = [section for section in allocation.sections() if self._done_too_early(section)]
+        for section in early:
+            key = allocation.key(section)
+            assert key is not None
+            self.await_units(section, key, vouchers.forget(section))
+            allocation.take_out(section, None)
+            self._taken_out(entry_of(REGISTERS, section), False)
+        changed = sorted({*registers, *early})
+        if changed or blocks:
             self._history.clear()  # nobody with an older state is one of us any more
             self.version += 1
             self._remember()
-        return sorted(registers), sorted(blocks)
+        return changed, sorted(blocks)
 
-    def _done_too_early(self, sections: set[int]) -> list[int]:
-        """Sections that an honest robot has ended, because it believed units that are void now."""
-        allocation, progress = self.allocation, self.progress
-        return [
-            section for section in sorted(sections)
-            if allocation.phase_of(section) is Phase.DONE
-            and section in progress.units and not progress.complete(section)
-        ]  # fmt: skip
+    def await_units(self, section: int, key: int, said: dict[int, list[Vouched]]) -> None:
+        """Join the end of a section when all its units are here, and not before."""
+        self._waiting[section] = key, said
+        self._return_end(section)
+
+    def take_returned(self) -> set[int]:
+        """Sections whose end has come back since the last call."""
+        returned, self._returned = self._returned, set()
+        return returned
+
+    def _return_end(self, section: int) -> None:
+        if section not in self._waiting or not self.progress.complete(section):
+            return
+        key, said = self._waiting.pop(section)
+        assert self.vouchers is not None
+        self.vouchers.restore(section, said)
+        if self.allocation.apply(section, key):
+            self._returned.add(section)
+            self.note(entry_of(REGISTERS, section))
+
+    def _done_too_early(self, section: int) -> bool:
+        """Whether a section is said to be done, and units of it are not known to be covered."""
+        if self.allocation.phase_of(section) is not Phase.DONE:
+            return False
+        return section in self.progress.units and not self.progress.complete(section)
 
     def _taken_out(self, entry: int, remains: bool) -> None:
         self._changed.pop(entry, None)
@@ -212,7 +251,7 @@ class Replica:
                 changed = self.progress.apply(section, block, bits)
                 if changed:
                     new = self.progress.bits(section, block) & ~before
-                    vouchers.block(name_of(section, block), new, sender, now_us)
+                    vouchers.units(name_of(section, block), new, sender, now_us)
             else:
                 changed = self.progress.apply(section, block, bits)
             stale = self.progress.bits(section, block) & ~bits != 0
@@ -220,15 +259,27 @@ class Replica:
         else:
             section = message.section
             key = pack(message.epoch, message.phase, message.bid, message.lamport, message.owner)
-            known = self.allocation.key(section) if vouchers is not None else None
             changed = self.allocation.apply(section, key)
-            if changed and vouchers is not None and sender is not None:
-                vouchers.register(section, known, key, sender, now_us)
+            told = changed or sender == message.owner
+            if told and vouchers is not None and sender is not None:
+                vouchers.register(section, key, sender, now_us)
             stale = not changed and self.allocation.key(section) != key
             entry = entry_of(REGISTERS, section)
         if changed:
             self.note(entry)
+            if self._waiting:
+                self._return_end(section)
         return _tuple(AppliedEntry, (entry, changed, stale))
+
+    def may_tell(self, entry: int) -> bool:
+        """Whether we may send an entry: in a fleet with keys, what we are said to own only if we said it.
+
+        Else a lie in our name would become our own word."""
+        kind, name = entry >> NAME_BITS, entry & (1 << NAME_BITS) - 1
+        if self.vouchers is None or kind != REGISTERS:
+            return True
+        key, slot = self.allocation.key(name), self.vouchers.slot
+        return key is None or owner_of(key) != slot or key == self.vouchers.said_by(name, slot)
 
     def message_of(self, entry: int) -> StateSyncResponse | WorkProgress:
         """The frame that carries the present value of an entry."""

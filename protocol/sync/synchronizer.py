@@ -43,6 +43,7 @@ from protocol.frames.work_frames import (
 )
 from protocol.sync.digest_comparison import Divergence
 from protocol.sync.replica import EMPTY, GROUPS, AppliedEntry, Replica, entry_of
+from protocol.sync.vouchers import Revocation
 from protocol.units import FRAME_US, MS, S
 
 SHARE = 0.30
@@ -105,6 +106,8 @@ class Synchronizer:
         self._learned_at_us = 0
         self._round = 0
         self._ready_at_us: int | None = None
+        self._retold: dict[int, None] = {}  # own units to tell again after a revocation, in order
+        self._retell_at_us, self._retell_for_us = 0, GAP_US
 
     # ---------------------------------------------------------------- state
 
@@ -161,14 +164,14 @@ class Synchronizer:
             self._tries, self._learned_at_us = 0, now_us
             self._judge(now_us)
 
-    def changed_here(self, section: int, block: int | None, now_us: int) -> None:
-        """An own operation or own progress was written and is being sent."""
+    def changed_here(self, section: int, block: int | None, now_us: int, units: int = 0) -> None:
+        """An own operation or own progress was written and is being sent. `units`: that are our own."""
         if block is None:
             entry = entry_of(REGISTER, section)
         else:
             entry = entry_of(BLOCK, section << 8 | block)
         self._aired_at_us[entry] = now_us
-        self.replica.note(entry)
+        self.replica.changed_here(section, block, units, now_us)
 
     def _judge(self, now_us: int) -> None:
         """Decide whether a reunion must be finished before we choose the next work."""
@@ -220,12 +223,30 @@ class Synchronizer:
             self._buckets(slot, message, now_us)
         return set()
 
-    def void(self, revoked: int, compromised_at_us: int | None) -> tuple[list[int], list[int]]:
-        """Take out what only a revoked member vouched for; returns sections and names of blocks."""
-        sections, blocks = self.replica.void(revoked, compromised_at_us)
-        for entry in [entry for entry in self._queue if entry not in self.replica]:
-            del self._queue[entry]
-        return sections, blocks
+    def void(
+        self, revoked: int, compromised_at_us: int | None, now_us: int
+    ) -> tuple[list[int], list[int]]:
+        """Take out what a revoked member may have said; returns sections and names of blocks.
+
+        All members do this at once, and each tells the units again that it covered itself: in turn, and
+        together within the share of the bus that sync may use. Anti-entropy does the rest, as when two
+        parts of a fleet meet."""
+        others = self.divergence.live - {self.slot, revoked}
+        changed = self.replica.void(Revocation(revoked, compromised_at_us, others))
+        vouchers = self.replica.vouchers
+        if vouchers is None:
+            return changed
+        for waiting in (self._queue, self._digests, self._questions, self._aired_at_us):
+            waiting.clear()
+        self._went_live_at_us.update(dict.fromkeys(others, now_us))
+        self._tries, self._taught, self._ask_at_us, self._learned_at_us = 0, 0, None, now_us
+        self.divergence.start_again()
+        names = (entry_of(BLOCK, name) for name in vouchers.own_blocks)
+        self._retold = {entry: None for entry in names if entry in self.replica}
+        self._retell_for_us = GAP_US * (len(others) + 1)
+        place = sum(slot < self.slot for slot in others)
+        self._retell_at_us = now_us + SETTLE_US + GAP_US * place
+        return changed
 
     def _entry(
         self, slot: int, message: TaskClaim | StateSyncResponse | WorkProgress, now_us: int
@@ -239,6 +260,7 @@ class Synchronizer:
             self._correct(slot, heard, now_us)
             return set()
         self._queue.pop(entry, None)
+        self._retold.pop(entry, None)
         if entry in self.replica:
             self._aired_at_us[entry] = now_us
         if heard.changed:
@@ -266,7 +288,9 @@ class Synchronizer:
     def _correct(self, slot: int, heard: AppliedEntry, now_us: int) -> None:
         """The sender lacks an entry of ours: its owner sends it, or the first in order."""
         entry = heard.entry
-        if entry in self._queue or now_us < self._aired_at_us.get(entry, -FRESH_US) + FRESH_US:
+        if entry in self._queue or entry in self._retold:
+            return
+        if now_us < self._aired_at_us.get(entry, -FRESH_US) + FRESH_US:
             return
         place = self._corrector_place(slot, entry)
         if place < ANSWERERS:
@@ -350,6 +374,8 @@ class Synchronizer:
         due_at_us = self._ask_at_us
         if (self._queue or self._digests) and (due_at_us is None or self._speak_at_us < due_at_us):
             due_at_us = self._speak_at_us
+        if self._retold and (due_at_us is None or self._retell_at_us < due_at_us):
+            due_at_us = self._retell_at_us
         if self.synchronizing:
             wait_for_us = self._learned_at_us + PATIENCE_US
             due_at_us = wait_for_us if due_at_us is None else min(due_at_us, wait_for_us)
@@ -359,12 +385,21 @@ class Synchronizer:
         """The frames to send now: one at most."""
         if self.synchronizing:
             self._judge(now_us)
+        if self._retold and now_us >= self._retell_at_us:
+            self._retell_at_us = now_us + self._retell_for_us
+            entry = next(iter(self._retold))
+            del self._retold[entry]
+            self._aired_at_us[entry] = self._heard_at_us = now_us
+            self.counts["retold"] += 1
+            return [self.replica.message_of(entry)]
         if (self._queue or self._digests) and now_us >= self._speak_at_us:
             self._speak_at_us, self._heard_at_us = now_us + GAP_US, now_us
             if self._digests:
                 return [self._digests.popleft()]
             entry = next(iter(self._queue))
             del self._queue[entry]
+            if not self.replica.may_tell(entry):
+                return ()
             self._aired_at_us[entry] = now_us
             self.counts["entries"] += 1
             return [self.replica.message_of(entry)]

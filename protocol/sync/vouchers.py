@@ -1,98 +1,154 @@
-"""Who vouched for each fact of a replica, so that the facts of a revoked member can be taken out.
+"""Who vouched for each fact of a replica, so that what a revoked member has said can be taken out.
 
-Registers are maxima and blocks are unions, so a fact does not say where it came from. This keeps beside
-them, for each register and block, what every received frame changed: the value before it, the value
-after it, the member whose proof covered the frame, and when. The first who said it vouched for it: later
-frames that repeat a fact may only repeat what that one said.
+Registers are maxima and blocks are unions, so a fact does not say where it came from. This keeps it
+beside them: of a register what each member has said of it, of a block which units each member was the
+first to tell, and which units this robot has covered itself.
 
-A claim also names its author, the owner. What a revoked member is the author of is void, too, whichever
-robot relayed it.
+**What is void at a revocation.** What the revoked member said, what it is the owner of, and *hearsay*:
+what a member that is on the bus now may have heard from it, because a frame was lost here or this robot
+was off. A claim that its owner told is no hearsay. Units always may be: a frame with units does not say
+who covered them. Nothing true is lost by that. Every robot keeps its own words, and what robots told that
+are not on the bus any more. All tell that again (`Synchronizer.void`). A lie is told again by nobody: who
+heard it from the thief has taken it out.
+
+What was said of a register is joined by maximum for each member, so the order of frames does not matter.
+A member is one more maximum: it can push out nothing that another one said.
 """
 
 from typing import Final, NamedTuple
 
 from crdt.claim_register import owner_of
 
-CHAIN_MAX: Final = 16  # newest changes kept of a register; a section changes hands a few times
-BLOCKS_MAX: Final = 40  # of a block: each adds one of its 40 units at least
+# Values kept of one register and one member: the first ones and the greatest. A section has three of each
+# holder, and changes hands a few times. More only matters for what was said before a stated point.
+RISES_MAX: Final = 8
+BLOCK_UNITS_MAX: Final = 40  # of a block: each entry adds one of its 40 units at least
+# Who told units that a robot remembers from before a restart, and has not covered itself: nobody knows.
+UNKNOWN: Final = -1
 
 
 class Vouched(NamedTuple):
-    """One change by a received frame."""
+    """One value that a member has said of a register, and when we heard it."""
 
-    before: int | None  # None: there was no register
-    value: int  # the register's key, or the units that were new in a block
+    value: int
+    at_us: int
+
+
+class ToldUnits(NamedTuple):
+    """Units of a block that one member was the first to tell."""
+
+    bits: int
     sender: int
     at_us: int
 
 
+class Revocation(NamedTuple):
+    """Whose words are void, since when, and who can tell again what it knows."""
+
+    revoked: int
+    compromised_at_us: int | None  # what was heard before it remains; None: nothing does
+    live: frozenset[int]  # the members on the bus, which take out the same
+
+
 class Vouchers:
-    """What each received frame changed, by register and by block."""
+    """Who has said what, by register and by block, as one robot has heard it."""
 
-    def __init__(self) -> None:
-        self._registers: dict[int, list[Vouched]] = {}
-        self._blocks: dict[int, list[Vouched]] = {}
+    def __init__(self, slot: int, generation: int = 0) -> None:
+        """`slot`: ours. `generation`: of the fleet's keys under which we hear."""
+        self.slot, self.generation = slot, generation
+        self._said: dict[int, dict[int, list[Vouched]]] = {}  # section -> member -> rising values
+        self._units: dict[int, list[ToldUnits]] = {}  # by name of the block
+        self._own: dict[int, int] = {}  # by name of the block: units that we covered ourselves
 
-    def register(
-        self, section: int, before: int | None, key: int, sender: int, now_us: int
-    ) -> None:
-        """A frame changed a register."""
-        chain = self._registers.setdefault(section, [])
-        chain.append(Vouched(before, key, sender, now_us))
-        del chain[:-CHAIN_MAX]
+    def register(self, section: int, key: int, sender: int, now_us: int) -> None:
+        """A member has said this of a section; ours too."""
+        said = self._said.setdefault(section, {}).setdefault(sender, [])
+        if said and key <= said[-1].value:
+            return
+        if len(said) == RISES_MAX:
+            said.pop()
+        said.append(Vouched(key, now_us))
 
-    def block(self, name: int, new_bits: int, sender: int, now_us: int) -> None:
-        """A frame added units to a block. `name`: of the block. `new_bits`: of the units in it."""
-        chain = self._blocks.setdefault(name, [])
-        chain.append(Vouched(None, new_bits, sender, now_us))
-        assert len(chain) <= BLOCKS_MAX
+    def said_by(self, section: int, member: int) -> int:
+        """The greatest that a member has said of a section; 0: nothing that we heard."""
+        said = self._said.get(section, {}).get(member)
+        return said[-1].value if said else 0
 
-    def forget(self, section: int) -> None:
-        """The register of a section was taken out."""
-        self._registers.pop(section, None)
+    def units(self, name: int, new_bits: int, sender: int, now_us: int) -> None:
+        """A member told units that were new to us. `name`: of the block."""
+        told = self._units.setdefault(name, [])
+        told.append(ToldUnits(new_bits, sender, now_us))
+        assert len(told) <= BLOCK_UNITS_MAX
 
-    def registers_without(
-        self, revoked: int, compromised_at_us: int | None, present: dict[int, int]
-    ) -> dict[int, int | None]:
-        """The sections whose register changes when a member's facts are void, and what remains.
+    def cover(self, name: int, bits: int) -> None:
+        """We covered units ourselves. `name`: of the block."""
+        self._own[name] = self._own.get(name, 0) | bits
 
-        `present`: all registers. The rest is the greatest of the values that others vouched for and
-        those that were there before."""
+    def own(self, name: int) -> int:
+        """The units of a block that we covered ourselves, one bit each. `name`: of the block."""
+        return self._own.get(name, 0)
+
+    @property
+    def own_blocks(self) -> list[int]:
+        """The names of all blocks of which we covered units."""
+        return sorted(self._own)
+
+    def forget(self, section: int) -> dict[int, list[Vouched]]:
+        """The register of a section was taken out; returns what was said of it."""
+        return self._said.pop(section, {})
+
+    def restore(self, section: int, said: dict[int, list[Vouched]]) -> None:
+        """The register of a section has come back, as it was."""
+        for member, values in said.items():
+            for value in values:
+                self.register(section, value.value, member, value.at_us)
+
+    def registers_without(self, void: Revocation, present: dict[int, int]) -> dict[int, int | None]:
+        """The sections whose register changes, and the greatest value that remains; None: nothing.
+
+        `present`: all registers. A value for which nobody vouched remains, except of its owner."""
         found: dict[int, int | None] = {}
         for section, key in present.items():
-            chain = self._registers.get(section, [])
-            void = {
-                v.value for v in chain if _is_void(v, revoked, compromised_at_us, owner_of(v.value))
-            }
-            if compromised_at_us is None and owner_of(key) == revoked:
-                void.add(key)
-            if key not in void:
-                continue
-            kept = {v.value for v in chain} | {v.before for v in chain if v.before is not None}
-            if compromised_at_us is None:
-                kept = {value for value in kept if owner_of(value) != revoked}
-            found[section] = max(kept - void, default=None)
-        for section, rest in found.items():
-            chain = self._registers.get(section, [])
-            self._registers[section] = [v for v in chain if rest is not None and v.value <= rest]
+            said, kept = self._said.get(section, {}), dict[int, list[Vouched]]()
+            for sender, values in said.items():
+                left = [v for v in values if not self._is_void(v, sender, void)]
+                if left:
+                    kept[sender] = left
+            rest = [values[-1].value for values in kept.values()]
+            nobodys = all(values[-1].value != key for values in said.values())
+            if nobodys and (void.compromised_at_us is not None or owner_of(key) != void.revoked):
+                rest.append(key)
+            if kept:
+                self._said[section] = kept
+            else:
+                self._said.pop(section, None)
+            greatest = max(rest, default=None)
+            if greatest != key:
+                found[section] = greatest
         return found
 
-    def blocks_without(self, revoked: int, compromised_at_us: int | None) -> dict[int, int]:
+    def _is_void(self, said: Vouched, sender: int, void: Revocation) -> bool:
+        if void.compromised_at_us is not None and said.at_us < void.compromised_at_us:
+            return False
+        owner = owner_of(said.value)
+        if void.revoked in (sender, owner):
+            return True
+        return sender not in (owner, self.slot) and sender in void.live
+
+    def blocks_without(self, void: Revocation) -> dict[int, int]:
         """By name of the block: the units that are void."""
         found: dict[int, int] = {}
-        for name, chain in self._blocks.items():
-            void = [v for v in chain if _is_void(v, revoked, compromised_at_us, None)]
-            if void:
-                bits = 0
-                for vouched in void:
-                    bits |= vouched.value
-                found[name] = bits
-                self._blocks[name] = [v for v in chain if v not in void]
+        for name, told in list(self._units.items()):
+            kept, bits = list[ToldUnits](), 0
+            for units in told:
+                late = void.compromised_at_us is None or units.at_us >= void.compromised_at_us
+                if units.sender == UNKNOWN:  # whenever that was
+                    late = True
+                if late and (units.sender in (void.revoked, UNKNOWN) or units.sender in void.live):
+                    bits |= units.bits
+                else:
+                    kept.append(units)
+            if bits:
+                self._units[name] = kept
+                found[name] = bits & ~self.own(name)
         return found
-
-
-def _is_void(
-    vouched: Vouched, revoked: int, compromised_at_us: int | None, author: int | None
-) -> bool:
-    late = compromised_at_us is None or vouched.at_us >= compromised_at_us
-    return late and revoked in (vouched.sender, author)

@@ -17,8 +17,9 @@ from agent.peer.durable_records import (
     REGISTER,
     U16,
     U32,
-    U64,
     VOTE,
+    key_of,
+    units_of,
 )  # fmt: skip
 from agent.safety.stop_controller import HOLD_KEY, LATCHED, STOPS_KEY
 from crdt import FieldAllocationCRDT, Phase, Progress
@@ -102,10 +103,10 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
             claims += 1
             owned.add(m.section)
             told = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
-            if _number(recalled, f"{REGISTER}{m.section}", U64.size) < told or operations < claims:
+            if key_of(recalled.get(f"{REGISTER}{m.section}", b"")) < told or operations < claims:
                 return f"own operation {claims}: S{m.section} {Phase(m.phase).name}"
         if isinstance(m, WorkProgress) and m.section in owned:
-            known = _number(recalled, f"{PROGRESS}{m.section}/{m.block}", U64.size)
+            known = units_of(recalled.get(f"{PROGRESS}{m.section}/{m.block}", b""))
             if m.bits & ~known:
                 return f"units of S{m.section}"
         if isinstance(m, EmergencyStop):

@@ -235,8 +235,8 @@ def _gives_up(right: Any) -> Any:
 
 
 def _no_progress_kept(right: Any) -> Any:
-    def restore(self: DurableRecords, allocation: Any, progress: Any) -> None:
-        right(self, allocation, Progress({}))
+    def restore(self: DurableRecords, allocation: Any, progress: Any, vouchers: Any = None) -> Any:
+        return right(self, allocation, Progress({}), vouchers)
 
     return restore
 

@@ -59,7 +59,7 @@ def test_a_gateway_with_new_keys_does_not_bring_back_what_a_revoked_robot_said()
     fleet.shells[1, thief].operate(Leave())
     fleet.run(S)
     for peer in others:  # what they do at the switch
-        peer.named.state_sync.sync.void(thief, None)
+        peer.named.state_sync.sync.void(thief, None, fleet.swarm.now_us())
         peer.membership.revoke(thief, fleet.swarm.now_us())
     for shell in fleet.gateways[1]:
         renew(shell.gateway, Keys(keys.master, None), fleet.swarm.now_us())
