@@ -84,10 +84,11 @@ class Warehouse:
     def cell(self, at: Point) -> int | None:
         """The cell at a place; None if no robot can stand there."""
         floor = self.floor
-        row, column = int(at[1] // floor.cell_m), int(at[0] // floor.cell_m)
+        north, east = at[1] // floor.cell_m, at[0] // floor.cell_m
         rows, columns = (n - 2 for n in floor.walls.shape)
-        if not (0 <= row < rows and 0 <= column < columns):
+        if not (0 <= north < rows and 0 <= east < columns):  # also of what is no integer
             return None
+        row, column = int(north), int(east)
         cell = row * columns + column
         return cell if cell < WITHDRAWN and not floor.walls[row + 1, column + 1] else None
 

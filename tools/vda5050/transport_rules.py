@@ -134,10 +134,7 @@ def _cell(node: OrderNode, house: Warehouse, map_id: str) -> int:
             "orderError", f"map {place.map_id} is not known; this one is {map_id}",
             ("nodeId", node.node_id), ("mapId", place.map_id),
         )  # fmt: skip
-    try:
-        cell = house.cell((place.x, place.y))
-    except OverflowError:  # a number so large that it has no cell
-        cell = None
+    cell = house.cell((place.x, place.y))
     if cell is None:
         raise OrderRefused(
             "noRouteError", f"no robot can stand at {place.x:g}, {place.y:g}",

@@ -1,0 +1,17 @@
+"""Which cell of a floor a place is in."""
+
+from math import inf, nan
+
+import pytest
+
+from agent.delivery.cost_matrix import Carrier
+from agent.delivery.warehouse import Warehouse
+from agent.mapping.building import Floor
+
+
+@pytest.mark.parametrize("value", [1.7e308, -1.7e308, inf, -inf, nan, 1e30])
+def test_a_place_that_no_integer_counts_is_in_no_cell(value: float) -> None:
+    """Found: OverflowError for a place of 1e308 m."""
+    house = Warehouse(Floor.drawn("............\n" * 6, 0.5, 0.2), Carrier(1.0, 0.0))
+    assert house.cell((1.0, 0.6)) == 14
+    assert house.cell((value, 0.6)) is None and house.cell((1.0, value)) is None
