@@ -49,7 +49,7 @@ ALLOWED: dict[str, str] = {
     "agent.pathfinding": "interface mapf coverage",
     "agent.segments": "interface safety peer",
     "agent.runtime.files": "interface",
-    "agent.runtime.vda5050": "interface",
+    "agent.runtime.vda5050": "interface delivery",
     "agent.runtime": "interface kernels safety peer segments runtime.files paths mapf motion mapping "
     "field navigation exploration delivery coverage pathfinding",
     "agent.runtime.bodies": "interface motion delivery peer runtime runtime.files runtime.vda5050",

@@ -8,7 +8,7 @@ from agent.delivery.cost_matrix import Carrier
 from agent.delivery.warehouse import Warehouse
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.printable_text import printable
-from agent.runtime.vda5050.broker_link import Broker, BrokerError
+from agent.runtime.vda5050.broker_link import Broker, BrokerError, is_level
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
@@ -21,7 +21,6 @@ from tools.vda5050.order_book import BookError, OrderBook
 
 WRONG = 2
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
-WILD = "+#\0"  # no topic that is published has them
 Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
@@ -56,17 +55,12 @@ def serve(
 
 
 def _named(url: str, interface: str, manufacturer: str) -> Broker:
-    """The broker, if it and the topics have names that can be used. Raises BrokerError: the connection
-    itself would end without a word."""
+    """The broker, if it and the topics have names that can be used. Raises BrokerError."""
     broker = Broker.read(url)
-    try:
-        broker.host.encode("idna")
-    except UnicodeError:
-        raise BrokerError(f"{broker}: no host has this name") from None
-    for option, word, not_in in (
-        ("--topics", interface, WILD), ("--manufacturer", manufacturer, f"{WILD}/"),
+    for option, word, deeper in (
+        ("--topics", interface, True), ("--manufacturer", manufacturer, False),
     ):  # fmt: skip
-        if not word or any(sign in word for sign in not_in):
+        if not is_level(word, deeper):
             raise BrokerError(f"{option} {printable(word)}: a level of a topic, without + and #")
     return broker
 

@@ -344,6 +344,7 @@ class _Port:
         )
         self.link = BrokerLink(gateway.broker, identity, self._heard, self._up)
         self.link.invalid = self._invalid
+        self.link.failed = self._failed
         self.running = self._begun()
 
     def _begun(self) -> asyncio.Task[None]:
@@ -356,12 +357,15 @@ class _Port:
         problem = None if running.cancelled() else running.exception()
         if problem is None:
             return
-        serial, why = self.gateway.serial(self.vehicle.slot), repr(problem)
+        self._failed(repr(problem))
+        self.running = asyncio.create_task(self._again())
+
+    def _failed(self, why: str) -> None:
+        serial = self.gateway.serial(self.vehicle.slot)
         self.gateway.lines.say(
             "connection-failed", f"{serial}: its connection has failed and is begun again: {why}",
             robot=self.vehicle.slot, serial=serial, why=why,
         )  # fmt: skip
-        self.running = asyncio.create_task(self._again())
 
     async def _again(self) -> None:
         await asyncio.sleep(AGAIN_S)

@@ -29,7 +29,7 @@ that, so the heading that the robot gets follows the vehicle's at `TURN_RAD_S`.
 
 import asyncio
 import time
-from math import hypot, inf, pi, remainder
+from math import hypot, inf, isfinite, pi, remainder
 from secrets import token_hex
 from typing import Any, Final, NamedTuple
 
@@ -39,7 +39,13 @@ from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation, VisibleParcel
 from agent.peer.peer import Peer
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
-from agent.runtime.vda5050.broker_link import Broker, BrokerLink, VehicleAddress
+from agent.runtime.vda5050.broker_link import (
+    Broker,
+    BrokerError,
+    BrokerLink,
+    VehicleAddress,
+    is_level,
+)
 from agent.runtime.vda5050.messages import (
     VERSION,
     AgvPosition,
@@ -106,8 +112,14 @@ class Vda5050Body(RobotBody):
         parameters: dict[str, Any] | None = None,
     ) -> None:
         """`map`: its mapId. `interface`: the first level of its topics. `parameters`: that it wants
-        with pick and drop. Raises ValueError for a wrong address of the broker."""
+        with pick and drop. Raises BrokerError, a ValueError, for names that cannot be used."""
         address = VehicleAddress(interface, manufacturer, str(serial), version)
+        if not (
+            is_level(interface, deeper=True) and is_level(manufacturer) and is_level(str(serial))
+        ):
+            raise BrokerError(
+                "interface, manufacturer and serial are levels of a topic, without + and #"
+            )
         self.slot, self.stale_for_us = slot, round(stale_for_ms * MS)
         self.orders = VehicleOrders(token_hex(3), map, parameters or {})
         self.link = BrokerLink(
@@ -190,7 +202,10 @@ class Vda5050Body(RobotBody):
             return
         for_s = passed_for_us / 1e6
         vx_m_s, vy_m_s = (at.x - before.at.x) / for_s, (at.y - before.at.y) / for_s
-        share = min(1.0, self._speed_max_m_s / max(hypot(vx_m_s, vy_m_s), 1e-9))
+        speed_m_s = hypot(vx_m_s, vy_m_s)
+        if not isfinite(speed_m_s):  # of places that no map has
+            vx_m_s = vy_m_s = speed_m_s = 0.0
+        share = min(1.0, self._speed_max_m_s / max(speed_m_s, 1e-9))
         self._velocity = share * vx_m_s, share * vy_m_s
 
     def sense(self, now_us: int) -> Observation | None:

@@ -6,14 +6,17 @@
 
 What is published while the broker is away is dropped: the next state says what is true then. A broker
 that does not take a message in `KEEP_ALIVE_S` is left, and reached again.
+
+A broker is not trusted: whatever it sends is counted in `refused`, and ends no link.
 """
 
 import asyncio
 import contextlib
+import logging
 import time
 from collections import Counter, deque
 from collections.abc import Callable, Sequence
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 from urllib.parse import unquote, urlsplit
 
 import aiomqtt
@@ -36,10 +39,17 @@ AGAIN_S: Final = (0.2, 0.5, 1.0, 2.0)  # pauses between attempts; the last one i
 # States that wait for a slow broker. More are older than the newest by seconds, and useless.
 WAITING_MAX: Final = 64
 TOPIC_OF: Final = {kind: topic for topic, kind in MODELS.items()}
+LINE_CHARS_MAX: Final = 200
+WILD: Final = "+#\0"  # no topic that is published has them
+CREDENTIAL_BYTES_MAX: Final = 0xFFFF  # of a string in MQTT
+
+log = logging.getLogger(__name__)
+# What paho says of each packet that it cannot read: it is counted here, and a broker may send many.
+UNSAID: Final = logging.Logger("unsaid", logging.CRITICAL + 1)
 
 
 class BrokerError(ValueError):
-    """One line: why an address of a broker cannot be used."""
+    """One line: why an address of a broker or a name at it cannot be used."""
 
 
 class Broker(NamedTuple):
@@ -64,11 +74,48 @@ class Broker(NamedTuple):
         encrypted = parts.scheme == "mqtts"
         user = None if parts.username is None else unquote(parts.username)
         password = None if parts.password is None else unquote(parts.password)
-        return cls(parts.hostname, port or (8883 if encrypted else 1883), user, password, encrypted)
+        found = cls(
+            parts.hostname, port or (8883 if encrypted else 1883), user, password, encrypted
+        )
+        found._check()
+        return found
+
+    def _check(self) -> None:
+        """What would end the connection itself, with an error that nobody expects there."""
+        try:
+            if "\0" in self.host or not self.host.encode("idna"):
+                raise UnicodeError
+        except UnicodeError:
+            raise BrokerError(f"{self}: no host has this name") from None
+        try:
+            sizes = [len(word.encode()) for word in (self.user, self.password) if word]
+        except UnicodeError:
+            raise BrokerError(f"{self}: user and password are UTF-8") from None
+        if max(sizes, default=0) > CREDENTIAL_BYTES_MAX:
+            raise BrokerError(
+                f"{self}: user and password have {CREDENTIAL_BYTES_MAX} bytes at most"
+            )
 
     def __str__(self) -> str:
         """Without user and password."""
         return f"{'mqtts' if self.encrypted else 'mqtt'}://{self.host}:{self.port}"
+
+
+def is_level(word: str, deeper: bool = False) -> bool:
+    """Whether a word can be a level of a topic; or, `deeper`, several levels.
+
+    >>> is_level("ACME"), is_level("AC+ME"), is_level("a/b"), is_level("a/b", deeper=True)
+    (True, False, False, True)
+    """
+    return bool(word) and not any(sign in word for sign in (WILD if deeper else f"{WILD}/"))
+
+
+def _obey_cancellation() -> None:
+    """End this task if it was told to end. `asyncio.wait_for` of Python 3.11 keeps a cancellation for
+    itself when what it waits for comes at the same time."""
+    task = asyncio.current_task()
+    if task is not None and task.cancelling():
+        raise asyncio.CancelledError
 
 
 class VehicleAddress(NamedTuple):
@@ -86,6 +133,35 @@ class VehicleAddress(NamedTuple):
         'uagv/v2/ACME/7/state'
         """
         return f"{self.interface}/{MAJOR}/{self.manufacturer}/{self.serial}/{topic}"
+
+
+class _Client(aiomqtt.Client):
+    """A client that no broker keeps busy.
+
+    Where paho raises while it reads a packet, it keeps the packet, and reads it again as long as its
+    socket has more: for ever, with a line for each time.
+    """
+
+    def __init__(self, refused: Counter[str], broker: Broker, will: aiomqtt.Will | None) -> None:
+        super().__init__(
+            broker.host, broker.port, username=broker.user, password=broker.password,
+            will=will, keepalive=KEEP_ALIVE_S, timeout=KEEP_ALIVE_S, logger=UNSAID,
+            tls_params=aiomqtt.TLSParameters() if broker.encrypted else None,
+        )  # fmt: skip
+        self.refused = refused
+        self._disconnected.add_done_callback(self._lost)
+
+    def _on_message(self, client: Any, userdata: Any, message: Any) -> None:
+        try:
+            super()._on_message(client, userdata, message)
+        except ValueError:  # its topic is not UTF-8, or has a wildcard
+            self.refused["topic"] += 1
+
+    def _lost(self, how: "asyncio.Future[None]") -> None:
+        """Close the socket, if paho has not: it has failed at a packet."""
+        if how.exception() is not None and self._client.socket() is not None:
+            self.refused["packet"] += 1
+            self._client._sock_close()
 
 
 class BrokerLink:
@@ -109,7 +185,12 @@ class BrokerLink:
         self.refused: Counter[str] = Counter()  # received and not valid, by what is wrong
         # Told of a message that is not valid: its topic, and why.
         self.invalid: Callable[[str, ValueError], None] = lambda topic, why: None
+        # Told in one line of a fault of ours, once for each kind; the link goes on.
+        self.failed: Callable[[str], None] = lambda why: log.error(
+            "%s %s: %s", broker, identity.serial, why
+        )
         self.problem = ""  # why the broker was not reached the last time
+        self._faults: set[type[Exception]] = set()  # that were told
         self._numbers: Counter[Topic] = Counter()
         self._waiting: deque[Sent] = deque(maxlen=WAITING_MAX)
         self._wake = asyncio.Event()
@@ -137,30 +218,28 @@ class BrokerLink:
         """Stay connected, subscribed to these topics, until it is cancelled; then say OFFLINE."""
         attempts = 0
         while True:
+            _obey_cancellation()
             try:
                 async with self._client() as client:
                     attempts = 0
                     await self._stay(client, topics)
             except aiomqtt.MqttError as problem:
                 self.problem = str(problem)
+            except Exception as problem:
+                self.problem = self._fault(problem)
             finally:
                 self.connected = False
             await asyncio.sleep(AGAIN_S[min(attempts, len(AGAIN_S) - 1)])
             attempts += 1
 
     def _client(self) -> aiomqtt.Client:
-        broker = self.broker
         will = None
         if self.is_vehicle:
             broken = self._with_header(self._state(ConnectionState.CONNECTIONBROKEN))
             will = aiomqtt.Will(
                 self.identity.topic(Topic.CONNECTION), broken.to_json(), qos=1, retain=True
             )
-        return aiomqtt.Client(
-            broker.host, broker.port, username=broker.user, password=broker.password,
-            will=will, keepalive=KEEP_ALIVE_S, timeout=KEEP_ALIVE_S,
-            tls_params=aiomqtt.TLSParameters() if broker.encrypted else None,
-        )  # fmt: skip
+        return _Client(self.refused, self.broker, will)
 
     async def _stay(self, client: aiomqtt.Client, topics: Sequence[Topic]) -> None:
         for topic in topics:
@@ -177,6 +256,7 @@ class BrokerLink:
         sending = asyncio.create_task(self._sending(client))
         reading = asyncio.create_task(self._reading(client))
         try:
+            _obey_cancellation()
             # A broker that takes nothing any more may still be connected, and say nothing for long.
             await asyncio.wait((sending, reading), return_when=asyncio.FIRST_COMPLETED)
             for each in (sending, reading):
@@ -225,8 +305,17 @@ class BrokerLink:
     def _state(state: ConnectionState) -> Connection:
         return Connection(connection_state=state)
 
+    def _fault(self, problem: Exception) -> str:
+        """In one line; told only the first time, because a vehicle repeats itself ten times a second."""
+        line = repr(problem).splitlines()[0][:LINE_CHARS_MAX]
+        if type(problem) not in self._faults:
+            self._faults.add(type(problem))
+            self.failed(line)
+        return line
+
     def _take(self, message: aiomqtt.Message) -> None:
-        """A message that is not valid is counted, and told to `invalid`."""
+        """A message that is not valid is counted, and told to `invalid`; so is one at which `heard`
+        fails."""
         topic = str(message.topic).rpartition("/")[2]
         payload = message.payload
         if not isinstance(payload, bytes | bytearray) or len(payload) > MESSAGE_BYTES_MAX:
@@ -238,4 +327,8 @@ class BrokerLink:
             self.refused[topic] += 1
             self.invalid(topic, problem)
             return
-        self.heard(found)
+        try:
+            self.heard(found)
+        except Exception as problem:
+            self.refused["failed"] += 1
+            self.invalid(topic, ValueError(self._fault(problem)))

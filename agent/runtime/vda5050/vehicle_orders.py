@@ -19,6 +19,7 @@ from enum import Enum
 from math import atan2, cos, hypot, pi, remainder, sin
 from typing import Any, Final, NamedTuple
 
+from agent.delivery.task_registry import TASKS_MAX
 from agent.interface.config import MS, S
 from agent.interface.effects import Drive
 from agent.interface.vehicle import Vehicle
@@ -102,14 +103,21 @@ class _Sent(NamedTuple):
     full: bool | None = None  # whether the vehicle said that it has a load; None: it does not say
 
 
+def _task_of(word: str) -> int:
+    """The task whose number a word is; -1: of none. A vehicle may say any text."""
+    if len(word) > len(str(TASKS_MAX)) or not word.isdecimal():
+        return NOTHING_ABOARD
+    task = int(word)
+    return task if task < TASKS_MAX else NOTHING_ABOARD
+
+
 def aboard_of(order_id: str) -> int:
     """The parcel that was aboard when one of our orders was sent; -1: none, or not ours.
 
     >>> aboard_of("headland/5f/12/7"), aboard_of("other-9"), aboard_of("other/9")
     (7, -1, -1)
     """
-    parts = order_id.split("/")
-    return int(parts[-1]) if parts[0] == NAME and parts[-1].isdecimal() else NOTHING_ABOARD
+    return _task_of(order_id.rpartition("/")[2]) if _is_ours(order_id) else NOTHING_ABOARD
 
 
 def _is_ours(order_id: str) -> bool:
@@ -128,8 +136,7 @@ def _parcel_of(action_id: str) -> int:
     >>> _parcel_of("headland/5f/12/-1/drop/7"), _parcel_of("other-7")
     (7, -1)
     """
-    last = action_id.rpartition("/")[2]
-    return int(last) if _is_ours(action_id) and last.isdecimal() else NOTHING_ABOARD
+    return _task_of(action_id.rpartition("/")[2]) if _is_ours(action_id) else NOTHING_ABOARD
 
 
 class VehicleOrders:
