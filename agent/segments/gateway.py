@@ -86,7 +86,7 @@ class Gateway:
     ) -> None:  # fmt: skip
         """`area`: the sections that concern this segment. `name`: the gateway's NAME on the bus.
         `boot`: 32 bits, different at each start. `chart`: the map, if segments share one. `keys`: of the
-        fleet's file; None: a fleet without keys, or a gateway that carries only stops and resets.
+        file of panels; None: a fleet without keys, or a gateway that carries only stops and resets.
         """
         self.area, self.name, self.boot = area, name, boot & 0xFFFF_FFFF
         self.candidacy = GatewayElection(boot, name.hash16, now_us)

@@ -1,7 +1,7 @@
 """What a gateway believes, and proves, in a fleet with keys.
 
-A gateway with the fleet's file passes work and maps on only if it can vouch for them. Frames of its
-own bus are *held* until their sender has proven them, as in a robot (`agent/peer/proven_frames.py`).
+A gateway with the fleet's master secret passes work and maps on only if it can vouch for them. Frames of
+its own bus are *held* until their sender has proven them, as in a robot (`agent/peer/proven_frames.py`).
 What it says on its bus is covered by proofs under a key of its own, because the robots there hold its
 frames, too. Messages of the backbone end with a tag of 64 bits. So trust goes from hop to hop. A
 gateway without keys in a fleet with keys carries stops and resets, which have their own tags. Its work
@@ -43,7 +43,7 @@ class GatewayProofs:
     """Holds what robots say until it is proven, and proves what the gateway says."""
 
     def __init__(self, keys: Keys, boot: int, now_us: int) -> None:
-        """`keys`: of the fleet's file, which has the master secret. `boot`: different at each start."""
+        """`keys`: of the file of panels, which has the master secret. `boot`: different at each start."""
         self.keys = ProofKeys(keys)
         self.checker = ProofChecker(self.keys, FleetTime(0, now_us))
         self.refused = 0  # messages of the backbone without a valid tag

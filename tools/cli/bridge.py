@@ -2,7 +2,7 @@
 
 Start two or more on a segment: one leads, all carry stops, and another leads when that one dies. A
 gateway on a socketcand bus is back by itself when the server of that bus is. In a fleet with keys it
-needs the fleet's file to pass on work, and reads it again when it has changed.
+needs the file of panels to pass on work, and reads it again when it has changed.
 """
 
 import asyncio
@@ -15,8 +15,7 @@ from typing import TYPE_CHECKING, Any
 from agent.interface.ports import Bus
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
-from agent.runtime.files.key_file import FLEET, NAMES, KeyFileError
-from agent.runtime.files.key_file import read as read_keys
+from agent.runtime.files.key_file import FLEET, NAMES, KeyFileError, panel_path, read_panel
 from agent.runtime.gateway_runner import GatewayRunner
 from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
@@ -125,11 +124,13 @@ async def open_bus_of(
 
 
 class GatewayKeys:
-    """The fleet's file of a gateway, which the owner replaces when the fleet gets other keys."""
+    """The file of panels and gateways, or the fleet's, which the owner replaces for other keys."""
 
     def __init__(self, path: Path) -> None:
         """`path`: the file, or the folder that has it. Raises AttachError."""
-        self.path = path / NAMES[FLEET] if path.is_dir() else path
+        self.path = panel_path(path) if panel_path(path).exists() else path
+        if self.path.is_dir():
+            self.path = path / NAMES[FLEET]  # of a folder of an older version
         self._written_at_ns = self._written()
         self.keys = self._read()
 
@@ -157,7 +158,7 @@ class GatewayKeys:
 
     def _read(self) -> Keys:
         try:
-            return Keys(read_keys(self.path, FLEET).keys.master, None)
+            return read_panel(self.path).keys
         except KeyFileError as problem:
             raise AttachError(f"--keys {problem}") from None
 

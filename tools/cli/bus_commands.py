@@ -21,6 +21,7 @@ from tools.common.options import (
     Metrics,
     OperatorKey,
     PagePort,
+    PanelKey,
     Port,
     Timeout,
 )
@@ -52,7 +53,7 @@ def _find_launch(interface: str, port: int, *given: object) -> None:
 @app.command("estop", hidden=True)
 def stop(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    host: Host = "127.0.0.1", port: Port = 0, keys: PanelKey = None,
     reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = BY_A_PERSON,
     timeout_s: Timeout = 2.0,
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
@@ -261,7 +262,7 @@ def inspect(
 def show_map(
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    host: Host = "127.0.0.1", port: Port = 0, keys: PanelKey = None,
     scenario: Annotated[
         str | None, typer.Option(help="Whose field to draw, where the source does not say.")
     ] = None,
@@ -320,7 +321,7 @@ def bridge(
     seconds: Annotated[float | None, typer.Option(help="End after this long.")] = None,
     metrics: Metrics = None,
     keys: Annotated[
-        Path | None, typer.Option(help="The fleet's file or folder: without it work is not believed.")
+        Path | None, typer.Option(help="panel.json or its folder: without it work is not believed.")
     ] = None,
     json: Json = False,
 ) -> None:  # fmt: skip
@@ -368,7 +369,7 @@ def vda5050(
 @app.command(rich_help_panel=SET_UP)
 def ros2(
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, keys: KeyFile = None,
+    host: Host = "127.0.0.1", port: Port = 0, keys: PanelKey = None,
     operator_key: Annotated[
         Path | None, typer.Option(help="By which ROS may release. Without it ROS may only stop.")
     ] = None,

@@ -9,13 +9,13 @@ import typer
 
 from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port, Timeout
 
-FLEET_FILE, OPERATOR_FILE = "fleet.json", "operator.json"
+FLEET_FILE, PANEL_FILE, OPERATOR_FILE = "fleet.json", "panel.json", "operator.json"
 WRONG = 2
 app = typer.Typer(
     help="Make, rotate, revoke and show the keys of a fleet.", no_args_is_help=True,
     pretty_exceptions_enable=False, rich_markup_mode=None,
 )  # fmt: skip
-Folder = Annotated[Path, typer.Argument(help="Folder of the two key files.")]
+Folder = Annotated[Path, typer.Argument(help="Folder of the key files.")]
 
 
 @app.command()
@@ -25,17 +25,19 @@ def new(
     robots: Annotated[int, typer.Option(min=0, max=108, help="Robots that get a file each.")] = 0,
     json: Json = False,
 ) -> None:
-    """Make the keys of a fleet: a file for each robot, fleet.json for panels, operator.json to release.
+    """Make the keys of a fleet: a file for each robot, panel.json to stop, operator.json to release.
+
+    panel.json is for panels and gateways, fleet.json for simulations and task controllers.
 
     Example: headland keys new keys --robots 6, then: headland launch --robots 6 --keys keys
     """
     from agent.runtime.files.key_file import DEVICE_MAX, fresh, robot_path, write
     from protocol.authentication import OPERATOR_FIRST
 
-    fleet, operator = folder / FLEET_FILE, folder / OPERATOR_FILE
+    fleet, panel, operator = (folder / name for name in (FLEET_FILE, PANEL_FILE, OPERATOR_FILE))
     if not OPERATOR_FIRST <= device <= DEVICE_MAX:
         _wrong(f"--device {device}: use {OPERATOR_FIRST} to {DEVICE_MAX}")
-    for path in (fleet, operator):
+    for path in (fleet, panel, operator):
         if path.exists():
             _wrong(f"{path} is there already: 'headland keys rotate {folder}' replaces it")
     try:
@@ -43,7 +45,7 @@ def new(
         write(fleet, operator, fresh(), device, range(robots))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}")
-    _tell([fleet, operator, *(robot_path(folder, slot) for slot in range(robots))], json)
+    _tell([fleet, panel, operator, *(robot_path(folder, slot) for slot in range(robots))], json)
 
 
 @app.command()
@@ -103,7 +105,7 @@ def rotate(
         print(
             f"the keys {old.ids['fleet']} are no longer used; restart the robots with the new file"
         )
-    _tell([fleet, operator], json)
+    _tell([fleet, folder / PANEL_FILE, operator], json)
 
 
 @app.command()
@@ -260,7 +262,7 @@ def log_command(
 
 @app.command()
 def show(
-    file: Annotated[Path, typer.Argument(help="A key file, or the folder of both.")] = Path("keys"),
+    file: Annotated[Path, typer.Argument(help="A key file, or the folder of all.")] = Path("keys"),
     json: Json = False,
 ) -> None:
     """Say what a key file is for, by its ids: two files of one fleet show the same operator id.
@@ -268,7 +270,9 @@ def show(
     Example: headland keys show keys
     """
     people = sorted(file.glob("operator-*.json")) if file.is_dir() else []
-    both = [file / FLEET_FILE, file / OPERATOR_FILE, *people]
+    panel = file / PANEL_FILE
+    panels = [panel] if panel.exists() else []  # not in a folder of an older version
+    both = [file / FLEET_FILE, *panels, file / OPERATOR_FILE, *people]
     _tell(both if file.is_dir() else [file], json)
 
 

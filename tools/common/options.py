@@ -48,6 +48,9 @@ Cluster = Annotated[
 KeyFile = Annotated[
     Path | None, typer.Option("--keys", help="The fleet's key file, or its folder.")
 ]
+PanelKey = Annotated[
+    Path | None, typer.Option("--keys", help="panel.json of the fleet's keys, or its folder.")
+]
 OperatorKey = Annotated[
     Path | None, typer.Option("--keys", help="The operator's key file, or its folder.")
 ]

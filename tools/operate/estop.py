@@ -4,7 +4,7 @@ import asyncio
 import sys
 from pathlib import Path
 
-from agent.runtime.files.key_file import FLEET, KeyFileError, read
+from agent.runtime.files.key_file import OPERATOR, KeyFileError, read, read_panel
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
@@ -78,11 +78,14 @@ async def _estop(
 
 
 def keyring_of(keys: Path | None) -> Keyring | None:
-    """Of a stop panel (the fleet's file) or an operator device; raises AttachError."""
+    """Of a stop panel, which cannot release whatever file it has, or of an operator's device; raises
+    AttachError."""
     try:
         if keys is None:
             return None
-        return read(keys, FLEET if keys.is_dir() else None).keyring()
+        if keys.is_dir() or read(keys).kind != OPERATOR:
+            return read_panel(keys).keyring()
+        return read(keys, OPERATOR).keyring()
     except KeyFileError as problem:
         raise AttachError(f"--keys {problem}") from None
 

@@ -1,7 +1,10 @@
-"""Key files: one for each robot, one for stop panels of the fleet, one for the operator who owns it.
+"""Key files: one for each robot, one for panels and gateways, one for the operator who owns the fleet.
 
 A robot's file has the fleet's secrets and a key of its own, by which only the owner can give it new ones
-(`protocol/rekeying.py`). The owner's file has the secret that all robots' own keys are made of.
+(`protocol/rekeying.py`). The file of panels and gateways has the master secret alone: it can stop and
+pass work on, and releases nothing. The fleet's file has both secrets, for what verifies operators without
+a robot's file: simulations, task controllers, and the desk of a launch. The owner's file has the secret
+that all robots' own keys are made of.
 The owner makes restricted files for other people; each has roles, and may expire
 (`protocol/operator_badges.py`). All are JSON that only the owner can read. An operator's counter must
 never go back: it is stored beside its key file and reserved in blocks, so one durable write covers many.
@@ -26,6 +29,7 @@ from protocol.operator_badges import NEVER, Badge, Role
 from protocol.rekeying import GENERATION_MAX, OWN_SIZE, own_key
 
 FLEET, OPERATOR, ROBOT = "headland fleet keys", "headland operator key", "headland robot keys"
+PANELS = "headland panel key"
 PANEL = 140  # sender of a stop panel that holds the fleet's keys
 DEVICE = 249  # the operator device if the file names no other
 DEVICE_MAX = 254
@@ -33,7 +37,7 @@ RESERVE = 8192  # frames; a reset of a hundred machines that takes 5 s sends 6,0
 EPOCH = date(1970, 1, 1)
 DAY_MAX = 0xFFFF  # as OPERATOR_BADGE carries it: the year 2149
 PERSON_MAX = 60  # characters of a name
-NAMES = {FLEET: "fleet.json", OPERATOR: "operator.json"}  # in the folder of both
+NAMES = {FLEET: "fleet.json", PANELS: "panel.json", OPERATOR: "operator.json"}  # in a folder
 
 
 class KeyFileError(Exception):
@@ -44,7 +48,7 @@ class KeyFile(NamedTuple):
     """A key file that was read: its keys, and what they allow."""
 
     path: Path
-    kind: str  # FLEET or OPERATOR
+    kind: str  # FLEET, PANELS, ROBOT or OPERATOR
     keys: Keys
     device: int | None = None  # for an operator's file
     slot: int | None = None  # for a robot's file
@@ -130,8 +134,9 @@ def write(
     fleet: Path, operator: Path, keys: Keys, device: int, slots: Iterable[int] = (),
     root: bytes | None = None,
 ) -> None:  # fmt: skip
-    """Write the files of a fleet: both that are named, and beside the first one for each robot of
-    `slots`. `device`: the operator device's sender, 192 to 254. `root`: None, a new one.
+    """Write the files of a fleet: both that are named, and beside the first one that of panels, and one
+    for each robot of `slots`. `device`: the operator device's sender, 192 to 254. `root`: None, a new
+    one.
 
     Raises FileExistsError if one of them exists already, and OSError if one cannot be written.
     """
@@ -189,10 +194,12 @@ def texts(
     """The contents of all files of a fleet. `device`: the number of the operator's device, 192 to 254."""
     assert keys.master is not None and keys.operator is not None
     operators = {"operator_id": key_id(keys.operator), "operator_key": keys.operator.hex()}
-    secrets = {"id": key_id(keys.master), "key": keys.master.hex(), **operators}
+    master = {"id": key_id(keys.master), "key": keys.master.hex()}
+    secrets = {**master, **operators}
     number = {"generation": keys.generation}
     made: dict[Path, dict[str, Any]] = {
         fleet: {"kind": FLEET, **number, **secrets},
+        panel_path(fleet.parent): {"kind": PANELS, **number, **master},
         operator: {
             "kind": OPERATOR, "device": device, **number, **operators,
             "root_id": key_id(root), "root_key": root.hex(),
@@ -205,6 +212,11 @@ def texts(
             "own_id": key_id(own), "own_key": own.hex(),
         }  # fmt: skip
     return {path: json.dumps(document, indent=1) for path, document in made.items()}
+
+
+def panel_path(folder: Path) -> Path:
+    """The file of panels and gateways in the folder of a fleet's keys."""
+    return folder / NAMES[PANELS]
 
 
 def robot_path(folder: Path, slot: int) -> Path:
@@ -245,14 +257,18 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
     if above & 0o022 and not above & stat.S_ISVTX:
         raise KeyFileError(f"{path}: others may replace it: chmod go-w {path.absolute().parent}")
     found = document.get("kind") if isinstance(document, dict) else None
-    if found not in (FLEET, OPERATOR, ROBOT):
+    if found not in (FLEET, PANELS, OPERATOR, ROBOT):
         raise KeyFileError(f"{path}: not a key file; make one with 'headland keys new'")
     if kind not in (None, found):
         raise KeyFileError(f"{path}: {found!r} where {kind!r} is needed")
-    operator = _key(path, document, "operator_id", "operator_key")
     number = document.get("generation", 0)
     if not isinstance(number, int) or not 0 <= number <= GENERATION_MAX:
         raise KeyFileError(f"{path}: generation: {number!r} is not 0 to {GENERATION_MAX}")
+    if found == PANELS:
+        return KeyFile(
+            path, found, Keys(_key(path, document, "id", "key"), None, generation=number)
+        )
+    operator = _key(path, document, "operator_id", "operator_key")
     if found == FLEET:
         keys = Keys(_key(path, document, "id", "key"), operator, generation=number)
         return KeyFile(path, found, keys)
@@ -287,6 +303,18 @@ def _badge(path: Path, document: dict[str, Any], device: int) -> Badge | None:
     return Badge(device, roles, day)
 
 
+def read_panel(path: Path) -> KeyFile:
+    """The key of a panel or a gateway, without the operators' secret. A folder stands for the file of
+    panels in it, or for that of the fleet in a folder of an older version. Raises KeyFileError."""
+    if path.is_dir():
+        own = panel_path(path)
+        path = own if own.exists() else path / NAMES[FLEET]
+    found = read(path)
+    if found.keys.master is None:
+        raise KeyFileError(f"{path}: {found.kind!r} where {PANELS!r} is needed")
+    return found._replace(keys=Keys(found.keys.master, None, generation=found.keys.generation))
+
+
 def read_robot(path: Path, slot: int) -> KeyFile:
     """The keys of one robot: its own file, or that of the fleet. A folder stands for the file of this
     robot in it. Raises KeyFileError."""
@@ -294,7 +322,7 @@ def read_robot(path: Path, slot: int) -> KeyFile:
         own = robot_path(path, slot)
         path = own if own.exists() else path / NAMES[FLEET]
     found = read(path)
-    if found.kind == OPERATOR:
+    if found.kind in (OPERATOR, PANELS):
         raise KeyFileError(f"{path}: {found.kind!r} where {ROBOT!r} is needed")
     if found.slot not in (None, slot):
         raise KeyFileError(f"{path}: of robot {found.slot}, and this is robot {slot}")

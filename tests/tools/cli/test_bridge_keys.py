@@ -7,7 +7,7 @@ import pytest
 
 from agent.interface.config import S
 from agent.peer.inputs import ClaimSection, Leave
-from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, fresh, write
+from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, PANELS, fresh, write
 from crdt import Phase
 from protocol.authentication import Keys
 from sim.rigs.segments_rig import SegmentFleet
@@ -27,11 +27,11 @@ def test_a_gateway_reads_its_file_again_when_the_owner_has_replaced_it(tmp_path:
     before = keys.keys
     assert before.master is not None and before.operator is None, "it needs no more than this"
     assert keys.renewed() is None
-    file = first / NAMES[FLEET]
+    file = first / NAMES[PANELS]
     os.truncate(file, 10)  # half written
     os.utime(file, ns=(1, 1))
     assert keys.renewed() is None and keys.keys == before
-    (second / NAMES[FLEET]).replace(file)
+    (second / NAMES[PANELS]).replace(file)
     renewed = keys.renewed()
     assert renewed is not None and renewed != before
     assert keys.renewed() is None
@@ -39,7 +39,7 @@ def test_a_gateway_reads_its_file_again_when_the_owner_has_replaced_it(tmp_path:
 
 def test_a_gateways_file_that_others_may_read_is_refused(tmp_path: Path) -> None:
     folder = keys_in(tmp_path / "keys")
-    (folder / NAMES[FLEET]).chmod(0o644)
+    (folder / NAMES[PANELS]).chmod(0o644)
     with pytest.raises(AttachError, match="others may read it"):
         GatewayKeys(folder)
     with pytest.raises(AttachError, match="is needed"):

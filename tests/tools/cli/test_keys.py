@@ -16,12 +16,14 @@ import pytest
 from agent.runtime.files.key_file import (
     FLEET,
     OPERATOR,
+    PANELS,
     KeyFileError,
     counter,
     counter_path,
     create,
     fresh,
     read,
+    read_robot,
     write,
 )
 from agent.runtime.files.key_folder import owned
@@ -32,10 +34,11 @@ from protocol.operator_badges import Role
 from tests.tools import launching
 from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
+from tools.cli.bridge import GatewayKeys
 from tools.cli.keys import operator as make_operator
 from tools.cli.keys import rotate, show
 from tools.common.launch_keys import fleet_keys
-from tools.operate.estop import NOT_ALL
+from tools.operate.estop import NOT_ALL, keyring_of
 from tools.operate.operator_device import Operator
 from tools.operate.rekey import Rekeyer, _tell
 
@@ -78,6 +81,35 @@ def test_new_show_and_rotate(tmp_path: Path) -> None:
 def keys(folder: Path) -> tuple[Path, Path]:
     write(folder / "fleet.json", folder / "operator.json", fresh(), 249)
     return folder / "fleet.json", folder / "operator.json"
+
+
+def test_the_file_of_a_panel_stops_and_whoever_steals_it_releases_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """The file that panels were given, fleet.json, has the operators' secret, too."""
+    fleet, operator = keys(tmp_path)
+    panel, secret = tmp_path / "panel.json", read(operator, OPERATOR).keys.operator
+    assert secret is not None and secret.hex() not in panel.read_text()
+    assert read(panel, PANELS).keys == read(fleet, FLEET).keys._replace(operator=None)
+    for given in (tmp_path, panel, fleet):  # also one that an older version has made for it
+        ring = keyring_of(given)
+        assert ring is not None and ring.keys == read(panel).keys, given
+    said = Complaints(monkeypatch, capfd).of("reset --keys panel.json", tmp_path)
+    assert said.code == 2 and "operator key" in said.line, said
+    with pytest.raises(KeyFileError, match="robot keys"):
+        read_robot(panel, 0)
+
+
+def test_a_folder_of_an_older_version_has_the_fleets_file_for_panels_until_it_is_rotated(
+    tmp_path: Path,
+) -> None:
+    keys(tmp_path)
+    (tmp_path / "panel.json").unlink()
+    ring, gateway = keyring_of(tmp_path), GatewayKeys(tmp_path)
+    assert ring is not None and ring.keys == gateway.keys and ring.keys.operator is None
+    rotate(tmp_path, running=False)
+    renewed, ring = gateway.renewed(), keyring_of(tmp_path)
+    assert ring is not None and ring.keys == renewed == read(tmp_path / "panel.json", PANELS).keys
 
 
 def spoil(path: Path, **changes: object) -> None:
@@ -152,7 +184,7 @@ def test_a_fleet_with_keys_is_stopped_and_released_by_those_that_hold_them(tmp_p
             await launching.robots_up(launch, 3)
             code, text = await call("estop", "--json")
             assert code == 1 and not json.loads(text)["signed"], "braked, and nobody latched"
-            code, text = await call("estop", "--keys", "fleet.json", "--json")
+            code, text = await call("estop", "--keys", "panel.json", "--json")
             assert code == 0 and json.loads(text)["stopped"] == [0, 1, 2], text
             code, text = await call("reset", "--start", "--timeout", "1")
             assert code == 1 and "NOT SIGNED" in text and "NOT RELEASED" in text, text
@@ -292,7 +324,7 @@ def contents(folder: Path) -> dict[str, bytes]:
     return {path.name: path.read_bytes() for path in folder.iterdir()}
 
 
-@pytest.mark.parametrize("writes", range(5))
+@pytest.mark.parametrize("writes", range(6))
 def test_new_keys_on_a_full_disk_leave_nothing_behind(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
 ) -> None:
@@ -305,7 +337,7 @@ def test_new_keys_on_a_full_disk_leave_nothing_behind(
     write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(3))
 
 
-@pytest.mark.parametrize("writes", range(0, 12, 2))
+@pytest.mark.parametrize("writes", range(0, 14, 2))
 def test_a_rotation_on_a_full_disk_changes_nothing(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, writes: int
 ) -> None:
@@ -321,12 +353,12 @@ def test_a_rotation_on_a_full_disk_changes_nothing(
         assert {name: text for name, text in contents(tmp_path).items() if name in before} == before
         assert not [name for name in contents(tmp_path) if name.endswith(".new")]
     else:
-        assert writes >= 10, "both files of each of five"
+        assert writes >= 12, "both files of each of six"
     rotate(tmp_path, running=False)
     assert read(tmp_path, FLEET).keys.operator == read(tmp_path, OPERATOR).keys.operator
 
 
-@pytest.mark.parametrize("moves", range(1, 6))
+@pytest.mark.parametrize("moves", range(1, 7))
 def test_a_rotation_that_is_killed_between_two_files_is_repeated(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, moves: int
 ) -> None:
@@ -422,7 +454,7 @@ def test_a_persons_name_commands_no_terminal(
     with contextlib.suppress(SystemExit):
         show(tmp_path)
     said = capsys.readouterr()
-    assert "\x1b" not in said.out + said.err and len(said.out.splitlines()) <= 3
+    assert "\x1b" not in said.out + said.err and len(said.out.splitlines()) <= 4
 
 
 def test_a_forged_confirmation_takes_none_back(tmp_path: Path) -> None:

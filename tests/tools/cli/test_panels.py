@@ -125,10 +125,10 @@ def test_bench_without_a_name_measures_nothing() -> None:
 def test_keys_and_exports_are_told_as_json(tmp_path: Path) -> None:
     made = json.loads(shown("keys", "new", str(tmp_path / "keys"), "--robots", "1", "--json"))
     assert [Path(each["file"]).name for each in made] == [
-        "fleet.json", "operator.json", "robot0.json",
+        "fleet.json", "panel.json", "operator.json", "robot0.json",
     ]  # fmt: skip
     told = json.loads(shown("keys", "show", str(tmp_path / "keys"), "--json"))
-    assert [each["ids"] for each in told] == [each["ids"] for each in made[:2]]
+    assert [each["ids"] for each in told] == [each["ids"] for each in made[:3]]
     written = json.loads(shown("dbc", str(tmp_path / "headland.dbc"), "--json"))
     assert written["file"] == str(tmp_path / "headland.dbc") and written["frames"] > 50
 

@@ -24,7 +24,8 @@ def test_a_fleet_that_goes_on_keeps_its_keys_and_a_new_one_gets_others(tmp_path:
     assert read(fleet_keys(tmp_path, goes_on=True), FLEET) == first
     other = read(fleet_keys(tmp_path, goes_on=False), FLEET)
     assert not set(other.ids.values()) & set(first.ids.values())
-    assert sorted(path.name for path in folder.iterdir()) == ["fleet.json", "operator.json"]
+    made = ["fleet.json", "operator.json", "panel.json"]
+    assert sorted(path.name for path in folder.iterdir()) == made
 
 
 def test_only_the_user_of_a_launch_takes_its_keys(
