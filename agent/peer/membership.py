@@ -207,7 +207,12 @@ class Membership(Part):
         return NOTHING
 
     def _waive(self, ctx: StepContext, notice: notices.WaiveOrdered) -> Outputs:
-        return self.changed() if self.waive(notice.slot, ctx.now_us) else NOTHING
+        if not self.waive(notice.slot, ctx.now_us):
+            return NOTHING
+        if not self.safety.keyed:
+            return self.changed()
+        said = f"go on without robot {notice.slot} by {notice.operator}"  # for the release log
+        return [*self.changed(), Trace("safety", "", "PERMITTED", "", said)]
 
     def _left(self, ctx: StepContext, notice: notices.Left) -> Outputs:
         self.forget_all(ctx.now_us)

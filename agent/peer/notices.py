@@ -234,6 +234,7 @@ class WaiveOrdered(NamedTuple):
     """An operator orders by name to go on without this member."""
 
     slot: int
+    operator: int  # the number of its device
 
 
 # ---------------------------------------------------------------- work

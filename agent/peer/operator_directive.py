@@ -71,12 +71,21 @@ class OperatorDirective(Part):
                 return [inputs.ManualReset()]
             case Command.START:
                 named = m.target == self.slot
-                return [inputs.Start(named), *self.over("an operator's start")]
+                said = self._permitted(m.operator, named)
+                return [*said, inputs.Start(named), *self.over("an operator's start")]
             case Command.HOLD:
                 return [inputs.Hold()]
             case Command.WAIVE:
-                return [notices.WaiveOrdered(m.argument)]
+                return [notices.WaiveOrdered(m.argument, m.operator)]
         return self._order(ctx, m) if m.command in DIRECTED else NOTHING
+
+    def _permitted(self, operator: int, named: bool) -> Outputs:
+        """For the release log: who lets this robot drive that stood. Without keys nobody is proven."""
+        safety = self.safety
+        if not safety.keyed or safety.latched or not safety.waits_for_start(named):
+            return NOTHING
+        what = "start of this robot" if named else "start"
+        return [Trace("safety", "", "PERMITTED", "", f"{what} by {operator}")]
 
     def _name(self, ctx: StepContext, header: Header, m: OperatorGoal) -> Outputs:
         """A coordinate for a following SET_GOAL, authenticated like an order."""

@@ -526,6 +526,11 @@ class StopController:
             self._causes.pop(cause, None)
         return True
 
+    def waits_for_start(self, named: bool) -> bool:
+        """Whether a start would end a cause; `named`: one for this machine alone."""
+        ends = (StopCause.NOT_STARTED, StopCause.PLACE_FROZEN)
+        return any(map(self.holds, ends)) or (named and self.holds(StopCause.PLACE_LOST))
+
     def start(self, now_us: int, named: bool = False) -> Sequence[Effect]:
         """A person starts this machine: NOT_STARTED and PLACE_FROZEN end. PLACE_LOST ends only by a
         start that is for this machine alone (`named`): a start of the whole fleet does not vouch for

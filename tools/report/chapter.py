@@ -262,7 +262,7 @@ def _releases(evidence: RunEvidence) -> Iterator[Chapter]:
     if records is None:
         return
     about = (
-        "What each robot has cleared, and under whose key, as it wrote it down. "
+        "What let each robot drive again, and under whose key, as it wrote it down. "
         + ("Hashes and tags were checked." if records.root else "Hashes were checked; no key is here.")
     )  # fmt: skip
     about += "".join(f" Robot {r}: CHANGED: {why}." for r, why in records.broken.items())

@@ -1,6 +1,7 @@
-"""The release log of one robot: which stops were cleared, when, and under whose key.
+"""The release log of one robot: what let it drive again, when, and under whose key.
 
-A line is appended when the robot has cleared a stop, and never changed. Each names the hash of the line
+A line is appended when the robot has cleared a stop, and in a fleet with keys when an operator has
+started it, or let it go on without a silent member. It is never changed. Each names the hash of the line
 before it, and has an HMAC-SHA256 under a key that only this robot and the owner of the fleet can make. So
 the owner finds a line that was changed, added, moved or taken out. The last lines can be cut off without
 a trace in one log; the logs of the other robots show that. A fleet without keys has the hashes alone.
@@ -29,12 +30,14 @@ LINE_BYTES_MAX: Final = 4096  # read back at a start, to go on after the last li
 AT_MAX_S: Final = 253_402_300_800.0  # the year 10000, which no calendar here has
 # A pipe at the place of the log is an error, and not a robot that waits for a reader.
 FLAGS: Final = os.O_WRONLY | os.O_CREAT | os.O_APPEND | getattr(os, "O_NONBLOCK", 0)
+KEPT: Final = frozenset(("CLEARED", "PERMITTED"))  # events of traces
+OF_ONE: Final = ("start", "go on without ")  # words about one robot, which others need not have
 BY: Final = re.compile(r"^(?P<what>.*) by (?P<who>\d+)$")
 NAME: Final = re.compile(r"robot(\d{1,3})\.releases\.jsonl")
 
 
 class LoggedRelease(NamedTuple):
-    """One line: a stop that one robot has cleared."""
+    """One line: a stop that one robot has cleared, or what an operator has permitted to it."""
 
     number: int  # from 1
     released_at_s: float  # by the computer of the robot
@@ -84,7 +87,7 @@ class ReleaseLog:
     def keep(self, now_us: int, effect: Effect) -> None:
         """Called with each effect of the robot. A disk that fails is logged, and the robot goes on: it
         has released already."""
-        if not isinstance(effect, Trace) or effect.event != "CLEARED":
+        if not isinstance(effect, Trace) or effect.event not in KEPT:
             return
         said = BY.match(effect.why)
         what, device = (said["what"], int(said["who"])) if said else (effect.why, None)
@@ -146,9 +149,14 @@ def _release_of(text: str) -> LoggedRelease:
 
 
 def lacking(logs: Sequence[ReadLog]) -> dict[int, set[str]]:
-    """Releases by a person's key that some robots have and others lack: lines may be cut off, or the
-    robot was off or did not know the stop. By robot."""
-    said = {one.robot: {r.what for r in one.releases if r.device is not None} for one in logs}
+    """Stops that some robots have cleared by a person's key, and others have no line about: lines may be
+    cut off, or the robot was off or did not know the stop. By robot."""
+    said = {
+        one.robot: {
+            r.what for r in one.releases if r.device is not None and not r.what.startswith(OF_ONE)
+        }
+        for one in logs
+    }
     everything = set().union(*said.values()) if said else set()
     return {robot: everything - had for robot, had in said.items() if everything - had}
 

@@ -4,12 +4,13 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import pytest
 
-from agent.interface.effects import HALT, Trace
+from agent.interface.config import MS, S
+from agent.interface.effects import HALT, Effect, Trace
 from agent.runtime.files.key_file import OPERATOR, fresh, read, read_robot, write
 from agent.runtime.files.release_log import (
     ReadLog,
@@ -20,11 +21,17 @@ from agent.runtime.files.release_log import (
     path_of,
     read_log,
 )
+from protocol.authentication import Keyring, Keys
+from protocol.frames.codec import decode
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import Challenge, Command, OperatorCommand
+from protocol.name import tool_name
 from protocol.rekeying import own_key
+from sim.rigs.keyed_rig import KeyedRig
 from tools.cli.keys import log_command
 from tools.common.release_records import release_records
 
-ROBOT = 1
+ROBOT, OPERATOR_DEVICE = 1, 249
 Lines = list[str]
 
 
@@ -106,6 +113,73 @@ def test_an_end_that_was_cut_off_shows_in_the_logs_of_the_others(folder: Path) -
     records = release_records(folder)
     assert records.root and not records.broken
     assert lacking(records.logs) == {ROBOT: {"dot 7.1.2", "dot 7.1.3"}}
+
+
+class LoggedRig(KeyedRig):
+    """A fleet whose robots write logs, and its operator."""
+
+    def __init__(self, folder: Path, keyed: bool = True) -> None:
+        self.logs = {slot: ReleaseLog(path_of(folder, slot), slot, None) for slot in range(3)}
+        super().__init__(3, keyed=keyed)
+        self.operator: Keyring | None = None
+        if self.keys is not None:
+            self.operator = Keyring(Keys(None, self.keys.operator), OPERATOR_DEVICE, b"day")
+        self.forge(AddressClaimed(tool_name(OPERATOR_DEVICE).pack()), OPERATOR_DEVICE)
+
+    def send(self, slot: int, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            self.logs[slot].keep(self.now_us, effect)
+        super().send(slot, effects)
+
+    def order(self, command: Command, target: int = 255, argument: int = 0) -> None:
+        """What it says, as often as a tool says it, with answers to robots that ask for its counter."""
+        said = OperatorCommand(command, target, OPERATOR_DEVICE, argument)
+        for _ in range(6):
+            self.recorded.clear()
+            for _ in range(2):  # robots act on two frames that agree
+                signed = said if self.operator is None else self.operator.sign(said)
+                self.forge(signed, OPERATOR_DEVICE)
+            self.run_for(MS * 100)
+            for source, message in map(decode, list(self.recorded)):
+                if self.operator is not None and isinstance(message, Challenge):
+                    proof = self.operator.answer(message, self.now_us)
+                    if proof is not None:
+                        self.forge(proof, OPERATOR_DEVICE, source)
+
+    def written(self, slot: int) -> list[tuple[str, int | None]]:
+        """What a robot has in its log."""
+        path = self.logs[slot].path
+        return [(r.what, r.device) for r in read_log(path, None).releases] if path.exists() else []
+
+
+def test_the_log_has_who_started_a_robot_and_who_let_it_go_on_without_another(
+    tmp_path: Path,
+) -> None:
+    """It had the stops that were cleared, and neither of the two orders by which robots drive on."""
+    rig = LoggedRig(tmp_path)
+    rig.order(Command.START)
+    assert [rig.written(slot) for slot in rig.peers] == [[]] * 3, "they were started"
+    rig.order(Command.HOLD)
+    rig.order(Command.START)
+    assert [rig.written(slot) for slot in rig.peers] == [[("start", OPERATOR_DEVICE)]] * 3, "once"
+    rig.order(Command.HOLD, 1)
+    rig.order(Command.START, 1)
+    assert rig.written(1)[1:] == [("start of this robot", OPERATOR_DEVICE)]
+    rig.cut.add(2)
+    rig.run_for(5 * S)
+    rig.order(Command.WAIVE, argument=2)
+    for slot in (0, 1):
+        assert rig.written(slot)[-1] == ("go on without robot 2", OPERATOR_DEVICE)
+    logs = [read_log(rig.logs[slot].path, None) for slot in rig.peers]
+    assert not lacking(logs), "no stop was cleared, so no line is missed"
+
+
+def test_a_fleet_without_keys_does_not_log_what_nobody_has_proven(tmp_path: Path) -> None:
+    rig = LoggedRig(tmp_path, keyed=False)
+    rig.order(Command.HOLD)
+    rig.order(Command.START)
+    assert all(peer.safety.started for peer in rig.peers.values())
+    assert [rig.written(slot) for slot in rig.peers] == [[]] * 3
 
 
 def test_a_log_whose_end_is_damaged_goes_on_and_says_so(folder: Path) -> None:
