@@ -12,7 +12,6 @@ never go back: it is stored beside its key file and reserved in blocks, so one d
 
 import json
 import os
-import stat
 from collections.abc import Iterable, Mapping
 from datetime import date, timedelta
 from hashlib import sha256
@@ -23,6 +22,7 @@ from typing import Any, NamedTuple
 from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.files.given_file import KEY_BYTES_MAX, GivenFileError, read_json, read_text
 from agent.runtime.files.printable_text import printable
+from agent.runtime.files.private_file import weakness
 from protocol.authentication import COUNTER_MAX, KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.fleet_tags import held_key
 from protocol.operator_badges import NEVER, Badge, Role
@@ -244,18 +244,15 @@ def read(path: Path, kind: str | None = None) -> KeyFile:
     if kind is not None and path.is_dir():
         path = path / NAMES[kind]
     try:
-        document = read_json(path, KEY_BYTES_MAX)
-        mode, above = path.stat().st_mode, path.absolute().parent.stat().st_mode
+        document, weak = read_json(path, KEY_BYTES_MAX), weakness(path)
     except GivenFileError as problem:
         said = str(problem)
         why = "not a key file: not JSON" if said.startswith("not JSON") else said
         raise KeyFileError(f"{path}: {why}") from None
     except OSError as problem:
         raise KeyFileError(f"{path}: cannot be read: {problem.strerror}") from None
-    if mode & 0o077:
-        raise KeyFileError(f"{path}: others may read it: chmod 600 {path}, and consider new keys")
-    if above & 0o022 and not above & stat.S_ISVTX:
-        raise KeyFileError(f"{path}: others may replace it: chmod go-w {path.absolute().parent}")
+    if weak:
+        raise KeyFileError(f"{path}: {weak}")
     found = document.get("kind") if isinstance(document, dict) else None
     if found not in (FLEET, PANELS, OPERATOR, ROBOT):
         raise KeyFileError(f"{path}: not a key file; make one with 'headland keys new'")

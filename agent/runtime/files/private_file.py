@@ -1,18 +1,70 @@
-"""Files that are for their user alone, as the memory of a robot, which may hold the fleet's secrets.
+"""Files that are for their user alone: key files, and the memory of a robot, which may hold the secrets.
 
 Windows has no modes: there the folders of a user's profile are closed to others by their access
 lists, so nothing is done. File systems as FAT keep none either, and show the same ones for all files.
 """
 
 import os
+import stat
 from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Final, NamedTuple
 
+try:
+    import grp
+    import pwd
+except ImportError:  # Windows
+    pass
+
 OWNER: Final = 0o600
 OTHERS: Final = 0o077
 MODES: Final = hasattr(os, "geteuid")
+
+
+def trusted_users() -> frozenset[int]:
+    """Whose files may steer this program, as for ssh: its own user's and those of root, who can do
+    anything; under sudo also those of the user who called it."""
+    user = os.geteuid()
+    called_by = os.environ.get("SUDO_UID", "") if user == 0 else ""
+    return frozenset((0, user, int(called_by) if called_by.isdecimal() else user))
+
+
+def weakness(path: Path) -> str:
+    """Why others may read or replace this file, and what to do about it; empty: only its user can.
+
+    A link is as weak as its own place and the place that it leads to. Raises OSError."""
+    found = path.stat()
+    if found.st_mode & OTHERS:
+        return f"others may read it: chmod 600 {path}, and consider new keys"
+    if not MODES:
+        return ""
+    users = trusted_users()
+    if found.st_uid not in users:
+        return f"it belongs to user {found.st_uid}: give it to the user of this program with chown"
+    for start in dict.fromkeys((path.absolute(), path.resolve())):
+        for folder in start.parents:
+            above = folder.stat()
+            if above.st_uid not in users:
+                return (
+                    f"user {above.st_uid} may replace it, who owns {folder}: move it, or use chown"
+                )
+            writers = above.st_mode & 0o022
+            if folder != start.parent and writers == stat.S_IWGRP and _is_own_group(above.st_gid):
+                continue
+            if writers and not above.st_mode & stat.S_ISVTX:
+                return f"others may replace it: chmod go-w {folder}"
+    return ""
+
+
+def _is_own_group(group: int) -> bool:
+    """Whether it is the group that a user has alone, as Debian and Fedora make them: folders of such
+    users are often writable by it."""
+    try:
+        user, found = pwd.getpwuid(os.geteuid()), grp.getgrgid(group)
+    except KeyError:
+        return False
+    return user.pw_gid == group and found.gr_name == user.pw_name and not found.gr_mem
 
 
 class Narrowed(NamedTuple):
