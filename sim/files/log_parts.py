@@ -83,6 +83,11 @@ class PartedLog(Generic[W]):
         writer: Any = self.part(t_us)
         writer.tell(t_us, intent)
 
+    def add(self, topic: str, t_us: int, text: str) -> None:
+        """Write to a log that has topics. Raises OSError."""
+        writer: Any = self.part(t_us)
+        writer.add(topic, t_us, text)
+
     def close(self) -> None:
         """Close the part that is being written. Full parts stay."""
         self._writer.close()

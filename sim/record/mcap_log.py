@@ -2,10 +2,13 @@
 
     /can          can_msgs/msg/Frame (ros2msg, CDR), every frame of the bus
     /robots/N     what robot N means to do (JSON, `sim.record.robot_intent`): its numbers can be plotted
-    /scene        foxglove.SceneUpdate (JSON): outline, robots, paths; the 3D panel draws it
     /things       what stands in the world from then on (JSON)
     /log          foxglove.Log (JSON): what the robots decided, and why
     scene.json    attachment: what does not move, as our map draws it
+
+and, from who listens to the fleet (`tools/livemap/recorded_topics.py`), the topics that a live viewer
+has, too (`sim.record.topics`): /tf, /scene, /paths, /grid, /fleet, /robots/N/fix, and /can/KIND for each
+kind of frame.
 
 The time is that of the run, which begins at 0, or the time of day of a launch (Unix epoch). All
 topics use the same clock.
@@ -13,6 +16,8 @@ topics use the same clock.
 
 import json
 from collections.abc import Callable, Iterable, Iterator
+from functools import cache
+from json import JSONEncoder
 from pathlib import Path
 from struct import Struct
 from typing import Any
@@ -21,11 +26,8 @@ from agent.interface.effects import Effect, Trace
 from agent.runtime.files.given_file import check_regular
 from protocol.frames.frame import Frame
 from sim.files.log_parts import parts_of
-from sim.record.foxglove import LOG, SCENE_UPDATE, log_line, outline, robot_entity
+from sim.record.foxglove import log_line
 from sim.record.mcap_schema import (
-    INTENT,
-    SCHEMAS,
-    THINGS,
     intent_message,
     intent_of_message,
     things_message,
@@ -33,13 +35,21 @@ from sim.record.mcap_schema import (
 )
 from sim.record.recording import Recording
 from sim.record.scene import FILE, Scene
+from sim.record.topics import (
+    FIX,
+    KINDS,
+    LOG_TOPIC,
+    ROBOT_TOPICS,
+    THINGS_TOPIC,
+    TOPICS,
+    schema_of,
+)
 
 # Compressed together: takes about a millisecond; its index entry is a kilobyte.
 CHUNK_BYTES = 256 * 1024
-SCENE_EVERY_US = 1_000_000  # robots in the 3D panel
 MAGIC = b"\x89MCAP0\r\n"  # a file begins with it; a file that was closed also ends with it
 SAID_MAX = 120  # characters quoted from a reader's message on a damaged file
-CAN_TOPIC, THINGS_TOPIC, ROBOT_TOPICS = "/can", "/things", "/robots/"
+CAN_TOPIC = "/can"
 MCAP = "run.mcap"  # in the folder of a run
 CAN_FRAME = """std_msgs/Header header
 uint32 id
@@ -59,6 +69,7 @@ uint32 nanosec
 """
 CDR = Struct("<4siII5s3xI???B8s")  # encapsulation; stamp; frame_id with its length; the rest
 LITTLE_ENDIAN, CHANNEL = b"\0\1\0\0", b"can0\0"
+encode_json = JSONEncoder(separators=(",", ":")).encode
 
 
 class McapMissing(Exception):
@@ -89,15 +100,12 @@ class McapLog:
         self._can = self._writer.register_channel(CAN_TOPIC, "cdr", can)
         self._channels: dict[str, int] = {}
         self._schemas: dict[str, int] = {}
-        self._drawn_at_us: dict[int, int] = {}
-        self.scene = scene
+        for topic in (*TOPICS, *KINDS.values()):  # a viewer finds them, whatever is said
+            self._channel(topic)
         if scene is not None:
             data = json.dumps(scene).encode()
             begin_at_ns = begin_at_us * 1000
             self._writer.add_attachment(begin_at_ns, begin_at_ns, FILE, "application/json", data)
-            self._add(
-                "/scene", SCENE_UPDATE, begin_at_us, {"entities": [outline(scene)], "deletions": []}
-            )
 
     @property
     def size(self) -> int:
@@ -114,43 +122,45 @@ class McapLog:
         self._writer.add_message(self._can, t_us * 1000, data, t_us * 1000)
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
-        """Append an intent to the topic of its robot, and now and then its picture to `/scene`."""
-        slot = int(intent["slot"])
-        self._add(f"{ROBOT_TOPICS}{slot}", INTENT, t_us, intent_message(intent))
-        if t_us - self._drawn_at_us.get(slot, -SCENE_EVERY_US) >= SCENE_EVERY_US:
-            self._drawn_at_us[slot] = t_us
-            radius_m = float((self.scene or {}).get("radius_m", 0.5))
-            entity = robot_entity(t_us, intent, radius_m)
-            self._add("/scene", SCENE_UPDATE, t_us, {"entities": [entity], "deletions": []})
+        """Append an intent to the topic of its robot."""
+        text = encode_json(intent_message(intent))
+        self.add(f"{ROBOT_TOPICS}{int(intent['slot'])}", t_us, text)
 
     def place(self, t_us: int, rows: Iterable[Iterable[float]]) -> None:
         """Append the obstacles that stand from `t_us` on: rows of `sim.world.walls`, metres."""
-        self._add(THINGS_TOPIC, THINGS, t_us, things_message([list(row) for row in rows]))
+        self.add(THINGS_TOPIC, t_us, encode_json(things_message([list(row) for row in rows])))
 
     def effect(self, slot: int, t_us: int, effect: Effect) -> None:
         """Write only the effects that are meant for people."""
         if isinstance(effect, Trace):
-            self._add("/log", LOG, t_us, log_line(t_us, slot, effect))
+            self.add(LOG_TOPIC, t_us, encode_json(log_line(t_us, slot, effect)))
 
-    def _add(self, topic: str, schema: str, t_us: int, value: dict[str, Any]) -> None:
+    def add(self, topic: str, t_us: int, text: str) -> None:
+        """Append a message of one of the topics of `sim.record.topics`, as JSON."""
         channel = self._channels.get(topic)
         if channel is None:
-            channel = self._writer.register_channel(topic, "json", self._schema(schema))
-            self._channels[topic] = channel
-        data = json.dumps(value, separators=(",", ":")).encode()
-        self._writer.add_message(channel, t_us * 1000, data, t_us * 1000)
+            channel = self._channel(topic)
+        self._writer.add_message(channel, t_us * 1000, text.encode(), t_us * 1000)
 
-    def _schema(self, name: str) -> int:
-        """The number of a schema in this file; ten robots share one."""
+    def _channel(self, topic: str) -> int:
+        """A new channel; ten robots share one schema."""
+        name = schema_of(topic)["title"]
         if name not in self._schemas:
-            data = json.dumps(SCHEMAS[name], separators=(",", ":")).encode()
+            data = _schema_text(topic).encode()
             self._schemas[name] = self._writer.register_schema(name, "jsonschema", data)
-        return self._schemas[name]
+        number = self._schemas[name]
+        self._channels[topic] = self._writer.register_channel(topic, "json", number)
+        return self._channels[topic]
 
     def close(self) -> None:
         """Write the index and close the file. Without it a reader has to search the whole file."""
         self._writer.finish()
         self._file.close()
+
+
+@cache
+def _schema_text(topic: str) -> str:
+    return encode_json(schema_of(topic))
 
 
 def read_frames(path: Path) -> Iterator[tuple[int, Frame]]:
@@ -193,7 +203,8 @@ def _add_notes(recording: Recording, path: Path) -> None:
 
 def _is_note(topic: str) -> bool:
     """What a `Recording` keeps beside frames."""
-    return topic == THINGS_TOPIC or topic.startswith(ROBOT_TOPICS)
+    intent = topic.startswith(ROBOT_TOPICS) and not topic.endswith(FIX)
+    return intent or topic == THINGS_TOPIC
 
 
 def _scene(path: Path) -> Scene | None:

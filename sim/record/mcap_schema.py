@@ -7,10 +7,10 @@ foxglove schemas are those that Foxglove has published.
 
 from typing import Any
 
-from sim.record.foxglove import LOG, SCENE_UPDATE
+from sim.record.foxglove import FRAME_TRANSFORMS, GRID, LOCATION_FIX, LOG, SCENE_UPDATE
 from sim.record.robot_intent import XY
 
-INTENT, THINGS = "headland.Intent", "headland.Things"
+INTENT, THINGS, FLEET = "headland.Intent", "headland.Things", "headland.Fleet"
 Schema = dict[str, Any]
 # The columns of a row of `sim.world.walls`, with names for readers.
 THING = ("shape", "x", "y", "half_x", "half_y", "cos", "sin")
@@ -64,6 +64,7 @@ _VECTOR, _POINT = _xyz("foxglove.Vector3"), _xyz("foxglove.Point3")
 _QUATERNION = _object("foxglove.Quaternion", x=_number(), y=_number(), z=_number(), w=_number())
 _POSE = _object("foxglove.Pose", position=_VECTOR, orientation=_QUATERNION)
 _COLOR = _object("foxglove.Color", r=_number(), g=_number(), b=_number(), a=_number())
+_BYTES = {"type": "string", "contentEncoding": "base64"}
 _INDICES = _many(_integer())
 _PRIMITIVES = {
     "arrows": _object(
@@ -93,12 +94,38 @@ _PRIMITIVES = {
     "models": _object(
         "foxglove.ModelPrimitive", pose=_POSE, scale=_VECTOR, color=_COLOR,
         override_color=_truth(), url=_text(), media_type=_text(),
-        data={"type": "string", "contentEncoding": "base64"},
+        data=_BYTES,
     ),
 }  # fmt: skip
+_TRANSFORM = _object(
+    "foxglove.FrameTransform", timestamp=_TIME, parent_frame_id=_text(), child_frame_id=_text(),
+    translation=_VECTOR, rotation=_QUATERNION,
+)  # fmt: skip
+_ELEMENT = _object(
+    "foxglove.PackedElementField", name=_text(), offset=_integer(),
+    type=_choice(
+        "foxglove.NumericType", "UNKNOWN", "UINT8", "INT8", "UINT16", "INT16", "UINT32", "INT32",
+        "FLOAT32", "FLOAT64",
+    ),
+)  # fmt: skip
 _XY = _object("headland.Point", x=_number("metres east"), y=_number("metres north"))
 _SLOTS = _integer("slot of a robot")
 SCHEMAS: dict[str, Schema] = {
+    FRAME_TRANSFORMS: _object(FRAME_TRANSFORMS, transforms=_many(_TRANSFORM)),
+    LOCATION_FIX: _object(
+        LOCATION_FIX, timestamp=_TIME, frame_id=_text(), latitude=_number(), longitude=_number(),
+        altitude=_number(),
+        position_covariance={"type": "array", "items": _number(), "minItems": 9, "maxItems": 9},
+        position_covariance_type=_choice(
+            "foxglove.PositionCovarianceType", "UNKNOWN", "APPROXIMATED", "DIAGONAL_KNOWN", "KNOWN"
+        ),
+        color=_COLOR,
+    ),
+    GRID: _object(
+        GRID, timestamp=_TIME, frame_id=_text(), pose=_POSE, column_count=_integer(),
+        cell_size=_object("foxglove.Vector2", x=_number(), y=_number()), row_stride=_integer(),
+        cell_stride=_integer(), fields=_many(_ELEMENT), data=_BYTES,
+    ),
     SCENE_UPDATE: _object(
         SCENE_UPDATE,
         deletions=_many(
@@ -135,6 +162,20 @@ SCHEMAS: dict[str, Schema] = {
         strange=_many(_XY, "obstacles that it sees and nobody has announced"),
         holds=_many(_text(), "why it does not move, if it may not"),
         tool=_truth("it wants its implement down"),
+    ),
+    # What can be plotted of it; the message has all of `headland inspect --json`.
+    FLEET: _object(
+        FLEET,
+        seconds=_number("since the first frame"),
+        bus_load_worst_case=_number("share of the bus, at worst-case stuffing"),
+        latched=_many(_text(), "stops that nobody has cleared: slot, incarnation, counter"),
+        robots=_many(
+            _object(
+                "headland.Robot", slot=_integer(), state=_text(), silent=_truth(), left=_truth(),
+                stopped=_truth(), placed=_truth("it knows where it is"), x_m=_number(),
+                y_m=_number(), speed_m_s=_number(), health=_number(), question=_integer(),
+            )
+        ),
     ),
     THINGS: _object(
         THINGS,

@@ -58,6 +58,7 @@ class Viewer:
         self.topics: dict[int, str] = {}
         self.services: dict[str, int] = {}
         self.counts: Counter[str] = Counter()
+        self.transforms = 0
 
     async def read(self) -> None:
         """Until the connection ends."""
@@ -66,7 +67,10 @@ class Viewer:
                 await self._told(json.loads(data))
             elif data[0] == 1:
                 _, number, _ = MESSAGE.unpack_from(data)
-                self.counts[self.topics[number]] += 1
+                topic = self.topics[number]
+                self.counts[topic] += 1
+                if topic == "/tf":
+                    self.transforms += parts_of(data[MESSAGE.size :])
 
     async def _told(self, told: dict[str, Any]) -> None:
         if told["op"] == "advertiseServices":
@@ -177,14 +181,30 @@ async def _watch(
 ) -> Watched:
     loop = asyncio.get_running_loop()
     viewer.counts.clear()
+    viewer.transforms = 0
     begun_s, placed = loop.time(), beats.placed
     map_s, robots_s = _cpu_s(shown), sum(map(_cpu_s, pids))
     await asyncio.sleep(look_s)
     each_s = (loop.time() - begun_s) * len(pids)
     return Watched(
-        viewer.counts["/tf"] / each_s, (beats.placed - placed) / each_s, viewer.counts.total(),
+        viewer.transforms / each_s, (beats.placed - placed) / each_s, viewer.counts.total(),
         (_cpu_s(shown) - map_s) / (sum(map(_cpu_s, pids)) - robots_s), 0.0, [], [],
     )  # fmt: skip
+
+
+def parts_of(data: bytes) -> int:
+    """How many parts a message of protobuf has that is one list: each with a tag and a length."""
+    count = at = 0
+    while at < len(data):
+        length, shift, at = 0, 0, at + 1
+        while True:
+            byte, at = data[at], at + 1
+            length |= (byte & 0x7F) << shift
+            shift += 7
+            if byte < 0x80:
+                break
+        count, at = count + 1, at + length
+    return count
 
 
 def _cpu_s(pid: int) -> float:

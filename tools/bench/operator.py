@@ -28,9 +28,9 @@ from tools.bench.figure import Figure, percentile
 from tools.bench.stop import _Presses
 from tools.build.warmup import warm
 from tools.common.child_process import module_command
-from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, recorded
 from tools.livemap.playback import Index, Player
+from tools.run.run_recorder import RunRecorder
 
 ROBOTS = 20
 COUNT = "[headland.pictures, headland.told]"

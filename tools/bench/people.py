@@ -29,7 +29,7 @@ from tools.bench.figure import Figure
 from tools.bench.operator import page_rate
 from tools.bench.typos import answers
 from tools.build.prose_checker import LONG, LONG_SHARE_MAX, MEDIAN_MAX, pages, sentences
-from tools.common.run_recorder import RunRecorder
+from tools.run.run_recorder import RunRecorder
 
 ROOT = Path(__file__).parents[2]
 COLD_S_MAX, WARM_S_MAX, START_S_MAX, INSTALL_MB_MAX = 100.0, 8.0, 0.3, 100

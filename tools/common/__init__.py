@@ -1,6 +1,6 @@
 """What several commands share.
 
 `options` has the options with their help, `bus_address` where a bus is, `bus_attach` the attachment to
-it, `frame_makers` which frames a listener believes. `run_folder` and `run_recorder` keep what a run
-leaves, and `result_table` prints it. `fingerprint` is the hash of the code that a result came from.
+it, `frame_makers` which frames a listener believes. `run_folder` keeps what a run leaves, and
+`result_table` prints it. `fingerprint` is the hash of the code that a result came from.
 """

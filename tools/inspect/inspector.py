@@ -19,7 +19,7 @@ from agent.safety.standard_stop import HOLD_US
 from agent.safety.stop_cause import StopCause
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.claim_register import epoch_of, pack
-from protocol.frames.codec import UNKNOWN, Malformed, decode
+from protocol.frames.codec import UNKNOWN, Malformed, decode_once
 from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
 from protocol.frames.fleet_frames import (
     NOWHERE_M,
@@ -145,7 +145,7 @@ class Inspector:
         """What a frame says, once it is counted."""
         if self.makers.refuse(frame):
             return
-        source, message = decode(frame)
+        source, message = decode_once(frame)
         if message is UNKNOWN:
             group = frame.identifier >> 8 & 0x3FFFF
             self.unknown[group if group >> 8 & 0xFF >= 240 else group & 0x3FF00] += 1

@@ -11,6 +11,8 @@ from typing import Final
 import foxglove
 from foxglove import channels
 
+from sim.record.topics import fix_topic
+
 OFFER_FOR_S: Final = 1.0  # a viewer that subscribes to each topic does so within this
 # Of one topic: a viewer may not want it, and a subscription is lost about once in 3,000 offers.
 OFFERS_MAX: Final = 3
@@ -45,5 +47,5 @@ class FixTopics:
                 self._offer(slot, t_s, offer.count + 1)
 
     def _offer(self, slot: int, t_s: float, count: int) -> None:
-        channel = channels.LocationFixChannel(f"/robots/{slot}/fix", context=self._context)
+        channel = channels.LocationFixChannel(fix_topic(slot), context=self._context)
         self._offers[slot] = _Offer(channel, t_s, count)

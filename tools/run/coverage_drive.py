@@ -15,9 +15,9 @@ from sim.runs.coverage_run import CoverageOutcome, CoverageRun
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
 from tools.common.result_table import fact_table
-from tools.common.run_recorder import RunRecorder
 from tools.run.coverage_report import closed_off
 from tools.run.run_mission import ProgressBar, next_commands
+from tools.run.run_recorder import RunRecorder
 
 LIMIT_FACTOR = 4.0  # multiple of the least time of one robot alone, plus a minute
 SILENCE = ("stop", "slow", "continue")

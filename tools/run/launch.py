@@ -34,7 +34,6 @@ from tools.common.bus_address import CHANNEL, absolute
 from tools.common.child_process import module_command, politely
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
-from tools.common.run_recorder import RunRecorder
 from tools.inspect.inspector import NO_KEYS, Inspector
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress
@@ -43,6 +42,7 @@ from tools.run.fleet_folder import TRUTH, FleetFolder, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.run.launch_setup import AnySetting, robot_document
 from tools.run.launch_status import LaunchStatus
+from tools.run.run_recorder import RunRecorder
 
 if TYPE_CHECKING:
     from tools.inspect.prometheus_metrics import MetricsServer

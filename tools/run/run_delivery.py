@@ -17,8 +17,8 @@ from tools.common.bus_address import CHANNEL, absolute
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
 from tools.common.run_folder import LAUNCH, RUNS, link
-from tools.common.run_recorder import RunRecorder
 from tools.run.run_mission import UNFINISHED, MissionCommand, RunError, run_mission
+from tools.run.run_recorder import RunRecorder
 
 UNREACHABLE, INTERRUPTED = 3, 130
 HOST = "127.0.0.1"

@@ -22,10 +22,10 @@ from sim.scenarios.scenario import ScenarioError
 from tools.build.kernel_cache import WAIT, kernels_kept, told_compiling
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
-from tools.common.run_recorder import RunRecorder
 from tools.common.verbosity import Verbosity
 from tools.livemap.command import MapThread, ServerError
 from tools.run.film import write_film
+from tools.run.run_recorder import RunRecorder
 
 FILM = "film.gif"  # of `--film`
 UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw

@@ -35,9 +35,11 @@ from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.map_frames import MapPatch
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, Reason
 from protocol.sync.map_sync import encode_cells
+from sim.record.foxglove import INFO
 from tests.tools.launching import WAIT_S, call, said, start
 from tools.inspect.inspector import NO_KEYS
-from tools.livemap.foxglove_live import AHEAD_MAX_S, FoxgloveFeed
+from tools.livemap.fleet_topics import AHEAD_MAX_S
+from tools.livemap.foxglove_live import FoxgloveFeed
 from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.livemap.foxglove_services import RELEASE, STOP, services_of
 
@@ -52,7 +54,7 @@ LINE = (
     "x" * 400
 )  # all of them are more than the buffers of a socket and the SDK's own 1024 messages
 PRESSED = EmergencyStop(0, 1, 5, Reason.OPERATOR_INTERVENTION)
-TRANSFORM, SCENE = "foxglove.FrameTransform", "foxglove.SceneUpdate"
+TRANSFORM, SCENE = "foxglove.FrameTransforms", "foxglove.SceneUpdate"
 
 
 class Viewer:
@@ -228,7 +230,7 @@ def test_an_independent_viewer_sees_a_launch_work_and_stop(tmp_path: Path) -> No
             names = {c["topic"]: c["schemaName"] for c in viewer.channels.values()}
             assert names["/tf"] == TRANSFORM and names["/scene"] == SCENE
             assert names["/grid"] == "foxglove.Grid" and names["/log"] == "foxglove.Log"
-            transform = viewer.seen["/tf"][-1]
+            (transform, *_) = viewer.seen["/tf"][-1].transforms
             assert transform.parent_frame_id == "field"
             assert transform.child_frame_id in {"robot_0", "robot_1", "robot_2"}
             fix = viewer.seen["/robots/1/fix"][-1]
@@ -353,12 +355,13 @@ def test_transforms_come_twenty_times_a_second_where_poses_are_rarer() -> None:
         feed = FoxgloveFeed(None, 0, 0.0)
         try:
             async with viewing(feed.url) as viewer:
-                await viewer.look({"the topic": lambda: feed._tf.has_sinks()})
+                await viewer.look({"the topic": lambda: feed.wanted("/tf")})
                 now_s = asyncio.get_running_loop().time()
                 feed.hear(now_s, encode(Member(0, 1, 7), 128))
                 feed.hear(now_s, encode(Pose(3.0, 4.0, 0.0, 1.0, 1, False, 0), 128))
-                transforms = viewer.seen["/tf"]
-                await viewer.look({"transforms of 0.6 s": lambda: len(transforms) > 12})
+                told_of = viewer.seen["/tf"]
+                await viewer.look({"transforms of 0.6 s": lambda: len(told_of) > 12})
+            transforms = [each for message in told_of for each in message.transforms]
             times_s = [t.timestamp.seconds + t.timestamp.nanos / 1e9 - now_s for t in transforms]
             assert all(abs(b - a - 0.05) < 0.001 for a, b in pairwise(times_s)), times_s
             for told, at_s in zip(transforms, times_s, strict=True):
@@ -377,7 +380,7 @@ def test_a_fix_whose_subscription_is_lost_is_offered_again() -> None:
         feed = FoxgloveFeed({"earth": [48.0, 9.0]}, 0, 0.0)
         try:
             async with viewing(feed.url, Unlucky) as viewer:
-                await viewer.look({"the topic": lambda: feed._tf.has_sinks()})
+                await viewer.look({"the topic": lambda: feed.wanted("/tf")})
                 now_s = asyncio.get_running_loop().time()
                 feed.hear(now_s, encode(Member(0, 1, 7), 128))
                 feed.hear(now_s, encode(Pose(3.0, 4.0, 0.0, 1.0, 1, False, 0), 128))
@@ -398,7 +401,7 @@ def test_a_stop_that_is_cleared_at_once_is_in_the_log() -> None:
         try:
             async with viewing(feed.url) as viewer:
                 now_s = asyncio.get_running_loop().time()
-                await viewer.look({"the topic": lambda: feed._log.has_sinks()})
+                await viewer.look({"the topic": lambda: feed.wanted("/log")})
                 told_working(feed, now_s)
                 feed.hear(now_s, encode(PRESSED, 128))
                 feed.hear(now_s, encode(EmergencyReset(0, 1, 5, 7), 128))
@@ -420,13 +423,13 @@ def test_a_viewer_that_stalls_misses_nothing() -> None:
         feed = FoxgloveFeed(None, 0, 0.0)
         try:
             async with viewing(feed.url) as viewer:
-                await viewer.look({"the topic": lambda: feed._log.has_sinks()})
+                await viewer.look({"the topic": lambda: feed.wanted("/log")})
                 now_s = asyncio.get_running_loop().time()
                 told_working(
                     feed, now_s
                 )  # its line is the oldest; this loop reads nothing until...
                 for _ in range(LINES):
-                    feed._say(now_s, "robot 1", LogLevel.Info, LINE)
+                    feed.say(now_s, "robot 1", INFO, LINE)
                 await viewer.look({
                     "all lines": lambda: len(viewer.seen["/log"]) > LINES,
                     "the line": lambda: viewer.logged("-> WORKING"),

@@ -25,11 +25,11 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Estop, Heal, Partition, Reset, load
 from tools.bench.browser import browser, complaints, missing, until
-from tools.common.run_recorder import RunRecorder
 from tools.livemap.command import MapThread, recorded, show_map
 from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import Index, Player, Reader
 from tools.livemap.server import _obey
+from tools.run.run_recorder import RunRecorder
 
 if TYPE_CHECKING:
     from selenium.webdriver import Chrome

@@ -30,7 +30,6 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, Restart, load
 from tools.bench.browser import browser, complaints, missing
 from tools.common.run_flaws import flaws
-from tools.common.run_recorder import RunRecorder
 from tools.inspect.inspector import NO_KEYS
 from tools.livemap.command import recorded
 from tools.report.chapter import chapters
@@ -42,6 +41,7 @@ from tools.report.svg_chart import Axes, AxisSpan, PlotBox, ticks
 from tools.report.timeline import BusAddress, History, TimelineEvent, TimelineSpan
 from tools.report.tracking_error import SAME_M, followed
 from tools.run.run_field import run as run_command
+from tools.run.run_recorder import RunRecorder
 
 STOP_S, RESET_S, CRASH_S, AGAIN_S, END_S = 12.0, 16.0, 22.0, 27.0, 32.0
 HOSTILE = "<script>alert(1)</script>"

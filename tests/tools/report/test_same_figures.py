@@ -18,12 +18,12 @@ from sim.record.recording import Recording
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
-from tools.common.run_recorder import RunRecorder
 from tools.report import planned_aside as aside
 from tools.report import timeline
 from tools.report.command import report
 from tools.report.timeline import History
 from tools.report.tracking_error import _distances, _off_m
+from tools.run.run_recorder import RunRecorder
 
 
 def heard(seed: int) -> Recording:

@@ -1,4 +1,4 @@
-"""What a run leaves for replays: frames and intents in one MCAP, the scene, the hash of its frames."""
+"""What a run leaves for replays and viewers: one MCAP, the scene, the hash of its frames."""
 
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +16,11 @@ from sim.record.recording import FramesDigest, Recording
 from sim.record.scene import FILE
 from sim.record.scene_builder import scene_of
 from sim.scenarios.fleet_setup import FleetSetup
+from tools.livemap.recorded_topics import RecordedTopics
+
+# Frames and intents that are written together, so that code and data are in the caches of the processor.
+# The hub of a launch waits for a millisecond meanwhile.
+BATCH = 64
 
 
 class RunRecorder:
@@ -32,7 +37,10 @@ class RunRecorder:
         (out / FILE).write_text(dumps(self.scene) + "\n", encoding="utf-8")
         self.digest = FramesDigest()
         self.recording = recording
+        self._heard: list[tuple[int, Frame | dict[str, Any]]] = []
+        self._begins = False  # a new part, which has to be whole by itself
         self.mcap: McapLog | PartedLog[McapLog] | None = None
+        self.topics = RecordedTopics(self.scene, self._add)
         self._ending = Ending(MCAP, told)
         try:
             if limit is None:
@@ -48,11 +56,16 @@ class RunRecorder:
         cluster.segment.taps.append(self.write)
         keepers: list[RecordingSink] = [] if self.recording is None else [self.recording]
         if isinstance(self.mcap, McapLog):
-            keepers.append(_UntilFull(self.mcap, self._ending))
+            keepers.append(_UntilFull(self.mcap, self._ending, self.tell))
         watch(cluster, keepers)
 
     def _part(self, path: Path, t_us: int) -> McapLog:
+        self._begins = True
         return McapLog(path, self.scene, t_us)
+
+    def _add(self, topic: str, t_us: int, text: str) -> None:
+        assert self.mcap is not None
+        self._ending(self.mcap.add, topic, t_us, text)
 
     def write(self, t_us: int, frame: Frame) -> None:
         """Take a frame of the bus: hash it, keep it, and write it to the MCAP file while the disk
@@ -61,12 +74,35 @@ class RunRecorder:
         if self.recording is not None:
             self.recording.write(t_us, frame)
         if self.mcap is not None:
-            self._ending(self.mcap.write, t_us, frame)
+            self._later(t_us, frame)
 
     def tell(self, t_us: int, intent: dict[str, Any]) -> None:
-        """Of a robot in a process of its own."""
+        """Of one robot; in a launch it comes from a process of its own."""
         if self.mcap is not None:
-            self._ending(self.mcap.tell, t_us, intent)
+            self._later(t_us, intent)
+
+    def _later(self, t_us: int, heard: Frame | dict[str, Any]) -> None:
+        self._heard.append((t_us, heard))
+        if len(self._heard) >= BATCH:
+            self._keep()
+
+    def _keep(self) -> None:
+        """Write what was heard, and what viewers see of it."""
+        heard, self._heard = self._heard, []
+        if self.mcap is None:
+            return
+        for t_us, what in heard:
+            told = isinstance(what, dict)
+            self._ending(self.mcap.tell if told else self.mcap.write, t_us, what)
+            if self._ending.why:
+                continue
+            if self._begins:
+                self._begins = False
+                self.topics.again(t_us / 1e6)
+            if isinstance(what, dict):
+                self.topics.intend(t_us / 1e6, what)
+            else:
+                self.topics.hear(t_us / 1e6, what)
 
     @property
     def logs(self) -> str:
@@ -82,6 +118,7 @@ class RunRecorder:
         """End the recording and the file."""
         if self.recording is not None:
             self.recording.close()
+        self._keep()
         if self.mcap is not None:
             self._ending.close(self.mcap.close)
 
@@ -89,11 +126,10 @@ class RunRecorder:
 class _UntilFull:
     """The MCAP of a run, as what watches the run sees it."""
 
-    def __init__(self, mcap: McapLog, ending: Ending) -> None:
-        self.mcap, self.ending = mcap, ending
-
-    def tell(self, t_us: int, intent: dict[str, Any]) -> None:
-        self.ending(self.mcap.tell, t_us, intent)
+    def __init__(
+        self, mcap: McapLog, ending: Ending, tell: Callable[[int, dict[str, Any]], None]
+    ) -> None:
+        self.mcap, self.ending, self.tell = mcap, ending, tell
 
     def place(self, t_us: int, rows: list[list[float]]) -> None:
         self.ending(self.mcap.place, t_us, rows)
