@@ -5,7 +5,7 @@ does not know how a journal works.
 """
 
 import asyncio
-from collections.abc import Iterable, Mapping
+from collections.abc import Container, Iterable, Mapping
 from random import Random
 
 from agent.interface.effects import Effect, Persist, Send
@@ -24,6 +24,7 @@ from agent.peer.durable_records import (
 from agent.safety.stop_controller import HOLD_KEY, LATCHED, STOPS_KEY
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.claim_register import pack
+from crdt.progress import BLOCK_UNITS
 from crdt.stops import StopDot, StopSet
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, Pose
 from protocol.frames.messages import Message
@@ -36,9 +37,11 @@ from sim.fleet.virtual_clock import run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Reset, load
 
+BEGUN = (Phase.STARTED, Phase.DONE)  # a robot that lost a claim only repeats units of others
 STANDS = "that it stands until a person resets it"
 Batch = tuple[Persist, ...]
 Tape = list[Batch | Message]
+Worked = Container[tuple[int, int]]
 
 
 class RecordingJournal(MemoryJournal):
@@ -86,8 +89,13 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
     return tapes
 
 
-def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
-    """Data that this robot has sent but would have lost; empty if nothing."""
+def lost(
+    revealed: Iterable[Message], recalled: Mapping[str, bytes], worked: Worked | None = None
+) -> str:
+    """Data that this robot has sent but would have lost; empty if nothing.
+
+    `worked`: the units that some robot has worked in truth, as section and unit; None: all. What a
+    thief told may be repeated, and is nobody's work."""
     # Progress of other robots, relayed to robots that lack it, is not ours.
     claims, owned = 0, set[int]()
     operations = _number(recalled, OPERATIONS, U32.size)
@@ -101,13 +109,14 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
                 return f"the vote of term {m.term}"
         if isinstance(m, TaskClaim):
             claims += 1
-            owned.add(m.section)
+            if m.phase in BEGUN:
+                owned.add(m.section)
             told = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
             if key_of(recalled.get(f"{REGISTER}{m.section}", b"")) < told or operations < claims:
                 return f"own operation {claims}: S{m.section} {Phase(m.phase).name}"
         if isinstance(m, WorkProgress) and m.section in owned:
             known = units_of(recalled.get(f"{PROGRESS}{m.section}/{m.block}", b""))
-            if m.bits & ~known:
+            if true_units(m, worked) & ~known:
                 return f"units of S{m.section}"
         if isinstance(m, EmergencyStop):
             sent.add(StopDot(m.slot, m.incarnation, m.counter))
@@ -128,24 +137,36 @@ def lost(revealed: Iterable[Message], recalled: Mapping[str, bytes]) -> str:
 
 
 def unknown(
-    revealed: Iterable[Message], allocation: FieldAllocationCRDT, progress: Progress
+    revealed: Iterable[Message],
+    allocation: FieldAllocationCRDT,
+    progress: Progress,
+    worked: Worked | None = None,
 ) -> str:
     """Own work that this robot has sent but that its replicas lack after a restart, before it
     receives any frame. Data that is on the disk but is not read counts as lost as well. Empty if
-    nothing."""
+    nothing. `worked`: as for `lost`."""
     owned = set[int]()
     for m in revealed:
         if isinstance(m, TaskClaim):
-            owned.add(m.section)
+            if m.phase in BEGUN:
+                owned.add(m.section)
             if (allocation.key(m.section) or 0) < pack(
                 m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner
             ):
                 return f"S{m.section} {Phase(m.phase).name}"
         if not isinstance(m, WorkProgress) or m.section not in owned:
             continue
-        if m.bits & ~progress.bits(m.section, m.block):
+        if true_units(m, worked) & ~progress.bits(m.section, m.block):
             return f"units of S{m.section}"
     return ""
+
+
+def true_units(m: WorkProgress, worked: Worked | None) -> int:
+    """The units in a frame that were worked in truth."""
+    if worked is None:
+        return m.bits
+    first = m.block * BLOCK_UNITS
+    return sum(1 << k for k in range(BLOCK_UNITS) if (m.section, first + k) in worked) & m.bits
 
 
 def _number(recalled: Mapping[str, bytes], key: str, size: int) -> int:

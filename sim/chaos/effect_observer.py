@@ -7,9 +7,11 @@ from agent.interface.effects import Drive, Effect, Send, Trace
 from agent.interface.lifecycle import TABLE
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.messages import Message
-from protocol.frames.work_frames import WorkProgress
+from protocol.frames.work_frames import TaskClaim, WorkProgress
 from sim.chaos.protocol_rules import ProtocolRules, RuleViolation
 from sim.fleet.trace_recorder import Recorder
+
+WORK = (TaskClaim, WorkProgress)
 
 
 class EffectObserver(Recorder):
@@ -41,7 +43,12 @@ class EffectObserver(Recorder):
             now_us = self.clock()
         if isinstance(effect, Send):
             message = effect.message
+            generation = self.words.speakers[slot].generation
             self.words.said(slot, now_us, message)
+            if (
+                self.words.speakers[slot].generation > generation
+            ):  # what it heard of a thief is void
+                self.told[slot] = [m for m in self.told[slot] if not isinstance(m, WORK)]
             if isinstance(message, Pose):
                 self.released.discard(slot)
                 told = self.told[slot]

@@ -7,10 +7,12 @@ from collections.abc import Callable
 from math import cos, pi, sin
 from random import Random
 
+from sim.fleet.forgers import REVOKED_AFTER
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import Fault
 
 BABBLING = 0x4D  # lowest bits of an identifier: group 0, and a device's address
+BOOTED_S = 3.0  # a robot that restarts has joined the fleet again
 THEFT_S = 6.0  # at least, so that the revocation is over before the calm
 NONSENSE_S = 5.0  # upper limit; the same time must be left before the end
 YARD_M = 18.0, 12.0  # boxes appear within this distance of the middle
@@ -259,10 +261,38 @@ def _forger(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Faul
 
 
 def _thief(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
-    """With the keys of the last robot. Its owner revokes it in the middle; no frame may be lost then."""
+    """With the keys of the last robot. Its owner revokes it in the middle; no frame may be lost then.
+
+    Before that robots miss some of its frames, and one restarts. That is drawn from a source of its own,
+    so other faults of the seed stay what they were."""
     at_s = round(min(at_s, end_at_s - THEFT_S), 3)
     table = {"at_s": at_s, "kind": "forger", "robot": robots - 1, "position": "inside"}
-    return [kinds.Forger.model_validate(table | {"for_s": rng.uniform(THEFT_S, end_at_s - at_s)})]
+    table |= {"for_s": rng.uniform(THEFT_S, end_at_s - at_s)}
+    theft = kinds.Forger.model_validate(table)
+    trouble = Random(f"{theft.at_s}/{theft.for_s}/before the revocation")
+    return [theft, *before_revocation(trouble, theft, robots)]
+
+
+def before_revocation(rng: Random, theft: kinds.Forger, robots: int) -> list[Fault]:
+    """Robots miss frames of a thief, so that they hear its lies from honest ones, and one restarts.
+
+    All is over when the owner gives the others new keys."""
+    revoked_at_s = theft.at_s + theft.for_s * REVOKED_AFTER
+    rate = rng.choice((0.01, 0.02, 0.03))
+    faults: list[Fault] = [
+        kinds.Omission(at_s=round(theft.at_s + 0.5, 3), kind="omission", rate=rate),
+        kinds.Omission(at_s=round(revoked_at_s - 1.0, 3), kind="omission", rate=0.0),
+    ]
+    honest = [slot for slot in range(robots) if slot != theft.robot]
+    last_at_s = revoked_at_s - BOOTED_S  # it has joined when it gets the new keys
+    if rng.random() < 0.7 and last_at_s > theft.at_s + 1.0:
+        robot, back_at_s = rng.choice(honest), rng.uniform(theft.at_s + 1.0, last_at_s)
+        off_at_s = max(theft.at_s, back_at_s - rng.uniform(0.3, 1.5))
+        faults += [
+            kinds.Crash(at_s=round(off_at_s, 3), kind="crash", robot=robot),
+            kinds.Restart(at_s=round(back_at_s, 3), kind="restart", robot=robot),
+        ]
+    return faults
 
 
 def _release(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:

@@ -29,6 +29,7 @@ from protocol.frames.safety_frames import (
     Switch,
 )
 from protocol.frames.work_frames import StateSyncRequest, StateSyncResponse, TaskClaim, WorkProgress
+from sim.chaos.durability_rules import Worked, true_units
 from sim.fleet.foreign_devices import PANEL
 
 HALF_U16 = 0x8000  # operations are counted modulo 2^16 on the wire
@@ -123,12 +124,15 @@ class ProtocolRules:
         """Its clock is set, so its waiting time after a claim cannot be measured from outside."""
         self.speakers[slot].claimed_at_us.clear()
 
-    def restarts(self, slot: int) -> None:
+    def restarts(self, slot: int, worked: Worked | None = None) -> None:
         """A restart with its memory kept. Entries of other robots that it relayed were never on
-        disk."""
+        disk, nor were lies of a thief. `worked`: as in `durability_rules.lost`."""
         speaker = self.speakers[slot]
         speaker.registers = dict(speaker.own)
-        speaker.progress = dict(speaker.own_progress)
+        speaker.progress = {
+            place: true_units(WorkProgress(*place, bits), worked)
+            for place, bits in speaker.own_progress.items()
+        }
 
     def forgets(self, slot: int) -> None:
         """Its memory is lost; from now on it counts as another robot of the same slot."""
@@ -168,6 +172,7 @@ class ProtocolRules:
                 speaker.registers.clear()
                 speaker.own.clear()
                 speaker.progress.clear()
+                speaker.own_progress.clear()
         elif isinstance(message, TaskClaim | StateSyncResponse):
             m = message
             key = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)

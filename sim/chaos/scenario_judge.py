@@ -21,7 +21,7 @@ from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed
-from sim.chaos.durability_rules import STANDS, lost, unknown
+from sim.chaos.durability_rules import STANDS, Worked, lost, unknown
 from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import UNSEEN_M, is_link_trouble, span_of
 from sim.chaos.protocol_rules import RuleViolation
@@ -511,16 +511,22 @@ class ScenarioJudge:
             self.cluster.stops.forgets(slot)
             self.witness.forget(slot)
             return
-        self.witness.words.restarts(slot)
-        missing = lost(self.witness.told[slot], recalled)
+        self.witness.words.restarts(slot, self._worked)
+        missing = lost(self.witness.told[slot], recalled, self._worked)
         if missing and not (missing == STANDS and slot in self.witness.released):
             self._add("S13", now_us / 1e6, f"robot {slot} forgets {missing}")
         self._at(now_us, partial(self._reads, slot))
 
+    @property
+    def _worked(self) -> Worked | None:
+        """What was worked in truth, if this world keeps it by units."""
+        return None if self.protocol_world is None else self.protocol_world.worked
+
     def _reads(self, slot: int) -> None:
         """It has read its disk, and has received no frame yet."""
         peer = self.cluster.robots[slot].peer
-        missing = unknown(self.witness.told[slot], peer.allocation, peer.progress)
+        told = self.witness.told[slot]
+        missing = unknown(told, peer.allocation, peer.progress, self._worked)
         if missing:
             t_s = self.cluster.host.now_us() / 1e6
             self._add("S13", t_s, f"robot {slot} does not read {missing}")

@@ -3,8 +3,8 @@
 `outside`: it has no key. It says everything that would lose, invent or hide work, life or membership, in
 the name of a robot, with guessed proofs and tags. `replaying`: it has no key, and repeats what it has
 heard: at once, later, in another order, cut short, or with a changed bit. `inside`: it has the keys
-of a robot that it has stolen. It says the same as from outside, in the name of that robot and with valid
-proofs. After half of its time the owner revokes the robot, and what it has said is void.
+of a robot that it has stolen. It says what is not true of the work of all, in the name of that robot and
+with valid proofs. After half of its time the owner revokes the robot, and what it has said is void.
 
 What each position can do is in `docs/how/trust.md`.
 """
@@ -34,6 +34,10 @@ from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.scenarios import scenario as kinds
 
 FORGED_US: Final = 10 * MS  # between two frames: 6 % of the bus
+LIES_OF_OTHERS: Final = (
+    0.4  # share of what a thief says: some dozens a section before its revocation
+)
+LIES_LAMPORT: Final = 60_000  # of the first one; an earlier time is the greater key
 REVOKED_AFTER: Final = 0.5  # share of the time of a thief
 KEPT: Final = 400  # frames that a replaying attacker remembers: some seconds of a small fleet
 UNITS_MASK: Final = (1 << 40) - 1
@@ -127,8 +131,15 @@ def revocation(cluster: Cluster, robot: int) -> Script[None]:
 
 
 def insider(cluster: Cluster, robot: int, rng: Random) -> Message:
-    """What a member may say, and what is not true: work that it claims, begins and ends."""
+    """What a member may say, and what is not true: work that it and others claim, begin and end.
+
+    Of others it says each time something greater, so that each lie changes the register again."""
     section = rng.randrange(cluster.setting.section_count)
+    if rng.random() < LIES_OF_OTHERS:
+        owner = rng.randrange(cluster.scenario.fleet.robots)
+        told_phase = rng.choice((Phase.STARTED, Phase.DONE, Phase.DONE))
+        lamport = LIES_LAMPORT - cluster.host.now_us() // FORGED_US % LIES_LAMPORT
+        return StateSyncResponse(section, 1, told_phase, 0, lamport, owner)
     phase = rng.choice((Phase.CLAIMED, Phase.STARTED, Phase.DONE))
     if rng.random() < 0.3:
         return WorkProgress(section, rng.randrange(8), rng.getrandbits(40) & UNITS_MASK)

@@ -1,18 +1,23 @@
 """A thief with a robot's keys, many times: what it can do before its robot is revoked, and after.
 
 Each trial plays a fleet without a world, whose truth about work the world keeps. The thief speaks in the
-name of its robot with valid proofs, and ends work that nobody did. Then the owner gives the others new
-keys. Judged are the rules of chaos (among them: what is released, who latches, all work done in truth),
-and the replicas of all others `GONE_S` after the owner's first frame: no fact of the thief may be left.
+name of its robot with valid proofs. It ends work that nobody did, also in the names of others and some
+dozens of times a section. Meanwhile robots miss frames, so that they hear lies from honest ones, and one
+restarts. Then the owner gives the others new keys.
+
+Judged are the rules of chaos (among them: what is released, who latches, all work done in truth), and the
+replicas of all others `GONE_S` after the owner's first frame: no fact of the thief may be left.
 """
 
 from collections.abc import Iterator
 from functools import partial
+from random import Random
 from typing import NamedTuple
 
 from agent.interface.config import S
 from agent.interface.effects import Effect, Trace
 from crdt import Phase
+from sim.chaos.fault_generators import before_revocation
 from sim.chaos.fault_profiles import with_faults
 from sim.chaos.scenario_judge import ScenarioJudge
 from sim.chaos.verdict import verdict_of
@@ -49,7 +54,8 @@ class _Theft:
             at_s=THEFT_S, kind="forger", position="inside", robot=self.thief, for_s=FOR_S
         )
         fleet = drill(robots, seed, "sprint", keys=DRAWN)
-        self.judge = ScenarioJudge(with_faults(fleet, [fault]), False)
+        trouble = [fault, *before_revocation(Random(f"{seed}/theft"), fault, robots)]
+        self.judge = ScenarioJudge(with_faults(fleet, trouble), False)
         self.judge.on_effect = self._look
         self.void_at_us: dict[int, int] = {}
         self.lies: int | None = None
