@@ -105,7 +105,7 @@ NAMED = {
     "tools.bench.vda5050.many_robots", "tools.bench.ros2_door", "tools.bench.foxglove_door",
     "tools.bench.prometheus_door", "tools.build.warmup", "tools.build.kernel_module",
     "tools.bench.bag_door", "tools.bench.ros2_field", "tools.cli.entrance",
-    "tools.run.robot_viewers",
+    "tools.run.robot_viewers", "tools.bench.watched_launch",
 }  # fmt: skip
 
 

@@ -8,7 +8,7 @@ import json
 import os
 import signal
 from asyncio.subprocess import Process
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -67,11 +67,16 @@ async def serve(folder: Path, port: str, url: str) -> Process:
 
 
 @asynccontextmanager
-async def vehicles(folder: Path, launch: Process, robots: int, url: str) -> AsyncIterator[str]:
-    """A gateway that shows all robots of this launch as vehicles; gives the port of the launch."""
+async def vehicles(
+    folder: Path, launch: Process, robots: int, url: str,
+    read: Callable[[Process], Awaitable[None]] = drain,
+) -> AsyncIterator[str]:  # fmt: skip
+    """A gateway that shows all robots of this launch as vehicles; gives the port of the launch.
+
+    `read`: takes the output of the launch once its robots are there."""
     port = await said(launch, r"socketcand \S+:(\d+)")
     await said(launch, rf"(robot {robots - 1}: process)")
-    readings = [asyncio.create_task(drain(launch))]
+    readings = [asyncio.ensure_future(read(launch))]
     gateway = await serve(folder, port, url)
     try:
         for _ in range(robots):
