@@ -124,6 +124,15 @@ class Gateway:
         """Whether this candidate leads the gateways of the segment."""
         return self.candidacy.leads
 
+    def rekey(self, keys: Keys, now_us: int) -> None:
+        """The fleet has other keys. What we have heard of work we forget, because a robot that was
+        revoked may have said it, and learn again from the robots what they still believe."""
+        assert self.proofs is not None, "a gateway without keys is given none"
+        self.proofs.rekey(keys, now_us)
+        self.border = WorkRelay(self.area)
+        self.sync = Synchronizer(self.sync.slot, self.border.allocation, self.border.progress)
+        self.sync.live(self._live, now_us)
+
     # ---------------------------------------------------------------- from our segment
 
     def on_frame(self, frame: Frame, now_us: int) -> Sequence[Out]:

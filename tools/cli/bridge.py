@@ -15,23 +15,20 @@ from typing import TYPE_CHECKING, Any
 from agent.interface.ports import Bus
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, read_toml
-from agent.runtime.files.key_file import FLEET, NAMES, KeyFileError, panel_path, read_panel
 from agent.runtime.gateway_runner import GatewayRunner
 from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
-from agent.segments.work_relay import WorkRelay
-from protocol.authentication import Keys
 from protocol.backbone_messages import BackboneKind
 from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
-from protocol.sync.synchronizer import Synchronizer
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, keep_attached
+from tools.common.panel_keys import PanelKeys
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 
 if TYPE_CHECKING:
@@ -123,60 +120,9 @@ async def open_bus_of(
     return attach(interface, channel, bitrate, host, port)
 
 
-class GatewayKeys:
-    """The file of panels and gateways, or the fleet's, which the owner replaces for other keys."""
-
-    def __init__(self, path: Path) -> None:
-        """`path`: the file, or the folder that has it. Raises AttachError."""
-        self.path = panel_path(path) if panel_path(path).exists() else path
-        if self.path.is_dir():
-            self.path = path / NAMES[FLEET]  # of a folder of an older version
-        self._written_at_ns = self._written()
-        self.keys = self._read()
-
-    def renewed(self) -> Keys | None:
-        """Other keys than the last, if the file has changed. A file that is wrong, or half written, is
-        read at the next look."""
-        written_at_ns = self._written()
-        if written_at_ns == self._written_at_ns:
-            return None
-        try:
-            keys = self._read()
-        except AttachError:
-            return None
-        self._written_at_ns = written_at_ns
-        if keys == self.keys:
-            return None
-        self.keys = keys
-        return keys
-
-    def _written(self) -> int:
-        try:
-            return self.path.stat().st_mtime_ns
-        except OSError:
-            return 0
-
-    def _read(self) -> Keys:
-        try:
-            return read_panel(self.path).keys
-        except KeyFileError as problem:
-            raise AttachError(f"--keys {problem}") from None
-
-
-def renew(gateway: Gateway, keys: Keys, now_us: int) -> None:
-    """Other keys for a gateway that has some. What it has heard of work it forgets, because a robot that
-    was revoked may have said it, and learns again from the robots what they still believe."""
-    assert gateway.proofs is not None, "a gateway without keys is given none"
-    gateway.proofs.rekey(keys, now_us)
-    before = gateway.sync
-    gateway.border = WorkRelay(gateway.area)
-    gateway.sync = Synchronizer(before.slot, gateway.border.allocation, gateway.border.progress)
-    gateway.sync.live(before.divergence.live, now_us)
-
-
 async def carry(
     area: Area, bus: Bus, backbone: ZenohBackbone, as_json: bool, seconds: float | None, arena: str,
-    served: MetricsAddress | None = None, keys: GatewayKeys | None = None,
+    served: MetricsAddress | None = None, keys: PanelKeys | None = None,
 ) -> None:  # fmt: skip
     """Until a signal, or for the given time."""
     loop = asyncio.get_running_loop()
@@ -207,8 +153,8 @@ async def carry(
     shown: object = None
     while not end.is_set():
         renewed = None if keys is None else keys.renewed()
-        if renewed is not None and gateway.proofs is not None:
-            renew(gateway, renewed, now_us())
+        if renewed is not None:
+            gateway.rekey(renewed, now_us())
         status = told()
         news = (status["number"], status["leads"], status["reached"], status["bus"])
         if news != shown:
@@ -255,7 +201,7 @@ def bridge(
         if not connect and not listen and config is None:
             raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")
         served = None if metrics is None else metrics_address(metrics)
-        place, own = read_area(segment, area), None if keys is None else GatewayKeys(keys)
+        place, own = read_area(segment, area), None if keys is None else PanelKeys(keys)
         link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())
         key = f"headland/{fleet}/{segment}/bus"
         bus = await open_bus_of(interface, channel, bitrate, host, port, link, key)

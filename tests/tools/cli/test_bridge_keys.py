@@ -11,8 +11,8 @@ from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, PANELS, fresh, 
 from crdt import Phase
 from protocol.authentication import Keys
 from sim.rigs.segments_rig import SegmentFleet
-from tools.cli.bridge import GatewayKeys, renew
 from tools.common.bus_address import AttachError
+from tools.common.panel_keys import PanelKeys
 
 
 def keys_in(folder: Path) -> Path:
@@ -23,7 +23,7 @@ def keys_in(folder: Path) -> Path:
 
 def test_a_gateway_reads_its_file_again_when_the_owner_has_replaced_it(tmp_path: Path) -> None:
     first, second = keys_in(tmp_path / "first"), keys_in(tmp_path / "second")
-    keys = GatewayKeys(first)
+    keys = PanelKeys(first)
     before = keys.keys
     assert before.master is not None and before.operator is None, "it needs no more than this"
     assert keys.renewed() is None
@@ -41,9 +41,9 @@ def test_a_gateways_file_that_others_may_read_is_refused(tmp_path: Path) -> None
     folder = keys_in(tmp_path / "keys")
     (folder / NAMES[PANELS]).chmod(0o644)
     with pytest.raises(AttachError, match="others may read it"):
-        GatewayKeys(folder)
+        PanelKeys(folder)
     with pytest.raises(AttachError, match="is needed"):
-        GatewayKeys(folder / NAMES[OPERATOR])
+        PanelKeys(folder / NAMES[OPERATOR])
 
 
 def test_a_gateway_with_new_keys_does_not_bring_back_what_a_revoked_robot_said() -> None:
@@ -62,7 +62,7 @@ def test_a_gateway_with_new_keys_does_not_bring_back_what_a_revoked_robot_said()
         peer.named.state_sync.sync.void(thief, None, fleet.swarm.now_us())
         peer.membership.revoke(thief, fleet.swarm.now_us())
     for shell in fleet.gateways[1]:
-        renew(shell.gateway, Keys(keys.master, None), fleet.swarm.now_us())
+        shell.gateway.rekey(Keys(keys.master, None), fleet.swarm.now_us())
     fleet.run(2 * S)
     fleet.shells[1, 0].operate(ClaimSection(section, 3))
     fleet.run(3 * S)

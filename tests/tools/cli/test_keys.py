@@ -34,10 +34,10 @@ from protocol.operator_badges import Role
 from tests.tools import launching
 from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
-from tools.cli.bridge import GatewayKeys
 from tools.cli.keys import operator as make_operator
 from tools.cli.keys import rotate, show
 from tools.common.launch_keys import fleet_keys
+from tools.common.panel_keys import PanelKeys
 from tools.operate.estop import NOT_ALL, keyring_of
 from tools.operate.operator_device import Operator
 from tools.operate.rekey import Rekeyer, _tell
@@ -105,7 +105,7 @@ def test_a_folder_of_an_older_version_has_the_fleets_file_for_panels_until_it_is
 ) -> None:
     keys(tmp_path)
     (tmp_path / "panel.json").unlink()
-    ring, gateway = keyring_of(tmp_path), GatewayKeys(tmp_path)
+    ring, gateway = keyring_of(tmp_path), PanelKeys(tmp_path)
     assert ring is not None and ring.keys == gateway.keys and ring.keys.operator is None
     rotate(tmp_path, running=False)
     renewed, ring = gateway.renewed(), keyring_of(tmp_path)
