@@ -44,6 +44,7 @@ from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgre
 from tools.common.frame_makers import Makers
 from tools.inspect.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.inspect.causality import Causality
+from tools.inspect.proven_work import ProvenWork
 from tools.operate.foreign_groups import group_name
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent this long is forgotten
@@ -129,6 +130,7 @@ class Inspector:
         self.causality = Causality()
         self.load = BusLoad()
         self.limits: SenderLimits | None = None  # from the first frame on
+        self.proven: ProvenWork | None = None  # what counts of work; None: all that the bus says
 
     def hear(self, t_s: float, frame: Frame) -> None:
         """Take one frame, at `t_s` of a clock that never goes back. Frames of other makers and
@@ -159,6 +161,9 @@ class Inspector:
             self._foreign(source)
         if isinstance(message, Member):
             self._member(t_s, source, message)
+        if self.proven is not None:
+            for proven in self.proven.hear(source, message, round(t_s * 1e6)):
+                self._work(t_s, proven)
         slot = self.slot_of.get(source)
         self._explain(t_s, frame, slot, message)
         if isinstance(message, EmergencyStop):
@@ -246,15 +251,9 @@ class Inspector:
                 for offset, count in enumerate(message.counts):
                     if message.base + offset != robot.slot and count:
                         robot.clock[message.base + offset] = count
-            case TaskClaim() | StateSyncResponse() if self._in_field(message.section):
-                key = pack(
-                    message.epoch, message.phase, message.bid, message.lamport, message.owner
-                )
-                if self.allocation.apply(message.section, key):
-                    self.changed_s = t_s
-            case WorkProgress() if self._in_field(message.section):
-                if self.progress.apply(message.section, message.block, message.bits):
-                    self.changed_s = t_s
+            case TaskClaim() | StateSyncResponse() | WorkProgress():
+                if self.proven is None:
+                    self._work(t_s, message)
             case LeaderElectionVote():
                 votes = self.votes.setdefault((message.election, message.term), {})
                 votes.setdefault(robot.slot, message.candidate)
@@ -262,6 +261,18 @@ class Inspector:
                 _itinerary(robot, message)
             case OperatorReport():
                 _operator_report(t_s, robot, message)
+
+    def _work(self, t_s: float, message: TaskClaim | StateSyncResponse | WorkProgress) -> None:
+        if not self._in_field(message.section):
+            return
+        if isinstance(message, WorkProgress):
+            news = self.progress.apply(message.section, message.block, message.bits)
+        else:
+            m = message
+            key = pack(m.epoch, m.phase, m.bid, m.lamport, m.owner)
+            news = self.allocation.apply(m.section, key)
+        if news:
+            self.changed_s = t_s
 
     def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
         name = State(state).name

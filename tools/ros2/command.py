@@ -27,14 +27,17 @@ from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
+from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
 from tools.livemap.command import check_operator_key
 from tools.livemap.stop_panel import Panel, PanelError
 from tools.operate.estop import keyring_of
 from tools.operate.order_proofs import proofs_of
+from tools.operate.tool_address import DeviceAddress
 from tools.operate.transport_order import house_of
 from tools.ros2.graph import Graph
 
 WRONG = 2
+ASK_S = 0.2  # between looks whether something is to be asked
 NODE = "headland"
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", re.ASCII)
 NO_ROS = (
@@ -171,7 +174,10 @@ async def _serve(
     if seconds is not None:
         loop.call_later(seconds, end.set)
     bus = await stay_attached(interface, channel, bitrate, host, port, "ros2")
-    panel = Panel(bus, keyring_of(keys), operator_key)
+    panel, trusted = Panel(bus, keyring_of(keys), operator_key), keys or operator_key
+    proven = proven_work_of(trusted, round(loop.time() * 1e6))
+    if trusted is not None and proven is None:
+        lines.note(UNPROVEN.format(trusted))
 
     async def stop() -> tuple[bool, str]:
         found = await panel.stop()
@@ -191,6 +197,7 @@ async def _serve(
 
     graph = await _joined(namespace, domain, zenoh)
     feed = Ros2Feed(graph, scene, stop, release)
+    feed.proven = proven
     device = panel.stopper.device
     goals = GoalDesk(bus, device, operator_key, feed, graph, lines)
     house = _house(scenario or scenario_of_launch(interface, host, port))
@@ -211,6 +218,8 @@ async def _serve(
 
     bus.subscribe(heard)
     beside = [loop.create_task(panel.keep_asking()), loop.create_task(goals.run())]
+    if proven is not None:
+        beside.append(loop.create_task(_ask(proven, device)))
     if carriers is not None:
         beside.append(loop.create_task(carriers.run()))
     if launch.get("bodies"):
@@ -224,6 +233,15 @@ async def _serve(
             task.cancel()
         bus.close()
         feed.close()
+
+
+async def _ask(proven: ProvenWork, device: DeviceAddress) -> None:
+    """What it has to know for verifying what robots say."""
+    loop = asyncio.get_running_loop()
+    while True:
+        for question in proven.questions(round(loop.time() * 1e6)):
+            device.send(question)
+        await asyncio.sleep(ASK_S)
 
 
 async def _watch(feed: Any, bodies: Path) -> None:

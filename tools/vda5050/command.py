@@ -16,6 +16,7 @@ from tools.common.bus_address import AttachError
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.launch_keys import own_keys
+from tools.inspect.proven_work import UNPROVEN, proven_work_of
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookError, OrderBook
 
@@ -81,7 +82,10 @@ async def _serve(
         named = FleetNames(
             interface, manufacturer, warehouse.name, warehouse.fleet.vehicle, version
         )
-        gateway = MasterGateway(bus, house, book, broker, named, keys, lines)
+        proven = proven_work_of(keys, round(loop.time() * 1e6))
+        if keys is not None and proven is None:
+            lines.note(UNPROVEN.format(keys))
+        gateway = MasterGateway(bus, house, book, broker, named, keys, lines, proven)
         bus.subscribe(gateway.hear)
         lines.say("ready", f"the fleet is at {broker} within {LISTEN_S:.0f} s   (Ctrl-C ends it)",
                   broker=str(broker), topics=interface)  # fmt: skip

@@ -35,6 +35,7 @@ from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 from tools.common.bus_address import AttachError
 from tools.common.event_lines import EventLines
 from tools.inspect.inspector import SILENT_S, Inspector, Seen
+from tools.inspect.proven_work import ProvenWork
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
 from tools.operate.order_proofs import proofs_of
@@ -69,15 +70,17 @@ class MasterGateway:
 
     def __init__(
         self, bus: Bus, house: Warehouse, book: OrderBook, broker: Broker, named: FleetNames,
-        keys: Path | None, lines: EventLines,
+        keys: Path | None, lines: EventLines, proven: ProvenWork | None = None,
     ) -> None:  # fmt: skip
-        """`keys`: the operator's key file, in a fleet with keys. `lines`: say what happens."""
+        """`keys`: the operator's key file, in a fleet with keys. `lines`: say what happens. `proven`:
+        what counts of what robots say of work; None: all."""
         self.house, self.book, self.broker = house, book, broker
         self.lines = lines
         self.named, self.keys = named, keys
         self.operator = Operator(bus, None)
         self.operator.device.proofs = proofs_of(keys, lines.note)
         self.inspector, self.desk = Inspector(), TransportClient(max(book.tasks, default=-1) + 1)
+        self.inspector.proven = proven
         self.courses: dict[int, float] = {}  # of each robot, radians
         self.ports: dict[int, _Port] = {}
         self.working: set[asyncio.Task[None]] = set()
@@ -113,6 +116,9 @@ class MasterGateway:
                 known = self.inspector.robots.keys() | self.book.orders.keys()
                 for slot in sorted(known - self.ports.keys()):
                     self._add(slot)
+                if self.inspector.proven is not None:
+                    for question in self.inspector.proven.questions(round(now_s * 1e6)):
+                        self.operator.send(question)
                 if now_s - said_s >= SAY_S:
                     said_s = now_s
                     for order in self.desk.due():

@@ -24,10 +24,18 @@ from agent.runtime.vda5050.messages import (
     BlockingType,
     InstantActions,
 )
+from crdt import Phase
+from protocol.authentication import Keys
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Member
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.work_frames import TaskClaim, WorkProgress
 from protocol.links.bus import CanBus
+from protocol.name import fleet_name
 from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
 from tools.common.event_lines import EventLines
+from tools.inspect.proven_work import ProvenWork
 from tools.vda5050.command import serve
 from tools.vda5050.fleet_vehicle import UNHEARD
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
@@ -314,5 +322,35 @@ def test_a_connection_that_fails_is_begun_again_and_told(
         assert "robot0: its connection has failed" in told[-1] and "nobody expected" in told[-1]
         await left(gateway)
         assert gateway.ports[0].running.cancelled() and len(told) == 2
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("keyed", [True, False])
+def test_a_fleet_with_keys_delivers_nothing_that_no_robot_has_proven(
+    tmp_path: Path, keyed: bool
+) -> None:
+    """An outsider could make a transport look delivered, and a master then sends the next vehicle."""
+    address = 130
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        if keyed:
+            gateway.inspector.proven = ProvenWork(Keys(b"m" * 16, None), 1, 0)
+        port = gateway.ports[0]
+        gateway.order(port, WHOLE)
+        booked = port.vehicle.booked
+        assert booked is not None and booked.number is not None
+        said = (
+            AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0),
+            TaskClaim(booked.number, 0, Phase.DONE, 0, 5, 0), WorkProgress(booked.number, 0, 3),
+        )  # fmt: skip
+        for message in said:
+            gateway.hear(encode(message, address))
+        gateway._observe(port)
+        outcome = port.vehicle.outcome
+        delivered = outcome is not None and outcome.phase is TaskPhase.DELIVERED
+        assert delivered is not keyed, "without keys nobody proves anything"
+        await left(gateway)
 
     asyncio.run(story())
