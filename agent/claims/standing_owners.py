@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from math import hypot
 from typing import Final
 
-from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.mission import FleetView
 
 Point = tuple[float, float]
@@ -17,7 +17,9 @@ UnitsOf = Callable[[Sequence[int]], int]
 
 STANDS_US: Final = 60 * S  # a live owner that stands still keeps its sections this long: 3 leases
 STANDS: Final = f"stands for {STANDS_US // S} s"  # for the trace
-FORGET_US: Final = 2 * CONTROL_PERIOD_US  # a longer gap does not count: we were not free to choose
+LOOK_US: Final = 500 * MS  # between two looks: less than a hundredth of `STANDS_US`
+# A longer gap between two looks does not count: we were stopped, and so were others, it may be.
+FORGET_US: Final = LOOK_US + 2 * CONTROL_PERIOD_US
 
 
 class StandingOwners:
@@ -31,11 +33,13 @@ class StandingOwners:
         self._asked_at_us = 0
 
     def observe(self, view: FleetView, units_of: UnitsOf) -> None:
-        """Call it in each control period in which we are free to choose. `units_of`: how many units
-        of these sections are done.
+        """Call it in each control period in which we may drive. `units_of`: how many units of these
+        sections are done.
 
         Only this time counts, because a fleet stop halts all robots.
         """
+        if 0 <= view.now_us - self._asked_at_us < LOOK_US:
+            return
         passed_for_us, self._asked_at_us = view.now_us - self._asked_at_us, view.now_us
         seen: dict[int, tuple[Point, int, int]] = {}
         for slot in view.live - {view.slot}:

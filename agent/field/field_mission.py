@@ -209,6 +209,7 @@ class FieldMission(Mission):
             (section,) = view.allocation.assigned_sections(view.slot)[:1]
             self.begin(section, view)
         assert self.section is not None
+        self.choosing.observe(view)
         self._look_round(view)
         wish, covered = self._drive(view)
         self.worked.update(covered)

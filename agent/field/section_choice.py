@@ -63,7 +63,7 @@ class SectionChooser:
         """
         self._reserve(view)
         taken = {s for sections in self.reserved.values() for s in sections}
-        self.standing.observe(view, partial(_units_done, view))
+        self.observe(view)
         free = [
             job
             for job in self._jobs(view)
@@ -85,6 +85,11 @@ class SectionChooser:
                 ),
             )
         return self._orphan(view)
+
+    def observe(self, view: FleetView) -> None:
+        """See who stands still. Call it while we work, too: a robot that has stood since long gives its
+        section to the first one that is free."""
+        self.standing.observe(view, partial(_units_done, view))
 
     def _planned(
         self,

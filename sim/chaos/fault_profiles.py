@@ -296,7 +296,8 @@ def calm(span: Span) -> list[Fault]:
 
 # After one of these a robot may receive nothing while its clock goes back.
 LONELY = (kinds.Partition, kinds.OneWay, kinds.BusOff, kinds.Crash, kinds.CrashWorking)
-SENSELESS = (kinds.Blind, kinds.Frozen, kinds.Late, kinds.Freeze)
+# The place is not believed meanwhile.
+SENSELESS = (kinds.Blind, kinds.Frozen, kinds.Late, kinds.Freeze, kinds.Drifting)
 UNSEEN_M = 10.0  # no body drives and brakes that far
 BRAKING_S = 2.0  # from full speed
 VOUCHED_S = 3.0  # after the fleet's start
@@ -322,8 +323,9 @@ def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     not answer, and starts it.
 
     Such a jump, along its way, cannot be told from its braking; then the return to the true place is
-    the jump that it notices. So is a push while it senses nothing. A clock that goes back is noticed by
-    the times of frames: without any, the robot seems to jump. All others go on by themselves.
+    the jump that it notices. So is a push while it senses nothing, or nothing accurate. A clock that
+    goes back is noticed by the times of frames: without any, the robot seems to jump. All others go on
+    by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]

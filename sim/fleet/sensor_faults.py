@@ -118,13 +118,10 @@ class Receiver:
     def tells(self, seen: Observation, world_now_us: int) -> Observation | None:
         """The observation that arrives when this one is sensed.
 
-        It passes the filter, which may hang, then the antenna's driver, then the buffer.
+        Its fix may be wrong or drift. It passes the filter, which may hang, then the antenna's driver,
+        then the buffer.
         """
         seen = self.scanner.tells(seen, world_now_us)
-        if world_now_us < self._frozen_ends_at_us and self._place is not None:
-            seen = self._place._replace(
-                sensed_at_us=world_now_us, implement_down=seen.implement_down
-            )
         if world_now_us < self._jump_ends_at_us:
             x_m, y_m, turn_rad = self._jump
             seen = seen._replace(
@@ -136,6 +133,10 @@ class Receiver:
             accuracy_m = max(hypot(dx_m, dy_m), seen.position_accuracy_m)
             seen = seen._replace(
                 x_m=seen.x_m + dx_m, y_m=seen.y_m + dy_m, position_accuracy_m=accuracy_m
+            )
+        if world_now_us < self._frozen_ends_at_us and self._place is not None:
+            seen = self._place._replace(
+                sensed_at_us=world_now_us, implement_down=seen.implement_down
             )
         self._place = seen
         last, self._last = self._last, seen

@@ -2,7 +2,7 @@
 
 from math import inf
 
-from agent.claims.standing_owners import STANDS_US, StandingOwners
+from agent.claims.standing_owners import LOOK_US, STANDS_US, StandingOwners
 from agent.delivery.task_headway import AGAIN_US, HEADWAY_US, STANDSTILL_US, TaskHeadway
 from agent.interface.config import CONTROL_PERIOD_US, LEASE_US, S
 from tests.agent.peer.test_stall_watchdog import view
@@ -70,5 +70,5 @@ def test_i24_an_owner_that_stands_is_known_after_three_leases() -> None:
         assert not owners.stands(1)
     owners.observe(view(STANDS_US, (0.0, 0.0), 5.0), lambda sections: 0)
     assert list(owners.standing()) == [1]
-    owners.observe(view(STANDS_US + 1, (0.0, 0.0), 7.0), lambda sections: 0)
+    owners.observe(view(STANDS_US + LOOK_US, (0.0, 0.0), 7.0), lambda sections: 0)
     assert not owners.stands(1), "it moved"

@@ -59,6 +59,19 @@ def test_a_place_that_jumped_is_wrong_by_as_much_and_then_right_again() -> None:
     assert arrivals(receiver, 1_000_000, 1_050_000) == [(1.0, 0)]
 
 
+def test_what_a_hung_filter_repeats_neither_drifts_nor_jumps() -> None:
+    """Found by `headland chaos`, profile senses, seed 11000010: a drift that began while the filter hung
+    was added to what it repeated, in each period again. The robot took that for a place that follows."""
+    receiver = Receiver()
+    arrivals(receiver, 0, 1_000_000)
+    receiver.frozen(2_000_000)
+    receiver.drifting(1_500_000, 3_000_000, (0.1, 0.0))
+    receiver.jumped(1_800_000, (3.0, 0.0, 0.0))
+    assert set(arrivals(receiver, 1_000_000, 2_000_000)) == {(0.95, 0)}
+    ((x_m, _),) = arrivals(receiver, 2_000_000, 2_050_000)
+    assert x_m == pytest.approx(2.05), "it thaws where the drift is by then"
+
+
 def test_a_place_that_drifts_says_how_far_it_is_wrong() -> None:
     receiver = Receiver()
     receiver.drifting(0, 2_000_000, (0.3, -0.4))
