@@ -2,6 +2,8 @@
 
 The viewer is the package `websockets` and the description of the protocol
 (https://github.com/foxglove/ws-protocol); nothing of the SDK that serves is in it.
+
+A stop is judged by the beat in which the last robot says that it is latched, and by the bodies.
 """
 
 import asyncio
@@ -17,7 +19,10 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
+from sim.scenarios.scenario import load
+from sim.world.drive_trains import Chassis
 from tools.bench.figure import Figure
+from tools.bench.standing_bodies import Bodies, BodiesPress, standing, start_watched
 from tools.bench.stopped_beats import BUS_BOUND_MS, Beats
 from tools.bench.systems import ADDED_MS, CounterpartAbsent
 from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
@@ -36,6 +41,8 @@ MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 CALL = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
 PROTOCOL = "foxglove.sdk.v1"
 STOP = "/emergency_stop"
+SCENARIO = "small"
+AGAINST = "websockets and the published protocol"
 
 
 class Watched(NamedTuple):
@@ -48,6 +55,8 @@ class Watched(NamedTuple):
     idle_cpu: float  # the same without a viewer
     door_ms: list[float]  # from the call of the service to the last robot
     bus_ms: list[float]
+    door_bodies: list[BodiesPress]
+    bus_bodies: list[BodiesPress]
 
 
 class Viewer:
@@ -101,7 +110,7 @@ def figures(quick: bool) -> Iterator[Figure]:
     rate_hz = told.transforms_hz
     yield Figure(
         "Foxglove: transforms of each robot", rate_hz, "Hz", f">= {RATE_MIN_HZ:g}",
-        rate_hz >= RATE_MIN_HZ - ROUNDING_HZ, "websockets and the published protocol", scope,
+        rate_hz >= RATE_MIN_HZ - ROUNDING_HZ, AGAINST, scope,
     )  # fmt: skip
     added = told.cpu - told.idle_cpu
     yield Figure(
@@ -117,6 +126,9 @@ def figures(quick: bool) -> Iterator[Figure]:
             f"longest of {len(times)}, to the beat that says it; bound of the bus "
             f"{BUS_BOUND_MS:g} ms; {robots} robots",
         )  # fmt: skip
+    braking_ms = 1000 * load(SCENARIO).fleet.speed_m_s / Chassis().braking_m_s2
+    sides = [("by the service", told.door_bodies), ("on the bus", told.bus_bodies)]
+    yield from standing("Foxglove", sides, robots, braking_ms, AGAINST)
 
 
 async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watched:
@@ -124,14 +136,14 @@ async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watch
     from websockets.asyncio.client import connect
     from websockets.typing import Subprotocol
 
-    words = ("--robots", str(robots), "--fresh", "--no-keys")
-    launch = await start(folder, "launch", "small", *words)
+    launch = await start_watched(folder, SCENARIO, robots)
     shown: Process | None = None
     beats, reading = Beats(robots), []
+    bodies = Bodies(load(SCENARIO).fleet.speed_m_s)
     try:
         port = await said(launch, r"socketcand \S+:(\d+)")
         pids = [int(await said(launch, rf"robot {k}: process (\d+)")) for k in range(robots)]
-        reading.append(asyncio.create_task(drain(launch)))
+        reading.append(asyncio.create_task(bodies.read(launch)))
         bus = attach("socketcand", CHANNEL, 250_000, "127.0.0.1", int(port))
         bus.subscribe(beats.hear)
         operator = Operator(bus, None)
@@ -155,16 +167,18 @@ async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watch
             watched = await _watch(viewer, beats, shown.pid, pids, look_s)
             ask = {"key": told["map"].partition("#")[2]}
             times: tuple[list[float], list[float]] = ([], [])
+            stood: tuple[list[BodiesPress], list[BodiesPress]] = ([], [])
             loop = asyncio.get_running_loop()
             for _ in range(presses):
-                for took in times:
-                    beats.all_at_s = None
+                for took, by_world in zip(times, stood, strict=True):
+                    driving = await bodies.drive()
+                    beats.all_at_s, begun_at_s = None, loop.time()
                     if took is times[0]:
-                        begun_at_s = loop.time()
                         await viewer.call(STOP, ask)
                         took.append(await beats.since(begun_at_s))
                     else:
                         took.append(await beats.pressed(operator))
+                    by_world.append(await bodies.stood(begun_at_s, driving))
                     await _released(folder, port, beats)
         alone = await _watch(Viewer(None), beats, shown.pid, pids, look_s)
         bus.close()
@@ -173,7 +187,10 @@ async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watch
             task.cancel()
         await end(shown)
         await end(launch)
-    return watched._replace(idle_cpu=alone.cpu, door_ms=times[0], bus_ms=times[1])
+    return watched._replace(
+        idle_cpu=alone.cpu, door_ms=times[0], bus_ms=times[1], door_bodies=stood[0],
+        bus_bodies=stood[1],
+    )  # fmt: skip
 
 
 async def _watch(
@@ -188,7 +205,7 @@ async def _watch(
     each_s = (loop.time() - begun_s) * len(pids)
     return Watched(
         viewer.transforms / each_s, (beats.placed - placed) / each_s, viewer.counts.total(),
-        (_cpu_s(shown) - map_s) / (sum(map(_cpu_s, pids)) - robots_s), 0.0, [], [],
+        (_cpu_s(shown) - map_s) / (sum(map(_cpu_s, pids)) - robots_s), 0.0, [], [], [], [],
     )  # fmt: skip
 
 
