@@ -64,13 +64,14 @@ class Broker(NamedTuple):
     @classmethod
     def read(cls, url: str) -> "Broker":
         """The broker of "mqtt://[user:password@]host[:port]", or mqtts. Raises BrokerError."""
+        shown = url.rpartition("@")[2]  # without user and password
         try:
             parts = urlsplit(url if "://" in url else f"mqtt://{url}")
             port = parts.port
         except ValueError as problem:
-            raise BrokerError(f"{url}: {problem}") from None
+            raise BrokerError(f"{shown}: {problem}") from None
         if parts.scheme not in ("mqtt", "mqtts") or not parts.hostname:
-            raise BrokerError(f"{url}: not mqtt://HOST:PORT or mqtts://HOST:PORT")
+            raise BrokerError(f"{shown}: not mqtt://HOST:PORT or mqtts://HOST:PORT")
         encrypted = parts.scheme == "mqtts"
         user = None if parts.username is None else unquote(parts.username)
         password = None if parts.password is None else unquote(parts.password)

@@ -303,3 +303,13 @@ def test_a_serial_that_is_no_level_of_a_topic_is_refused(serial: str) -> None:
     assert not is_level(serial)
     with pytest.raises(BrokerError, match="levels of a topic"):
         Vda5050Body(0, "mqtt://127.0.0.1", "ACME", serial, "hall")
+
+
+@pytest.mark.parametrize(
+    "url", ["http://user:secret@host", "mqtt://user:secret@host:x", "mqtt://user:secret@"]
+)
+def test_a_wrong_address_is_told_without_its_password(url: str) -> None:
+    """Found: the line had the whole address."""
+    with pytest.raises(BrokerError) as told:
+        Broker.read(url)
+    assert "secret" not in str(told.value) and str(told.value)
