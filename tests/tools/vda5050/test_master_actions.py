@@ -11,9 +11,12 @@ from tools.bench.vda5050.masters_actions import DELIVERED, WANTED, trial
 
 
 @pytest.mark.slow
-def test_a_master_pauses_and_cancels_and_a_parcel_aboard_is_delivered(tmp_path: Path) -> None:
+@pytest.mark.parametrize("keyed", [False, True])
+def test_a_master_pauses_and_cancels_and_a_parcel_aboard_is_delivered(
+    tmp_path: Path, keyed: bool
+) -> None:
     folder = tmp_path / "fleet"
     folder.mkdir()
-    told = asyncio.run(trial(folder, node_of(tmp_path)))
+    told = asyncio.run(trial(folder, node_of(tmp_path), keyed))
     assert told.steps == list(WANTED)
     assert told.delivered == DELIVERED and told.flaws == {}

@@ -43,15 +43,17 @@ class MastersActions(NamedTuple):
         return sum(step == wanted for step, wanted in zip(self.steps, WANTED, strict=False))
 
 
-async def trial(folder: Path, node: Path) -> MastersActions:
-    """One launch of two robots. `node`: where vda-5050-lib is."""
+async def trial(folder: Path, node: Path, keyed: bool = False) -> MastersActions:
+    """One launch of two robots. `node`: where vda-5050-lib is. `keyed`: the fleet has keys, so the
+    gateway believes only what robots prove."""
     (folder / "yard.toml").write_text(SCENARIO.replace("robots = 4", f"robots = {VEHICLES}"))
     broker, master = Mosquitto(folder), NodeProgram()
     await broker.start()
-    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", "--no-keys")
+    words, more = ((), ["--keys", "out/keys"]) if keyed else (("--no-keys",), [])
+    launch = await start(folder, "launch", "yard.toml", "--out", "out", "--fresh", *words)
     witness = Witness(broker, "Headland")
     try:
-        async with vehicles(folder, launch, VEHICLES, broker.url):
+        async with vehicles(folder, launch, VEHICLES, broker.url, more=more):
             await master.start(node, "actions.js", broker.url, "yard", str(VEHICLES))
             with suppress(TimeoutError):  # what came until then is the result
                 await master.until(lambda events: {"over": True} in events, RUN_S)

@@ -8,7 +8,7 @@ import json
 import os
 import signal
 from asyncio.subprocess import Process
-from collections.abc import AsyncIterator, Awaitable, Callable
+from collections.abc import AsyncIterator, Awaitable, Callable, Sequence
 from contextlib import asynccontextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -60,24 +60,24 @@ class MastersOrders(NamedTuple):
         return 0 if any(self.report["flaws"].values()) else int(self.report["delivered"])
 
 
-async def serve(folder: Path, port: str, url: str) -> Process:
-    """`headland vda5050` for the launch at this port."""
+async def serve(folder: Path, port: str, url: str, *more: str) -> Process:
+    """`headland vda5050` for the launch at this port. `more`: words of its command line."""
     words = ("--broker", url, "--scenario", "yard.toml", "--port", port, "--book", "book.jsonl")
-    return await start(folder, "vda5050", *words)
+    return await start(folder, "vda5050", *words, *more)
 
 
 @asynccontextmanager
 async def vehicles(
     folder: Path, launch: Process, robots: int, url: str,
-    read: Callable[[Process], Awaitable[None]] = drain,
+    read: Callable[[Process], Awaitable[None]] = drain, more: Sequence[str] = (),
 ) -> AsyncIterator[str]:  # fmt: skip
     """A gateway that shows all robots of this launch as vehicles; gives the port of the launch.
 
-    `read`: takes the output of the launch once its robots are there."""
+    `read`: takes the output of the launch once its robots are there. `more`: words for the gateway."""
     port = await said(launch, r"socketcand \S+:(\d+)")
     await said(launch, rf"(robot {robots - 1}: process)")
     readings = [asyncio.ensure_future(read(launch))]
-    gateway = await serve(folder, port, url)
+    gateway = await serve(folder, port, url, *more)
     try:
         for _ in range(robots):
             await said(gateway, r"(a vehicle at)")
