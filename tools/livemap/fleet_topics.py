@@ -72,6 +72,19 @@ class FleetTopics(Watcher):
         if topic is not None and self.takes(topic, t_s, source):
             self.put(topic, t_s, frame_values(source, self.slot_of.get(source, -1), message))
 
+    def _read(self, t_s: float, frame: Frame) -> None:
+        """Four frames of five are places of robots that are known: straight to what they change."""
+        source, message = decode_once(frame)
+        slot = self.slot_of.get(source)
+        if slot is None or not isinstance(message, Pose):
+            super()._read(t_s, frame)
+            return
+        robot, kind = self.robots[slot], Pose.__name__
+        self.kinds[kind] += 1
+        robot.frames[kind] += 1
+        robot.last_s = t_s
+        self._robot(t_s, robot, kind, message)
+
     def _explain(self, t_s: float, frame: Frame, slot: int | None, message: Any) -> None:
         """No topic shows what led to a claim."""
 

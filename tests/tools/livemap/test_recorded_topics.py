@@ -22,13 +22,16 @@ from mcap.reader import make_reader
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Member, Pose
 from sim.files.log_parts import Limit, parts_of
+from sim.record.mcap_log import read_frames
 from sim.record.topics import KINDS, TOPICS, fix_topic, schema_of
 from sim.runs.field_run import FieldRun
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
+from tools.inspect.inspector import Inspector
 from tools.livemap.foxglove_live import FoxgloveFeed
 from tools.livemap.foxglove_messages import channel_of, is_typed, maker_of
+from tools.livemap.recorded_topics import RecordedTopics
 from tools.run.run_recorder import RunRecorder
 
 LAYOUT = Path(__file__).parents[3] / "examples" / "foxglove" / "headland.json"
@@ -260,3 +263,15 @@ def test_each_part_of_a_recording_is_whole(tmp_path: Path) -> None:
         (_, told), *_ = found["/scene"]
         assert {"outline 0", "S0"} <= {entity["id"] for entity in told["entities"]}
         assert found["/tf"] and found["/log"]
+
+
+def test_it_knows_of_a_fleet_what_an_inspector_knows(kept: Path) -> None:
+    """Frames that only say places go a shorter way."""
+    topics, inspector = RecordedTopics(None, lambda *_: None), Inspector()
+    for t_us, frame in read_frames(kept):
+        topics.hear(t_us / 1e6, frame)
+        inspector.hear(t_us / 1e6, frame)
+    assert inspector.kinds["Pose"] > 100
+    assert topics.to_dict() == inspector.to_dict()
+    for slot, robot in inspector.robots.items():
+        assert topics.robots[slot].frames == robot.frames
