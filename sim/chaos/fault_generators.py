@@ -261,16 +261,10 @@ def _forger(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Faul
 
 
 def _thief(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
-    """With the keys of the last robot. Its owner revokes it in the middle; no frame may be lost then.
-
-    Before that robots miss some of its frames, and one restarts. That is drawn from a source of its own,
-    so other faults of the seed stay what they were."""
+    """With the keys of the last robot. Its owner revokes it in the middle; no frame may be lost then."""
     at_s = round(min(at_s, end_at_s - THEFT_S), 3)
     table = {"at_s": at_s, "kind": "forger", "robot": robots - 1, "position": "inside"}
-    table |= {"for_s": rng.uniform(THEFT_S, end_at_s - at_s)}
-    theft = kinds.Forger.model_validate(table)
-    trouble = Random(f"{theft.at_s}/{theft.for_s}/before the revocation")
-    return [theft, *before_revocation(trouble, theft, robots)]
+    return [kinds.Forger.model_validate(table | {"for_s": rng.uniform(THEFT_S, end_at_s - at_s)})]
 
 
 def before_revocation(rng: Random, theft: kinds.Forger, robots: int) -> list[Fault]:

@@ -9,7 +9,7 @@ from math import hypot
 from random import Random
 from typing import NamedTuple
 
-from sim.chaos.fault_generators import CLUSTERS, DRAWS
+from sim.chaos.fault_generators import CLUSTERS, DRAWS, before_revocation
 from sim.scenarios import scenario as kinds
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import drill
@@ -202,6 +202,12 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         faults += (DRAWS | CLUSTERS)[name](rng, robots, at_s, span.calm_at_s)
     if kind.mission == "field":
         faults += sensor_faults(seed, profile, robots, span, faults)
+    thefts = [f for f in faults if isinstance(f, kinds.Forger) and f.position == "inside"]
+    if (
+        thefts
+    ):  # a robot is stolen once: later ones do nothing, and no frame is lost at the revocation
+        first = min(thefts, key=lambda theft: theft.at_s)
+        faults += before_revocation(Random(f"{seed}/theft/{profile}"), first, robots)
     if attacked:
         faults += forgers(seed, profile, robots, span)
     keys = DRAWN if kind.keyed or attacked else None

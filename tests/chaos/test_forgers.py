@@ -6,7 +6,7 @@ from sim.chaos.fault_profiles import FORGER, PROFILES, draw, with_faults
 from sim.chaos.verdict import judge
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import drill
-from sim.scenarios.scenario import Forger
+from sim.scenarios.scenario import Forger, Omission
 
 
 @pytest.mark.sampled(3)
@@ -34,6 +34,15 @@ def test_profiles_with_attackers_have_keys() -> None:
     assert attacked and all(PROFILES[name].keyed for name in attacked)
     assert draw(1, "forged").fleet.keys == DRAWN
     assert draw(1, "protocol").fleet.keys is None
+
+
+def test_no_frame_of_a_revocation_is_lost_by_the_trouble_of_a_later_theft() -> None:
+    """A robot missed its new keys, because the same robot was to be stolen a second time."""
+    faults = draw(108, "stolen").fault
+    thefts = [fault for fault in faults if isinstance(fault, Forger)]
+    lossy = [fault for fault in faults if isinstance(fault, Omission) and fault.rate]
+    assert len(thefts) > 1 and len(lossy) == 1
+    assert lossy[0].at_s < min(theft.at_s for theft in thefts) + 1.0
 
 
 @pytest.mark.parametrize("profile", PROFILES)
