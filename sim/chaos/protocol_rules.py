@@ -84,6 +84,7 @@ class ProtocolRules:
         self.unknown_device = False
         # (section, block) -> bits that any robot has sent.
         self.units: dict[tuple[int, int], int] = {}
+        self._lies: dict[tuple[int, int], int] = {}  # units that a thief has told
         self.questions: Counter[int] = Counter()  # questions of each robot for entries it lacks
         self.implements_stop_at_us = NEVER_US  # when a robot last sent the standard stop
         self._said_at_us: dict[StopDot, int] = {}  # when a stop was first sent, by any robot
@@ -142,6 +143,13 @@ class ProtocolRules:
         for voters in self._voters.values():
             voters.discard(slot)
 
+    def lied(self, message: Message) -> None:
+        """A thief says this. Units that a robot repeats are not its own work, also if it is working
+        one of them at that time."""
+        if isinstance(message, WorkProgress):
+            place = message.section, message.block
+            self._lies[place] = self._lies.get(place, 0) | message.bits
+
     # ---------------------------------------------------------------- frames of robots
 
     def said(self, slot: int, now_us: int, message: Message) -> None:
@@ -190,8 +198,8 @@ class ProtocolRules:
             speaker.progress[place] = message.bits
             known = self.units.get(place, 0)
             if message.section in speaker.own:
-                own = speaker.own_progress.get(place, 0)
-                speaker.own_progress[place] = own | message.bits & ~known
+                own, lies = speaker.own_progress.get(place, 0), self._lies.get(place, 0)
+                speaker.own_progress[place] = own | message.bits & ~known & ~lies
             self.units[place] = known | message.bits
         elif kind is StateSyncRequest:
             self.questions[slot] += 1

@@ -176,6 +176,7 @@ class ScenarioJudge:
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         self.senseless = motions(cluster.world)
         cluster.on_power = self._power
+        cluster.on_lie = self.witness.words.lied
         cluster.on_order = lambda m: self.witness.words.ordered(m, cluster.host.now_us())
         for fault in self.scenario.fault:
             self._watch(fault)

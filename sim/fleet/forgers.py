@@ -102,6 +102,8 @@ def _thief(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
                 revoked = True
                 cluster.host.spawn(revocation(cluster, robot))
             message = insider(cluster, robot, rng)
+            if cluster.on_lie is not None:
+                cluster.on_lie(message)
             bus.submit(encode(message, address))
             batch.add(message, due_at_us)
             proof = batch.seal(address, due_at_us)

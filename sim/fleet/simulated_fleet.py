@@ -141,6 +141,8 @@ class Cluster:
         self.on_power: Callable[[int, bool], None] | None = None
         # Called before any robot receives it.
         self.on_order: Callable[[Message], None] | None = None
+        # Called before a thief says it with a member's keys.
+        self.on_lie: Callable[[Message], None] | None = None
         self._tool: FieldBus | None = None
         self._tools: set[int] = set()  # addresses that our devices have claimed
         self._keyring = setting.keyring(OPERATOR, "operator")

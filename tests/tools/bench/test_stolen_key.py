@@ -12,3 +12,9 @@ def test_no_lie_is_left_though_robots_missed_frames_and_restarted(seed: int) -> 
     played = trial(seed)
     assert played.lies > 100, "the thief is believed before its revocation"
     assert not played.left and not played.broken, played
+
+
+def test_a_robot_that_repeats_a_lie_has_not_said_its_own_work() -> None:
+    """Found by the 1,000 thefts, seed 759, S13: a thief told a unit that a robot was just working. The
+    robot repeated it, was switched off before it had told its own work, and was said to forget it."""
+    assert not trial(759).broken
