@@ -21,7 +21,9 @@ MEMBER_REQUEST, CLAIM_REQUEST = REQUEST.pack(Request(MEMBER_PGN)), REQUEST.pack(
 PATIENCE_US = 250 * MS  # a stranger has one beat period of the largest fleet to announce itself
 SLOT_US = 2 * MS  # between the turns of two robots to ask: two frame times with margin
 AGAIN_US = 2 * S  # before the same address is asked again; doubles
-DOUBLINGS_MAX = 5  # up to a minute, because the device may not be a robot
+# Up to 8 s. The device may not be a robot, and 250 that never answer take 2 % of the bus. It may also
+# be one whose frames were lost: nobody hears that a link is whole again.
+DOUBLINGS_MAX = 2
 STRANGERS_MAX = 256  # number of addresses
 ASKED_ENOUGH = 3  # requests, in 6 s; without an answer to these we stop waiting for the address
 
