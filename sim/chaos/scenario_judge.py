@@ -105,6 +105,7 @@ class ScenarioJudge:
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
         self._trouble_at_us = 0  # the newest trouble of a link or a member
         self._cut_ends_at_us = SETTLED_US  # until then, some robots may be unable to receive
+        self._forged_ends_at_us = -1  # somebody imitates robots until then
         # Address -> since when it is lost, NAME, slot.
         self._lost: dict[int, tuple[int, bytes, int]] = {}
         self._settled = False  # `RELEASED_S` is over
@@ -241,6 +242,8 @@ class ScenarioJudge:
                 self._at(
                     at_us, partial(self.cluster.acquaintance.addresses_taken, taken_ends_at_us)
                 )
+            case kinds.Forger(for_s=for_s):
+                self._at(at_us, partial(self._forges, at_us + round(for_s * S) + SETTLED_US))
             case kinds.Foreign(claims=True):
                 self._at(at_us, self._unsure_of_name)
             case kinds.Foreign(claims=False):
@@ -265,6 +268,10 @@ class ScenarioJudge:
             self._interrupted()
         for slot in list(self._silences):
             self._heard_of(slot)
+
+    def _forges(self, end_at_us: int) -> None:
+        """Until then somebody may send beats in the name of a robot."""
+        self._forged_ends_at_us = max(self._forged_ends_at_us, end_at_us)
 
     def _loses_address(self, slot: int) -> None:
         """S18: if it must have received the better claim, it sends nothing more from that
@@ -468,6 +475,14 @@ class ScenarioJudge:
     def _stand_for_us(self) -> int:
         return beat_of(self.scenario.fleet.robots).silence_for_us + SLACK_US
 
+    @property
+    def _silent_for_us(self) -> int:
+        """After this the death of a robot is noticed, also if somebody imitates its beats: proofs end."""
+        beat = beat_of(self.scenario.fleet.robots)
+        if self.cluster.host.now_us() < self._forged_ends_at_us:
+            return beat.life_for_us + SLACK_US
+        return self._stand_for_us
+
     def _dies(self, slot: int) -> None:
         """S6: if links are without trouble, all robots that have met it must stand until it is
         back."""
@@ -476,7 +491,7 @@ class ScenarioJudge:
         if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
             met = cluster.acquaintance.met
             others = [robot.slot for robot in cluster.running if met(robot.slot, slot)]
-            watch = self.silence.press(now_us, self._stand_for_us, others)
+            watch = self.silence.press(now_us, self._silent_for_us, others)
             self._silences.setdefault(slot, []).append(watch)
         self._trouble_at_us = now_us
         self._lapses(slot)

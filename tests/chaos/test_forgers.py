@@ -61,3 +61,10 @@ def test_every_profile_can_be_played_with_keys_and_an_attacker(profile: str) -> 
 def test_an_attacker_beside_other_trouble_breaks_no_rule(profile: str) -> None:
     verdict = judge(draw(1, profile + FORGER))
     assert verdict.ok and verdict.faults["forger"], verdict.broken
+
+
+@pytest.mark.slow
+def test_a_dead_robot_whose_beats_are_imitated_is_missed_when_its_proofs_end() -> None:
+    """Found by `headland chaos --profile crash+forger --seeds 12000013`: S6 expected the others to stand
+    after 0.3 s without beats. Beats are not proven; proofs end after 1.6 s."""
+    assert judge(draw(12000013, "crash" + FORGER)).ok
