@@ -41,7 +41,10 @@ MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 CALL = struct.Struct("<BIII")  # opcode, service, call, length of the encoding's name
 PROTOCOL = "foxglove.sdk.v1"
 STOP = "/emergency_stop"
-SCENARIO = "small"
+SCENARIO, SCENARIO_QUICK = (
+    "oxted",
+    "small",
+)  # twenty robots end the small field before the last press
 AGAINST = "websockets and the published protocol"
 
 
@@ -101,8 +104,9 @@ def figures(quick: bool) -> Iterator[Figure]:
         if find_spec(package) is None:
             raise CounterpartAbsent(f"{package} is not installed: pip install 'headland[foxglove]'")
     robots, look_s = (ROBOTS_QUICK, LOOK_QUICK_S) if quick else (ROBOTS, LOOK_S)
+    scenario, presses = (SCENARIO_QUICK, PRESSES_QUICK) if quick else (SCENARIO, PRESSES)
     with TemporaryDirectory(prefix="headland-foxglove-") as folder:
-        told = asyncio.run(trial(Path(folder), robots, look_s, PRESSES_QUICK if quick else PRESSES))
+        told = asyncio.run(trial(Path(folder), scenario, robots, look_s, presses))
     scope = (
         f"{robots} robots as processes, `headland map --foxglove` subscribed to everything for "
         f"{look_s:.0f} s, {told.messages} messages; {told.poses_hz:.2f} places a second on the bus"
@@ -126,20 +130,20 @@ def figures(quick: bool) -> Iterator[Figure]:
             f"longest of {len(times)}, to the beat that says it; bound of the bus "
             f"{BUS_BOUND_MS:g} ms; {robots} robots",
         )  # fmt: skip
-    braking_ms = 1000 * load(SCENARIO).fleet.speed_m_s / Chassis().braking_m_s2
+    braking_ms = 1000 * load(scenario).fleet.speed_m_s / Chassis().braking_m_s2
     sides = [("by the service", told.door_bodies), ("on the bus", told.bus_bodies)]
     yield from standing("Foxglove", sides, robots, braking_ms, AGAINST)
 
 
-async def trial(folder: Path, robots: int, look_s: float, presses: int) -> Watched:
+async def trial(folder: Path, scenario: str, robots: int, look_s: float, presses: int) -> Watched:
     """A launch, a map beside it, and a viewer."""
     from websockets.asyncio.client import connect
     from websockets.typing import Subprotocol
 
-    launch = await start_watched(folder, SCENARIO, robots)
+    launch = await start_watched(folder, scenario, robots)
     shown: Process | None = None
     beats, reading = Beats(robots), []
-    bodies = Bodies(load(SCENARIO).fleet.speed_m_s)
+    bodies = Bodies(load(scenario).fleet.speed_m_s)
     try:
         port = await said(launch, r"socketcand \S+:(\d+)")
         pids = [int(await said(launch, rf"robot {k}: process (\d+)")) for k in range(robots)]

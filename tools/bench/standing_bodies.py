@@ -19,7 +19,8 @@ from tools.bench.watched_launch import KEY
 from tools.common.child_process import module_command
 
 DRIVING_SHARE: Final = 0.5  # of its full speed, from which on a body drives
-SOME_S: Final = 15.0  # for all bodies to drive at once; after it one is enough
+SOME_S: Final = 15.0  # for so many bodies to drive at once; after it one is enough
+ALL_MAX: Final = 4  # bodies of a fleet of which all have to drive; of a larger one half of them
 STANDS_S: Final = (
     0.5  # nothing has moved for this long: what begins to brake after it is none of the press
 )
@@ -73,13 +74,17 @@ class Bodies:
         return sum(speed_m_s >= self.speed_min_m_s for speed_m_s in self.speeds_m_s)
 
     async def drive(self) -> int:
-        """Wait until all bodies drive, or one after a while; how many do. Raises TimeoutError."""
+        """Wait until all bodies drive, half of a large fleet, or one after a while; how many do. Raises
+        TimeoutError."""
         loop = asyncio.get_running_loop()
         begun_s = loop.time()
         async with asyncio.timeout(READY_S):
             while True:
                 await asyncio.sleep(LOOK_S)
-                least = len(self.speeds_m_s) if loop.time() - begun_s < SOME_S else 1
+                bodies = len(self.speeds_m_s)
+                least = bodies if bodies <= ALL_MAX else bodies // 2
+                if loop.time() - begun_s >= SOME_S:
+                    least = 1
                 if 0 < least <= self.driving:
                     return self.driving
 
