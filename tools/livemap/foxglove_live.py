@@ -35,6 +35,7 @@ from tools.livemap.foxglove_messages import Maker, channel_of, is_typed, maker_o
 from tools.livemap.foxglove_port import LOOPBACK, PortTaken
 
 FIX_S = 0.2  # between two fixes of a robot: a map panel does not need each pose
+PATH_S = 1.0  # between two paths of a robot, which have many points and change by what it drives
 SOON_S = 0.05  # after the first of several topics that one viewer subscribes to
 MOVE_S = 0.05  # between two transforms of a robot, whatever the period of poses on the bus
 LATE_MAX_S = 0.25  # a feed that is behind by more leaves transforms out
@@ -70,6 +71,7 @@ class FoxgloveFeed(FleetTopics):
         self._fixes = FixTopics(context)
         self._fix_of = maker_of(SCHEMAS[LOCATION_FIX])
         self._fixed_s: dict[int, float] = {}
+        self._pathed_s: dict[int, float] = {}
         self._again: asyncio.TimerHandle | None = None
         self._log_asked = False  # by a viewer that has not been told yet what holds now
         try:
@@ -106,7 +108,10 @@ class FoxgloveFeed(FleetTopics):
     def intend(self, t_s: float, intent: dict[str, Any]) -> None:
         """Take what a robot says of itself beside the bus, and publish its path."""
         super().intend(t_s, intent)
-        if self.wanted(PATHS_TOPIC):
+        slot = intent["slot"]
+        due = t_s - self._pathed_s.get(slot, -PATH_S) >= PATH_S
+        if due and self.wanted(PATHS_TOPIC):
+            self._pathed_s[slot] = t_s
             self.put(PATHS_TOPIC, t_s, pictures.update([pictures.path(self._us(t_s), intent)]))
 
     def _state(self, t_s: float, robot: Seen, state: int, kind: str) -> None:
