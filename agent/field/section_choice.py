@@ -87,7 +87,8 @@ class SectionChooser:
         return self._orphan(view)
 
     def observe(self, view: FleetView) -> None:
-        """See who stands still. Call it while we work, too: a robot that has stood since long gives its
+        """Note which owners stand still. Call it while we work, too. A robot that has stood
+        for long gives its
         section to the first one that is free."""
         self.standing.observe(view, partial(_units_done, view))
 

@@ -145,7 +145,7 @@ class FleetClock(Part):
         return NOTHING
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
-        """Who has switched before us knows a later time; we ask as soon as we hear of it."""
+        """A robot that has switched before us knows a later time. We ask as soon as we hear of it."""
         self._doubts = 0
         return NOTHING
 

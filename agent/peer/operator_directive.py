@@ -80,7 +80,7 @@ class OperatorDirective(Part):
         return self._order(ctx, m) if m.command in DIRECTED else NOTHING
 
     def _permitted(self, operator: int, named: bool) -> Outputs:
-        """For the release log: who lets this robot drive that stood. Without keys nobody is proven."""
+        """For the release log: the operator that lets this robot drive. Without keys none is proven."""
         safety = self.safety
         if not safety.keyed or safety.latched or not safety.waits_for_start(named):
             return NOTHING

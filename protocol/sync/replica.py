@@ -123,8 +123,8 @@ class Replica:
     def void(self, void: Revocation) -> tuple[list[int], list[int]]:
         """Take out what a revoked member may have said; returns sections and names of blocks.
 
-        Without vouchers nothing is known of who said what, and nothing changes. The end of a section
-        whose units are not all here waits for them: whoever said it may have believed false units."""
+        Without vouchers nothing is known of the senders, and nothing changes. The end of a section
+        whose units are not all here waits for them: its sender may have believed false units."""
         vouchers, allocation = self.vouchers, self.allocation
         if vouchers is None:
             return [], []

@@ -1,4 +1,4 @@
-"""Who vouched for each fact of a replica, so that what a revoked member has said can be taken out.
+"""The senders that vouched for each fact, so that what a revoked member has said can be taken out.
 
 Registers are maxima and blocks are unions, so a fact does not say where it came from. This keeps it
 beside them: of a register what each member has said of it, of a block which units each member was the
@@ -7,9 +7,9 @@ first to tell, and which units this robot has covered itself.
 **What is void at a revocation.** What the revoked member said, what it is the owner of, and *hearsay*:
 what a member that is on the bus now may have heard from it, because a frame was lost here or this robot
 was off. A claim that its owner told is no hearsay. Units always may be: a frame with units does not say
-who covered them. Nothing true is lost by that. Every robot keeps its own words, and what robots told that
-are not on the bus any more. All tell that again (`Synchronizer.void`). A lie is told again by nobody: who
-heard it from the thief has taken it out.
+which robot covered them. Nothing true is lost by that. Every robot keeps its own words, and what robots
+told that are not on the bus any more. All tell that again (`Synchronizer.void`). No robot tells a lie
+again: those that heard it from the thief have taken it out.
 
 What was said of a register is joined by maximum for each member, so the order of frames does not matter.
 A member is one more maximum: it can push out nothing that another one said.
@@ -23,7 +23,7 @@ from crdt.claim_register import owner_of
 # holder, and changes hands a few times. More only matters for what was said before a stated point.
 RISES_MAX: Final = 8
 BLOCK_UNITS_MAX: Final = 40  # of a block: each entry adds one of its 40 units at least
-# Who told units that a robot remembers from before a restart, and has not covered itself: nobody knows.
+# The sender of units that a robot remembers from before a restart, and has not covered itself: not known.
 UNKNOWN: Final = -1
 
 
@@ -43,7 +43,7 @@ class ToldUnits(NamedTuple):
 
 
 class Revocation(NamedTuple):
-    """Whose words are void, since when, and who can tell again what it knows."""
+    """The member whose words are void, since when, and the ones that can tell again what they know."""
 
     revoked: int
     compromised_at_us: int | None  # what was heard before it remains; None: nothing does
@@ -51,7 +51,7 @@ class Revocation(NamedTuple):
 
 
 class Vouchers:
-    """Who has said what, by register and by block, as one robot has heard it."""
+    """What each member has said, by register and by block, as one robot has heard it."""
 
     def __init__(self, slot: int, generation: int = 0) -> None:
         """`slot`: ours. `generation`: of the fleet's keys under which we hear."""

@@ -38,7 +38,7 @@ def without_broken_moves(visits: Sequence[Visit]) -> list[Visit]:
     place for a body between cells. So such a move is left out, as if the follower had waited.
 
     A body that is back within less than a unit was never in the middle of the cell, which is half a
-    unit behind the border. Such a move is left out whoever was there. A robot that cannot get on
+    unit behind the border. Such a move is left out in any case. A robot that cannot get on
     behind a wreck makes several, and the shortest one is left out first: where it goes to and fro,
     its longer stays say where it waited.
     """

@@ -6,7 +6,7 @@
     /log          foxglove.Log (JSON): what the robots decided, and why
     scene.json    attachment: what does not move, as our map draws it
 
-and, from who listens to the fleet (`tools/livemap/recorded_topics.py`), the topics that a live viewer
+and, from the listener to the fleet (`tools/livemap/recorded_topics.py`), the topics that a live viewer
 has, too (`sim.record.topics`): /tf, /scene, /paths, /grid, /fleet, /robots/N/fix, and /can/KIND for each
 kind of frame.
 

@@ -5,8 +5,9 @@ name of its robot with valid proofs. It ends work that nobody did, also in the n
 dozens of times a section. Meanwhile robots miss frames, so that they hear lies from honest ones, and one
 restarts. Then the owner gives the others new keys.
 
-Judged are the rules of chaos (among them: what is released, who latches, all work done in truth), and the
-replicas of all others `GONE_S` after the owner's first frame: no fact of the thief may be left.
+Judged are the rules of chaos (among them: what is released, which robots latch, all work
+done in truth), and the replicas of all others `GONE_S` after the owner's first frame: no fact of the
+thief may be left.
 """
 
 from collections.abc import Iterator

@@ -46,7 +46,7 @@ BACKLOG_MESSAGES = 16_384
 
 
 class FoxgloveFeed(FleetTopics):
-    """A fleet that is heard, published to whoever subscribes."""
+    """A fleet that is heard, published to its subscribers."""
 
     def __init__(
         self, scene: Scene | None, port: int, epoch_s: float, services: Sequence[Service] = ()

@@ -1,4 +1,4 @@
-"""Key files: one for each robot, one for panels and gateways, one for the operator who owns the fleet.
+"""Key files: one for each robot, one for panels and gateways, one for the operator that owns the fleet.
 
 A robot's file has the fleet's secrets and a key of its own, by which only the owner can give it new ones
 (`protocol/rekeying.py`). The file of panels and gateways has the master secret alone: it can stop and

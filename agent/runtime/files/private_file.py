@@ -23,8 +23,8 @@ MODES: Final = hasattr(os, "geteuid")
 
 
 def trusted_users() -> frozenset[int]:
-    """Whose files may steer this program, as for ssh: its own user's and those of root, who can do
-    anything; under sudo also those of the user who called it."""
+    """The users whose files may steer this program, as for ssh: its own user and root, which can do
+    anything; under sudo also those of the user that called it."""
     user = os.geteuid()
     called_by = os.environ.get("SUDO_UID", "") if user == 0 else ""
     return frozenset((0, user, int(called_by) if called_by.isdecimal() else user))
@@ -47,7 +47,7 @@ def weakness(path: Path) -> str:
             above = folder.stat()
             if above.st_uid not in users:
                 return (
-                    f"user {above.st_uid} may replace it, who owns {folder}: move it, or use chown"
+                    f"user {above.st_uid} owns {folder} and may replace it: move it, or use chown"
                 )
             writers = above.st_mode & 0o022
             if folder != start.parent and writers == stat.S_IWGRP and _is_own_group(above.st_gid):
@@ -90,7 +90,7 @@ def _named(paths: tuple[Path, ...]) -> str:
 
 def make_private(path: Path) -> None:
     """Make the file if there is none, also where a link leads, so that no byte of it is ever readable by
-    others. What cannot be made is found by who opens it."""
+    others. What cannot be made is found when it is opened."""
     with suppress(OSError):
         flags = os.O_RDWR | os.O_CREAT | os.O_EXCL
         os.close(os.open(os.path.realpath(path), flags, OWNER))

@@ -132,7 +132,7 @@ def read_log(path: Path, key: bytes | None) -> ReadLog:
 
 
 def _release_of(text: str) -> LoggedRelease:
-    """A line that was read. Raises ValueError: whoever has the robot can write anything."""
+    """A line that was read. Raises ValueError: a thief of the robot can write anything."""
     document = parse_json(text)
     if not isinstance(document, dict) or document.keys() != set(LoggedRelease._fields):
         raise ValueError("not a line of a release log")

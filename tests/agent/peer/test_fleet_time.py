@@ -28,7 +28,7 @@ NEW = Rekeying(1, bytes(range(16)), NOBODY)
 
 
 def master_of(rig: KeyedRig) -> ProofKeys:
-    """What a thief has who took one robot."""
+    """What the thief of one robot has."""
     assert rig.keys is not None
     return ProofKeys(Keys(rig.keys.master, None))
 

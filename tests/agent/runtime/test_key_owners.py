@@ -61,7 +61,7 @@ def test_a_key_file_of_root_is_believed(key: Path, own: Own) -> None:
 
 def test_a_key_file_below_a_folder_of_another_user_is_refused(key: Path, own: Own) -> None:
     own(key.parent.parent, SOMEBODY)
-    assert f"user {SOMEBODY} may replace it, who owns {key.parent.parent}" in refused(key)
+    assert f"user {SOMEBODY} owns {key.parent.parent} and may replace it" in refused(key)
 
 
 @pytest.mark.parametrize("above", [0, 1])

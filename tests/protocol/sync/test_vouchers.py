@@ -103,7 +103,7 @@ def test_the_end_of_a_section_comes_back_with_its_units() -> None:
     ours.on_message(WorkProgress(0, 0, 0b11), 1, 20)
     assert ours.take_returned() == {0} and ours.allocation.phase_of(0) is Phase.DONE
     assert ours.digest == digest
-    assert ours.void(void(live=others)) == ([0], [0]), "and it is known again who said it"
+    assert ours.void(void(live=others)) == ([0], [0]), "and its sender is known again"
 
 
 def test_our_own_units_stay_although_the_thief_told_them_first() -> None:

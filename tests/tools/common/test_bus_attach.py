@@ -45,7 +45,7 @@ def test_who_stays_on_a_bus_takes_no_core_without_it_and_hears_the_next_one() ->
     """Found: maps and `headland ros2` took a whole core once their launch had ended, and were deaf."""
 
     async def story() -> None:
-        name, heard = "who stays", list[Frame]()
+        name, heard = "a program that stays", list[Frame]()
         hub = Hub(segment(name), CHANNEL)
         await hub.start()
         bus = await stay_attached("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port, name)

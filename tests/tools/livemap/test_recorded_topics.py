@@ -248,7 +248,7 @@ def test_the_map_of_an_arena_is_a_grid(tmp_path: Path) -> None:
 
 
 def test_each_part_of_a_recording_is_whole(tmp_path: Path) -> None:
-    """A launch writes parts: who opens one sees the fleet, though nothing has changed since the last."""
+    """A launch writes parts. Each one alone shows the fleet, though nothing has changed since."""
     keeping = RunRecorder(setting(), tmp_path, limit=Limit(part_bytes=50_000, parts=50))
     keeping.write(0, encode(Member(0, 1, 7), 128))
     for number in range(30_000):
