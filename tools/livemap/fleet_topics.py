@@ -1,9 +1,8 @@
 """What a fleet that is heard looks like in Foxglove, topic by topic, for live viewers and for recordings.
 
-Who takes it decides when each topic is told: `foxglove_live` for viewers, `recorded_topics` for a file.
+The taker decides when each topic is told: `foxglove_live` for viewers, `recorded_topics` for a file.
 """
 
-from base64 import b64decode
 from collections.abc import Callable
 from math import cos, sin
 from typing import Any, Final
@@ -36,7 +35,7 @@ class FleetTopics(Watcher):
         """`scene`: what stands there; None: not known. `epoch_s`: what a message says at zero of the
         clock of the frames."""
         super().__init__(scene)
-        self.scene, self.epoch_s = scene or {}, epoch_s
+        self.epoch_s = epoch_s
         self.entities: dict[str, Values] = {}  # of the scene, as they were last told
         self._looks: dict[str, object] = {}  # entity -> how it was told
         self._placed_s: dict[int, float] = {}  # when the newest pose of a robot came
@@ -44,7 +43,7 @@ class FleetTopics(Watcher):
         self._latched: set[Dot] = set()  # that the log has told
         self._keyless_told = False  # the log says that the fleet has no keys
 
-    # ------------------------------------------------------------ of who takes it
+    # ------------------------------------------------------------ of the taker
 
     def wanted(self, topic: str) -> bool:
         """Whether anybody takes this topic now."""
@@ -118,7 +117,7 @@ class FleetTopics(Watcher):
         self._latched = latched
 
     def _tell_what_holds(self, now_s: float) -> None:
-        """States and stops of now, for who was not there when they came."""
+        """States and stops of now, for viewers that were not there when they came."""
         for slot, robot in sorted(self.robots.items()):
             if not robot.left:
                 level = foxglove.level_of(robot.state)
@@ -195,24 +194,13 @@ class FleetTopics(Watcher):
 
     def grid(self, now_s: float) -> Values | None:
         """The explored map of an arena, or the walls of a building."""
+        kinds = self.ground_kinds()
+        if kinds is None:
+            return None
         import numpy as np  # a tool that only listens has none, and no grid
 
-        if self.chart is not None:
-            geometry = self.chart.geometry
-            kinds = np.zeros((geometry.rows, geometry.columns), dtype=np.int64)
-            for row, column, *values in self.cells(self.chart.known_patches()):
-                block = np.asarray(values).reshape(4, 4)
-                part = kinds[row : row + 4, column : column + 4]
-                part[:] = block[: part.shape[0], : part.shape[1]]
-            origin, cell_m = geometry.origin_m, geometry.cell_m
-        elif (told := self.scene.get("grid")) is not None:
-            bits = np.unpackbits(np.frombuffer(b64decode(told["walls"]), dtype=np.uint8))
-            rows, columns = int(told["rows"]), int(told["columns"])
-            kinds = bits[: rows * columns].reshape(rows, columns).astype(np.int64) + 1
-            origin, cell_m = tuple(told["origin"]), float(told["cell_m"])
-        else:
-            return None
-        data = np.asarray((NOTHING, OPEN, SOLID), dtype=np.uint8)[np.minimum(kinds, 2)]
+        origin, cell_m = self.ground_frame()
+        data = np.asarray((NOTHING, OPEN, SOLID), dtype=np.uint8)[kinds]
         return foxglove.grid(self._us(now_s), origin, cell_m, kinds.shape[1], data.tobytes())
 
     def _us(self, t_s: float) -> int:
@@ -224,7 +212,10 @@ def _to_degrees(scene: Scene) -> Degrees | None:
     origin = scene.get("earth")
     if not origin:
         return None
-    from pyproj import CRS, Transformer  # of the extra `robot`: who knows a field has it
+    from pyproj import (
+        CRS,
+        Transformer,
+    )  # of the extra `robot`, which a program that knows a field has
 
     from agent.runtime.files.field_file import plane
 

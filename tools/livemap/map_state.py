@@ -4,6 +4,7 @@ All of it comes from the bus, or from what robots report about themselves beside
 (`sim.record.robot_intent`).
 """
 
+from base64 import b64decode
 from collections import Counter, deque
 from collections.abc import Iterable
 from importlib.util import find_spec
@@ -23,6 +24,9 @@ from sim.record.scene import Scene
 from tools.inspect.inspector import Inspector, Seen
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from crdt.occupancy import OccupancyMap
 
 LOAD_S = 1.0  # the load of the bus is averaged over this time
@@ -44,6 +48,7 @@ class Watcher(Inspector):
         self.changed_sections: set[int] = set()
         self.changed_blocks: set[tuple[int, int]] = set()
         self.changed_patches: set[int] = set()
+        self.scene: Scene = scene or {}
         self.chart = _chart(scene)
         self.bitrate = int((scene or {}).get("bitrate", 250_000))
         self._loads: deque[tuple[float, int, int]] = deque()  # when, bits, group
@@ -150,6 +155,33 @@ class Watcher(Inspector):
         return [
             [*corner_of(patch), *(self.chart.patch(patch) & VALUE).tolist()] for patch in patches
         ]
+
+    def ground_kinds(self) -> "NDArray[np.int64] | None":
+        """The explored map of an arena, or the walls of a building, (rows, columns) from the south west:
+        0 unknown, 1 free, 2 solid. None if there is neither."""
+        import numpy as np  # a tool that only listens has none, and no grid
+
+        if self.chart is not None:
+            geometry = self.chart.geometry
+            kinds = np.zeros((geometry.rows, geometry.columns), dtype=np.int64)
+            for row, column, *values in self.cells(self.chart.known_patches()):
+                block = np.asarray(values).reshape(4, 4)
+                part = kinds[row : row + 4, column : column + 4]
+                part[:] = block[: part.shape[0], : part.shape[1]]
+        elif (told := self.scene.get("grid")) is not None:
+            bits = np.unpackbits(np.frombuffer(b64decode(told["walls"]), dtype=np.uint8))
+            rows, columns = int(told["rows"]), int(told["columns"])
+            kinds = bits[: rows * columns].reshape(rows, columns).astype(np.int64) + 1
+        else:
+            return None
+        return np.minimum(kinds, 2)
+
+    def ground_frame(self) -> tuple[tuple[float, float], float]:
+        """The south-western corner and the side of a cell of `ground_kinds`, metres."""
+        if self.chart is not None:
+            return self.chart.geometry.origin_m, self.chart.geometry.cell_m
+        told = self.scene["grid"]
+        return (float(told["origin"][0]), float(told["origin"][1])), float(told["cell_m"])
 
     def all_changed(self) -> None:
         """A viewer knows nothing yet."""

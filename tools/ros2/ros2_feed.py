@@ -6,7 +6,6 @@ pass what they heard to the loop and touch nothing else.
 
 import asyncio
 import time
-from base64 import b64decode
 from collections.abc import Callable
 from contextlib import suppress
 from itertools import pairwise
@@ -43,7 +42,7 @@ class Ros2Feed(Watcher):
     def __init__(self, graph: Graph, scene: Scene | None, stop: Asked, release: Asked) -> None:
         """`stop`, `release`: called in the loop when ROS asks for it."""
         super().__init__(scene)
-        self.scene, self.graph = scene or {}, graph
+        self.graph = graph
         self._kinds = graph.kinds
         self._loop = asyncio.get_running_loop()
         self._asked = {"stop": stop, "release": release}
@@ -172,7 +171,7 @@ class Ros2Feed(Watcher):
             self._coverage.publish(self._covered(dict(phases)))
         grid = self._charted()
         if grid is not None and self._new("map", grid.tobytes()):
-            self._map.publish(self._grid_of(grid, *self._geometry()))
+            self._map.publish(self._grid_of(grid, *self.ground_frame()))
         if self.robots or self.scene:
             self._markers.publish(self._marked())
 
@@ -224,28 +223,10 @@ class Ros2Feed(Watcher):
                 _sweep(grid, np.array(line), low, cell_m, width_m, WORKED[phases[section]])
         return self._grid_of(grid, (float(low[0]), float(low[1])), cell_m)
 
-    def _geometry(self) -> tuple[tuple[float, float], float]:
-        if self.chart is not None:
-            return self.chart.geometry.origin_m, self.chart.geometry.cell_m
-        told = self.scene["grid"]
-        return (float(told["origin"][0]), float(told["origin"][1])), float(told["cell_m"])
-
     def _charted(self) -> NDArray[np.int8] | None:
         """The explored map of an arena, or the walls of a building; None if there is neither."""
-        if self.chart is not None:
-            geometry = self.chart.geometry
-            kinds = np.zeros((geometry.rows, geometry.columns), dtype=np.int64)
-            for row, column, *values in self.cells(self.chart.known_patches()):
-                block = np.asarray(values).reshape(4, 4)
-                part = kinds[row : row + 4, column : column + 4]
-                part[:] = block[: part.shape[0], : part.shape[1]]
-        elif (told := self.scene.get("grid")) is not None:
-            bits = np.unpackbits(np.frombuffer(b64decode(told["walls"]), dtype=np.uint8))
-            rows, columns = int(told["rows"]), int(told["columns"])
-            kinds = bits[: rows * columns].reshape(rows, columns).astype(np.int64) + 1
-        else:
-            return None
-        return np.array((UNKNOWN, OPEN, SOLID), dtype=np.int8)[np.minimum(kinds, 2)]
+        kinds = self.ground_kinds()
+        return None if kinds is None else np.array((UNKNOWN, OPEN, SOLID), dtype=np.int8)[kinds]
 
     def _grid_of(self, cells: NDArray[np.int8], origin: tuple[float, float], cell_m: float) -> Any:
         grid = self._kinds.OccupancyGrid()
