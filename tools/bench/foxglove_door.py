@@ -159,6 +159,7 @@ async def trial(folder: Path, scenario: str, robots: int, look_s: float, presses
             while len(beats.stopped) < robots:
                 await asyncio.sleep(0.1)
         await beats.until(False)
+        await bodies.drive()  # all have planned at once by then, and beat rarely meanwhile
         await beats.settled(SETTLED_SHARE * RATE_MIN_HZ)  # if they never do, the figure says it
         async with connect(
             told["foxglove"], subprotocols=[Subprotocol(PROTOCOL)], max_size=None, close_timeout=0.3

@@ -34,7 +34,7 @@ from tools.livemap.foxglove_fixes import FixTopics
 from tools.livemap.foxglove_messages import Maker, channel_of, is_typed, maker_of
 from tools.livemap.foxglove_port import LOOPBACK, PortTaken
 
-FIX_S = 0.2  # between two fixes of a robot: a map panel does not need each pose
+FIX_S = 1.0  # between two fixes of a robot, as most receivers of GNSS tell them
 PATH_S = 1.0  # between two paths of a robot, which have many points and change by what it drives
 SOON_S = 0.05  # after the first of several topics that one viewer subscribes to
 MOVE_S = 0.05  # between two transforms of a robot, whatever the period of poses on the bus
@@ -43,6 +43,7 @@ TELL_S = 1.0  # between two looks at what changes slowly
 # Messages kept for a viewer that reads slowly; the oldest are dropped. A full bus (1900 frames a second)
 # fills the 1024 of the SDK in half a second, and a line of the log that is dropped never comes again.
 BACKLOG_MESSAGES = 16_384
+FRAME_TOPICS = frozenset(KINDS.values())
 
 
 class FoxgloveFeed(FleetTopics):
@@ -72,6 +73,8 @@ class FoxgloveFeed(FleetTopics):
         self._fix_of = maker_of(SCHEMAS[LOCATION_FIX])
         self._fixed_s: dict[int, float] = {}
         self._pathed_s: dict[int, float] = {}
+        # Frames and fixes since the last transforms: each message that goes alone wakes the server.
+        self._waiting: list[tuple[Any, Any, int]] = []  # channel, message, time in nanoseconds
         self._again: asyncio.TimerHandle | None = None
         self._log_asked = False  # by a viewer that has not been told yet what holds now
         try:
@@ -101,9 +104,12 @@ class FoxgloveFeed(FleetTopics):
         return asked
 
     def put(self, topic: str, t_s: float, value: Values) -> None:
-        """Publish."""
-        make = self._makers.get(topic)
-        self._channels[topic].log(value if make is None else make(value), log_time=self._ns(t_s))
+        """Publish; a frame goes with the next transforms."""
+        make, channel, t_ns = self._makers.get(topic), self._channels[topic], self._ns(t_s)
+        if topic in FRAME_TOPICS:
+            self._waiting.append((channel, value, t_ns))
+        else:
+            channel.log(value if make is None else make(value), log_time=t_ns)
 
     def intend(self, t_s: float, intent: dict[str, Any]) -> None:
         """Take what a robot says of itself beside the bus, and publish its path."""
@@ -128,7 +134,7 @@ class FoxgloveFeed(FleetTopics):
             return
         channel = self._fixes.of(robot.slot, t_s)
         if channel.has_sinks():
-            channel.log(self._fix_of(self.fix(t_s, robot)), log_time=self._ns(t_s))
+            self._waiting.append((channel, self._fix_of(self.fix(t_s, robot)), self._ns(t_s)))
 
     async def _keep_moving(self) -> None:
         """Transforms at a rate of their own: in a large fleet, or on a busy machine, poses are rarer."""
@@ -136,6 +142,9 @@ class FoxgloveFeed(FleetTopics):
         while True:
             due_s = max(due_s + MOVE_S, self._loop.time() - LATE_MAX_S)
             await asyncio.sleep(due_s - self._loop.time())
+            for channel, message, t_ns in self._waiting:
+                channel.log(message, log_time=t_ns)
+            self._waiting.clear()
             if self.wanted(TF_TOPIC) and (moved := self.transforms(due_s)) is not None:
                 self.put(TF_TOPIC, due_s, moved)
 

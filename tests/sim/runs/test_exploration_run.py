@@ -59,11 +59,16 @@ def test_a_robot_that_dies_is_not_missed_for_long() -> None:
 
 
 @pytest.mark.slow
-def test_i24_a_robot_that_stands_does_not_keep_its_frontier() -> None:
-    """Its wheels get no command. Its frontier stayed its own, and the others waited for it for good."""
-    outcome = play(3, 1, DeafWheels(at_s=9.0, kind="deaf_wheels", robot=1, for_s=1_000.0))
+@pytest.mark.parametrize("seed", [1, 6, 12])
+def test_i24_a_robot_that_stands_does_not_keep_its_frontier(seed: int) -> None:
+    """Its wheels get no command. Its frontier stayed its own, and the others waited for it for good.
+
+    With these seeds it stands on the last frontier. The others may meet in its nook, so they get as much
+    time again.
+    """
+    outcome = play(3, seed, DeafWheels(at_s=9.0, kind="deaf_wheels", robot=1, for_s=1_000.0))
     assert outcome.finished and outcome.explored > 0.99, outcome
-    assert outcome.time_s < 9.0 + 1.5 * STANDS_US / S
+    assert outcome.time_s < 9.0 + 2.0 * STANDS_US / S
 
 
 @pytest.mark.parametrize("disk", ["kept", "lost"])
