@@ -131,9 +131,14 @@ class DurableRecords(Part):
         """The records of an own operation: the register after it, and the number of operations so
         far. `vouchers`: with keys.
         """
+        return DurableRecords.register(section, key, vouchers), (OPERATIONS, U32.pack(count))
+
+    @staticmethod
+    def register(section: int, key: int, vouchers: Vouchers | None) -> tuple[str, bytes]:
+        """The record of a register that is our own word. `vouchers`: with keys."""
         if vouchers is not None:
             key |= (vouchers.generation & GENERATION_MASK) << KEY_BITS
-        return (f"{REGISTER}{section}", U64.pack(key)), (OPERATIONS, U32.pack(count))
+        return f"{REGISTER}{section}", U64.pack(key)
 
     @staticmethod
     def progress(

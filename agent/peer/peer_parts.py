@@ -97,6 +97,7 @@ class PeerParts:
         if keyring is not None:
             keyring.rekey(kept.newest(keyring.keys))
             vouchers = Vouchers(slot, keyring.keys.generation)
+            vouchers.forgot = self.records.lost
         ends = self.records.restore(self.allocation, self.progress, vouchers)
         if chart is not None:
             self.records.restore_map(chart.chart)

@@ -8,9 +8,10 @@ from collections.abc import Mapping
 from typing import Any, Final
 
 from agent.interface.config import S
-from agent.interface.effects import Send, Trace
+from agent.interface.effects import Persist, Send, Trace
 from agent.interface.lifecycle import IDLE, SYNCHRONIZING, WORKING
 from agent.peer import notices
+from agent.peer.durable_records import DurableRecords
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.sender_limits import SenderLimits
@@ -110,12 +111,22 @@ class StateSync(Part):
                 outputs.append(Trace("trust", "", "SUSPECTED", str(slot), too_much))
         changed = self.sync.on_message(slot, m, ctx.now_us)
         if vouchers is not None:
+            outputs += self._adopted(slot, changed, vouchers)
             changed |= self.sync.replica.take_returned()
         if changed:
             outputs.append(notices.SectionsMerged(frozenset(changed), slot))
         if isinstance(m, TOLD_OF):
             outputs.append(Trace("sync", "", type(m).__name__, "", f"from {slot}"))
         return outputs
+
+    def _adopted(self, slot: int, changed: set[int], vouchers: Vouchers) -> Outputs:
+        """Write down what is our own word from now on, because our memory is lost and we were told."""
+        keys = [(section, self.sync.replica.allocation.key(section)) for section in changed]
+        return [
+            Persist(*DurableRecords.register(section, key, vouchers))
+            for section, key in keys
+            if key is not None and vouchers.adopts(key, slot)
+        ]
 
     def _too_much(
         self,

@@ -263,6 +263,8 @@ class Replica:
             told = changed or sender == message.owner
             if told and vouchers is not None and sender is not None:
                 vouchers.register(section, key, sender, now_us)
+                if vouchers.adopts(key, sender):
+                    vouchers.register(section, key, vouchers.slot, now_us)
             stale = not changed and self.allocation.key(section) != key
             entry = entry_of(REGISTERS, section)
         if changed:

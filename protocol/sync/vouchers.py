@@ -56,6 +56,9 @@ class Vouchers:
     def __init__(self, slot: int, generation: int = 0) -> None:
         """`slot`: ours. `generation`: of the fleet's keys under which we hear."""
         self.slot, self.generation = slot, generation
+        # Our memory is lost: what members say that we have said counts as our word. Nobody else may say
+        # it in our name, so without this nobody could tell it to a member that lacks it.
+        self.forgot = False
         self._said: dict[int, dict[int, list[Vouched]]] = {}  # section -> member -> rising values
         self._units: dict[int, list[ToldUnits]] = {}  # by name of the block
         self._own: dict[int, int] = {}  # by name of the block: units that we covered ourselves
@@ -68,6 +71,10 @@ class Vouchers:
         if len(said) == RISES_MAX:
             said.pop()
         said.append(Vouched(key, now_us))
+
+    def adopts(self, key: int, sender: int) -> bool:
+        """Whether a register that a member told becomes our word. `key`: of the register."""
+        return self.forgot and owner_of(key) == self.slot != sender
 
     def said_by(self, section: int, member: int) -> int:
         """The greatest that a member has said of a section; 0: nothing that we heard."""

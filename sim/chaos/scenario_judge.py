@@ -213,10 +213,10 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self.witness.words.hangs, robot, end_at_us))
                 self._at(at_us, partial(self._hangs.__setitem__, robot, end_at_us))
-            case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
+            case kinds.Pushed(robot=robot):
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))
-                self._at(at_us, partial(self._shoved, robot, hypot(dx_m, dy_m)))
+                self._at(at_us, partial(self._shoved, robot, at_us + 1))
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
                 far_m, end_at_us = hypot(dx_m, dy_m), at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
@@ -388,13 +388,19 @@ class ScenarioJudge:
     def _excuse(self, slots: tuple[int, ...]) -> None:
         self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
 
-    def _shoved(self, slot: int, by_m: float) -> None:
-        """A lowered implement is moved past a strip of ground, by less than a working robot could
-        detect from its speed."""
-        bodies = self.protocol_world is None
-        if bodies and by_m < UNNOTICED_M and self.cluster.is_up(slot):
+    def _shoved(self, slot: int, moved_at_us: int) -> None:
+        """A person is about to move a robot; by `moved_at_us` it is done."""
+        if self.protocol_world is None and self.cluster.is_up(slot):
+            before = self.cluster.world.body(slot).position
+            self._at(moved_at_us, partial(self._unnoticed, slot, before))
+
+    def _unnoticed(self, slot: int, before: tuple[float, float]) -> None:
+        """A lowered implement was moved past a strip of ground, by less than a working robot could
+        detect from its speed: a push ends where there is no room."""
+        after = self.cluster.world.body(slot).position
+        if hypot(after[0] - before[0], after[1] - before[1]) < UNNOTICED_M:
             reach_m = self.setting.field.implement_width_m / 2 + 2 * UNNOTICED_M
-            self._left.append((*self.cluster.world.body(slot).position, reach_m))
+            self._left.append((*before, reach_m))
 
     def _pressed(self, slot: int) -> None:
         if not self.cluster.is_up(slot):

@@ -10,7 +10,8 @@ What each position can do is in `docs/how/trust.md`.
 """
 
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from random import Random
 from typing import Final
 
@@ -19,15 +20,15 @@ from agent.interface.lifecycle import State
 from crdt import Phase
 from protocol.authentication import KEY_SIZE
 from protocol.frame_proofs import FleetTime, ProofBatch, ProofKeys
-from protocol.frames.codec import encode
+from protocol.frames.codec import decode_once, encode
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, VectorSlice
 from protocol.frames.frame import Frame
-from protocol.frames.key_frames import PART_BYTES, KeyPart, KeySwitch
+from protocol.frames.key_frames import PART_BYTES, KeyPart, KeysHeld, KeySwitch
 from protocol.frames.messages import Message
 from protocol.frames.safety_frames import Command, EmergencyReset, HeldReset, OperatorCommand
 from protocol.frames.trust_frames import FleetTimeTold, Proof
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
-from protocol.rekeying import Rekeying, own_key, seal
+from protocol.rekeying import Rekeying, confirmed, own_key, seal
 from sim.fleet.foreign_devices import device
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
@@ -43,6 +44,7 @@ KEPT: Final = 400  # frames that a replaying attacker remembers: some seconds of
 UNITS_MASK: Final = (1 << 40) - 1
 PARTS_US: Final = 4 * MS  # between two parts of new keys
 SWITCHES: Final = 5
+ROUNDS_MAX: Final = 10  # of new keys until all confirm them; the tool goes on for some seconds
 
 
 def forger(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
@@ -112,21 +114,49 @@ def _thief(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
 
 
 def revocation(cluster: Cluster, robot: int) -> Script[None]:
-    """The owner gives the others new keys and makes them switch, as `headland keys revoke` does."""
-    setting, others = cluster.setting, [r.slot for r in cluster.running if r.slot != robot]
+    """The owner gives the others new keys and makes them switch, as `headland keys revoke` does.
+
+    What a robot does not confirm is said again: one that has just started drops frames of a tool that it
+    does not know yet."""
+    setting, others = cluster.setting, {r.slot for r in cluster.running if r.slot != robot}
     assert setting.keys is not None and setting.root is not None
     generation = 1 + max((r.peer.named.keys.generation for r in cluster.running), default=0)
     lot = Random(f"{cluster.scenario.run.seed}/revocation/{generation}")
     new = Rekeying(generation, lot.randbytes(KEY_SIZE), robot)
-    for slot in others:
-        for part in seal(new, own_key(setting.root, slot), slot):
-            cluster.inject(part)
-            yield cluster.host.now_us() + PARTS_US
-    yield cluster.host.now_us() + S // 2
-    for _ in range(SWITCHES):
-        cluster.inject(new.switch())
-        yield cluster.host.now_us() + PARTS_US
+    heard: list[KeysHeld] = []
+    with _confirmations(cluster, heard):
+        for _ in range(ROUNDS_MAX):
+            for slot in sorted(others - confirmed(new, heard, False)):
+                for part in seal(new, own_key(setting.root, slot), slot):
+                    cluster.inject(part)
+                    yield cluster.host.now_us() + PARTS_US
+            yield cluster.host.now_us() + S // 2
+            if others <= confirmed(new, heard, False):
+                break
+        for _ in range(ROUNDS_MAX):
+            for _ in range(SWITCHES):
+                cluster.inject(new.switch())
+                yield cluster.host.now_us() + PARTS_US
+            if confirmed(new, heard, False) <= confirmed(new, heard, True):
+                break
+            yield cluster.host.now_us() + S // 2
     cluster.rekeyed(new.keys)
+
+
+@contextmanager
+def _confirmations(cluster: Cluster, heard: list[KeysHeld]) -> Iterator[None]:
+    """Add what robots confirm, while it lasts."""
+
+    def keep(t_us: int, frame: Frame) -> None:
+        message = decode_once(frame)[1]
+        if isinstance(message, KeysHeld):
+            heard.append(message)
+
+    cluster.segment.taps.append(keep)
+    try:
+        yield
+    finally:
+        cluster.segment.taps = [tap for tap in cluster.segment.taps if tap != keep]
 
 
 # -------------------------------------------------------------------- what they say

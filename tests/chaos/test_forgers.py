@@ -68,3 +68,10 @@ def test_a_dead_robot_whose_beats_are_imitated_is_missed_when_its_proofs_end() -
     """Found by `headland chaos --profile crash+forger --seeds 12000013`: S6 expected the others to stand
     after 0.3 s without beats. Beats are not proven; proofs end after 1.6 s."""
     assert judge(draw(12000013, "crash" + FORGER)).ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [13510020, 13510048, 13510103])
+def test_a_robot_that_lost_its_memory_gives_back_what_it_is_told(seed: int) -> None:
+    """Found by `headland chaos --profile protocol+forger`: two robots differed for good."""
+    assert judge(draw(seed, "protocol" + FORGER)).ok

@@ -125,6 +125,16 @@ def test_a_robot_tells_nothing_in_its_own_name_that_it_has_not_said() -> None:
     assert ours.may_tell(heard.entry)
 
 
+def test_a_robot_that_lost_its_memory_tells_what_it_is_told_in_its_own_name() -> None:
+    """Found by `headland chaos --profile protocol+forger --seeds 13510048`: the robot that had told it
+    restarted and forgot it, and the other one never told it to anybody."""
+    ours = replica(slot=1)
+    assert ours.vouchers is not None
+    ours.vouchers.forgot = True
+    heard = ours.on_message(StateSyncResponse(0, 0, DONE, 0, 9, 1), US, 20)
+    assert ours.may_tell(heard.entry)
+
+
 def test_what_nobody_known_told_before_a_restart_is_taken_out() -> None:
     ours = replica()
     assert ours.vouchers is not None
