@@ -106,6 +106,7 @@ class ScenarioJudge:
         self._trouble_at_us = 0  # the newest trouble of a link or a member
         self._cut_ends_at_us = SETTLED_US  # until then, some robots may be unable to receive
         self._forged_ends_at_us = -1  # somebody imitates robots until then
+        self._lies: list[tuple[int, int]] = []  # from when to when a thief speaks with a stolen key
         # Address -> since when it is lost, NAME, slot.
         self._lost: dict[int, tuple[int, bytes, int]] = {}
         self._settled = False  # `RELEASED_S` is over
@@ -242,7 +243,9 @@ class ScenarioJudge:
                 self._at(
                     at_us, partial(self.cluster.acquaintance.addresses_taken, taken_ends_at_us)
                 )
-            case kinds.Forger(for_s=for_s):
+            case kinds.Forger(for_s=for_s, position=position):
+                if position == "inside":
+                    self._lies.append((at_us, at_us + round(for_s * S)))
                 self._at(at_us, partial(self._forges, at_us + round(for_s * S) + SETTLED_US))
             case kinds.Foreign(claims=True):
                 self._at(at_us, self._unsure_of_name)
@@ -461,7 +464,11 @@ class ScenarioJudge:
         """Whether one of two robots must stand, or can hear that the other one works.
 
         Two robots that were switched on behind a cut, and have never met, know nothing of each other.
+        A thief who lies about sections is believed until its revocation (`docs/how/trust.md`).
         """
+        now_us = self.cluster.host.now_us()
+        if any(begin_at_us <= now_us < end_at_us for begin_at_us, end_at_us in self._lies):
+            return False
         self.cluster.look()
         met = self.cluster.acquaintance.met
         if met(one, other) or met(other, one):
@@ -483,11 +490,11 @@ class ScenarioJudge:
 
     @property
     def _silent_for_us(self) -> int:
-        """After this the death of a robot is noticed, also if somebody imitates its beats: proofs end."""
+        """After this the death of a robot is noticed. Beats that somebody imitates count until its proofs
+        end, and then it has to be silent."""
         beat = beat_of(self.scenario.fleet.robots)
-        if self.cluster.host.now_us() < self._forged_ends_at_us:
-            return beat.life_for_us + SLACK_US
-        return self._stand_for_us
+        forged = self.cluster.host.now_us() < self._forged_ends_at_us
+        return self._stand_for_us + (beat.life_for_us if forged else 0)
 
     def _dies(self, slot: int) -> None:
         """S6: if links are without trouble, all robots that have met it must stand until it is

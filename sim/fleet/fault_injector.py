@@ -140,7 +140,9 @@ class FaultPlan:
                 return twin(cluster, fault, self._rng)
             case kinds.Nonsense():
                 return nonsense(cluster, fault, self._rng)
-            case kinds.Forger():
+            case kinds.Forger(robot=robot, position=position, for_s=for_s):
+                named = (robot,) if position == "outside" else range(cluster.scenario.fleet.robots)
+                cluster.stops.imitated(named, now_us + round((for_s + SETTLED_S) * S))
                 return forger(cluster, fault, self._rng)
             case kinds.Clone(robot=robot, wins=wins):
                 self._clone(robot, wins)

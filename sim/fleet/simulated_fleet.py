@@ -47,15 +47,18 @@ from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import Join, Scenario
 
 OPERATOR = 200  # slot of the operator device that sends a scenario's resets
-TOOL_ADDRESS = 249  # source address of scripted operator frames
+TOOL_ADDRESS = 249  # source address of scripted operator frames, unless another device takes it
+TOOL_ADDRESSES = (
+    16  # below `ADDRESS_LAST`, for tools whose address is taken; robots begin at the first
+)
 STOP_PGN = GROUP_OF[EmergencyStop].pgn
 PGN_MASK = 0x3FFFF  # of an identifier without its source address
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect
 
 
-def tool_claim(address: int) -> Frame:
-    """The address claim of an operator's device."""
-    return encode(AddressClaimed(tool_name(address).pack()), address)
+def tool_claim(number: int, address: int) -> Frame:
+    """The address claim of an operator's device. `number`: that of its NAME."""
+    return encode(AddressClaimed(tool_name(number).pack()), address)
 
 
 class Robot:
@@ -144,7 +147,9 @@ class Cluster:
         # Called before a thief says it with a member's keys.
         self.on_lie: Callable[[Message], None] | None = None
         self._tool: FieldBus | None = None
-        self._tools: set[int] = set()  # addresses that our devices have claimed
+        # Our devices, by the addresses that they prefer, and those that they have claimed.
+        self._tools: dict[int, int] = {}
+        self._tools_displaced = 0  # how often another device has taken one of them
         self._keyring = setting.keyring(OPERATOR, "operator")
         self._proofs: ToolProofs | None = None
         if self._keyring is not None:
@@ -294,16 +299,17 @@ class Cluster:
             self._tool.tell_sent(self._said)
         if source not in self._tools and not ADDRESS_FIRST <= source <= ADDRESS_LAST:
             # Claim only for a device of ours; a frame from a robot's address is forged.
-            self._tools.add(source)
-            self._tool.submit(tool_claim(source))
-        self._tool.submit(encode(message, source))
+            self._tools[source] = source
+            self._tool.submit(tool_claim(source, source))
+        self._tool.submit(encode(message, self._tools.get(source, source)))
 
     def propose(self, message: Message) -> None:
         """Send a frame of a device that is no robot, with its proof in a fleet with keys. The caller
         repeats it, because the device may not know the fleet's time yet."""
         self.inject(message)
         if self._proofs is not None:
-            for said in self._proofs.after(message, TOOL_ADDRESS, self.host.now_us()):
+            address = self._tools[TOOL_ADDRESS]
+            for said in self._proofs.after(message, address, self.host.now_us()):
                 self.inject(said)
 
     def order(self, message: Signed) -> None:
@@ -336,15 +342,29 @@ class Cluster:
         source, message = decode_once(frame)
         asked = isinstance(message, Request) and message.pgn == GROUP_OF[AddressClaimed].pgn
         if asked and self._tool is not None:
-            for address in sorted(self._tools):
+            for number, address in sorted(self._tools.items()):
                 if destination_of(frame) in (GLOBAL_ADDRESS, address):
-                    self._tool.submit(tool_claim(address))
+                    self._tool.submit(tool_claim(number, address))
+        if isinstance(message, AddressClaimed):
+            self._contend(source, message.name)
         if self._proofs is not None:
             self._proofs.hear(source, message, self.host.now_us())
         if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
             proof = self._keyring.answer(message, self.host.now_us())
             if proof is not None:
-                self._tool.submit(encode(proof, TOOL_ADDRESS, source))
+                self._tool.submit(encode(proof, self._tools[TOOL_ADDRESS], source))
+
+    def _contend(self, address: int, name: int) -> None:
+        """Another device claims an address of ours: keep it if our NAME is smaller, else take a free one,
+        as `tools/operate/tool_address.py` does."""
+        for number in [n for n, own in self._tools.items() if own == address]:
+            ours = tool_name(number).pack()
+            if name == ours or self._tool is None:
+                continue
+            if name < ours:
+                self._tools[number] = ADDRESS_LAST - self._tools_displaced % TOOL_ADDRESSES
+                self._tools_displaced += 1
+            self._tool.submit(tool_claim(number, self._tools[number]))
 
     def check(self) -> None:
         """Raise what a robot's task has raised: a failed assertion must not look like silence."""

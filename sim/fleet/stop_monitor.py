@@ -52,7 +52,12 @@ class StopMonitor:
         self._up = up if up is not None else lambda: range(robots)
         self._mute, self._hearers, self._now_us = mute, hearers, now_us
         self._silence_stops = silence_stops
-        self.bound_for_us = beat_of(robots).silence_for_us + REACTION_US
+        beat = beat_of(robots)
+        self.bound_for_us = beat.silence_for_us + REACTION_US
+        # By robots that do not hear it: somebody who sends beats in its name hides its silence, until its
+        # proofs end.
+        self.hidden_for_us = beat.life_for_us + self.bound_for_us
+        self._imitated_ends_at_us: dict[int, int] = {}  # slot -> until when its beats may be forged
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since
         self._pressed_at_us: dict[int, int] = {}
         self._by: dict[int, int] = {}  # press -> the robot that was pressed
@@ -80,10 +85,27 @@ class StopMonitor:
     ) -> None:
         """A stop that all these robots have to obey. `unheard`: robots that must obey only because
         the pressed robot, `by`, is silent to them."""
-        number = self.checker.press(now_us, self.bound_for_us, slots)
+        know = set(slots) - set(unheard)
+        if unheard and now_us < self._imitated_ends_at_us.get(by, 0):
+            self._press(now_us, know, (), know, by, self.bound_for_us)
+            self._press(now_us, unheard, unheard, know, by, self.hidden_for_us)
+        else:
+            self._press(now_us, slots, unheard, know, by, self.bound_for_us)
+
+    def imitated(self, slots: Collection[int], end_at_us: int) -> None:
+        """Until then somebody without a key may send beats in the names of these robots."""
+        for slot in slots:
+            now_ends_at_us = self._imitated_ends_at_us.get(slot, 0)
+            self._imitated_ends_at_us[slot] = max(now_ends_at_us, end_at_us)
+
+    def _press(
+        self, now_us: int, slots: Collection[int], unheard: Collection[int], know: Collection[int],
+        by: int, bound_for_us: int,
+    ) -> None:  # fmt: skip
+        number = self.checker.press(now_us, bound_for_us, slots)
         self._pressed_at_us[number], self._by[number] = now_us, by
         self._stages[number] = dict.fromkeys(slots, Stage.PRESSED)
-        self._know[number] = set(slots) - set(unheard)
+        self._know[number] = set(know)
         self._unheard[number] = frozenset(unheard)
         if by in self._mute():
             self._unsaid.add(number)

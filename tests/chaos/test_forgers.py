@@ -75,3 +75,27 @@ def test_a_dead_robot_whose_beats_are_imitated_is_missed_when_its_proofs_end() -
 def test_a_robot_that_lost_its_memory_gives_back_what_it_is_told(seed: int) -> None:
     """Found by `headland chaos --profile protocol+forger`: two robots differed for good."""
     assert judge(draw(seed, "protocol" + FORGER)).ok
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("profile", "seed"),
+    [
+        ("stolen", 13010377),  # new keys were given once to a robot that had just started
+        ("stolen", 13010492),
+        ("stolen", 13040005),  # a lie was lost at one of two robots: both worked its section
+        (
+            "forged",
+            13020371,
+        ),  # beats of a dead robot count until its proofs end, and then it is silent
+        ("protocol" + FORGER, 13510373),  # the same for a pressed robot that the others do not hear
+        (
+            "all" + FORGER,
+            13540113,
+        ),  # the operator's device kept an address that another one had taken
+    ],
+)
+def test_what_checkers_and_simulated_people_did_not_know_of_attackers(
+    profile: str, seed: int
+) -> None:
+    assert judge(draw(seed, profile)).ok

@@ -141,6 +141,24 @@ def test_who_has_not_heard_a_stop_is_held_by_a_silence_alone(memory: str) -> Non
     assert watch.violations[-1].slots == (0,)
 
 
+@pytest.mark.parametrize("imitated", [(), (0,), (1,)])
+def test_a_robot_whose_beats_are_imitated_is_silent_when_its_proofs_end(
+    imitated: tuple[int, ...],
+) -> None:
+    """Found by `headland chaos`, profile protocol+forger, seed 13510373: the others did not hear the
+    pressed robot, and an attacker beat in its name."""
+    parade = ProtocolWorld(3, 2)
+    watch = StopMonitor(parade, 3)
+    watch.imitated(imitated, 1 * S)
+    watch.pressed(0, (0, 1, 2), unheard=(2,), by=0)
+    parade.moved(2, 1 * S)
+    assert bool(watch.violations) is (imitated != (0,))
+    parade.moved(2, 2 * S)
+    assert watch.violations[-1].slots == (2,)
+    parade.moved(1, 2 * S)
+    assert watch.violations[-1].slots == (1,)
+
+
 @pytest.mark.parametrize("since_us", [1 * S, 2 * S])
 def test_a_stop_that_was_hardly_said_is_known_to_who_was_pressed_alone(since_us: int) -> None:
     """Thought of behind `headland chaos`, profile protocol, seed 1801786: the power of who was pressed
