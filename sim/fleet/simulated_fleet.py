@@ -352,7 +352,9 @@ class Cluster:
         if isinstance(message, Challenge) and self._keyring is not None and self._tool is not None:
             proof = self._keyring.answer(message, self.host.now_us())
             if proof is not None:
-                self._tool.submit(encode(proof, self._tools[TOOL_ADDRESS], source))
+                self._tool.submit(
+                    encode(proof, self._tools.get(TOOL_ADDRESS, TOOL_ADDRESS), source)
+                )
 
     def _contend(self, address: int, name: int) -> None:
         """Another device claims an address of ours: keep it if our NAME is smaller, else take a free one,
