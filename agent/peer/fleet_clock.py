@@ -75,8 +75,6 @@ class FleetClock(Part):
     def listens(self) -> Mapping[type[Any], Listener]:
         return {
             notices.AddressGained: self._joined,
-            notices.AddressLost: self._away,
-            notices.BusLost: self._away,
             notices.KeysChanged: self._keys_changed,
             notices.TimeDoubted: self._doubted,
         }
@@ -113,10 +111,12 @@ class FleetClock(Part):
     def _answer(self, ctx: StepContext) -> Outputs:
         """Answer one question that is due: the lowest slot first, which would start a time first."""
         now_us = ctx.now_us
+        if not ctx.joined:  # a question that stays due would keep the robot's computer busy
+            self._pending.clear()
         for old in [q for q, at_us in self._pending.items() if now_us - at_us > NONCE_LIFE_US]:
             del self._pending[old]
         due = [question for question, at_us in self._pending.items() if now_us >= at_us]
-        if not due or not ctx.joined:
+        if not due:
             return NOTHING
         question = min(due)
         del self._pending[question]
@@ -137,11 +137,6 @@ class FleetClock(Part):
             self.asks_at_us = ctx.now_us
             self._last = False
             self.alone_at_us = ctx.now_us + alone_for_us(self.slot)
-        return NOTHING
-
-    def _away(self, ctx: StepContext, notice: Any) -> Outputs:
-        """We cannot answer: a question that stays due would keep the robot's computer busy."""
-        self._pending.clear()
         return NOTHING
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
