@@ -103,6 +103,6 @@ def test_what_checkers_and_simulated_people_did_not_know_of_attackers(
 
 @pytest.mark.slow
 def test_a_question_of_the_time_keeps_no_robot_busy_that_leaves_the_bus() -> None:
-    """Found by `headland chaos --profile protocol+forger --seeds 14510302`: a person reset a robot that was
-    asked for the fleet's time. It is off the bus then, and the question stayed due."""
+    """Found by `headland chaos --profile protocol+forger --seeds 14510302`: a person reset a robot that
+    was asked for the fleet's time. It is off the bus then, and the question stayed due."""
     assert judge(draw(14510302, "protocol" + FORGER)).ok
