@@ -464,7 +464,7 @@ class ScenarioJudge:
         """Whether one of two robots must stand, or can hear that the other one works.
 
         Two robots that were switched on behind a cut, and have never met, know nothing of each other.
-        A thief who lies about sections is believed until its revocation (`docs/how/trust.md`).
+        A thief that lies about sections is believed until its revocation (`docs/how/trust.md`).
         """
         now_us = self.cluster.host.now_us()
         if any(begin_at_us <= now_us < end_at_us for begin_at_us, end_at_us in self._lies):

@@ -48,9 +48,7 @@ from sim.scenarios.scenario import Join, Scenario
 
 OPERATOR = 200  # slot of the operator device that sends a scenario's resets
 TOOL_ADDRESS = 249  # source address of scripted operator frames, unless another device takes it
-TOOL_ADDRESSES = (
-    16  # below `ADDRESS_LAST`, for tools whose address is taken; robots begin at the first
-)
+TOOL_ADDRESSES = 16  # the last ones of robots, for tools whose address is taken
 STOP_PGN = GROUP_OF[EmergencyStop].pgn
 PGN_MASK = 0x3FFFF  # of an identifier without its source address
 Record = Callable[[int, int, Effect], None]  # slot, time in microseconds, effect

@@ -93,11 +93,11 @@ class KeyedRig:
             self.boot(slot)
         self.run_for(BOOT_US)
 
-    def boot(self, slot: int) -> Peer:
-        """Switch a robot on, with an empty memory."""
+    def boot(self, slot: int, lost: bool = False) -> Peer:
+        """Switch a robot on, with an empty memory. `lost`: it knows that there was one."""
         identity = Identity(
             slot, frozenset(range(self.robots)), fleet_name(FLEET, slot), FIELD_HASH,
-            SilencePolicy.STOP, started=True, first_boot=True,
+            SilencePolicy.STOP, started=True, first_boot=not lost,
         )  # fmt: skip
         motion = HolonomicMotion(slot, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
         keyring = keyring_of(self.keys, slot, self.rng.randbytes(KEY_SIZE))

@@ -81,18 +81,16 @@ def test_a_robot_that_lost_its_memory_gives_back_what_it_is_told(seed: int) -> N
 @pytest.mark.parametrize(
     ("profile", "seed"),
     [
-        ("stolen", 13010377),  # new keys were given once to a robot that had just started
+        # New keys were given once, to robots that had just started.
+        ("stolen", 13010377),
         ("stolen", 13010492),
-        ("stolen", 13040005),  # a lie was lost at one of two robots: both worked its section
-        (
-            "forged",
-            13020371,
-        ),  # beats of a dead robot count until its proofs end, and then it is silent
-        ("protocol" + FORGER, 13510373),  # the same for a pressed robot that the others do not hear
-        (
-            "all" + FORGER,
-            13540113,
-        ),  # the operator's device kept an address that another one had taken
+        # A lie was lost at one of two robots: both worked its section.
+        ("stolen", 13040005),
+        # Imitated beats count until the proofs of a robot end, and then it has to be silent.
+        ("forged", 13020371),
+        ("protocol" + FORGER, 13510373),
+        # The operator's device kept an address that another one had taken.
+        ("all" + FORGER, 13540113),
     ],
 )
 def test_what_checkers_and_simulated_people_did_not_know_of_attackers(

@@ -1,7 +1,9 @@
 """What a robot with keys believes of its own records after a restart."""
 
+from collections.abc import Sequence
 from random import Random
 
+from agent.interface.effects import Effect, Persist
 from agent.peer.durable_records import U64, DurableRecords
 from agent.peer.journal_recovery import senseless
 from crdt import FieldAllocationCRDT, Phase, Progress
@@ -9,6 +11,7 @@ from crdt.claim_register import pack
 from protocol.frames.work_frames import WorkProgress
 from protocol.sync.replica import Replica
 from protocol.sync.vouchers import Revocation, Vouched, Vouchers
+from sim.rigs.keyed_rig import KeyedRig
 
 US, THIEF, UNITS = 0, 1, 40
 OWN, FOREIGN = 0b0011, 0b1100
@@ -75,3 +78,30 @@ def test_a_fleet_whose_keys_were_taken_away_reads_all_units() -> None:
 def test_without_keys_records_are_what_they_were() -> None:
     assert DurableRecords.progress(2, 1, 5) == ("progress/2/1", U64.pack(5))
     assert DurableRecords.operation(1, 2, END)[0] == ("register/2", U64.pack(END))
+
+
+class Disks(KeyedRig):
+    """Robots with keys, and the names of the records that they write."""
+
+    def __init__(self, seed: int) -> None:
+        self.written: list[tuple[int, str]] = []
+        super().__init__(seed)
+
+    def send(self, slot: int, effects: Sequence[Effect]) -> None:
+        for effect in effects:
+            if isinstance(effect, Persist):
+                self.written.append((slot, effect.key))
+        super().send(slot, effects)
+
+
+def test_a_robot_that_lost_its_memory_writes_down_what_it_is_told_of_itself() -> None:
+    """It is its own word from then on, and has to outlive the next restart."""
+    rig = Disks(1)
+    rig.work(1, 0)
+    rig.written.clear()
+    rig.boot(1, lost=True)
+    rig.run_for(5_000_000)
+    assert rig.peers[1].allocation.owner_of(0) == 1
+    assert (1, "register/0") in rig.written
+    vouchers = rig.peers[1].sync.replica.vouchers
+    assert vouchers is not None and vouchers.said_by(0, 1) == rig.peers[1].allocation.key(0)
