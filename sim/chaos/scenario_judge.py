@@ -105,7 +105,6 @@ class ScenarioJudge:
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
         self._trouble_at_us = 0  # the newest trouble of a link or a member
         self._cut_ends_at_us = SETTLED_US  # until then, some robots may be unable to receive
-        self._forged_ends_at_us = -1  # somebody imitates robots until then
         self._lies: list[tuple[int, int]] = []  # from when to when a thief speaks with a stolen key
         # Address -> since when it is lost, NAME, slot.
         self._lost: dict[int, tuple[int, bytes, int]] = {}
@@ -243,10 +242,8 @@ class ScenarioJudge:
                 self._at(
                     at_us, partial(self.cluster.acquaintance.addresses_taken, taken_ends_at_us)
                 )
-            case kinds.Forger(for_s=for_s, position=position):
-                if position == "inside":
-                    self._lies.append((at_us, at_us + round(for_s * S)))
-                self._at(at_us, partial(self._forges, at_us + round(for_s * S) + SETTLED_US))
+            case kinds.Forger(for_s=for_s, position="inside"):
+                self._lies.append((at_us, at_us + round(for_s * S)))
             case kinds.Foreign(claims=True):
                 self._at(at_us, self._unsure_of_name)
             case kinds.Foreign(claims=False):
@@ -271,10 +268,6 @@ class ScenarioJudge:
             self._interrupted()
         for slot in list(self._silences):
             self._heard_of(slot)
-
-    def _forges(self, end_at_us: int) -> None:
-        """Until then somebody may send beats in the name of a robot."""
-        self._forged_ends_at_us = max(self._forged_ends_at_us, end_at_us)
 
     def _loses_address(self, slot: int) -> None:
         """S18: if it must have received the better claim, it sends nothing more from that
@@ -488,13 +481,12 @@ class ScenarioJudge:
     def _stand_for_us(self) -> int:
         return beat_of(self.scenario.fleet.robots).silence_for_us + SLACK_US
 
-    @property
-    def _silent_for_us(self) -> int:
+    def _silent_for_us(self, slot: int) -> int:
         """After this the death of a robot is noticed. Beats that somebody imitates count until its proofs
         end, and then it has to be silent."""
-        beat = beat_of(self.scenario.fleet.robots)
-        forged = self.cluster.host.now_us() < self._forged_ends_at_us
-        return self._stand_for_us + (beat.life_for_us if forged else 0)
+        hidden = self.cluster.stops.is_imitated(slot, self.cluster.host.now_us())
+        life_for_us = beat_of(self.scenario.fleet.robots).life_for_us
+        return self._stand_for_us + (life_for_us if hidden else 0)
 
     def _dies(self, slot: int) -> None:
         """S6: if links are without trouble, all robots that have met it must stand until it is
@@ -504,7 +496,7 @@ class ScenarioJudge:
         if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
             met = cluster.acquaintance.met
             others = [robot.slot for robot in cluster.running if met(robot.slot, slot)]
-            watch = self.silence.press(now_us, self._silent_for_us, others)
+            watch = self.silence.press(now_us, self._silent_for_us(slot), others)
             self._silences.setdefault(slot, []).append(watch)
         self._trouble_at_us = now_us
         self._lapses(slot)

@@ -73,13 +73,19 @@ def _replay(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
         if frame.data:
             heard.append(frame)
 
+    with _listening(cluster, keep), device(cluster, {}) as bus:
+        for due_at_us in _times(cluster, fault.for_s, FORGED_US):
+            yield due_at_us
+            if heard:
+                bus.submit(_spoilt(rng.choice(heard), rng))
+
+
+@contextmanager
+def _listening(cluster: Cluster, keep: Callable[[int, Frame], None]) -> Iterator[None]:
+    """Pass on every frame of the bus with its time, while it lasts."""
     cluster.segment.taps.append(keep)
     try:
-        with device(cluster, {}) as bus:
-            for due_at_us in _times(cluster, fault.for_s, FORGED_US):
-                yield due_at_us
-                if heard:
-                    bus.submit(_spoilt(rng.choice(heard), rng))
+        yield
     finally:
         cluster.segment.taps = [tap for tap in cluster.segment.taps if tap != keep]
 
@@ -124,7 +130,13 @@ def revocation(cluster: Cluster, robot: int) -> Script[None]:
     lot = Random(f"{cluster.scenario.run.seed}/revocation/{generation}")
     new = Rekeying(generation, lot.randbytes(KEY_SIZE), robot)
     heard: list[KeysHeld] = []
-    with _confirmations(cluster, heard):
+
+    def keep(t_us: int, frame: Frame) -> None:
+        message = decode_once(frame)[1]
+        if isinstance(message, KeysHeld):
+            heard.append(message)
+
+    with _listening(cluster, keep):
         for _ in range(ROUNDS_MAX):
             for slot in sorted(others - confirmed(new, heard, False)):
                 for part in seal(new, own_key(setting.root, slot), slot):
@@ -141,22 +153,6 @@ def revocation(cluster: Cluster, robot: int) -> Script[None]:
                 break
             yield cluster.host.now_us() + S // 2
     cluster.rekeyed(new.keys)
-
-
-@contextmanager
-def _confirmations(cluster: Cluster, heard: list[KeysHeld]) -> Iterator[None]:
-    """Add what robots confirm, while it lasts."""
-
-    def keep(t_us: int, frame: Frame) -> None:
-        message = decode_once(frame)[1]
-        if isinstance(message, KeysHeld):
-            heard.append(message)
-
-    cluster.segment.taps.append(keep)
-    try:
-        yield
-    finally:
-        cluster.segment.taps = [tap for tap in cluster.segment.taps if tap != keep]
 
 
 # -------------------------------------------------------------------- what they say

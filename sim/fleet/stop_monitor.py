@@ -86,7 +86,7 @@ class StopMonitor:
         """A stop that all these robots have to obey. `unheard`: robots that must obey only because
         the pressed robot, `by`, is silent to them."""
         know = set(slots) - set(unheard)
-        if unheard and now_us < self._imitated_ends_at_us.get(by, 0):
+        if unheard and self.is_imitated(by, now_us):
             self._press(now_us, know, (), know, by, self.bound_for_us)
             self._press(now_us, unheard, unheard, know, by, self.hidden_for_us)
         else:
@@ -97,6 +97,10 @@ class StopMonitor:
         for slot in slots:
             now_ends_at_us = self._imitated_ends_at_us.get(slot, 0)
             self._imitated_ends_at_us[slot] = max(now_ends_at_us, end_at_us)
+
+    def is_imitated(self, slot: int, now_us: int) -> bool:
+        """Whether somebody may send beats in the name of this robot now."""
+        return now_us < self._imitated_ends_at_us.get(slot, 0)
 
     def _press(
         self, now_us: int, slots: Collection[int], unheard: Collection[int], know: Collection[int],

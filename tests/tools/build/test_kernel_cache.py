@@ -12,7 +12,7 @@ from tools.build.kernel_cache import COMPILE, MORE, Compiling, kernels_kept, tol
 
 
 def test_an_empty_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    numba = pytest.importorskip("numba", reason="the extra `sim` is not installed")
+    numba = pytest.importorskip("numba", reason="the extra `robot` is not installed")
     monkeypatch.setattr(numba.config, "CACHE_DIR", str(tmp_path))
     assert kernels_kept() == 0
     (tmp_path / "agent").mkdir()
@@ -25,7 +25,7 @@ WAIT_S = 60.0  # for a thread to begin, on a busy machine
 
 def test_a_wait_for_kernels_is_told_once(monkeypatch: pytest.MonkeyPatch) -> None:
     """A launch was silent for minutes where only a run had compiled kernels before."""
-    event = pytest.importorskip("numba.core.event", reason="the extra `sim` is not installed")
+    event = pytest.importorskip("numba.core.event", reason="the extra `robot` is not installed")
     monkeypatch.setattr(kernel_cache, "TOLD_AFTER_S", 0.0)
     told: list[str] = []
     said = Event()
@@ -46,7 +46,7 @@ def test_a_wait_for_kernels_is_told_once(monkeypatch: pytest.MonkeyPatch) -> Non
 
 
 def test_a_short_wait_for_kernels_needs_no_word() -> None:
-    event = pytest.importorskip("numba.core.event", reason="the extra `sim` is not installed")
+    event = pytest.importorskip("numba.core.event", reason="the extra `robot` is not installed")
     told: list[str] = []
     with told_compiling(told.append):
         event.start_event(COMPILE)

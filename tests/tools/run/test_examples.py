@@ -19,8 +19,8 @@ pytestmark = pytest.mark.slow
 
 @pytest.fixture(autouse=True)
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    for package in ("pandas", "matplotlib"):
-        pytest.importorskip(package, reason="the extra sim is not installed")
+    for package, extra in (("pandas", "frames"), ("matplotlib", "sim")):
+        pytest.importorskip(package, reason=f"the extra `{extra}` is not installed")
     monkeypatch.chdir(tmp_path)
     monkeypatch.syspath_prepend(str(EXAMPLES))
     monkeypatch.setenv("MPLBACKEND", "Agg")
