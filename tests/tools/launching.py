@@ -37,14 +37,19 @@ async def call(folder: Path, *words: str) -> tuple[int, str]:
 
 
 async def said(launch: Process, pattern: str) -> str:
-    """The first group, as soon as a line matches."""
+    """The first group, as soon as a line matches. Fails with all that was said instead."""
     assert launch.stdout is not None
-    async with asyncio.timeout(WAIT_S):
-        async for raw in launch.stdout:
-            found = re.search(pattern, raw.decode())
-            if found:
-                return found[1]
-    raise AssertionError("the launch ended early")
+    lines: list[str] = []
+    try:
+        async with asyncio.timeout(WAIT_S):
+            async for raw in launch.stdout:
+                lines.append(raw.decode())
+                found = re.search(pattern, lines[-1])
+                if found:
+                    return found[1]
+    except TimeoutError:
+        raise AssertionError(f"no line of {pattern} in {WAIT_S} s:\n{''.join(lines)}") from None
+    raise AssertionError(f"the launch ended early:\n{''.join(lines)}")
 
 
 async def delivered(port: int, count: int) -> None:
@@ -70,16 +75,9 @@ async def delivered(port: int, count: int) -> None:
 
 async def robots_up(launch: Process, count: int) -> list[int]:
     """Process ids of the robots, once all of them are working."""
-    pids: list[int] = []
-    assert launch.stdout is not None
-    async with asyncio.timeout(WAIT_S):
-        async for raw in launch.stdout:
-            line = raw.decode()
-            if line.startswith("robot ") and "process" in line:
-                pids.append(int(line.split()[-1]))
-            if line.count("WORKING") == count:
-                return pids
-    raise AssertionError("the launch ended early")
+    pids = [int(await said(launch, rf"^robot {slot}: process (\d+)")) for slot in range(count)]
+    await said(launch, rf"((WORKING.*){{{count}}})")
+    return pids
 
 
 async def states(folder: Path) -> dict[int, str]:

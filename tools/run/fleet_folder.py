@@ -7,6 +7,7 @@ earlier launch move into `launch-N`.
 
 import contextlib
 import json
+from collections.abc import Callable
 from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
@@ -25,6 +26,7 @@ from tools.common.run_folder import (
     numbered,
 )
 from tools.run.launch_setup import AnySetting
+from tools.run.robot_lock import until_left
 
 FLEET = "fleet.json"
 TRUTH = "truth.jsonl"
@@ -55,8 +57,12 @@ def identity_of(setting: AnySetting) -> str:
     return blake2b(text.encode(), digest_size=8).hexdigest()
 
 
-def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> FleetFolder:
-    """Where this fleet is launched. Raises FolderError and OSError."""
+def fleet_folder(
+    out: Path | None, setting: AnySetting, fresh: bool, told: Callable[[str], object] = print
+) -> FleetFolder:
+    """Where this fleet is launched. `told`: gets a line if that has to be waited for.
+
+    Raises FolderError and OSError."""
     identity = identity_of(setting)
     locks: list[IO[str]] = []
     try:
@@ -68,6 +74,7 @@ def fleet_folder(out: Path | None, setting: AnySetting, fresh: bool) -> FleetFol
             out.mkdir(parents=True, exist_ok=True)
             folder, said = out, ""
         locks.append(_locked(folder / "lock", folder))
+        until_left(folder, told)
         known = _known(folder)
         same = known is not None and known["fleet"] == identity
         going_on = same and not known["over"] and not fresh if known is not None else False

@@ -75,7 +75,7 @@ def launch(
         served = None if metrics is None else metrics_address(metrics)
         if foxglove is not None:
             check_port(foxglove)
-        fleet = fleet_folder(out, setting, fresh)
+        fleet = fleet_folder(out, setting, fresh, console.print)
         own = None
         if makes_own:
             own = fleet_keys(

@@ -21,11 +21,12 @@ from agent.runtime.end_signals import on_closed_input, on_end
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_file import RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, run_robot
+from tools.run.robot_lock import hold
 
 
 async def run(order: dict[str, Any]) -> None:
     """Run one robot as the order describes it, until the process is told to end. Raises RobotError
-    if its journal cannot be opened."""
+    if its lock or its journal cannot be opened."""
     robot = RobotFile.of(order["robot"], "robot", Path())
     loop, end = asyncio.get_running_loop(), asyncio.Event()
     on_end(loop, end.set, (signal.SIGTERM,))
@@ -35,7 +36,13 @@ async def run(order: dict[str, Any]) -> None:
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)
 
-    await run_robot(robot, end, first_boot=bool(order["first_boot"]), started=started)
+    slot = robot.robot.slot
+    try:
+        held = hold(robot.folder / robot.robot.journal, slot)
+    except OSError as problem:
+        raise RobotError(f"robot {slot}: its lock cannot be written: {problem}") from None
+    with held:
+        await run_robot(robot, end, first_boot=bool(order["first_boot"]), started=started)
 
 
 def main() -> None:

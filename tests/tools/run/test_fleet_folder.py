@@ -3,6 +3,9 @@
 import asyncio
 import json
 import os
+import signal
+import subprocess
+import sys
 from math import cos, sin
 from pathlib import Path
 from random import Random
@@ -21,14 +24,21 @@ from sim.world.parcel_truth import Parcels
 from sim.world.robot_body import SimulatedBody
 from sim.world.world_memory import TRACK_DIGITS, WorldMemory
 from tests.tools.complaint import Complaints
-from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
+from tests.tools.launching import ENVIRONMENT, WAIT_S, call, robots_up, said, start, states
 from tools.common.bus_address import CHANNEL
 from tools.common.bus_attach import attach
 from tools.common.run_folder import QUEUE, FolderError, folder_for
-from tools.run.fleet_folder import _put_away, end_fleet, fleet_folder
+from tools.run import robot_lock
+from tools.run.fleet_folder import FleetFolder, _put_away, end_fleet, fleet_folder
 from tools.run.launch import STRAIGHT_M
 
 EPOCH_2020_S = 1_577_836_800
+# Holds the locks of robots 2 and 11 of a folder until its input ends.
+HOLDS = """
+import sys; from pathlib import Path; from tools.run.robot_lock import hold
+held = [hold(Path(sys.argv[1]), slot) for slot in (2, 11)]
+print("held", flush=True); sys.stdin.read()
+"""
 
 
 @pytest.mark.slow
@@ -69,6 +79,37 @@ def test_e2_a_latched_fleet_stays_latched_after_kill_9_and_the_same_command(tmp_
         times = [m.timestamp for m in can.LogReader(folder / "can.log")]
         assert times and min(times) > EPOCH_2020_S
         await _mcap_has_one_clock(folder / "run.mcap", min(times))
+
+    asyncio.run(story())
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="robots are watched by pidfd, of Linux")
+def test_a_launch_waits_for_the_robots_of_a_killed_one(tmp_path: Path) -> None:
+    """Found: their journals were still open, so that the new robots ended, and the launch went on."""
+
+    async def story() -> None:
+        launch = await start(tmp_path, "launch", "small", "--robots", "2")
+        pids: list[int] = []
+        try:
+            pids = await robots_up(launch, 2)
+            os.kill(pids[1], signal.SIGSTOP)
+        finally:
+            launch.kill()
+            await launch.wait()
+        try:
+            again = await start(tmp_path, "launch", "small", "--robots", "2")
+        except BaseException:
+            os.kill(pids[1], signal.SIGKILL)
+            raise
+        try:
+            await said(again, r"(waits for robots (0 )?1 of the launch before)")
+            os.kill(pids[1], signal.SIGCONT)
+            await robots_up(again, 2)
+        finally:
+            again.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await again.wait()
 
     asyncio.run(story())
 
@@ -131,8 +172,7 @@ def test_e2_a_launch_goes_on_until_its_work_is_done_or_it_is_told_otherwise(fold
         fleet = fleet_folder(out, _setting(robots), fresh)
         (fleet.folder / "robot0.sqlite").write_text("memory")
         (fleet.folder / "can.log").write_text(f"launch {fleet.launches}")
-        for lock in fleet.locks:
-            lock.close()
+        _close(fleet)
         return str(fleet.folder), fleet.continues
 
     assert begin() == ("runs/small-1", False)
@@ -144,8 +184,7 @@ def test_e2_a_launch_goes_on_until_its_work_is_done_or_it_is_told_otherwise(fold
     fleet = fleet_folder(None, _setting(3), False)
     assert fleet.continues
     end_fleet(fleet, _setting(3))
-    for lock in fleet.locks:
-        lock.close()
+    _close(fleet)
     assert begin(robots=3) == ("runs/small-4", False), "its work was done"
     out = Path("mine")
     assert begin(out=out) == ("mine", False)
@@ -159,6 +198,45 @@ def test_e2_a_launch_goes_on_until_its_work_is_done_or_it_is_told_otherwise(fold
     assert not (out / QUEUE).exists() and (out / "launch-2" / QUEUE).exists(), "of the last fleet"
     with pytest.raises(FolderError, match="journals"):
         folder_for(out, "small")
+
+
+def test_a_fleet_is_continued_when_its_old_robots_have_ended(folder: Path) -> None:
+    first = fleet_folder(None, _setting(), False)
+    _close(first)
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDS, str(first.folder)],
+        stdin=subprocess.PIPE, stdout=subprocess.PIPE, env=ENVIRONMENT,
+    ) as robots:  # fmt: skip
+        assert robots.stdin is not None and robots.stdout is not None
+        assert robots.stdout.readline() == b"held\n"
+        lines: list[str] = []
+
+        def told(line: str) -> None:
+            lines.append(line)
+            assert robots.stdin is not None
+            robots.stdin.close()
+
+        again = fleet_folder(None, _setting(), False, told)
+    _close(again)
+    assert again.folder == first.folder
+    assert lines == ["waits for robots 2 11 of the launch before, which was killed"]
+
+
+def test_robots_that_do_not_end_are_named(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    first = fleet_folder(None, _setting(), False)
+    _close(first)
+    monkeypatch.setattr(robot_lock, "LEFT_WITHIN_S", 0.0)
+    with (
+        robot_lock.hold(first.folder, 1),
+        pytest.raises(FolderError, match=r"robots 1 of an earlier .*--out"),
+    ):
+        fleet_folder(None, _setting(), False, lambda _: None)
+    _close(fleet_folder(None, _setting(), False))
+
+
+def _close(fleet: FleetFolder) -> None:
+    for lock in fleet.locks:
+        lock.close()
 
 
 def test_e2_the_world_goes_on_where_it_was_killed(folder: Path) -> None:
