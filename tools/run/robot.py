@@ -40,7 +40,7 @@ async def run(order: dict[str, Any]) -> None:
     try:
         held = hold(robot.folder / robot.robot.journal, slot)
     except OSError as problem:
-        raise RobotError(f"robot {slot}: its lock cannot be written: {problem}") from None
+        raise RobotError(f"robot {slot}: its journal cannot be opened: {problem}") from None
     with held:
         await run_robot(robot, end, first_boot=bool(order["first_boot"]), started=started)
 
