@@ -2,7 +2,6 @@
 
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from enum import Enum
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,21 +11,16 @@ from numpy.typing import NDArray
 from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_report import fleet_status, serialize_for_llm
 from agent.exploration.exploration_task import ExplorationOrder
-from agent.exploration.lone_exploration import LoneExploration
 from agent.interface.config import MS, S
-from agent.interface.lifecycle import State
-from agent.runtime.mission_parts import MAP_TICK_US, exploration_parts
-from agent.runtime.peer_factory import MissionParts
-from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
-from crdt.sighting import TIME_MAX
 from protocol.frames.codec import decode_once
 from protocol.frames.frame import Frame
 from protocol.frames.map_frames import MapDigests, MapPatch
-from protocol.sync.map_sync import MapSync, Values
+from protocol.sync.map_sync import Values
 from sim.can.frame_timing import worst_bits
 from sim.fleet.scheduler import Handle, Host
-from sim.fleet.simulated_fleet import Cluster, Record
+from sim.fleet.simulated_fleet import Record
+from sim.runs.exploration_fleet import ExplorationFleet, Sharing
 from sim.runs.run import MissionRun, RunProgress, of_bodies, points_of, states_of
 from sim.scenarios.exploration_scenario import ExplorationScenario, ExplorationSetup
 from sim.world.ground_truth import TrackPoint
@@ -34,31 +28,6 @@ from sim.world.ground_truth import TrackPoint
 QUIET_US = 2 * S  # after the last news of the map, all replicas must be equal within this time
 MOST = 0.95
 REPORT_S = 2.0
-
-
-class Sharing(Enum):
-    """What robots know of each other's maps."""
-
-    FLEET = "the real wire"
-    AT_ONCE = "one map for all, without a wire: what an omniscient coordinator would have"
-    NONE = "each for itself, to the nearest frontier"
-
-
-class InstantMapSync(MapSync):
-    """News reach all maps immediately and without a frame."""
-
-    fleet: "list[InstantMapSync]"
-    hold_for_us = 0
-    now_us = 0
-
-    def see(self, patch: int, values: Values, level: int) -> None:
-        time_s = self.clock.read(self.now_us)
-        for other in self.fleet:
-            other.chart.apply(patch, values, level, time_s, self.slot)
-
-    @property
-    def due_at_us(self) -> int:
-        return 1 << 62
 
 
 class ExplorationOutcome(NamedTuple):
@@ -100,61 +69,6 @@ class ExplorationOutcome(NamedTuple):
         """The figures as plain values for JSON."""
         plain = {**self._asdict(), "frames": dict(self.frames), "tasks": dict(self.tasks)}
         return {**plain, "success": self.success}
-
-
-class ExplorationFleet(Cluster):
-    """A cluster of explorers, which share maps over the wire, at once, or not at all."""
-
-    def __init__(
-        self, setting: ExplorationSetup, channel: str, record: Record, host: Host,
-        sharing: Sharing, orders: Sequence[ExplorationOrder],
-    ) -> None:  # fmt: skip
-        super().__init__(setting, channel, record, host)
-        self.place, self.sharing, self.orders = setting, sharing, orders
-        self.missions: dict[int, ExplorationMission] = {}
-        self.at_once: list[InstantMapSync] = []
-
-    def parts(self, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> MissionParts:
-        place, arena = self.place, self.place.scenario.arena
-        kind = LoneExploration if self.sharing is Sharing.NONE else ExplorationMission
-        parts = exploration_parts(
-            slot, place.scenario.fleet.robots, self._sync(slot, now_us), place.vehicle,
-            arena.range_m, self.orders, robots_max=arena.robots_max, kind=kind,
-            shares=self.sharing is Sharing.FLEET,
-        )  # fmt: skip
-        assert isinstance(parts.mission, ExplorationMission)
-        self.missions[slot] = parts.mission
-        return parts
-
-    def _sync(self, slot: int, now_us: int) -> MapSync:
-        chart = OccupancyMap(self.place.geometry, self.place.order)
-        clock = HybridClock(now_us, MAP_TICK_US, TIME_MAX)
-        if self.sharing is Sharing.FLEET:
-            return MapSync(slot, chart, clock, now_us)
-        sync = InstantMapSync(slot, chart, clock, now_us)
-        sync.fleet = [sync]
-        if self.sharing is Sharing.AT_ONCE:
-            self.at_once.append(sync)
-            sync.fleet = self.at_once
-        return sync
-
-    @property
-    def finished(self) -> bool:
-        """Whether no robot that may drive has a task, or sees a frontier that it could reach."""
-        running = [robot for robot in self.running if robot.peer.safety.may_move]
-        return bool(running) and all(
-            robot.peer.mission is not None
-            and self.missions[robot.slot].over
-            and self.missions[robot.slot].task is None
-            and robot.peer.state is State.IDLE
-            for robot in running
-        )
-
-    @property
-    def maps_equal(self) -> bool:
-        """Whether the maps of all running robots are equal bit for bit."""
-        charts = {self.missions[robot.slot].chart.fleet.serialize() for robot in self.running}
-        return len(charts) <= 1
 
 
 class SeenCells:

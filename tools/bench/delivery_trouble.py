@@ -13,7 +13,8 @@ from random import Random
 from typing import Any
 
 from agent.interface.config import S
-from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
+from sim.runs.delivery_fleet import DeliveryFleet
+from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
 from sim.scenarios.building_generator import warehouse
 from sim.scenarios.delivery_scenario import DeliveryScenario
 from sim.scenarios.delivery_setup import DeliverySetup

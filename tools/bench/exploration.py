@@ -7,7 +7,8 @@ import numpy as np
 
 from crdt.occupancy import Geometry, OccupancyMap
 from crdt.sighting import OBSTACLE, UNKNOWN, MergeOrder
-from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun, Sharing
+from sim.runs.exploration_fleet import Sharing
+from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import Crash, Loss
 from tools.bench.figure import Figure

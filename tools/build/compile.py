@@ -24,7 +24,8 @@ WRONG = 1
 LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
-# protocols alone, what is seldom called, what mypyc refuses (constrained type variables), and
+# protocols alone, what is seldom called, and what mypyc refuses: constrained type variables,
+# `agent/motion/obstacle_stop.py`, which keeps a set where it says a frozen one, and
 # `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. None has a `cached_property`: mypyc
 # calls it each time.
 GROUP = {
@@ -38,7 +39,7 @@ GROUP = {
     "field.section_shares field.steered_travel_times field.tractor_mission "
     "field.travel_times field.work_leg "
     "interface.effects mapf.agreement_phase motion.deadlock_yield motion.holonomic_motion "
-    "motion.obstacle_detector motion.obstacle_stop motion.path_tracker motion.right_of_way "
+    "motion.obstacle_detector motion.path_tracker motion.right_of_way "
     "motion.stopping_zone motion.tractor_motion pathfinding.goal_agreement pathfinding.goal_course "
     "pathfinding.pathfinding_mission "
     "peer.announcements peer.control_cycle peer.departure "
@@ -58,7 +59,8 @@ GROUP = {
     "sim": "can.can_wire can.frame_counter can.frame_timing can.simulated_bus "
     "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
     "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "
-    "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder runs.grid_fleet world.checkers "
+    "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder runs.delivery_fleet "
+    "runs.exploration_fleet runs.grid_fleet world.checkers "
     "world.grid_world world.ground_truth world.protocol_world world.pymunk_engine world.robot_body "
     "world.world",
 }  # fmt: skip

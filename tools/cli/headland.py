@@ -121,6 +121,9 @@ def run(
     Example: headland run ring --robots 4 --film
     Example: headland run warehouse --live, then elsewhere: headland task add 9.5,2.5 1.5,8.5
     """
+    from tools.build.compiled_core import use
+
+    use()
     from sim.scenarios.scenario_kind import Kind, named
 
     kind, name = named(scenario)
@@ -428,7 +431,7 @@ def compile_core(
     ] = False,
     json: Json = False,
 ) -> None:
-    """Make machine code of what simulations spend their time in. Campaigns then use it by themselves.
+    """Make machine code of what simulations spend their time in. `run`, `mapf` and `chaos` use it then.
 
     Takes some minutes and a C compiler; results stay the same, bit for bit.
     Example: headland compile

@@ -10,7 +10,8 @@ from sim.can.socketcand_server import Hub
 from sim.files.palette import colour_of
 from sim.files.strict_json import dumps
 from sim.fleet.virtual_clock import WallLoop
-from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
+from sim.runs.delivery_fleet import DeliveryFleet
+from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
 from tools.common.bus_address import CHANNEL, absolute

@@ -18,7 +18,8 @@ from protocol.frames.delivery_frames import PlanRow, TaskBookDigest, TaskOrder
 from protocol.frames.frame import Frame
 from sim.fleet.simulated_disk import MemoryJournal
 from sim.fleet.trace_recorder import Recorder
-from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
+from sim.runs.delivery_fleet import DeliveryFleet
+from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import DeliveryScenario, Outage, TaskRow
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.fleet_setup import DRAWN

@@ -7,7 +7,8 @@ import pytest
 from agent.claims.standing_owners import STANDS_US
 from agent.exploration.exploration_task import ExplorationOrder, FleetFullError, TaskKind
 from agent.interface.config import S
-from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun, Sharing
+from sim.runs.exploration_fleet import Sharing
+from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from sim.scenarios.exploration_scenario import load_arena
 from sim.scenarios.scenario import (
     Crash,

@@ -10,7 +10,8 @@ import pytest
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
 from agent.navigation.path_requests import AHEAD_S
-from sim.runs.delivery_run import DeliveryFleet, DeliveryOutcome, DeliveryRun
+from sim.runs.delivery_fleet import DeliveryFleet
+from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import DeliveryScenario, TaskRow
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.world import World
