@@ -148,6 +148,20 @@ def test_headland_run_has_the_same_hashes_with_a_core(
     assert hashes[0] == hashes[1]
 
 
+@pytest.mark.parametrize("words", ["run nowhere", "mapf nowhere.map", "chaos --profile nothing"])
+def test_commands_that_simulate_look_for_a_core_first(
+    words: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from typer.testing import CliRunner
+
+    from tools.cli.headland import app
+
+    asked: list[bool] = []
+    monkeypatch.setattr(compiled_core, "use", lambda: asked.append(True))
+    assert CliRunner().invoke(app, words.split()).exit_code != 0
+    assert asked
+
+
 @pytest.mark.slow
 def test_compiled_and_interpreted_runs_have_the_same_trace_hashes(core: Path) -> None:
     used, file, compiled = play(FEW, str(core))
