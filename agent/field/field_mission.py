@@ -11,6 +11,7 @@ from math import copysign, hypot, inf, sqrt
 from typing import Final
 
 from agent.claims.claim_headway import NO_HEADWAY, Headway
+from agent.field.bar_swing import BarSwing
 from agent.field.displacement_detector import DisplacementDetector
 from agent.field.field_map import Field, Section
 from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
@@ -19,6 +20,7 @@ from agent.field.section_choice import SectionChooser
 from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
+from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
@@ -45,6 +47,8 @@ AIM_M: Final = 0.1
 # Nearer than this to the corner, it goes back to the line: turns between rows are shorter, and end
 # where the next row begins only if they are driven on their line.
 AIM_LEAST_M: Final = 6.0
+
+PAUSE_US: Final = 4 * CONTROL_PERIOD_US  # after a longer one, the motion since is unknown
 
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
 
@@ -96,6 +100,8 @@ class FieldMission(Mission):
         # How far back on the leg the left and the right end of the lowered bar have been.
         self.ends_begun_m = inf, inf
         self.ends_reached_m = 0.0, 0.0  # how far they have come while they passed the end of a unit
+        self.swing = BarSwing([])
+        self.swing_at_us = 0  # when the motion was last taken account of
         self.lifted = False  # the implement was up since the last check
         self.missed: int | None = None  # the unit that was driven last and does not count
         self.retried: set[int] = set()  # units of the section that were worked again at once
@@ -350,6 +356,7 @@ class FieldMission(Mission):
                 self.tracker = PathTracker(points, self.speed_m_s, self.deceleration_m_s2)
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
                 self.ends_begun_m, self.ends_reached_m = (inf, inf), (0.0, 0.0)
+                self.swing = BarSwing(points)
             self._line.locate(here.x_m, here.y_m)
             covered += self._passed(view)
             if not self.tracker.arrived:
@@ -460,10 +467,13 @@ class FieldMission(Mission):
         if self.lifted:  # it is lowered here; the part without work may reach into the next unit
             self.lifted, self.lifted_to_m = False, self.tracker.along_m
             self.ends_begun_m = inf, inf
+            self.swing.restart()
             if self.unit == 0 and self.tracker.along_m <= LEAD_M:
                 self.worst_m = 0.0  # the implement was up before the unit only
         if self._on_lead_in or max(self.ends_begun_m) == inf:
             self._observe_bar(view.here)
+        if self.turns_on_the_spot:
+            self._observe_swing(view)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, self._off_m(view.here))
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
@@ -474,13 +484,23 @@ class FieldMission(Mission):
             if self.tracker.along_m < end_m + past_m or self._bar_lags(view.here, end_m):
                 break
             begun_m = LEAD_M + self.unit * piece_m
-            if self.worst_m <= self.tolerance_m and self._down_since(begun_m):
+            wrongly = self.swing.wrongly and self._has_corner(begun_m, end_m)
+            if not wrongly and self.worst_m <= self.tolerance_m and self._down_since(begun_m):
                 passed.append(self.leg.units[self.unit])
             elif not is_last:
                 self.missed = self.leg.units[self.unit]
             self.unit += 1
-            self.worst_m = self._off_m(view.here)
+            self.worst_m, self.swing.wrongly = self._off_m(view.here), False
         return passed
+
+    def _observe_swing(self, view: FleetView) -> None:
+        """After a pause, as of a frozen process, it is unknown how the bar moved."""
+        here, for_us = view.here, view.now_us - self.swing_at_us
+        self.swing_at_us = view.now_us
+        if for_us <= PAUSE_US:
+            self.swing.observe(self._line.piece, here.vx_m_s, here.vy_m_s, for_us / S)
+        else:
+            self.swing.restart()
 
     def _off_m(self, here: Observation) -> float:
         """How far the robot may be from its line: as it senses, and as its place may be wrong."""
@@ -511,9 +531,12 @@ class FieldMission(Mission):
         return self.lifted_to_m <= begun_m
 
     def _is_corner(self, at_m: float) -> bool:
-        if not self.turns_on_the_spot:
-            return False
-        return any(abs(start_m - at_m) < STRAIGHT_M for start_m in self._line.starts_m[1:-1])
+        return self.turns_on_the_spot and self._has_corner(at_m, at_m)
+
+    def _has_corner(self, begun_m: float, end_m: float) -> bool:
+        """Whether the leg turns between these places or at them."""
+        corners_m = self._line.starts_m[1:-1]
+        return any(begun_m - STRAIGHT_M < at_m < end_m + STRAIGHT_M for at_m in corners_m)
 
     def _leads(self, section: Section, units: tuple[int, ...]) -> LeadInOut:
         if not self.turns_on_the_spot:

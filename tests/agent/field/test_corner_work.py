@@ -1,8 +1,13 @@
 """Corners: the bar swings round them with the implement down, or what begins there is worked again."""
 
-from math import hypot
+from collections.abc import Sequence
+from math import cos, hypot, pi, sin
+from random import Random
 
 import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from shapely.geometry import box
 
 from agent.field.field_map import Field, Section
@@ -16,32 +21,38 @@ from crdt import FieldAllocationCRDT, Progress
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.ground_truth import Track
 
+Push = tuple[float, float]
+
 CORNER = (26.0, 2.0)  # where the second unit ends and the third begins
 WIDTH_M, OVERLAP_M = 4.0, 0.2
 NEAR_M = 0.1  # a control period at full speed is 0.125 m, but corners are turned slowly
 SWATH = ((2.0, 2.0), CORNER, (26.0, 26.0))
 
 
-def _field() -> Field:
-    section = Section(0, (SWATH,), (4,))
+def _field(units: int) -> Field:
+    section = Section(0, (SWATH,), (units,))
     fences = ((0.0, 0.0), (28.0, 0.0), (28.0, 28.0), (0.0, 28.0))
-    return Field("corner", fences, (), (0.0, 0.0), (2.0, 2.0), WIDTH_M, OVERLAP_M, 12.0, (section,))
+    return Field("corner", fences, (), (0.0, 0.0), (2.0, 2.0), WIDTH_M, OVERLAP_M, 48.0 / units, (section,))
 
 
-def _worked(lifted_at: tuple[float, float] | None) -> tuple[list[int], float]:
+def _worked(
+    lifted_at: tuple[float, float] | None, units: int = 4, pushes: Sequence[Push] = ()
+) -> tuple[list[int], float]:
     """Units in the order in which they were covered, and the area left out about the corner, in m2.
 
     `lifted_at`: on reaching this place for the first time the robot stands for half a second,
-    implement up.
+    implement up. `pushes`: its velocities, (x, y) metres a second, in the control periods after it
+    has reached the corner for the first time.
     """
-    field = _field()
+    field, left = _field(units), None if not pushes else list(pushes)
     route = Route(np.zeros((120, 120), dtype=np.bool_), -1.0, -1.0, 0.25)
     work = FieldMission(field, route, 0.8, 2.5, 1.5)
     progress, track = Progress(work.section_units), Track()
     x_m, y_m, now_us, stands = 2.0, 2.0, 0, 0
+    vx_m_s = vy_m_s = 0.0
     covered: list[int] = []
-    while len(covered) < 4 and now_us < 120_000_000:
-        here = Observation(x_m, y_m, 0.0, 0.0, 0.0)
+    while len(covered) < units and now_us < 120_000_000:
+        here = Observation(x_m, y_m, 0.0, vx_m_s, vy_m_s)
         alone = frozenset({0})
         view = FleetView(0, now_us, here, FieldAllocationCRDT(), progress, alone, {}, {})
         if work.section is None:
@@ -56,15 +67,18 @@ def _worked(lifted_at: tuple[float, float] | None) -> tuple[list[int], float]:
         if not tool_on:
             work.on_implement_raised()
         track.add(now_us, x_m, y_m, tool_on)
+        vx_m_s, vy_m_s = wish.vx_m_s, wish.vy_m_s
+        at_corner = hypot(x_m - CORNER[0], y_m - CORNER[1]) < NEAR_M
+        if left and (at_corner or len(left) < len(pushes)):
+            vx_m_s, vy_m_s = left.pop(0)
         if stands:
-            stands -= 1
-        else:
-            x_m += wish.vx_m_s * CONTROL_PERIOD_US / 1e6
-            y_m += wish.vy_m_s * CONTROL_PERIOD_US / 1e6
+            vx_m_s, vy_m_s, stands = 0.0, 0.0, stands - 1
+        x_m += vx_m_s * CONTROL_PERIOD_US / 1e6
+        y_m += vy_m_s * CONTROL_PERIOD_US / 1e6
         now_us += CONTROL_PERIOD_US
     raster = sample_points(box(0.0, 0.0, 28.0, 28.0), WIDTH_M, OVERLAP_M, 0.1)
-    left = coverage(raster, {0: track}, WIDTH_M).uncovered
-    missed = [at for at in left if hypot(at[0] - CORNER[0], at[1] - CORNER[1]) < WIDTH_M / 2]
+    uncovered = coverage(raster, {0: track}, WIDTH_M).uncovered
+    missed = [at for at in uncovered if hypot(at[0] - CORNER[0], at[1] - CORNER[1]) < WIDTH_M / 2]
     return covered, len(missed) * 0.1**2
 
 
@@ -85,8 +99,32 @@ def test_who_lifts_elsewhere_works_the_unit_under_way_again() -> None:
     assert covered == [0, 1, 2, 3] and missed_m2 < 0.05
 
 
+@pytest.mark.parametrize("units", [3, 4])
+def test_a_robot_that_is_pushed_back_at_a_corner_swings_round_it_again(units: int) -> None:
+    """Chaos, profile body, seed 12000021: east, 8 cm south, then north. The bar had turned the other
+    way round, and a quarter of a disc beyond the corner was left."""
+    pushes = [(0.4, 0.0)] * 4 + [(0.0, -0.4)] * 4
+    covered, missed_m2 = _worked(None, units, pushes)
+    assert covered == list(range(units)) and missed_m2 < 0.05
+
+
+@settings(deadline=None)
+@given(units=st.sampled_from((3, 4)), seed=st.integers(0, 1 << 32))
+def test_however_a_robot_is_pushed_at_a_corner_nothing_is_left_beyond_it(
+    units: int, seed: int
+) -> None:
+    rng = Random(seed)
+    pushes: list[Push] = []
+    for _ in range(rng.randint(1, 5)):
+        course_rad, speed_m_s = rng.uniform(-pi, pi), rng.uniform(0.05, 1.0)
+        push = speed_m_s * cos(course_rad), speed_m_s * sin(course_rad)
+        pushes += [push] * rng.randint(1, 8)
+    covered, missed_m2 = _worked(None, units, pushes)
+    assert covered == list(range(units)) and missed_m2 < 0.05
+
+
 def test_a_stretch_follows_the_swath_round_a_corner_at_its_end() -> None:
-    section = _field().section(0)
+    section = _field(4).section(0)
     before, after = section.leads(2, 3, LEAD_M)
     assert np.allclose(before, ((CORNER[0] - LEAD_M, CORNER[1]), CORNER)) and after == ()
     before, after = section.leads(0, 1, LEAD_M)
