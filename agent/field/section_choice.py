@@ -87,9 +87,9 @@ class SectionChooser:
         return self._orphan(view)
 
     def observe(self, view: FleetView) -> None:
-        """Note which owners stand still. Call it while we work, too. A robot that has stood
-        for long gives its
-        section to the first one that is free."""
+        """Note which owners stand still. Call it while we work, too.
+
+        A robot that has stood for long gives its section to the first one that is free."""
         self.standing.observe(view, partial(_units_done, view))
 
     def _planned(

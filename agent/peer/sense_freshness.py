@@ -401,7 +401,8 @@ def _sound(seen: Observation) -> tuple[Observation, bool]:
     failed one. The place is left to `_on_map`.
     """
     ranges_m = seen.ranges_m
-    if ranges_m and not all(range_m >= 0.0 for range_m in ranges_m):
+    # The sum is no number where one of them is none.
+    if ranges_m and not (sum(ranges_m) >= 0.0 and min(ranges_m) >= 0.0):
         seen = seen._replace(ranges_m=())
     if not 0.0 <= seen.battery <= 1.0:
         seen = seen._replace(battery=1.0 if seen.battery > 1.0 else 0.0)
