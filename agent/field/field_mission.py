@@ -20,7 +20,6 @@ from agent.field.section_choice import SectionChooser
 from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
-from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
@@ -48,7 +47,6 @@ AIM_M: Final = 0.1
 # where the next row begins only if they are driven on their line.
 AIM_LEAST_M: Final = 6.0
 
-PAUSE_US: Final = 4 * CONTROL_PERIOD_US  # after a longer one, the motion since is unknown
 
 _wish = tuple.__new__  # a third of the time of keyword arguments; one is made each period
 
@@ -101,7 +99,6 @@ class FieldMission(Mission):
         self.ends_begun_m = inf, inf
         self.ends_reached_m = 0.0, 0.0  # how far they have come while they passed the end of a unit
         self.swing = BarSwing([])
-        self.swing_at_us = 0  # when the motion was last taken account of
         self.lifted = False  # the implement was up since the last check
         self.missed: int | None = None  # the unit that was driven last and does not count
         self.retried: set[int] = set()  # units of the section that were worked again at once
@@ -473,7 +470,7 @@ class FieldMission(Mission):
         if self._on_lead_in or max(self.ends_begun_m) == inf:
             self._observe_bar(view.here)
         if self.turns_on_the_spot:
-            self._observe_swing(view)
+            self.swing.observe(self._line.piece, self._line.along_m, view.here.x_m, view.here.y_m)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, self._off_m(view.here))
         piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
@@ -492,15 +489,6 @@ class FieldMission(Mission):
             self.unit += 1
             self.worst_m, self.swing.wrongly = self._off_m(view.here), False
         return passed
-
-    def _observe_swing(self, view: FleetView) -> None:
-        """After a pause, as of a frozen process, it is unknown how the bar moved."""
-        here, for_us = view.here, view.now_us - self.swing_at_us
-        self.swing_at_us = view.now_us
-        if for_us <= PAUSE_US:
-            self.swing.observe(self._line.piece, here.vx_m_s, here.vy_m_s, for_us / S)
-        else:
-            self.swing.restart()
 
     def _off_m(self, here: Observation) -> float:
         """How far the robot may be from its line: as it senses, and as its place may be wrong."""

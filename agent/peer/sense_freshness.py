@@ -275,6 +275,7 @@ class Senses(Part):
         """Why the place does not follow the wheels; empty if it does or need not."""
         here, anchor = self.here, self._anchor
         assert here is not None
+        start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         away_m = 0.0
         if anchor is not None:
             away_m = hypot(here.x_m - anchor.x_m, here.y_m - anchor.y_m)
@@ -297,7 +298,8 @@ class Senses(Part):
             drive, fastest_m_s = self._drive, FASTER * self.limits.speed_m_s
             told_m_s = max(self._most_m_s, hypot(drive.vx_m_s, drive.vy_m_s))
             if anchor is not None:  # nor was it faster than it was told, or could become
-                could_m_s = self._since.speed_m_s + self._acceleration_m_s2 * passed_for_us / S
+                gained_m_s = self._acceleration_m_s2 * (sensed_at_us - start_at_us) / S
+                could_m_s = self._since.speed_m_s + gained_m_s
                 fastest_m_s = min(fastest_m_s, max(told_m_s, could_m_s))
             self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
             before_m_s = max(self._expected_m_s, hypot(here.vx_m_s, here.vy_m_s))
@@ -311,7 +313,6 @@ class Senses(Part):
         if turned:
             self._unseen = self._unseen.then(Unseen(0.0, 0.0, self._since.turned_rad))
             self._since = self._since._replace(turned_rad=0.0)
-        start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         if not here.under_way:
             self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
             self._periods = 0

@@ -266,9 +266,12 @@ MOVERS = (kinds.Box, kinds.Person, kinds.PassingVehicle, kinds.Pushed)
 
 def _starts_from(fault: Fault) -> float | None:
     """From when on a robot may start because of this fault; none: it does not."""
-    return (
-        fault.at_s if isinstance(fault, kinds.Restart | kinds.CrashWorking | kinds.Join) else None
-    )
+    match fault:
+        case kinds.Restart() | kinds.CrashWorking() | kinds.Join():
+            return fault.at_s
+        case kinds.DiskFull():  # one whose memory has failed is started again when there is room
+            return fault.at_s + fault.for_s
+    return None
 
 
 def span_of(scenario: Scenario) -> Span:
@@ -324,9 +327,18 @@ def _begins_unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
     )
 
 
+def _believed(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
+    """Whether a person starts the robot meanwhile, and says so that the wrong place is right."""
+    return any(
+        jump.at_s <= each.at_s <= jump.at_s + jump.for_s
+        for each in drawn
+        if isinstance(each, kinds.Order) and each.order == "start" and each.robot == jump.robot
+    )
+
+
 def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
-    """A person looks at each robot whose place has jumped while it sensed nothing, or whose wheels did
-    not answer, and starts it.
+    """A person looks at each robot whose place has jumped while it sensed nothing, or was believed, or
+    whose wheels did not answer, and starts it.
 
     Such a jump, along its way, cannot be told from its braking; then the return to the true place is
     the jump that it notices. So is a push while it senses nothing, or nothing accurate. A clock that
@@ -335,7 +347,7 @@ def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]
-    robots = {each.robot for each in jumps if _begins_unseen(each, drawn)}
+    robots = {each.robot for each in jumps if _begins_unseen(each, drawn) or _believed(each, drawn)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
     if any(isinstance(each, LONELY) for each in drawn):

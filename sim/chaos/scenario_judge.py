@@ -7,7 +7,7 @@ restart before it has received any frame (S13).
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
-from math import hypot
+from math import dist, hypot
 from typing import Any
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S, beat_of
@@ -26,6 +26,7 @@ from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import UNSEEN_M, is_link_trouble, span_of
 from sim.chaos.protocol_rules import RuleViolation
 from sim.fleet.event_loop import EventLoop
+from sim.fleet.fault_injector import PUSHED_M_S
 from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import Cluster, Record
@@ -64,6 +65,7 @@ SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
 STAYS_DOWN_US = RISES_WITHIN_US + 2 * CONTROL_PERIOD_US + ACTUATOR_TTL_US + SLACK_US
 # Distance of a robot that starts to drive while its position is frozen, and brakes again.
 STARTING_M = 0.5
+STOOD_M = 0.01  # a body that is less far away than this has not moved
 # Copies are lost, but no robot is cut off.
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)
 CLAIM_PRIORITY = GROUP_OF[AddressClaimed].priority
@@ -114,7 +116,12 @@ class ScenarioJudge:
         self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
         # The true position of each when it froze.
         self._frozen_at: dict[int, tuple[float, float]] = {}
+        self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
         self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
+        self._repeats: dict[int, int] = {}  # until when the senses repeat themselves, microseconds
+        # Where wheels stood when they answered again: a robot that has not moved since has no place.
+        self._deaf_at: dict[int, tuple[float, float]] = {}
+        self._by_hand: dict[int, int] = {}  # until when a person pushes a robot, microseconds
         # Ways with the implement down against the command, m, of robots whose implement is stuck.
         self._dragged_m: dict[int, float] = {}
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
@@ -213,22 +220,32 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self.witness.words.hangs, robot, end_at_us))
                 self._at(at_us, partial(self._hangs.__setitem__, robot, end_at_us))
-            case kinds.Pushed(robot=robot):
+            case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
+                let_go_at_us = at_us + round(hypot(dx_m, dy_m) / PUSHED_M_S * S) + CONTROL_PERIOD_US
+                self._at(at_us, partial(self._by_hand.__setitem__, robot, let_go_at_us))
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, at_us + 1))
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
                 far_m, end_at_us = hypot(dx_m, dy_m), at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
-            case kinds.Blind(robot=robot, for_s=for_s) | kinds.NoRays(robot=robot, for_s=for_s):
+            case kinds.Blind(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+            case kinds.NoRays(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._loses_rays, robot, at_us + round(for_s * S)))
+            case kinds.DeafWheels(robot=robot, for_s=for_s):
+                self._at(at_us + round(for_s * S), partial(self._wheels_answer, robot))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
             # Includes a start: a robot with a frozen position tries again.
             case kinds.Reset() | kinds.Order():
                 self._at(at_us, self._frozen_at.clear)
+                if isinstance(fault, kinds.Order) and fault.order == "start":
+                    self._at(at_us, partial(self._vouched_for, fault.robot))
             case kinds.Frozen(robot=robot, for_s=for_s):
-                self._at(at_us, partial(self._place_freezes, robot, at_us + round(for_s * S)))
+                end_at_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self._place_freezes, robot, end_at_us))
+                self._at(at_us, partial(self._repeat, robot, end_at_us))
             case kinds.StuckImplement(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._drags, robot, at_us + round(for_s * S), None))
             case kinds.DiskFull(robot=robot, for_s=for_s):
@@ -305,20 +322,51 @@ class ScenarioJudge:
                 "S18", t_us / 1e6, f"a frame comes from address {address}, which its robot has lost"
             )
 
-    def _loses_senses(self, slot: int, end_at_us: int) -> None:
-        """S19: it stands until its sensors work again."""
+    def _loses_senses(self, slot: int, end_at_us: int) -> int | None:
+        """S19: it stands until its sensors work again. Returns the number of the watch, if any."""
         now_us = self._now_us()
-        if end_at_us - now_us > SENSELESS_US and self.cluster.is_up(slot):
-            watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
-            self._blind.setdefault(slot, []).append(watch)
-            self._at(end_at_us, partial(self._sees_again, slot, watch))
+        if end_at_us - now_us <= SENSELESS_US or not self.cluster.is_up(slot):
+            return None
+        watch = self.senseless.press(now_us, SENSELESS_US, (slot,))
+        self._blind.setdefault(slot, []).append(watch)
+        self._at(end_at_us, partial(self._sees_again, slot, watch))
+        return watch
+
+    def _loses_rays(self, slot: int, end_at_us: int) -> None:
+        """S19: as without senses, as soon as they do not repeat themselves."""
+        repeat_end_at_us = self._repeats.get(slot, 0)
+        if repeat_end_at_us > self.cluster.host.now_us():
+            self._at(repeat_end_at_us, partial(self._loses_rays, slot, end_at_us))
+        else:
+            self._loses_senses(slot, end_at_us)
+
+    def _repeat(self, slot: int, end_at_us: int) -> None:
+        """Its senses repeat themselves, until then at least."""
+        self._repeats[slot] = max(self._repeats.get(slot, 0), end_at_us)
+
+    def _wheels_answer(self, slot: int) -> None:
+        """They did not, for a time."""
+        self._now_us()
+        self._deaf_at[slot] = self.cluster.world.body(slot).position
 
     def _place_jumps(self, slot: int, far_m: float, end_at_us: int) -> None:
-        """S19: as without senses. A jump that begins while it has none, or while its process hangs, no
-        longer than its way to standstill, cannot be told from that way."""
+        """S19: as without senses. A jump no longer than its way to standstill cannot be told from that
+        way, if it begins while the robot has no senses, while its process hangs, or before it has moved
+        since it told its wheels to drive in vain."""
+        self._now_us()
+        at, deaf_at = self.cluster.world.body(slot).position, self._deaf_at.get(slot)
+        stands = deaf_at is not None and dist(at, deaf_at) < STOOD_M
         hangs = self._hangs.get(slot, 0) > self.cluster.host.now_us()
-        if far_m >= UNSEEN_M or not (self._blind.get(slot) or hangs):
-            self._loses_senses(slot, end_at_us)
+        if far_m < UNSEEN_M and (self._blind.get(slot) or hangs or stands):
+            return
+        watch = self._loses_senses(slot, end_at_us)
+        if watch is not None:
+            self._jumps.setdefault(slot, []).append(watch)
+
+    def _vouched_for(self, slot: int) -> None:
+        """A person starts it, and says so that its place is right."""
+        for watch in self._jumps.pop(slot, ()):
+            self._sees_again(slot, watch)
 
     def _sees_again(self, slot: int, watch: int | None = None) -> None:
         """Its sensors work again, or a person moves it by hand."""
@@ -355,6 +403,7 @@ class ScenarioJudge:
             return
         now_us, body = self._now_us(), self.cluster.world.robots[slot]
         against = body.tool_on and not body.commanded(now_us).tool_on
+        against = against and now_us >= self._by_hand.get(slot, 0)
         here = body.position if against else None
         way_m = 0.0
         if here is not None and before is not None:

@@ -32,7 +32,9 @@ SWATH = ((2.0, 2.0), CORNER, (26.0, 26.0))
 def _field(units: int) -> Field:
     section = Section(0, (SWATH,), (units,))
     fences = ((0.0, 0.0), (28.0, 0.0), (28.0, 28.0), (0.0, 28.0))
-    return Field("corner", fences, (), (0.0, 0.0), (2.0, 2.0), WIDTH_M, OVERLAP_M, 48.0 / units, (section,))
+    return Field(
+        "corner", fences, (), (0.0, 0.0), (2.0, 2.0), WIDTH_M, OVERLAP_M, 48.0 / units, (section,)
+    )
 
 
 def _worked(

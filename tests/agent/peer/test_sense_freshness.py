@@ -298,6 +298,20 @@ def test_a_place_that_jumped_is_believed_after_a_start() -> None:
     assert not robot.held and not robot.periods(20).held
 
 
+def test_a_robot_that_stands_after_a_jump_has_no_reach() -> None:
+    """Found by chaos, `senses` 20500156: it stood for 1.5 s, and was believed to have gained speed all
+    that time. A second jump was within what it could have driven, and it drove by it."""
+    robot = driving()
+    robot.spoilt = SPOILT["jumped"]
+    robot.periods(60)
+    robot.spoilt = lambda o: o
+    robot.periods(10)
+    robot.spoilt = lambda o: o._replace(y_m=o.y_m + 1.0)
+    for _ in range(60):
+        robot.period()
+        assert robot.told == HALT and robot.held == {StopCause.PLACE_LOST}
+
+
 @pytest.mark.parametrize("begins_at_period", range(0, 80, 5))
 def test_a_place_that_was_frozen_is_believed_where_the_body_can_have_stopped(
     begins_at_period: int,
