@@ -51,7 +51,7 @@ def walk(
     yields: bool,
 ) -> Script[None]:  # fmt: skip
     """Appear at the first point of the route, follow it, and vanish at its end. It does not appear
-    right before a robot that drives, which no robot could stop for: it waits until that has passed.
+    on a robot that stands, nor right before one that drives, which no robot could stop for: it waits.
 
     One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from. If it
     has to turn more often than `TURNS_MAX`, it leaves by a straight way between the robots.
@@ -59,7 +59,7 @@ def walk(
     gone_m, long_m = 0.0, _length_m(route)
     onward, turns, stood_at_us = 1, 0, None
     place, heading_rad = _on(route, 0.0)
-    while _driven_past(world, place, shape):
+    while not _has_room(world, place, shape):
         yield now_us() + CONTROL_PERIOD_US
     number = _put(world, place, shape, heading_rad)
     while 0.0 <= gone_m < long_m:
@@ -123,10 +123,11 @@ def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:
     raise AssertionError("a route has a leg")
 
 
-def _driven_past(world: World, place: XY, shape: Shape) -> bool:
-    return any(
-        dist(place, body.position) < shape.reach_m + body.radius_m + ENTRY_M
-        and body.speed_m_s > STANDS_M_S
+def _has_room(world: World, place: XY, shape: Shape) -> bool:
+    """Whether no robot stands there, or drives near."""
+    return all(
+        dist(place, body.position) - shape.reach_m - body.radius_m
+        >= (ENTRY_M if body.speed_m_s > STANDS_M_S else CLEAR_M)
         for body in world.robots.values()
     )
 

@@ -23,6 +23,8 @@ MENDED = {
     ("stop", 20300169): "sim/chaos/scenario_judge.py",
     # A person pushed a robot with its implement down, which is no driving.
     ("body", 20400183): "sim/chaos/scenario_judge.py",
+    # A vehicle of somebody else appeared on a robot that stood.
+    ("traffic", 21600124): "sim/fleet/moving_obstacles.py",
     # A robot with a new disk started while its place was wrong, which it cannot know.
     ("crash", 20200123): "sim/chaos/fault_profiles.py",
 }
