@@ -53,6 +53,7 @@ TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not froze
 FROZEN_RAD: Final = radians(20.0)
 TURNS_SHARE: Final = 0.5
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
+# Where the most counts, wheels may have as much more.
 ACCELERATION_SHARE: Final = 0.5
 
 
@@ -297,10 +298,9 @@ class Senses(Part):
             self._turn_frozen = False
             drive, fastest_m_s = self._drive, FASTER * self.limits.speed_m_s
             told_m_s = max(self._most_m_s, hypot(drive.vx_m_s, drive.vy_m_s))
-            if anchor is not None:  # nor was it faster than it was told, or could become
-                gained_m_s = self._acceleration_m_s2 * (sensed_at_us - start_at_us) / S
-                could_m_s = self._since.speed_m_s + gained_m_s
-                fastest_m_s = min(fastest_m_s, max(told_m_s, could_m_s))
+            if anchor is not None:
+                passed_for_s = (sensed_at_us - start_at_us) / S
+                fastest_m_s = min(fastest_m_s, self._could_m_s(told_m_s, passed_for_s))
             self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
             before_m_s = max(self._expected_m_s, hypot(here.vx_m_s, here.vy_m_s))
             self._moved_on(min(before_m_s, fastest_m_s))  # a jump is no speed
@@ -352,10 +352,11 @@ class Senses(Part):
         expired, and brakes. A body that pivots turns without being told."""
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         passed_for_s = max(sensed_at_us - start_at_us, 0) / S
-        way_m, speed_m_s, turned_rad = self._since
+        way_m, _, turned_rad = self._since
         drive, told_m_s = self._drive, self._most_m_s
         self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
-        fastest_m_s, acceleration_m_s2 = max(speed_m_s, told_m_s), self.limits.acceleration_m_s2
+        fastest_m_s = self._could_m_s(told_m_s, passed_for_s)
+        acceleration_m_s2 = self.limits.acceleration_m_s2
         driving_for_s = min(passed_for_s, (AGE_MAX_US + ACTUATOR_TTL_US) / S)
         braking_for_s = passed_for_s - (driving_for_s if told_m_s else 0.0)
         slowest_m_s = max(fastest_m_s - acceleration_m_s2 * braking_for_s, 0.0)
@@ -365,6 +366,12 @@ class Senses(Part):
         pivots = told_m_s > 0.0 and abs(off_rad) > TURNED_RAD
         turn_rad_s = TURN_RAD_S if pivots else abs(drive.turn_rad_s)
         self._since = Unseen(way_m, slowest_m_s, turned_rad + turn_rad_s * driving_for_s)
+
+    def _could_m_s(self, told_m_s: float, passed_for_s: float) -> float:
+        """How fast the body may be: no faster than it was, or than it was told and could become."""
+        was_m_s = self._since.speed_m_s
+        gained_m_s = self.limits.acceleration_m_s2 / ACCELERATION_SHARE * passed_for_s
+        return max(was_m_s, min(told_m_s, was_m_s + gained_m_s))
 
     def _told(self, here: Observation, anchor: Observation) -> tuple[tuple[float, float], float]:
         """The commanded motion of the wheels: its direction, a unit vector or (0, 0), and its speed.

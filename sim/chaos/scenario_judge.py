@@ -119,8 +119,8 @@ class ScenarioJudge:
         self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
         self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
         self._repeats: dict[int, int] = {}  # until when the senses repeat themselves, microseconds
-        # Where wheels stood when they answered again: a robot that has not moved since has no place.
-        self._deaf_at: dict[int, tuple[float, float]] = {}
+        # Where each stood when its place was a measure of its way again.
+        self._lost_at: dict[int, tuple[float, float]] = {}
         self._by_hand: dict[int, int] = {}  # until when a person pushes a robot, microseconds
         # Ways with the implement down against the command, m, of robots whose implement is stuck.
         self._dragged_m: dict[int, float] = {}
@@ -231,12 +231,17 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
             case kinds.Blind(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
+            case kinds.Drifting(robot=robot, for_s=for_s):
+                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
             case kinds.NoRays(robot=robot, for_s=for_s):
-                self._at(at_us, partial(self._loses_rays, robot, at_us + round(for_s * S)))
+                end_at_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self._shows, robot, end_at_us, self._loses_senses))
             case kinds.DeafWheels(robot=robot, for_s=for_s):
-                self._at(at_us + round(for_s * S), partial(self._wheels_answer, robot))
+                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
                 self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
+                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
             # Includes a start: a robot with a frozen position tries again.
             case kinds.Reset() | kinds.Order():
                 self._at(at_us, self._frozen_at.clear)
@@ -246,6 +251,7 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_freezes, robot, end_at_us))
                 self._at(at_us, partial(self._repeat, robot, end_at_us))
+                self._at(end_at_us, partial(self._was_lost, robot))
             case kinds.StuckImplement(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._drags, robot, at_us + round(for_s * S), None))
             case kinds.DiskFull(robot=robot, for_s=for_s):
@@ -332,33 +338,38 @@ class ScenarioJudge:
         self._at(end_at_us, partial(self._sees_again, slot, watch))
         return watch
 
-    def _loses_rays(self, slot: int, end_at_us: int) -> None:
-        """S19: as without senses, as soon as they do not repeat themselves."""
-        repeat_end_at_us = self._repeats.get(slot, 0)
-        if repeat_end_at_us > self.cluster.host.now_us():
-            self._at(repeat_end_at_us, partial(self._loses_rays, slot, end_at_us))
-        else:
-            self._loses_senses(slot, end_at_us)
+    def _shows(self, slot: int, end_at_us: int, call: Callable[[int, int], object]) -> None:
+        """S19: `call` as soon as a fault of the senses can show, if it lasts until then. It does not
+        while the process hangs, nor while the senses repeat what they said before."""
+        shows_at_us = max(self._repeats.get(slot, 0), self._hangs.get(slot, 0))
+        if shows_at_us <= self.cluster.host.now_us():
+            call(slot, end_at_us)
+        elif shows_at_us < end_at_us:
+            self._at(shows_at_us, partial(self._shows, slot, end_at_us, call))
 
     def _repeat(self, slot: int, end_at_us: int) -> None:
         """Its senses repeat themselves, until then at least."""
         self._repeats[slot] = max(self._repeats.get(slot, 0), end_at_us)
 
-    def _wheels_answer(self, slot: int) -> None:
-        """They did not, for a time."""
+    def _was_lost(self, slot: int) -> None:
+        """Its place was no measure of its way for a time: it had none, a wrong one, or its wheels did
+        not answer."""
         self._now_us()
-        self._deaf_at[slot] = self.cluster.world.body(slot).position
+        self._lost_at[slot] = self.cluster.world.body(slot).position
 
     def _place_jumps(self, slot: int, far_m: float, end_at_us: int) -> None:
         """S19: as without senses. A jump no longer than its way to standstill cannot be told from that
-        way, if it begins while the robot has no senses, while its process hangs, or before it has moved
-        since it told its wheels to drive in vain."""
-        self._now_us()
-        at, deaf_at = self.cluster.world.body(slot).position, self._deaf_at.get(slot)
-        stands = deaf_at is not None and dist(at, deaf_at) < STOOD_M
-        hangs = self._hangs.get(slot, 0) > self.cluster.host.now_us()
-        if far_m < UNSEEN_M and (self._blind.get(slot) or hangs or stands):
+        way, if it begins while the robot has no senses or old ones, while its process hangs, or before it
+        has moved since its place was no measure of its way."""
+        now_us = self._now_us()
+        at, lost_at = self.cluster.world.body(slot).position, self._lost_at.get(slot)
+        stands = lost_at is not None and dist(at, lost_at) < STOOD_M
+        shows_at_us = max(self._repeats.get(slot, 0), self._hangs.get(slot, 0))
+        if far_m < UNSEEN_M and (self._blind.get(slot) or stands or now_us < shows_at_us):
             return
+        self._shows(slot, end_at_us, self._sees_jump)
+
+    def _sees_jump(self, slot: int, end_at_us: int) -> None:
         watch = self._loses_senses(slot, end_at_us)
         if watch is not None:
             self._jumps.setdefault(slot, []).append(watch)
@@ -379,8 +390,10 @@ class ScenarioJudge:
 
     def _place_freezes(self, slot: int, end_at_us: int) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
-        self._now_us()
-        if self.protocol_world is None and self.cluster.is_up(slot):
+        now_us, let_go_at_us = self._now_us(), self._by_hand.get(slot, 0)
+        if now_us < let_go_at_us < end_at_us:  # until then a person moves it, not its wheels
+            self._at(let_go_at_us, partial(self._place_freezes, slot, end_at_us))
+        elif self.protocol_world is None and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
             self._at(end_at_us, partial(self._thaws, slot))
 

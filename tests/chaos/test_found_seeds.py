@@ -15,6 +15,19 @@ MENDED = {
     # A standing robot whose place had jumped was believed to have gained speed since.
     ("senses", 20500156): "agent/peer/sense_freshness.py",
     ("senses", 20500070): "agent/peer/sense_freshness.py",
+    # A robot that had just been told to drive at full speed was believed to be that fast already.
+    ("senses", 20500481): "agent/peer/sense_freshness.py",
+    ("stalls", 20600789): "agent/peer/sense_freshness.py",
+    # A place jumped while the process hung or the senses repeated what they had said: no robot sees that.
+    ("stalls", 20600555): "sim/chaos/scenario_judge.py",
+    ("stalls", 20600733): "sim/chaos/scenario_judge.py",
+    ("stalls", 20600783): "sim/chaos/scenario_judge.py",
+    ("senses", 20501085): "sim/chaos/scenario_judge.py",
+    ("forged_field", 21800893): "sim/chaos/scenario_judge.py",
+    # Its place drifted until the robot stood, and jumped by less than its way before it had moved again.
+    ("stalls", 20600507): "sim/chaos/scenario_judge.py",
+    # Its place was frozen while a person pushed it.
+    ("body", 20400443): "sim/chaos/scenario_judge.py",
     # No rays were missed while the senses repeated what they had said.
     ("all", 20000196): "sim/chaos/scenario_judge.py",
     # Wheels were told to drive in vain: a small jump cannot be told from what they might have driven.

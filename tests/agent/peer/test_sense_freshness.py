@@ -312,6 +312,24 @@ def test_a_robot_that_stands_after_a_jump_has_no_reach() -> None:
         assert robot.told == HALT and robot.held == {StopCause.PLACE_LOST}
 
 
+def test_a_robot_is_no_faster_than_it_can_have_become() -> None:
+    """Found by chaos, `senses` 20500481: its place jumped when it had just been told to drive at full
+    speed. It was believed to be that fast, and a second jump within the way to standstill was believed."""
+    robot = driving()
+    robot.blind = True
+    robot.periods(60)
+    robot.blind = False
+    while robot.told == HALT:
+        robot.period()
+    assert robot.v_m_s == 0.0 and robot.told.vx_m_s == pytest.approx(2.0)
+    robot.spoilt = SPOILT["jumped"]
+    robot.periods(60)
+    robot.spoilt = lambda o: o._replace(x_m=o.x_m + 1.5)
+    for _ in range(60):
+        robot.period()
+        assert robot.told == HALT and robot.held == {StopCause.PLACE_LOST}
+
+
 @pytest.mark.parametrize("begins_at_period", range(0, 80, 5))
 def test_a_place_that_was_frozen_is_believed_where_the_body_can_have_stopped(
     begins_at_period: int,
