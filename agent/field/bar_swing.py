@@ -4,8 +4,8 @@ The bar is at right angles to the motion, so it turns with it, by the shorter wa
 back at a corner may turn the other way round: the bar then passes over the two quarters of the disc
 that the leg does not need, and ground beside the corner is left.
 
-A course is the direction of a move of `COURSE_M`. Where such moves begin decides what a small detour is, and
-nobody can say where a real bar begins to follow. So several courses are followed, each begun a little
+A course is the direction of a move of `COURSE_M`. Where such moves begin decides what a small detour is,
+and nobody can say where a real bar begins to follow. So several courses are followed, each begun a little
 later, and all of them have to agree.
 """
 
