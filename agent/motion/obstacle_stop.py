@@ -213,7 +213,7 @@ class ObstacleStop:
         """Add points of the obstacle that are seen from its side, and drop those that have gone."""
         seen = self.lookout.points.keys()
         if seen != self.things:
-            kept = self.things & seen
+            kept = self.things.intersection(seen)
             self.things = kept.union(g for g in seen - kept if self._known(middle(g)))
         if not self.things:
             self.machine.fire(QuestionEvent.PASSED)

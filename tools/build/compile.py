@@ -24,8 +24,7 @@ WRONG = 1
 LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
-# protocols alone, what is seldom called, and what mypyc refuses: constrained type variables,
-# `agent/motion/obstacle_stop.py`, which keeps a set where it says a frozen one, and
+# protocols alone, what is seldom called, and what mypyc refuses: constrained type variables, and
 # `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. None has a `cached_property`: mypyc
 # calls it each time.
 GROUP = {
@@ -34,12 +33,12 @@ GROUP = {
     "state_machine sync.digest_comparison sync.replica sync.synchronizer task_client terminal_client "
     "transport",
     "agent": "avoidance.orca coverage.cell_map coverage.coverage_mission coverage.joint_course "
-    "coverage.plan_agreement coverage.proximity_guard field.displacement_detector field.field_mission "
+    "coverage.plan_agreement coverage.proximity_guard field.bar_swing field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_shares field.steered_travel_times field.tractor_mission "
     "field.travel_times field.work_leg "
     "interface.effects mapf.agreement_phase motion.deadlock_yield motion.holonomic_motion "
-    "motion.obstacle_detector motion.path_tracker motion.right_of_way "
+    "motion.obstacle_detector motion.obstacle_stop motion.path_tracker motion.right_of_way "
     "motion.stopping_zone motion.tractor_motion pathfinding.goal_agreement pathfinding.goal_course "
     "pathfinding.pathfinding_mission "
     "peer.announcements peer.control_cycle peer.departure "
