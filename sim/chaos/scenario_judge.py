@@ -124,6 +124,10 @@ class ScenarioJudge:
         self._by_hand: dict[int, int] = {}  # until when a person pushes a robot, microseconds
         # Ways with the implement down against the command, m, of robots whose implement is stuck.
         self._dragged_m: dict[int, float] = {}
+        # Of each robot whose implement is watched: when the last of its faults ends, microseconds.
+        self._stuck_ends_at_us: dict[int, int] = {}
+        # Of each robot: pairs of looks between which its implement was down against its command.
+        self._against_us: dict[int, list[tuple[int, int]]] = {}
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
 
     def run(self) -> "ScenarioJudge":
@@ -253,7 +257,7 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._repeat, robot, end_at_us))
                 self._at(end_at_us, partial(self._was_lost, robot))
             case kinds.StuckImplement(robot=robot, for_s=for_s):
-                self._at(at_us, partial(self._drags, robot, at_us + round(for_s * S), None))
+                self._at(at_us, partial(self._implement_sticks, robot, at_us + round(for_s * S)))
             case kinds.DiskFull(robot=robot, for_s=for_s):
                 self._at(at_us + round(for_s * S) - 1, partial(self._keeps_silent, robot))
             case kinds.ClockJump(robot=robot):
@@ -408,26 +412,37 @@ class ScenarioJudge:
                 what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
                 self._add("S19", self.cluster.host.now_us() / 1e6, what)
 
-    def _drags(self, slot: int, end_at_us: int, before: tuple[float, float] | None) -> None:
-        """S22: how far it drives with its implement down, by its true state, against the command in
-        force. `before`: its place at the last look, if it was so then; looks are a control period
-        apart."""
+    def _implement_sticks(self, slot: int, end_at_us: int) -> None:
+        """One watch for each robot: faults that overlap are one fault, and its way counts once."""
         if self.protocol_world is not None:
             return
+        watched = slot in self._stuck_ends_at_us
+        self._stuck_ends_at_us[slot] = max(self._stuck_ends_at_us.get(slot, 0), end_at_us)
+        if not watched:
+            self._dragged_m[slot] = 0.0
+            self._drags(slot, None)
+
+    def _drags(self, slot: int, before: tuple[int, float, float] | None) -> None:
+        """S22: how far it drives with its implement down, by its true state, against the command in
+        force. `before`: the time and its place at the last look, if it was so then; looks are a
+        control period apart."""
         now_us, body = self._now_us(), self.cluster.world.robots[slot]
         against = body.tool_on and not body.commanded(now_us).tool_on
         against = against and now_us >= self._by_hand.get(slot, 0)
-        here = body.position if against else None
+        here = (now_us, *body.position) if against else None
         way_m = 0.0
         if here is not None and before is not None:
-            way_m = self._dragged_m.get(slot, 0.0) + hypot(here[0] - before[0], here[1] - before[1])
+            self._against_us.setdefault(slot, []).append((before[0], now_us))
+            way_m = self._dragged_m[slot] + hypot(here[1] - before[1], here[2] - before[2])
         self._dragged_m[slot] = way_m
         most_m = body.chassis.speed_m_s * (STAYS_DOWN_US / S + body.chassis.stopping_for_s / 2)
         if way_m > most_m:
             what = f"robot {slot} drives {way_m:.1f} m with its implement down against its command"
             self._add("S22", now_us / 1e6, what)
-        elif now_us < end_at_us:
-            self._at(now_us + CONTROL_PERIOD_US, partial(self._drags, slot, end_at_us, here))
+        if way_m <= most_m and now_us < self._stuck_ends_at_us[slot]:
+            self._at(now_us + CONTROL_PERIOD_US, partial(self._drags, slot, here))
+        else:
+            del self._stuck_ends_at_us[slot]
 
     def _keeps_silent(self, slot: int) -> None:
         """S13: while its disk is full, it sends nothing that would have to be on the disk.
@@ -730,7 +745,7 @@ class ScenarioJudge:
         sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)
-        return list(checker.violations(tracks))
+        return list(checker.violations(tracks, self._against_us))
 
     def _add(self, rule: str, t_s: float, what: str) -> None:
         self.broken.append(RuleViolation(rule, t_s, what))

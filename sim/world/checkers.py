@@ -7,6 +7,7 @@ invariants; ARCHITECTURE.md lists them.
 
 from collections.abc import Collection, Mapping, Sequence
 from math import inf
+from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -130,7 +131,8 @@ class ExclusiveWorkChecker:
 
     Work in a section means passing along its lines with the implement down. Crossing the lines is
     not work, and neither is lowering the implement a little early, in line with the neighbour's
-    end.
+    end. An implement that stays down against its command does no work of its robot either: how far
+    a robot may drag it is the matter of S22.
     """
 
     def __init__(
@@ -142,12 +144,22 @@ class ExclusiveWorkChecker:
         self.truth = LineTruth([line for _, line in lines], tolerance_m)
         self.section_of = np.array([number for number, _ in lines], dtype=np.int64)
 
-    def violations(self, tracks: Mapping[int, Track]) -> list[Violation]:
-        """One for each section and second in which two robots worked at least `least` samples."""
+    def violations(
+        self,
+        tracks: Mapping[int, Track],
+        against_us: Mapping[int, Sequence[tuple[int, int]]] = MappingProxyType({}),
+    ) -> list[Violation]:
+        """One for each section and second in which two robots worked at least `least` samples.
+
+        `against_us`: the times, by robot, in which its implement was down against its command.
+        """
         at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
         found: list[Violation] = []
         for slot, track in sorted(tracks.items()):
-            worked_at_us = self.truth.worked_at_us(track)
+            points = track.to_array()
+            for begin_at_us, end_at_us in against_us.get(slot, ()):
+                points[(begin_at_us <= points[:, 0]) & (points[:, 0] < end_at_us), 3] = 0.0
+            worked_at_us = self.truth.worked_at_us(points)
             mine = worked_at_us != NEVER_US
             sections = self.section_of[self.truth.line_of[mine]]
             instants, counts = np.unique(

@@ -36,6 +36,11 @@ MENDED = {
     ("stop", 20300169): "sim/chaos/scenario_judge.py",
     # A person pushed a robot with its implement down, which is no driving.
     ("body", 20400183): "sim/chaos/scenario_judge.py",
+    # Two or three faults held one implement at a time, and its way counted two or three times.
+    ("implement", 20800572): "sim/chaos/scenario_judge.py",
+    ("implement", 20800902): "sim/chaos/scenario_judge.py",
+    # An implement that did not rise was dragged along a line in the section of another robot.
+    ("implement", 20800506): "sim/world/checkers.py",
     # A vehicle of somebody else appeared on a robot that stood.
     ("traffic", 21600124): "sim/fleet/moving_obstacles.py",
     # A robot with a new disk started while its place was wrong, which it cannot know.
