@@ -33,8 +33,8 @@ GROUP = {
     "state_machine sync.digest_comparison sync.replica sync.synchronizer task_client terminal_client "
     "transport",
     "agent": "avoidance.orca coverage.cell_map coverage.coverage_mission coverage.joint_course "
-    "coverage.plan_agreement coverage.proximity_guard field.bar_swing field.displacement_detector field.field_mission "
-    "field.field_obstructions field.fleet_plan field.parking field.section_choice "
+    "coverage.plan_agreement coverage.proximity_guard field.bar_swing field.displacement_detector "
+    "field.field_mission field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_shares field.steered_travel_times field.tractor_mission "
     "field.travel_times field.work_leg "
     "interface.effects mapf.agreement_phase motion.deadlock_yield motion.holonomic_motion "
