@@ -74,7 +74,7 @@ def on_border(
     return True, px + t * dx, py + t * dy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def nearest_permitted(
     lines: Lines, count: Number, radius: Real, ox: Real, oy: Real, by_direction: bool
 ) -> tuple[int, Real, Real]:
@@ -100,7 +100,7 @@ def nearest_permitted(
     return count, x, y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def least_violating(
     lines: Lines,
     count: Number,
@@ -146,7 +146,7 @@ def least_violating(
     return x, y
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def solve(
     lines: Lines, count: Number, hard: Number, radius: Real, ox: Real, oy: Real, spare: Lines
 ) -> tuple[Real, Real]:

@@ -54,7 +54,7 @@ SIZE = SQUARES_AT + WALLS_MAX // 2
 FENCE_S = 0.4
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def _fence_lines(work: Buffer, lines: Lines) -> int:
     """Half-planes against fences: towards one only as fast as can still be braked from."""
     n = 0
@@ -79,7 +79,7 @@ def _fence_lines(work: Buffer, lines: Lines) -> int:
     return n
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def _nearest(work: Buffer, near: Longs, squares: Singles) -> Number:
     """Offsets of the nearest rows in range, nearest first, moved on by their age."""
     x, y, now = work[X], work[Y], work[NOW_S]
@@ -100,7 +100,7 @@ def _nearest(work: Buffer, near: Longs, squares: Singles) -> Number:
     return count
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def _stop_lines(work: Buffer, near: Longs, count: Number, lines: Lines, hard: Number) -> Number:
     """Half-planes within which we can stop before each of the nearest, after the `hard` ones.
 
@@ -120,7 +120,7 @@ def _stop_lines(work: Buffer, near: Longs, count: Number, lines: Lines, hard: Nu
     return hard
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def _choose(
     work: Buffer, lines: Lines, hard: Number, spare: Lines, near: Longs, squares: Singles
 ) -> tuple[Real, Real]:

@@ -77,7 +77,7 @@ def before_agent(
     return 1
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def within_grip(
     wx: Real, wy: Real, vx: Real, vy: Real, change: Real, lines: Lines, first: int, end: int
 ) -> tuple[Real, Real]:
@@ -98,7 +98,7 @@ def within_grip(
     return wx, wy
 
 
-@njit(cache=True, error_model="numpy")
+@njit(cache=True, error_model="numpy", inlined=True)
 def _braked(vx: Real, vy: Real, change: Real, lines: Lines, fences: int) -> tuple[Real, Real]:
     """The velocity after braking for one period, off the fences of the first `fences` half-planes."""
     speed = max(sqrt(vx * vx + vy * vy), 1e-9)

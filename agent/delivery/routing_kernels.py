@@ -40,7 +40,7 @@ class WorkArrays(NamedTuple):
     charging: bool
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def _keep(times: Whole, used: Whole, count: int, time: int, energy: int) -> int:
     """Add the label (`time`, `energy`) to `times` and `used` (LABELS,), of which the first `count`
     count.
@@ -147,7 +147,7 @@ def span(
     return walk(r, seq, n, work)[0]
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def copy(seq: Whole, first: int, end: int, out: Whole, to: int) -> int:
     """Copy the tasks from index `first` to `end` - 1 to `out` (n or more,), from index `to` on.
 
@@ -159,7 +159,7 @@ def copy(seq: Whole, first: int, end: int, out: Whole, to: int) -> int:
     return to
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def put(seq: Whole, n: int, task: int, at: int, out: Whole) -> None:
     """Copy the first `n` tasks of `seq` to `out` (n + 1 or more,) with `task` inserted at index
     `at`.
@@ -253,7 +253,7 @@ def _weight(time: int, scale: float) -> float:
     return x * x
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def _moved(
     route: Whole,
     size: Whole,
@@ -295,7 +295,7 @@ def _moved(
     return n, m
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def _moved_within(
     seq: Whole, count: int, ia: int, start: int, la: int, lb: int, out: Whole
 ) -> tuple[int, int]:
@@ -333,7 +333,7 @@ def _below(state: Dice, n: int) -> int:
     return int(_next(state) % np.uint64(n))
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def propose(
     route: Whole,
     size: Whole,
@@ -361,7 +361,7 @@ def propose(
     return a, b, n, m
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def _accepted(
     before_a: int,
     before_b: int,
@@ -385,7 +385,7 @@ def _accepted(
     return dice < exp(-gain / temperature)
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def write(
     route: Whole,
     size: Whole,

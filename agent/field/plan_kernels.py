@@ -28,7 +28,7 @@ SEGMENT = 3  # most jobs that a move takes together
 FAR = 1 << 60
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def draw(state: Dice, below: int) -> int:
     """A number from 0 to `below` - 1: splitmix64 (Steele, Lea and Flood 2014)."""
     state[0] += np.uint64(0x9E3779B97F4A7C15)
@@ -40,7 +40,7 @@ def draw(state: Dice, below: int) -> int:
     return number
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def finish(r: int, seq: Whole, n: int, ready: Whole, lead: Whole, work: Whole, link: Whole) -> int:
     """When robot `r` has worked the first `n` jobs of `seq`, (n,) or longer; `ready` for none."""
     if n == 0:
@@ -58,7 +58,7 @@ def finish(r: int, seq: Whole, n: int, ready: Whole, lead: Whole, work: Whole, l
     return int(min(at_1, at_0))
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def first_end(
     r: int, seq: Whole, n: int, ready: Whole, lead: Whole, work: Whole, link: Whole
 ) -> int:
@@ -140,7 +140,7 @@ def insert_all(
         ends[r] = best_end
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def _last(ends: Whole, size: Whole) -> int:
     """When the last row with jobs ends."""
     last = 0
@@ -150,7 +150,7 @@ def _last(ends: Whole, size: Whole) -> int:
     return last
 
 
-@njit(cache=True)
+@njit(cache=True, inlined=True)
 def _cost(ends: Whole, size: Whole, share: float, scale: float) -> float:
     squares = 0.0
     for end in ends:

@@ -49,16 +49,24 @@ def take_from(source: Source | None) -> None:
 
 
 def njit(
-    *, cache: bool = False, error_model: str = "python"
+    *, cache: bool = False, error_model: str = "python", inlined: bool = False
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
-    """As numba's decorator."""
+    """As numba's decorator.
+
+    `inlined` is for a kernel that hot kernels call. numba counts the references of each array argument
+    in atomic steps, which may take longer than the kernel. An inlined one counts none, so neither
+    it nor a kernel that it calls may make an array, and it may return none.
+    """
+    options: dict[str, Any] = {"cache": cache, "error_model": error_model}
+    if inlined:
+        options |= {"forceinline": True, "_nrt": False}
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         if _source is None:
             import numba
 
-            return numba.njit(cache=cache, error_model=error_model)(function)
-        kernel = Kernel(function, {"cache": cache, "error_model": error_model}, _source)
+            return numba.njit(**options)(function)
+        kernel = Kernel(function, options, _source)
         return cast("Callable[P, R]", kernel)
 
     return decorate

@@ -43,6 +43,23 @@ def test_kernels_are_numbas_own_where_nothing_else_is_chosen() -> None:
     assert isinstance(module.njit()(plus), numba.core.dispatcher.Dispatcher)
 
 
+def first(a: Any) -> Any:
+    return a[0]
+
+
+@pytest.mark.parametrize("source", [None, Table()])
+def test_an_inlined_kernel_counts_no_references(source: Table | None) -> None:
+    module.take_from(source)
+    try:
+        made: Any = module.njit(inlined=True)(first)
+    finally:
+        module.take_from(None)
+    inner = made if source is None else made.dispatcher
+    assert inner(np.ones(2)) == 1.0
+    assert inner.targetoptions["forceinline"]
+    assert not any("call void @NRT_" in code for code in inner.inspect_llvm().values())
+
+
 def test_numba_compiles_a_kernel_with_entries_inside_of_another() -> None:
     numba = module.numba_knowing_kernels()
     inner = Kernel(plus, {"cache": False}, Table())
