@@ -180,8 +180,11 @@ class Senses(Part):
         return self._drive.tool_on
 
     def _started(self, ctx: StepContext, notice: notices.WasStarted) -> Outputs:
-        """Restart the checks. If the start is for this robot alone, its place is believed."""
-        self._anchor = None
+        """Restart the checks. If the start is for this robot alone, its place is believed.
+
+        What the body may have driven while its place stood still remains: the place may be frozen yet."""
+        self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
+        self._periods, self._turn_frozen = 0, False
         if notice.named:
             self.jumps.forget()
         return NOTHING

@@ -45,6 +45,9 @@ MENDED = {
     ("traffic", 21600124): "sim/fleet/moving_obstacles.py",
     # A robot with a new disk started while its place was wrong, which it cannot know.
     ("crash", 20200123): "sim/chaos/fault_profiles.py",
+    # A fleet was started while a place was frozen: what the robot had driven until then became a jump.
+    ("all", 20000681): "agent/peer/sense_freshness.py",
+    ("stop", 20300781): "agent/peer/sense_freshness.py",
 }
 
 

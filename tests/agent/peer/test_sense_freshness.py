@@ -344,6 +344,22 @@ def test_a_place_that_was_frozen_is_believed_where_the_body_can_have_stopped(
     assert not robot.held
 
 
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("periods", [3, 6, 12, 60])
+def test_a_start_while_the_place_is_frozen_forgets_no_way(periods: int, named: bool) -> None:
+    """Found by chaos, `all` 20000681 and `stop` 20300781: an operator started the fleet while a place was
+    frozen. What the robot had driven until then became a jump, and it stood for ever."""
+    robot = driving()
+    robot.frozen = True
+    robot.periods(periods)
+    assert robot.held == {StopCause.PLACE_FROZEN}
+    robot.peer.step(Start(named), robot.now_us)
+    assert not robot.held
+    robot.periods(2).frozen = False
+    robot.periods(2)
+    assert not robot.held and robot.told != HALT
+
+
 def test_a_place_that_comes_back_after_a_gap_must_be_where_the_body_can_have_stopped() -> None:
     for moved_m, held in ((0.0, set[StopCause]()), (20.0, {StopCause.PLACE_LOST})):
         robot = driving()
