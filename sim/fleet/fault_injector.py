@@ -10,6 +10,7 @@ from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.operator_frames import goal_check, goal_frames
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand, Reason
 from sim.can.simulated_bus import FieldBus
+from sim.fleet.dropped_box import drop
 from sim.fleet.event_loop import SimulatedRunner
 from sim.fleet.foreign_devices import buttons, used_stop
 from sim.fleet.forgers import forger
@@ -27,7 +28,7 @@ BABBLER, BABBLE_FRAMES, BABBLE_US = 240, 2, 1_000  # more than the bus can carry
 TRIES = 5
 ASK_S = 0.1  # between two attempts
 ORDER_S = 0.15  # between two repeats of an order: a robot is asked, answers, and asks in turn
-# Limit for a robot to start work or for room for a box; interval of checks.
+# Limit for a robot to start work; interval of checks.
 WAIT_US, LOOK_US = 10 * S, S // 100
 PUSHED_M_S = 1.0  # walking speed of people that push a machine
 PUSHED_APART_M = 0.3  # gap left between two machines when one is pushed
@@ -117,7 +118,7 @@ class FaultPlan:
             case kinds.Order(robot=robot, order=order, x_m=x_m, y_m=y_m):
                 return self._order(robot, Command[order.upper()], (x_m, y_m))
             case kinds.Box(x_m=x_m, y_m=y_m, size_m=size_m, for_s=for_s):
-                return self._box(x_m, y_m, size_m, for_s)
+                return drop(cluster.world, self._now_us, (x_m, y_m), size_m, for_s)
             case kinds.Person(route=route, speed_m_s=speed_m_s, yields=yields):
                 return walk(cluster.world, self._now_us, PERSON, route, speed_m_s, yields)
             case kinds.PassingVehicle(route=route, speed_m_s=speed_m_s, yields=yields):
@@ -268,13 +269,6 @@ class FaultPlan:
     def _space(self, radius_m: float) -> Callable[[float, float], bool] | None:
         """Whether a body's centre can be at a point; None if there is no world."""
         return self.cluster.setting.free_space(radius_m)
-
-    def _box(self, x_m: float, y_m: float, size_m: float, for_s: float) -> Script[None]:
-        end_at_us = self._now_us() + round(for_s * S)
-        box = self.cluster.world.add_box(x_m, y_m, size_m)
-        yield end_at_us
-        self._now_us()
-        self.cluster.world.remove_box(box)
 
     def _babble(self, identifier: int, for_s: float) -> Script[None]:
         bus = FieldBus(self.cluster.channel)

@@ -59,7 +59,7 @@ def walk(
     gone_m, long_m = 0.0, _length_m(route)
     onward, turns, stood_at_us = 1, 0, None
     place, heading_rad = _on(route, 0.0)
-    while not _has_room(world, place, shape):
+    while not has_room(world, place, shape):
         yield now_us() + CONTROL_PERIOD_US
     number = _put(world, place, shape, heading_rad)
     while 0.0 <= gone_m < long_m:
@@ -123,7 +123,7 @@ def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:
     raise AssertionError("a route has a leg")
 
 
-def _has_room(world: World, place: XY, shape: Shape) -> bool:
+def has_room(world: World, place: XY, shape: Shape) -> bool:
     """Whether no robot stands there, or drives near."""
     return all(
         dist(place, body.position) - shape.reach_m - body.radius_m

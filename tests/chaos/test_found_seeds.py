@@ -48,6 +48,9 @@ MENDED = {
     # A fleet was started while a place was frozen: what the robot had driven until then became a jump.
     ("all", 20000681): "agent/peer/sense_freshness.py",
     ("stop", 20300781): "agent/peer/sense_freshness.py",
+    # A box fell on a robot that had no place, and pushed it away.
+    ("all", 20000835): "sim/fleet/dropped_box.py",
+    ("body", 20400417): "sim/fleet/dropped_box.py",
 }
 
 

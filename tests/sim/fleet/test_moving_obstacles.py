@@ -8,6 +8,7 @@ import shapely
 from shapely.affinity import affine_transform
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from sim.fleet.dropped_box import drop
 from sim.fleet.moving_obstacles import PATIENCE_US, Shape, walk
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
@@ -142,3 +143,36 @@ def test_s17_a_vehicle_does_not_turn_into_a_robot_beside_it(tmp_path: Path) -> N
         if due_at_us > 60 * S:
             break
     assert beside.radius_m < nearest_m < beside.radius_m + 0.5
+
+
+def test_a_box_does_not_fall_on_a_robot(tmp_path: Path) -> None:
+    """Chaos, profile body, seed 20400417: a box pushed a robot that sensed nothing half a metre away. It
+    could not tell this from a wrong place, and stood for ever."""
+    world = setup_of(tmp_path, "").world()
+    clock = {"now": 0}
+    body, *others = world.robots.values()
+    body.teleport(0.0, 1.0)
+    for k, other in enumerate(others):
+        other.teleport(30.0, 10.0 * k)
+    stood_s = []
+    for due_at_us in drop(world, lambda: clock["now"], (0.0, 0.0), 1.2, 10.0):
+        if [r for r in world.obstacles() if r[0] == BOX]:
+            stood_s.append(clock["now"] / S)
+        elif clock["now"] >= 4 * S:
+            body.teleport(0.0, 5.0)  # it has left
+        else:
+            assert body.position == pytest.approx((0.0, 1.0))
+        clock["now"] = due_at_us
+        world.advance(clock["now"])
+    assert stood_s == [pytest.approx(4.05)]
+    assert clock["now"] == 10 * S and not [r for r in world.obstacles() if r[0] == BOX]
+
+
+def test_a_box_falls_beside_a_robot(tmp_path: Path) -> None:
+    world = setup_of(tmp_path, "").world()
+    body, *others = world.robots.values()
+    body.teleport(0.0, 0.6 + body.radius_m + 0.01)
+    for k, other in enumerate(others):
+        other.teleport(30.0, 10.0 * k)
+    next(drop(world, lambda: 0, (0.0, 0.0), 1.2, 10.0))
+    assert [r for r in world.obstacles() if r[0] == BOX]
