@@ -150,7 +150,7 @@ class FaultPlan:
             case kinds.Blind(robot=robot, for_s=for_s):
                 cluster.receivers[robot].blind(now_us + round(for_s * S))
             case kinds.Frozen(robot=robot, for_s=for_s):
-                cluster.receivers[robot].frozen(now_us + round(for_s * S))
+                cluster.receivers[robot].frozen(now_us, now_us + round(for_s * S))
             case kinds.Jumped(robot=robot, dx_m=dx_m, dy_m=dy_m, turn_rad=turn_rad, for_s=for_s):
                 end_at_us = now_us + round(for_s * S)
                 cluster.receivers[robot].jumped(end_at_us, (dx_m, dy_m, turn_rad))

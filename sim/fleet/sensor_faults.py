@@ -14,6 +14,8 @@ from agent.interface.observation import Observation
 from agent.interface.ports import Body
 from sim.fleet.scheduler import Host
 
+# A receiver works on while nobody asks it, so what it said before is not what its filter repeats.
+UNASKED_US = 1 * S
 HISTORY_MAX = 4_000  # delayed observations: 200 s of control periods
 
 
@@ -68,6 +70,7 @@ class Receiver:
     def __init__(self) -> None:
         # End of each fault.
         self._blind_ends_at_us = self._frozen_ends_at_us = self._late_ends_at_us = -1
+        self._frozen_begins_at_us = -1
         self._jump_ends_at_us = self._deaf_ends_at_us = -1
         self._drift_begins_at_us = self._drift_ends_at_us = -1
         self._drift_m_s = (0.0, 0.0)
@@ -82,8 +85,10 @@ class Receiver:
         """Nothing arrives: a muted antenna, a driver that is gone."""
         self._blind_ends_at_us = max(self._blind_ends_at_us, end_at_us)
 
-    def frozen(self, end_at_us: int) -> None:
+    def frozen(self, now_us: int, end_at_us: int) -> None:
         """The old position with new timestamps: a filter that hangs."""
+        if now_us >= self._frozen_ends_at_us:
+            self._frozen_begins_at_us = now_us
         self._frozen_ends_at_us = max(self._frozen_ends_at_us, end_at_us)
 
     def jumped(self, end_at_us: int, by: tuple[float, float, float]) -> None:
@@ -134,10 +139,13 @@ class Receiver:
             seen = seen._replace(
                 x_m=seen.x_m + dx_m, y_m=seen.y_m + dy_m, position_accuracy_m=accuracy_m
             )
-        if world_now_us < self._frozen_ends_at_us and self._place is not None:
-            seen = self._place._replace(
-                sensed_at_us=world_now_us, implement_down=seen.implement_down
-            )
+        place = self._place
+        if (
+            world_now_us < self._frozen_ends_at_us
+            and place is not None
+            and self._frozen_begins_at_us - place.sensed_at_us <= UNASKED_US
+        ):
+            seen = place._replace(sensed_at_us=world_now_us, implement_down=seen.implement_down)
         self._place = seen
         last, self._last = self._last, seen
         if world_now_us < self._blind_ends_at_us:

@@ -26,6 +26,8 @@ MENDED = {
     ("forged_field", 21800893): "sim/chaos/scenario_judge.py",
     # Its place drifted until the robot stood, and jumped by less than its way before it had moved again.
     ("stalls", 20600507): "sim/chaos/scenario_judge.py",
+    # A filter that hung while the process was down repeated what the process had heard before.
+    ("all", 20001421): "sim/fleet/sensor_faults.py",
     # Its place was frozen while a person pushed it.
     ("body", 20400443): "sim/chaos/scenario_judge.py",
     # No rays were missed while the senses repeated what they had said.

@@ -32,9 +32,19 @@ def arrivals(receiver: Receiver, from_us: int, to_us: int) -> list[tuple[float, 
 def test_a_hung_filter_repeats_the_place_with_new_times() -> None:
     receiver = Receiver()
     arrivals(receiver, 0, 1_000_000)
-    receiver.frozen(2_000_000)
+    receiver.frozen(1_000_000, 2_000_000)
     assert set(arrivals(receiver, 1_000_000, 2_000_000)) == {(0.95, 0)}
     assert arrivals(receiver, 2_000_000, 2_050_000) == [(2.0, 0)]
+
+
+def test_a_filter_that_hangs_while_the_process_is_down_repeats_a_newer_place() -> None:
+    """Found by `headland chaos`, profile all, seed 20001421: it repeated what the process had heard before
+    it crashed, a place that had jumped and was right again by then. The robot believed that place."""
+    receiver = Receiver()
+    receiver.jumped(1_000_000, (3.0, 0.0, 0.0))
+    arrivals(receiver, 0, 1_000_000)
+    receiver.frozen(5_000_000, 9_000_000)
+    assert set(arrivals(receiver, 8_000_000, 9_000_000)) == {(8.0, 0)}
 
 
 def test_what_a_hung_filter_repeats_is_delayed_by_a_full_buffer() -> None:
@@ -44,7 +54,7 @@ def test_what_a_hung_filter_repeats_is_delayed_by_a_full_buffer() -> None:
     arrivals(receiver, 0, 1_000_000)
     receiver.late(4_000_000, 500_000)
     arrivals(receiver, 1_000_000, 2_000_000)
-    receiver.frozen(6_000_000)
+    receiver.frozen(2_000_000, 6_000_000)
     both = arrivals(receiver, 2_000_000, 4_000_000)
     assert {age_us for _, age_us in both} == {500_000}
     assert both[-1][0] == 1.95
@@ -64,7 +74,7 @@ def test_what_a_hung_filter_repeats_neither_drifts_nor_jumps() -> None:
     was added to what it repeated, in each period again. The robot took that for a place that follows."""
     receiver = Receiver()
     arrivals(receiver, 0, 1_000_000)
-    receiver.frozen(2_000_000)
+    receiver.frozen(1_000_000, 2_000_000)
     receiver.drifting(1_500_000, 3_000_000, (0.1, 0.0))
     receiver.jumped(1_800_000, (3.0, 0.0, 0.0))
     assert set(arrivals(receiver, 1_000_000, 2_000_000)) == {(0.95, 0)}
