@@ -355,10 +355,10 @@ class Senses(Part):
         expired, and brakes. A body that pivots turns without being told."""
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         passed_for_s = max(sensed_at_us - start_at_us, 0) / S
-        way_m, _, turned_rad = self._since
+        way_m, speed_m_s, turned_rad = self._since
         drive, told_m_s = self._drive, self._most_m_s
         self._most_m_s = hypot(drive.vx_m_s, drive.vy_m_s)
-        fastest_m_s = self._could_m_s(told_m_s, passed_for_s)
+        fastest_m_s = max(speed_m_s, self._could_m_s(told_m_s, passed_for_s))
         acceleration_m_s2 = self.limits.acceleration_m_s2
         driving_for_s = min(passed_for_s, (AGE_MAX_US + ACTUATOR_TTL_US) / S)
         braking_for_s = passed_for_s - (driving_for_s if told_m_s else 0.0)
@@ -371,10 +371,11 @@ class Senses(Part):
         self._since = Unseen(way_m, slowest_m_s, turned_rad + turn_rad_s * driving_for_s)
 
     def _could_m_s(self, told_m_s: float, passed_for_s: float) -> float:
-        """How fast the body may be: no faster than it was, or than it was told and could become."""
-        was_m_s = self._since.speed_m_s
-        gained_m_s = self.limits.acceleration_m_s2 / ACCELERATION_SHARE * passed_for_s
-        return max(was_m_s, min(told_m_s, was_m_s + gained_m_s))
+        """How fast the body may have become: it speeds up to what it was told, and brakes otherwise."""
+        was_m_s, acceleration_m_s2 = self._since.speed_m_s, self.limits.acceleration_m_s2
+        gained_m_s = acceleration_m_s2 / ACCELERATION_SHARE * passed_for_s
+        lost_m_s = acceleration_m_s2 * ACCELERATION_SHARE * passed_for_s
+        return max(min(told_m_s, was_m_s + gained_m_s), was_m_s - lost_m_s)
 
     def _told(self, here: Observation, anchor: Observation) -> tuple[tuple[float, float], float]:
         """The commanded motion of the wheels: its direction, a unit vector or (0, 0), and its speed.

@@ -16,6 +16,7 @@ from agent.motion.implement_clearance import LEAD_M
 from agent.peer.implement_check import RISES_WITHIN_US
 from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.place_jumps import AGE_MAX_US
+from agent.peer.sense_freshness import STEADY_US
 from agent.runtime import peer_runner
 from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
@@ -119,8 +120,9 @@ class ScenarioJudge:
         self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
         self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
         self._repeats: dict[int, int] = {}  # until when the senses repeat themselves, microseconds
-        # Where each stood when its place was a measure of its way again.
-        self._lost_at: dict[int, tuple[float, float]] = {}
+        self._unsure: dict[int, int] = {}  # until when a robot believes no place, microseconds
+        # Where wheels stood when they answered again: a robot that has not moved since has no place.
+        self._deaf_at: dict[int, tuple[float, float]] = {}
         self._by_hand: dict[int, int] = {}  # until when a person pushes a robot, microseconds
         # Ways with the implement down against the command, m, of robots whose implement is stuck.
         self._dragged_m: dict[int, float] = {}
@@ -224,6 +226,7 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self.witness.words.hangs, robot, end_at_us))
                 self._at(at_us, partial(self._hangs.__setitem__, robot, end_at_us))
+                self._at(at_us, partial(self._unsure_until, robot, end_at_us))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 let_go_at_us = at_us + round(hypot(dx_m, dy_m) / PUSHED_M_S * S) + CONTROL_PERIOD_US
                 self._at(at_us, partial(self._by_hand.__setitem__, robot, let_go_at_us))
@@ -234,18 +237,20 @@ class ScenarioJudge:
                 far_m, end_at_us = hypot(dx_m, dy_m), at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
             case kinds.Blind(robot=robot, for_s=for_s):
-                self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
-                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
+                end_at_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self._unsure_until, robot, end_at_us))
+                self._at(at_us, partial(self._loses_senses, robot, end_at_us))
             case kinds.Drifting(robot=robot, for_s=for_s):
-                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
+                self._at(at_us, partial(self._unsure_until, robot, at_us + round(for_s * S)))
             case kinds.NoRays(robot=robot, for_s=for_s):
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._shows, robot, end_at_us, self._loses_senses))
             case kinds.DeafWheels(robot=robot, for_s=for_s):
-                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
+                self._at(at_us + round(for_s * S), partial(self._wheels_answer, robot))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
-                self._at(at_us, partial(self._loses_senses, robot, at_us + round(for_s * S)))
-                self._at(at_us + round(for_s * S), partial(self._was_lost, robot))
+                end_at_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self._unsure_until, robot, end_at_us))
+                self._at(at_us, partial(self._loses_senses, robot, end_at_us))
             # Includes a start: a robot with a frozen position tries again.
             case kinds.Reset() | kinds.Order():
                 self._at(at_us, self._frozen_at.clear)
@@ -255,7 +260,7 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_freezes, robot, end_at_us))
                 self._at(at_us, partial(self._repeat, robot, end_at_us))
-                self._at(end_at_us, partial(self._was_lost, robot))
+                self._at(at_us, partial(self._unsure_until, robot, end_at_us))
             case kinds.StuckImplement(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._implement_sticks, robot, at_us + round(for_s * S)))
             case kinds.DiskFull(robot=robot, for_s=for_s):
@@ -355,21 +360,25 @@ class ScenarioJudge:
         """Its senses repeat themselves, until then at least."""
         self._repeats[slot] = max(self._repeats.get(slot, 0), end_at_us)
 
-    def _was_lost(self, slot: int) -> None:
-        """Its place was no measure of its way for a time: it had none, a wrong one, or its wheels did
-        not answer."""
+    def _wheels_answer(self, slot: int) -> None:
+        """They did not, for a time."""
         self._now_us()
-        self._lost_at[slot] = self.cluster.world.body(slot).position
+        self._deaf_at[slot] = self.cluster.world.body(slot).position
+
+    def _unsure_until(self, slot: int, end_at_us: int) -> None:
+        """It has no place until then, and believes none until its senses have been steady."""
+        end_at_us += STEADY_US + 2 * CONTROL_PERIOD_US
+        self._unsure[slot] = max(self._unsure.get(slot, 0), end_at_us)
 
     def _place_jumps(self, slot: int, far_m: float, end_at_us: int) -> None:
         """S19: as without senses. A jump no longer than its way to standstill cannot be told from that
-        way, if it begins while the robot has no senses or old ones, while its process hangs, or before it
-        has moved since its place was no measure of its way."""
+        way, if it begins while the robot has no place that it believes, or before it has moved since it
+        told its wheels to drive in vain."""
         now_us = self._now_us()
-        at, lost_at = self.cluster.world.body(slot).position, self._lost_at.get(slot)
-        stands = lost_at is not None and dist(at, lost_at) < STOOD_M
-        shows_at_us = max(self._repeats.get(slot, 0), self._hangs.get(slot, 0))
-        if far_m < UNSEEN_M and (self._blind.get(slot) or stands or now_us < shows_at_us):
+        at, deaf_at = self.cluster.world.body(slot).position, self._deaf_at.get(slot)
+        stands = deaf_at is not None and dist(at, deaf_at) < STOOD_M
+        unsure = self._blind.get(slot) or now_us < self._unsure.get(slot, 0)
+        if far_m < UNSEEN_M and (stands or unsure):
             return
         self._shows(slot, end_at_us, self._sees_jump)
 
@@ -395,8 +404,9 @@ class ScenarioJudge:
     def _place_freezes(self, slot: int, end_at_us: int) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
         now_us, let_go_at_us = self._now_us(), self._by_hand.get(slot, 0)
-        if now_us < let_go_at_us < end_at_us:  # until then a person moves it, not its wheels
-            self._at(let_go_at_us, partial(self._place_freezes, slot, end_at_us))
+        if now_us < let_go_at_us:  # until then a person moves it, not its wheels
+            if let_go_at_us < end_at_us:
+                self._at(let_go_at_us, partial(self._place_freezes, slot, end_at_us))
         elif self.protocol_world is None and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
             self._at(end_at_us, partial(self._thaws, slot))

@@ -28,6 +28,12 @@ MENDED = {
     ("stalls", 20600507): "sim/chaos/scenario_judge.py",
     # A filter that hung while the process was down repeated what the process had heard before.
     ("all", 20001421): "sim/fleet/sensor_faults.py",
+    # A place that drifted while the robot stood made it fast, so a jump right after it was believed.
+    ("senses", 40500025): "agent/peer/sense_freshness.py",
+    # A small jump began before the robot believed its place again.
+    ("senses", 40500009): "sim/chaos/scenario_judge.py",
+    # Its place was frozen until after a person let go of it.
+    ("body", 40400037): "sim/chaos/scenario_judge.py",
     # Its place was frozen while a person pushed it.
     ("body", 20400443): "sim/chaos/scenario_judge.py",
     # No rays were missed while the senses repeated what they had said.

@@ -330,6 +330,27 @@ def test_a_robot_is_no_faster_than_it_can_have_become() -> None:
         assert robot.told == HALT and robot.held == {StopCause.PLACE_LOST}
 
 
+def test_a_body_that_is_told_to_stand_gets_no_speed_from_a_place_that_drifts() -> None:
+    """Found by chaos, `senses` 40500025: its place drifted for 4 s while it stood. Its speed at the end
+    counted as a way that nobody had seen, so a jump of 1 m right after that was believed."""
+    robot = driving()
+    drifts_from_us = robot.now_us
+
+    def drifting(o: Observation) -> Observation:
+        off_m = (robot.now_us - drifts_from_us) / S
+        return o._replace(y_m=o.y_m + off_m, position_accuracy_m=max(off_m, 0.01))
+
+    robot.spoilt = drifting
+    robot.periods(80)
+    robot.spoilt = lambda o: o
+    while robot.told == HALT:
+        robot.period()
+    robot.period()
+    robot.spoilt = lambda o: o._replace(y_m=o.y_m + 1.0)
+    robot.period()
+    assert robot.told == HALT and robot.held == {StopCause.PLACE_LOST}
+
+
 @pytest.mark.parametrize("begins_at_period", range(0, 80, 5))
 def test_a_place_that_was_frozen_is_believed_where_the_body_can_have_stopped(
     begins_at_period: int,

@@ -38,8 +38,8 @@ def test_a_hung_filter_repeats_the_place_with_new_times() -> None:
 
 
 def test_a_filter_that_hangs_while_the_process_is_down_repeats_a_newer_place() -> None:
-    """Found by `headland chaos`, profile all, seed 20001421: it repeated what the process had heard before
-    it crashed, a place that had jumped and was right again by then. The robot believed that place."""
+    """Found by `headland chaos`, profile all, seed 20001421: it repeated what the process had heard
+    before it crashed, a place that had jumped and was right again by then. The robot believed it."""
     receiver = Receiver()
     receiver.jumped(1_000_000, (3.0, 0.0, 0.0))
     arrivals(receiver, 0, 1_000_000)
