@@ -129,7 +129,7 @@ class ScenarioJudge:
         # Of each robot whose implement is watched: when the last of its faults ends, microseconds.
         self._stuck_ends_at_us: dict[int, int] = {}
         # Of each robot: pairs of looks between which its implement was down against its command.
-        self._against_us: dict[int, list[tuple[int, int]]] = {}
+        self._spans_down: dict[int, list[tuple[int, int]]] = {}
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
 
     def run(self) -> "ScenarioJudge":
@@ -442,7 +442,7 @@ class ScenarioJudge:
         here = (now_us, *body.position) if against else None
         way_m = 0.0
         if here is not None and before is not None:
-            self._against_us.setdefault(slot, []).append((before[0], now_us))
+            self._spans_down.setdefault(slot, []).append((before[0], now_us))
             way_m = self._dragged_m[slot] + hypot(here[1] - before[1], here[2] - before[2])
         self._dragged_m[slot] = way_m
         most_m = body.chassis.speed_m_s * (STAYS_DOWN_US / S + body.chassis.stopping_for_s / 2)
@@ -755,7 +755,7 @@ class ScenarioJudge:
         sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)
-        return list(checker.violations(tracks, self._against_us))
+        return list(checker.violations(tracks, self._spans_down))
 
     def _add(self, rule: str, t_s: float, what: str) -> None:
         self.broken.append(RuleViolation(rule, t_s, what))

@@ -147,17 +147,17 @@ class ExclusiveWorkChecker:
     def violations(
         self,
         tracks: Mapping[int, Track],
-        against_us: Mapping[int, Sequence[tuple[int, int]]] = MappingProxyType({}),
+        spans_down: Mapping[int, Sequence[tuple[int, int]]] = MappingProxyType({}),
     ) -> list[Violation]:
         """One for each section and second in which two robots worked at least `least` samples.
 
-        `against_us`: the times, by robot, in which its implement was down against its command.
+        `spans_down`: pairs of times, microseconds, by robot, between which its implement was down against its command.
         """
         at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
         found: list[Violation] = []
         for slot, track in sorted(tracks.items()):
             points = track.to_array()
-            for begin_at_us, end_at_us in against_us.get(slot, ()):
+            for begin_at_us, end_at_us in spans_down.get(slot, ()):
                 points[(begin_at_us <= points[:, 0]) & (points[:, 0] < end_at_us), 3] = 0.0
             worked_at_us = self.truth.worked_at_us(points)
             mine = worked_at_us != NEVER_US

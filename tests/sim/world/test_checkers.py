@@ -108,11 +108,11 @@ def test_an_implement_lowered_a_little_early_in_line_with_a_neighbour_is_no_work
 
 
 @pytest.mark.parametrize(
-    ("against_us", "found"),
+    ("spans_down", "found"),
     [([], True), ([(0, 1_000_000), (1_000_000, 2_000_000)], False), ([(0, 1_000_000)], True)],
 )
 def test_an_implement_that_stays_down_against_its_command_does_no_work_of_its_robot(
-    against_us: list[tuple[int, int]], found: bool
+    spans_down: list[tuple[int, int]], found: bool
 ) -> None:
     """`headland chaos`, profile implement, seed 20800506: a robot left its section through that of
     another, and its implement had not risen."""
@@ -122,4 +122,4 @@ def test_an_implement_that_stays_down_against_its_command_does_no_work_of_its_ro
         tracks[0].add(k * 100_000, 5.0 + 0.2 * k, 2.0, True)
         tracks[1].add(k * 100_000, 30.0 + 0.2 * k, 2.0, True)
     checker = ExclusiveWorkChecker(sections, 0.2, least_m=0.8)
-    assert bool(checker.violations(tracks, {1: against_us})) is found
+    assert bool(checker.violations(tracks, {1: spans_down})) is found
