@@ -151,7 +151,8 @@ class ExclusiveWorkChecker:
     ) -> list[Violation]:
         """One for each section and second in which two robots worked at least `least` samples.
 
-        `spans_down`: pairs of times, microseconds, by robot, between which its implement was down against its command.
+        `spans_down`: by robot, pairs of times, microseconds. Between them its implement was down against
+        its command.
         """
         at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
         found: list[Violation] = []
