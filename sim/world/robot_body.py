@@ -84,6 +84,8 @@ class SimulatedBody:
     @property
     def speed_m_s(self) -> float:
         """The real speed of the body, whatever the wheels were commanded."""
+        if self.index >= len(self.world.motion):  # no step has been made yet
+            return 0.0
         vx_m_s, vy_m_s = self.world.motion[self.index, VX : VY + 1].tolist()
         return hypot(vx_m_s, vy_m_s)
 
