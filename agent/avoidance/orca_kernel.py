@@ -35,7 +35,8 @@ X, Y, VX, VY, WANT_X, WANT_Y, NOW_S, FIRST_ROW, LAST_ROW, RANGE = range(10)
 RADIUS, SPEED_MAX, HORIZON, WALL_HORIZON, DT, AGE_MAX, COS, SIN = range(10, 18)
 NEIGHBOURS, FENCES, FENCE_RADIUS, FENCE_REACH, BRAKING, GATHERED_X, GATHERED_Y = range(18, 25)
 STOPPING = 25  # deceleration for stopping before other robots; 0: no such constraint
-HEAD = 26  # even: rows stay aligned
+TOLD = 26  # speed that wheels without slip have by what the calls so far gave
+HEAD = 28  # even: rows stay aligned
 # Columns of a neighbour, one cache line. Its position was already moved on by MOVED_ON_S.
 ROW_X, ROW_Y, ROW_VX, ROW_VY, ROW_RADIUS, ROW_SHARE, ROW_HEARD_S, ROW_MOVED_ON_S = range(8)
 ROW_COLUMNS = 8
@@ -151,8 +152,10 @@ def _choose(
                           f32(work[WANT_Y] * work[COS] - work[WANT_X] * work[SIN]))  # fmt: skip
                 break
     wx, wy = solve(lines, hard + count, hard, f32(work[SPEED_MAX]), wx, wy, spare)
-    if hard > first and work[STOPPING] > 0.0:
-        return within_grip(wx, wy, vx, vy, f32(work[STOPPING] * work[DT]), lines, first, hard)
+    change = f32(work[STOPPING] * work[DT])
+    if hard > first and change > ZERO:
+        wx, wy = within_grip(wx, wy, vx, vy, f32(work[TOLD]), change, lines, first, hard)
+    work[TOLD] = max(sqrt(wx * wx + wy * wy), work[TOLD] - change)
     return wx, wy
 
 

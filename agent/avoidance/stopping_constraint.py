@@ -32,6 +32,9 @@ REACTION_S = 0.1  # two control periods, until a decision is executed and the wh
 HARDEST_M_S2 = 7.0  # tyre grip limits braking to this: 0.7 g, rubber on dry ground
 SLACK_M = 0.1  # part of the margin between two bodies that a stop may use up
 SAID_M_S = 0.025  # rounding error of the speed in a beat
+# Of a change of velocity in one period: that much faster than told may be noise. With half of it each
+# command of a robot that brakes is slower than the last one, however wheels slip.
+NOISE = 0.5
 # Of a change of velocity in one period that keeps a braking robot off fences. 0.94 of it is left for
 # braking, and 0.5 m/s² across takes it out of its drift before the 0.2 m to a fence are used up.
 ACROSS = 0.35
@@ -79,13 +82,22 @@ def before_agent(
 
 @njit(cache=True, error_model="numpy", inlined=True)
 def within_grip(
-    wx: Real, wy: Real, vx: Real, vy: Real, change: Real, lines: Lines, first: int, end: int
+    wx: Real,
+    wy: Real,
+    vx: Real,
+    vy: Real,
+    told: Real,
+    change: Real,
+    lines: Lines,
+    first: int,
+    end: int,
 ) -> tuple[Real, Real]:
     """The velocity (wx, wy), or that of braking straight from (vx, vy).
 
-    `change`: how far the velocity can change in one period. The robot brakes if the velocity that
-    it reaches on the way to (wx, wy) violates one of the half-planes from `first` to `end` - 1. Those
-    before `first` are of fences: a small part of the change keeps a braking robot off them.
+    `told`: the speed that wheels without slip have by the commands so far. `change`: how far the
+    velocity can change in one period. The robot brakes if the velocity that it reaches on the way to
+    (wx, wy) violates one of the half-planes from `first` to `end` - 1. Those before `first` are of
+    fences: a small part of the change keeps a braking robot off them.
     """
     cx, cy = wx - vx, wy - vy
     asked = sqrt(cx * cx + cy * cy)
@@ -94,15 +106,22 @@ def within_grip(
     rx, ry = f32(vx + cx * change / asked), f32(vy + cy * change / asked)
     for k in range(first, end):
         if violation(lines, k, rx, ry) > f32(0.0):
-            return _braked(vx, vy, change, lines, first)
+            return _braked(vx, vy, told, change, lines, first)
     return wx, wy
 
 
 @njit(cache=True, error_model="numpy", inlined=True)
-def _braked(vx: Real, vy: Real, change: Real, lines: Lines, fences: int) -> tuple[Real, Real]:
-    """The velocity after braking for one period, off the fences of the first `fences` half-planes."""
-    speed = max(sqrt(vx * vx + vy * vy), 1e-9)
-    left = f32(max(1.0 - change / speed, 0.0))
+def _braked(
+    vx: Real, vy: Real, told: Real, change: Real, lines: Lines, fences: int
+) -> tuple[Real, Real]:
+    """The velocity after braking for one period, off the fences of the first `fences` half-planes.
+
+    Wheels that slip may move a body faster than it was told. It brakes from what it was told then:
+    commands that follow what slip adds would speed it up.
+    """
+    speed: Real = max(sqrt(vx * vx + vy * vy), 1e-9)
+    slips = f32(speed - told) if speed - told > NOISE * change else f32(0.0)
+    left = f32(max(1.0 - (change + slips) / speed, 0.0))
     bx, by = vx * left, vy * left
     most, ax, ay = change * ACROSS, 0.0, 0.0
     for k in range(fences):
@@ -114,5 +133,5 @@ def _braked(vx: Real, vy: Real, change: Real, lines: Lines, fences: int) -> tupl
     if ax == 0.0 and ay == 0.0:
         return bx, by
     along = sqrt(change * change - ax * ax - ay * ay)
-    left = f32(max(1.0 - along / speed, 0.0))
+    left = f32(max(1.0 - (along + slips) / speed, 0.0))
     return f32(vx * left + ax), f32(vy * left + ay)

@@ -41,7 +41,7 @@ class Panel:
         self._listeners = [self.stopper]
         self._pressing: asyncio.Task[list[int]] | None = None
         self._repeating: asyncio.Task[list[KnownRobot]] | None = None
-        self._releasing = asyncio.Lock()
+        self._releasing: asyncio.Task[dict[str, Any]] | None = None
 
     def hear(self, now_s: float, frame: Frame) -> None:
         """Pass a frame to the devices that stop and release."""
@@ -61,7 +61,11 @@ class Panel:
 
     async def stop(self) -> dict[str, Any]:
         """Press, and report which robots have not confirmed. A second press waits for the same answer,
-        unless robots were released meanwhile: then it is a press of its own."""
+        unless robots were released meanwhile: then it is a press of its own. A press ends a release
+        that is under way."""
+        if self._releasing is not None:
+            self._releasing.cancel()
+            self._releasing = None
         if self._pressing is None or self._pressing.done():
             self._pressing = asyncio.create_task(self._press())
         elif self._repeating is not None and self._released:
@@ -100,28 +104,39 @@ class Panel:
 
         `keyless`: the person says that the fleet has no keys. Raises PanelError.
         """
-        if self._releasing.locked():
+        if self._releasing is not None:
             raise PanelError("a release is under way")
         if self._key is None and not keyless:
             raise PanelError(NO_KEY)
-        async with self._releasing:
-            try:
-                keyring = operator_keyring(self._key, RELEASE_S)
-            except AttachError as problem:
-                raise PanelError(str(problem)) from None
-            operator = Operator(self.bus, keyring, self.stopper.device)
-            self._listeners.append(operator)
-            try:
-                await operator.listen(LISTEN_S, stops=True)
-                cleared, _ = operator.shown.named
-                left = await (self._reset(operator, start) if reset else self._start(operator))
-            finally:
-                self._listeners.remove(operator)
-            return {
-                "cleared": [".".join(map(str, dot)) for dot in cleared] if reset else [],
-                "late": left, "heard": bool(operator.live), "signed": keyring is not None,
-                "started": start,
-            }  # fmt: skip
+        self._releasing = releasing = asyncio.create_task(self._release(reset, start))
+        try:
+            await asyncio.wait({releasing})
+        finally:
+            releasing.cancel()
+            if self._releasing is releasing:
+                self._releasing = None
+        if releasing.cancelled():
+            raise PanelError("STOP was pressed during the release")
+        return releasing.result()
+
+    async def _release(self, reset: bool, start: bool) -> dict[str, Any]:
+        try:
+            keyring = operator_keyring(self._key, RELEASE_S)
+        except AttachError as problem:
+            raise PanelError(str(problem)) from None
+        operator = Operator(self.bus, keyring, self.stopper.device)
+        self._listeners.append(operator)
+        try:
+            await operator.listen(LISTEN_S, stops=True)
+            cleared, _ = operator.shown.named
+            left = await (self._reset(operator, start) if reset else self._start(operator))
+        finally:
+            self._listeners.remove(operator)
+        return {
+            "cleared": [".".join(map(str, dot)) for dot in cleared] if reset else [],
+            "late": left, "heard": bool(operator.live), "signed": keyring is not None,
+            "started": start,
+        }  # fmt: skip
 
     async def _reset(self, operator: Operator, start: bool) -> list[int]:
         return await release(operator, start, RELEASE_S)

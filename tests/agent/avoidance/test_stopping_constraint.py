@@ -161,9 +161,27 @@ def test_a_robot_that_brakes_before_another_one_does_not_drift_into_a_fence(
     while vx > change_m_s:
         before = vx
         vx, vy = within_grip(
-            np.float32(-1.0), np.float32(2.0), vx, vy, np.float32(change_m_s), lines, 1, 2
+            np.float32(-1.0), np.float32(2.0), vx, vy, vx, np.float32(change_m_s), lines, 1, 2
         )
         assert before - vx > 0.93 * change_m_s, "braking comes first"
         x_m, y_m = x_m + float(vx) * DT_S, y_m + float(vy) * DT_S
     assert y_m > -fence_m / 2
     assert x_m < 1.05 * 2.4**2 / (2 * braking_m_s2)
+
+
+@pytest.mark.parametrize("slip", [1.1, 1.3, 2.0])
+def test_a_robot_whose_wheels_slip_brakes_from_what_it_was_told(slip: float) -> None:
+    """In `senses` 40500055 wheels moved a robot 1.3 times as fast as told. Each command was the speed
+    that it sensed, less what grip allows in one period, so braking made it faster."""
+    change_m_s = 1.5 * DT_S
+    lines = np.array([(0.0, 0.0, 0.0, 1.0)], dtype=np.float32)  # no motion to the east
+    told = 2.0
+    for _ in range(2 * int(2.0 / change_m_s) + 2):
+        before, vx, still = told, np.float32(told * slip), np.float32(0.0)
+        told, across = map(float, within_grip(
+            np.float32(-1.0), still, vx, still, np.float32(told), np.float32(change_m_s), lines, 0, 1
+        ))  # fmt: skip
+        assert across == 0.0 and told <= max(before - change_m_s / 2, 0.0) + 1e-6
+        if told <= 0.0:
+            return
+    raise AssertionError("it stands by then")

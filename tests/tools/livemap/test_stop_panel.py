@@ -3,13 +3,15 @@
 import asyncio
 from collections.abc import Callable
 
+import pytest
+
 from agent.interface.lifecycle import State
 from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyStop
 from sim.fleet.virtual_clock import elapse, run_virtual
-from tools.livemap.stop_panel import CONFIRM_S, Panel
+from tools.livemap.stop_panel import CONFIRM_S, Panel, PanelError
 
 PERIOD_S = 0.05
 
@@ -82,5 +84,26 @@ def test_a_press_after_a_release_is_a_new_stop_although_the_last_one_is_not_conf
         assert len(robots.stops) == 2, "of one press"
         for answer in (await first, await second, await third):
             assert answer["stopped"] == [0] and answer["late"] == [1]
+
+    run_virtual(story())
+
+
+def test_a_press_ends_a_release_that_is_under_way() -> None:
+    """A release that had started the fleet went on, and the one after the press was refused."""
+
+    async def story() -> None:
+        robots = Robots()
+        await robots.run(1.0)
+        first = asyncio.create_task(robots.panel.release(keyless=True, reset=True, start=True))
+        await robots.run(0.3)
+        with pytest.raises(PanelError, match="under way"):
+            await robots.panel.release(keyless=True, reset=True, start=True)
+        pressed = asyncio.create_task(robots.panel.stop())
+        await robots.run(0.1)
+        with pytest.raises(PanelError, match="STOP was pressed"):
+            await first
+        second = asyncio.create_task(robots.panel.release(keyless=True, reset=True, start=False))
+        await robots.run(CONFIRM_S)
+        assert (await second)["late"] == [0] and (await pressed)["stopped"] == [0]
 
     run_virtual(story())
