@@ -4,6 +4,7 @@ from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
+from unicodedata import category
 
 from pydantic import Field, ValidationError
 
@@ -574,6 +575,8 @@ def _validate(
         raise ScenarioError(f"{name}: {first_error(problem, kind, text)}") from None
     except TypeError as problem:
         raise ScenarioError(f"{name}: {problem}") from None
+    if any(category(letter) == "Cc" for letter in scenario.name):  # a terminal would obey it
+        raise ScenarioError(f"{name}: name: a control character in it; letters and spaces are fine")
     for number, fault in enumerate(scenario.fault):
         for key in ("robot", "sender", "receiver"):
             robot = getattr(fault, key, 0)

@@ -5,6 +5,7 @@ from pathlib import Path
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import fields_of, project
+from agent.runtime.files.printable_text import printable
 from sim.files.strict_json import dumps
 
 WRONG = 2
@@ -33,7 +34,7 @@ def fields(file: Path, as_json: bool) -> int:
     else:
         for row in rows:
             told = row.get("wrong") or f"{row['hectares']} ha, {row['points']} points"
-            print(f"{row['name']}: {told}")
+            print(printable(f"{row['name']}: {told}"))
     if any("wrong" not in row for row in rows):
         return 0
     if not rows:

@@ -48,8 +48,8 @@ class RunOutcome(Protocol):
 
 
 def fact_table(title: str, facts: Iterable[Fact]) -> Table:
-    """A table with two columns, names in bold, ready to be printed."""
-    table = Table(title=title, show_header=False)
+    """A table with two columns, names in bold, ready to be printed. The title is no markup."""
+    table = Table(title=escape(title), show_header=False)
     table.add_column(style="bold")
     table.add_column()
     for name, fact in facts:

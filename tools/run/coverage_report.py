@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from sim.files.coverage_plan_file import Plan, write_plan
 from sim.files.grid_map import Cell, Instance, Walls
@@ -145,5 +146,5 @@ def _print(title: str, report: dict[str, Any], as_json: bool) -> None:
     if as_json:
         print(dumps(report))
         return
-    facts = ((name.replace("_", " "), str(value)) for name, value in report.items())
+    facts = ((name.replace("_", " "), escape(str(value))) for name, value in report.items())
     Console().print(fact_table(title, facts))

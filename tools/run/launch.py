@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from rich.console import Console
+from rich.markup import escape
 
 from agent.interface.lifecycle import State
 from agent.runtime.end_signals import on_end
@@ -191,7 +192,9 @@ class Launch:
         if self.setting.keys is None:
             self.console.print(f"[bold red]{NO_KEYS}[/bold red]")
         elif self.own_keys is not None:
-            self.console.print(f"keys: in {self.own_keys}; your tools on this bus take them")
+            self.console.print(
+                f"keys: in {escape(str(self.own_keys))}; your tools on this bus take them"
+            )
 
     # ---------------------------------------------------------------- what another mission has otherwise
 
@@ -337,7 +340,7 @@ class Launch:
         if self.map is not None and self.map.returncode is not None:
             self.console.print(
                 f"[red]the map has ended (exit code {self.map.returncode}): its page is dead and "
-                f"its STOP stops no robot[/red]; again: headland map {self.out}"
+                f"its STOP stops no robot[/red]; again: headland map {escape(str(self.out))}"
             )
             self.map = None
 
@@ -409,8 +412,9 @@ class Launch:
         if written.why:
             self.console.print(f"report.json is not written: {written.why}")
         how = "finished" if finished else "not finished"
+        where = escape(str(self.out))
         self.console.print(
-            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {self.out}"
+            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {where}"
         )
         if self.difference:
             self.console.print(f"[red]{self.difference}[/red]")

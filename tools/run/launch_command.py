@@ -6,6 +6,7 @@ import time
 from pathlib import Path
 
 from rich.console import Console
+from rich.markup import escape
 
 from sim.files.strict_json import dumps
 from sim.scenarios.field_setup import FieldSetup
@@ -94,7 +95,7 @@ def launch(
     except OSError as problem:
         return _wrong(f"--out: {problem}")
     if fleet.said:
-        console.print(fleet.said)
+        console.print(escape(fleet.said))
     # Here once, and not in every robot at the same time.
     with told_compiling(console.print), Compiling(console) as compiling:
         steering = isinstance(setting, FieldSetup) and setting.turn_radius_m > 0.0

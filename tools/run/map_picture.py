@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from sim.files.palette import colour_of, rgb_of
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
+from tools.run.plain_text import plain_text
 
 GREYS = np.array([0.75, 1.0, 0.1])  # unknown, free, obstacle
 FRAME_MS = 250
@@ -40,6 +41,7 @@ def _extent(survey: ExplorationRun) -> tuple[float, float, float, float]:
     return west, west + columns * cell_m, south, south + rows * cell_m
 
 
+@plain_text()
 def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) -> None:
     """One PNG: the joined map with the paths driven, which robot saw what first, and each robot's map."""
     import matplotlib

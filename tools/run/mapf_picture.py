@@ -6,10 +6,13 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from tools.run.plain_text import plain_text
+
 Cell = tuple[int, int]  # row, column
 INCHES, DOTS = 8.0, 120
 
 
+@plain_text()
 def draw_ways(
     path: Path, walls: NDArray[np.bool_], steps: Sequence[Sequence[Cell]], goals: Sequence[Cell],
     title: str,

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent.field.field_map import Field
 from sim.files.palette import colour_of
+from tools.run.plain_text import plain_text
 
 Cells = NDArray[np.float64]
 LEFT = "#d62728"  # ground that was not worked
@@ -32,6 +33,7 @@ class PlaceMark(NamedTuple):
 Track = Sequence[tuple[float, float, bool]]  # x, y in metres, implement down
 
 
+@plain_text()
 def draw_field(
     field: Field, tracks: Mapping[int, Track], title: str, out: Path, missed: Cells | None = None,
     marks: Sequence[PlaceMark] = (),

@@ -10,6 +10,7 @@ from rich.table import Table
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import fields_of
+from agent.runtime.files.printable_text import printable
 from sim.files.strict_json import dumps
 from sim.runs.work_geojson import read_work_geojson
 from sim.runs.work_plan import WorkPlan, plan_work
@@ -138,7 +139,7 @@ def _print(plans: list[WorkPlan], files: list[str]) -> None:
     for planned in plans:
         left = planned.sections - planned.done
         table = Table(
-            title=f"{escape(planned.name)}: {planned.hectares:.2f} ha, {left} of "
+            title=f"{escape(printable(planned.name))}: {planned.hectares:.2f} ha, {left} of "
             f"{planned.sections} sections, {planned.ends_at_s:.0f} s"
         )
         table.add_column("robot", justify="right")

@@ -18,6 +18,7 @@ from tools.common.bus_address import CHANNEL, absolute
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
 from tools.common.run_folder import LAUNCH, RUNS, link
+from tools.run.plain_text import plain_text
 from tools.run.run_mission import UNFINISHED, MissionCommand, RunError, run_mission
 from tools.run.run_recorder import RunRecorder
 
@@ -151,6 +152,7 @@ class LiveDeliveryCommand(DeliveryCommand):
         console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
 
 
+@plain_text()
 def draw_warehouse(
     setting: DeliverySetup, run: DeliveryRun, outcome: DeliveryOutcome, out: Path
 ) -> None:

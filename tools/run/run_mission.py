@@ -11,6 +11,7 @@ from time import perf_counter
 from typing import Any, Generic, TypeVar
 
 from rich.console import Console
+from rich.markup import escape
 from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
 from agent.exploration.exploration_task import FleetFullError
@@ -117,7 +118,7 @@ def run_mission(
     else:
         console.print(run_table(outcome, command.facts(outcome)))
         written = ", ".join(["report.json", *drawn, "trace.jsonl", recorder.logs])
-        console.print(f"{written} are in {folder}")
+        console.print(escape(f"{written} are in {folder}"))
         console.print(next_commands(folder, command.follow_up), highlight=False, markup=False)
     if shown is not None and sys.stdout.isatty():  # without a person it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")
@@ -176,7 +177,8 @@ class ProgressBar(Progress):
         self, console: Console, title: str, run: MissionRun[Any, Any, Any], unit: str
     ) -> None:
         super().__init__(
-            TextColumn("{task.description}"), BarColumn(), TextColumn("{task.percentage:>5.1f} %"),
+            TextColumn("{task.description}", markup=False), BarColumn(),
+            TextColumn("{task.percentage:>5.1f} %"),
             TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console,
             transient=True,
         )  # fmt: skip
