@@ -118,6 +118,7 @@ class ScenarioJudge:
         # The true position of each when it froze.
         self._frozen_at: dict[int, tuple[float, float]] = {}
         self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
+        self._far_m: dict[int, float] = {}  # by which the newest jump of its place is wrong
         self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
         self._repeats: dict[int, int] = {}  # until when the senses repeat themselves, microseconds
         self._unsure: dict[int, int] = {}  # until when a robot believes no place, microseconds
@@ -375,6 +376,7 @@ class ScenarioJudge:
         way, if it begins while the robot has no place that it believes, or before it has moved since it
         told its wheels to drive in vain."""
         now_us = self._now_us()
+        self._far_m[slot] = far_m
         at, deaf_at = self.cluster.world.body(slot).position, self._deaf_at.get(slot)
         stands = deaf_at is not None and dist(at, deaf_at) < STOOD_M
         unsure = self._blind.get(slot) or now_us < self._unsure.get(slot, 0)
@@ -383,6 +385,9 @@ class ScenarioJudge:
         self._shows(slot, end_at_us, self._sees_jump)
 
     def _sees_jump(self, slot: int, end_at_us: int) -> None:
+        """The newest jump is what shows, if several began while none could."""
+        if self._far_m[slot] < UNSEEN_M and self._now_us() < self._unsure.get(slot, 0):
+            return
         watch = self._loses_senses(slot, end_at_us)
         if watch is not None:
             self._jumps.setdefault(slot, []).append(watch)

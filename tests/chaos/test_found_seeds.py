@@ -30,6 +30,8 @@ MENDED = {
     ("all", 20001421): "sim/fleet/sensor_faults.py",
     # Wheels that slipped moved a robot faster than told, and its next command followed that.
     ("senses", 40500055): "agent/avoidance/stopping_constraint.py",
+    # A jump of 10 m was one of 1 m when the frozen place showed it.
+    ("senses", 60500215): "sim/chaos/scenario_judge.py",
     # A place that drifted while the robot stood made it fast, so a jump right after it was believed.
     ("senses", 40500025): "agent/peer/sense_freshness.py",
     # A small jump began before the robot believed its place again.
