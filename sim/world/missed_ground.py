@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from math import dist
 
 import numpy as np
-import scipy.ndimage
+import scipy
 from numpy.typing import NDArray
 
 from agent.interface.config import S

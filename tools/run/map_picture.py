@@ -44,17 +44,15 @@ def _extent(survey: ExplorationRun) -> tuple[float, float, float, float]:
 @plain_text()
 def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) -> None:
     """One PNG: the joined map with the paths driven, which robot saw what first, and each robot's map."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure
 
     assert survey.joined is not None
     slots = sorted(survey.charts)
     columns = min(4, len(slots) + 2)
     rows = -(-(len(slots) + 2) // columns)
     size = (4 * columns, 4 * rows)
-    figure, grid = pyplot.subplots(rows, columns, figsize=size, dpi=100, squeeze=False)
+    figure = Figure(figsize=size, dpi=100)
+    grid = figure.subplots(rows, columns, squeeze=False)
     places = list(grid.flat)
     title = f"joined map, {100 * outcome.explored:.1f} % in {outcome.time_s:.0f} s"
     _plain(places[0], survey, survey.joined.values(), title)
@@ -72,18 +70,15 @@ def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) ->
     )
     figure.tight_layout()
     figure.savefig(out)
-    pyplot.close(figure)
 
 
 def film(survey: ExplorationRun, out: Path) -> None:
     """A GIF of both as they grow: the map of one robot after another, and which robot saw what first."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
     from matplotlib.animation import FuncAnimation, PillowWriter
+    from matplotlib.figure import Figure
 
-    figure, (left, right) = pyplot.subplots(1, 2, figsize=(9, 5), dpi=80)
+    figure = Figure(figsize=(9, 5), dpi=80)
+    (left, right) = figure.subplots(1, 2)
 
     def draw(number: int) -> None:
         still = survey.films[number]
@@ -98,4 +93,3 @@ def film(survey: ExplorationRun, out: Path) -> None:
 
     movie = FuncAnimation(figure, draw, frames=len(survey.films))
     movie.save(out, writer=PillowWriter(fps=1000 // FRAME_MS))
-    pyplot.close(figure)

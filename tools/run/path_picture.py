@@ -14,12 +14,10 @@ def draw_paths(outing: NavigationRun, outcome: NavigationOutcome, folder: Path) 
 
 
 def _draw(outing: NavigationRun, outcome: NavigationOutcome, slot: int, folder: Path) -> Path:
-    import matplotlib
+    from matplotlib.figure import Figure
 
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
-
-    figure, axes = pyplot.subplots(figsize=(9, 7), dpi=110)
+    figure = Figure(figsize=(9, 7), dpi=110)
+    axes = figure.subplots()
     _walls(axes, outing.setting.floor)
     shown: set[str] = set()
     for path in outing.followed[slot]:
@@ -42,7 +40,6 @@ def _draw(outing: NavigationRun, outcome: NavigationOutcome, slot: int, folder: 
     figure.tight_layout()
     out = folder / f"robot_{slot}.png"
     figure.savefig(out)
-    pyplot.close(figure)
     return out
 
 

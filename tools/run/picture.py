@@ -42,13 +42,11 @@ def draw_field(
 
     `missed`: (n, 2), centres of the cells that could have been worked and were not, metres.
     """
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
     from matplotlib.collections import LineCollection
+    from matplotlib.figure import Figure
 
-    figure, axes = pyplot.subplots(figsize=_size_in(field), dpi=110)
+    figure = Figure(figsize=_size_in(field), dpi=110)
+    axes = figure.subplots()
     if missed is not None and len(missed):
         axes.plot(*missed.T, "s", color=LEFT, markersize=2, alpha=0.5, label="not worked", zorder=0)
     for ring in (field.exterior, *field.holes):
@@ -93,7 +91,6 @@ def draw_field(
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)  # it covers no track
     figure.tight_layout()
     figure.savefig(out)
-    pyplot.close(figure)
 
 
 def _size_in(field: Field) -> tuple[float, float]:

@@ -157,16 +157,14 @@ def draw_warehouse(
     setting: DeliverySetup, run: DeliveryRun, outcome: DeliveryOutcome, out: Path
 ) -> None:
     """One PNG: walls, bays, and where each robot drove."""
-    import matplotlib
-
-    matplotlib.use("Agg")
-    from matplotlib import pyplot
+    from matplotlib.figure import Figure
 
     floor = setting.floor
     rows, columns = floor.walls.shape
     west, south = floor.origin
     box = (west, west + columns * floor.cell_m, south, south + rows * floor.cell_m)
-    figure, axes = pyplot.subplots(figsize=(11, 7), dpi=110)
+    figure = Figure(figsize=(11, 7), dpi=110)
+    axes = figure.subplots()
     axes.imshow(floor.walls, origin="lower", extent=box, cmap="Greys", alpha=0.5)
     for slot, track in sorted(run.tracks.items()):
         axes.plot([p[1] for p in track], [p[2] for p in track], color=colour_of(slot),
@@ -181,4 +179,3 @@ def draw_warehouse(
         axes.legend(loc="upper right", fontsize=7)
     figure.tight_layout()
     figure.savefig(out)
-    pyplot.close(figure)
