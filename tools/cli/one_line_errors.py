@@ -18,16 +18,14 @@ INTERRUPTED: Final = 130
 def one_line_errors() -> Iterator[None]:
     """A missing package of an extra, a full disk, a folder that is none, Ctrl-C, a name that is no
     text."""
+    _open_streams()
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
     try:
         try:
             yield
         finally:
-            if (
-                sys.stdout is not None
-            ):  # what cannot be written shows here, and not when Python ends
-                sys.stdout.flush()
+            sys.stdout.flush()  # what cannot be written shows here, and not when Python ends
     except KeyboardInterrupt:
         raise SystemExit(INTERRUPTED) from None
     except ImportError as problem:
@@ -42,6 +40,17 @@ def one_line_errors() -> Iterator[None]:
         print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
         _drop_output()
         raise SystemExit(WRONG) from None
+
+
+def _open_streams() -> None:
+    """A stream that was closed before the start (`>&-`) is the null device.
+
+    Python has None for it, which nothing can ask whether it is a terminal, and the next file that is
+    opened would get its number.
+    """
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):  # the lowest number first
+        if getattr(sys, name) is None:
+            setattr(sys, name, os.fdopen(os.open(os.devnull, os.O_RDWR), mode, encoding="utf-8"))
 
 
 def _drop_output() -> None:

@@ -148,3 +148,15 @@ def test_ctrl_c_after_the_result_says_nothing() -> None:
         cwd=ROOT,
     )  # fmt: skip
     assert (told.returncode, told.stderr) == (-signal.SIGINT, "")
+
+
+@pytest.mark.skipif(os.name == "nt", reason="a shell of POSIX closes streams so")
+@pytest.mark.parametrize("closed", ["2>&-", ">&- 2>&-", "<&- >&- 2>&-"])
+def test_a_closed_stream_is_no_second_error(closed: str) -> None:
+    """With a closed standard error each command that loads the simulator failed with an AttributeError:
+    exit code 1, and 2 with it open."""
+    told = subprocess.run(
+        ["/bin/sh", "-c", f'"$0" -m headland check nowhere.toml {closed}', sys.executable],
+        check=False, cwd=ROOT,
+    )  # fmt: skip
+    assert told.returncode == 2
