@@ -7,6 +7,7 @@ import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from shlex import quote
 from time import perf_counter
 from typing import Any, Generic, TypeVar
 
@@ -159,7 +160,9 @@ LOOKS = (
 def next_commands(folder: Path, further: Sequence[tuple[str, str]] = ()) -> str:
     """The commands that look at this run; the newest is shorter to name."""
     latest = RUNS / "latest"
-    name = latest if latest.exists() and latest.resolve() == folder.resolve() else folder
+    name = quote(
+        str(latest if latest.exists() and latest.resolve() == folder.resolve() else folder)
+    )
     rows = [(f"headland {words.format(name)}", why) for words, why in (*LOOKS, *further)]
     width = max(len(words) for words, _ in rows)
     return "next:\n" + "\n".join(f"  {words:<{width}}  # {why}" for words, why in rows)

@@ -9,6 +9,7 @@ from tools.livemap.command import recorded
 from tools.run import run_field
 from tools.run.coverage import drive_grid
 from tools.run.run_field import work_export
+from tools.run.run_mission import next_commands
 
 
 def test_task_data_is_offered_only_where_its_package_is(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -29,3 +30,9 @@ def test_a_run_on_a_grid_leaves_what_the_map_shows(tmp_path: Path) -> None:
     recording = recorded(out, None)
     assert recording.scene is not None and recording.scene["kind"] == "grid"
     assert recording.count > 100 and (out / "run.mcap").exists()
+
+
+def test_a_folder_with_a_space_is_quoted() -> None:
+    """`headland report my runs/one` was named, and is two arguments."""
+    assert "headland report 'my runs/one' " in next_commands(Path("my runs/one"))
+    assert "headland report runs/one " in next_commands(Path("runs/one"))
