@@ -10,7 +10,8 @@ from rich.console import Console
 from rich.status import Status
 
 from agent.interface.lifecycle import State
-from tools.inspect.inspector import SILENT_S, Inspector
+from agent.safety.stop_cause import cause_of
+from tools.inspect.inspector import SILENT_S, Inspector, Seen
 
 TELL_S = 5.0  # between two status lines where they stay
 
@@ -62,9 +63,15 @@ class LaunchStatus:
     def _line(self, elapsed_s: float, done: int, all_of_it: int, what: str) -> str:
         seen = self.inspector.robots
         now_s = self.inspector.now_s
-        states = " ".join(
-            f"{slot}:{robot.state if now_s - robot.last_s < SILENT_S else 'silent'}"
-            for slot, robot in sorted(seen.items())
-        )
+        states = " ".join(f"{slot}:{_word(robot, now_s)}" for slot, robot in sorted(seen.items()))
         bare = "" if self.has_keys else "  [bold red]NO KEYS[/bold red]"
         return f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}{bare}"
+
+
+def _word(robot: Seen, now_s: float) -> str:
+    """The state of a robot, and the worst cause for which it may not move, as it tells it."""
+    if now_s - robot.last_s >= SILENT_S:
+        return "silent"
+    told = robot.causes.fresh(round(now_s * 1e6)) if robot.held else []
+    cause = cause_of(told[0].cause) if told else None
+    return robot.state if cause is None else f"{robot.state}({cause.name})"

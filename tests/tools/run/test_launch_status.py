@@ -6,7 +6,7 @@ from rich.console import Console
 
 from agent.interface.lifecycle import State
 from protocol.frames.codec import encode
-from protocol.frames.fleet_frames import Heartbeat, Member
+from protocol.frames.fleet_frames import Heartbeat, Member, StandsBy, Standstill
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import fleet_name
 from tools.inspect.inspector import Inspector
@@ -47,3 +47,21 @@ def test_at_a_terminal_one_line_renews_itself() -> None:
     assert "5/9 sections" in text or "robots start" in text
     assert "EMERGENCY STOP: robots 1 stand" in text and "the stop is released" in text
     assert "\n     5 s" not in text
+
+
+def test_a_robot_that_may_not_move_says_why() -> None:
+    """On a busy machine a fleet stood for minutes with old senses, and the line said WORKING."""
+    inspector = Inspector()
+    console = Console(file=StringIO(), width=100, color_system=None)
+    with LaunchStatus(console, inspector, has_keys=True) as status:
+        heard(inspector, 5.0, State.WORKING)
+        for beat in (
+            Heartbeat(1, State.WORKING, False, True, True, False, 1.0, 0, 0),
+            Standstill(1, StandsBy.SENSES_OLD, 0, 1),
+        ):
+            inspector.hear(5.0, encode(beat, 141, 255))
+        status.tell(5.0, 5, 9, "sections")
+        heard(inspector, 10.0, State.WORKING)
+        status.tell(10.0, 6, 9, "sections")
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert lines[0].endswith("1:WORKING(SENSES_OLD)") and lines[1].endswith("1:WORKING")
