@@ -1,16 +1,21 @@
 """`headland body-check`: ten checks of a driver on a machine that may move some metres.
 
-The driver is judged by what it senses. With the simulated machine (`headland machine`) muted and late
-places are tried as well, and the truth of the machine is compared with what the driver senses.
+The driver is judged by what it senses. With the simulated machine (`headland machine`) muted, late,
+inaccurate and jumped places are tried as well, and the truth of the machine is compared with what the
+driver senses.
 """
 
 import asyncio
 import json
 import sys
 import time
-from collections.abc import Awaitable, Callable, Mapping, Sequence
+import traceback
+from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from itertools import combinations, pairwise
-from math import atan2, cos, degrees, dist, hypot, isfinite, pi, radians, remainder, sin
+from math import atan2, cos, degrees, dist, hypot, isfinite, pi, radians, remainder, sin, sqrt
+from pathlib import Path
+from statistics import fmean
 from typing import Any, Final, NamedTuple
 
 from rich.console import Console
@@ -19,7 +24,13 @@ from agent.interface.config import ACTUATOR_TTL_US, BRAKING_SHARE, CONTROL_PERIO
 from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
-from agent.peer.place_jumps import AGE_MAX_US, HEADING_ACCURACY_RAD, POSITION_ACCURACY_M
+from agent.motion.wheel_kinematics import WheelBase, WheelDrive
+from agent.peer.place_jumps import (
+    AGE_MAX_US,
+    HEADING_ACCURACY_RAD,
+    JUMP_M,
+    POSITION_ACCURACY_M,
+)
 from agent.runtime.body_plugins import made, plugins
 from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody
 from sim.files.strict_json import dumps
@@ -36,8 +47,16 @@ WINDOW_S: Final = 0.4  # speeds are taken over this time, for noise of a centime
 SLEW_S: Final = 0.11  # two places at 20 Hz; twice the declared acceleration is allowed in it
 DETECTED_S: Final = 0.25  # for standing to show in places that are noisy
 TIMES_TRIALS: Final = 3  # of two seconds: other work seldom delays each of them
+CALL_S: Final = 0.03  # `sense` and `drive` are called every 50 ms, in the thread of the bus
+REACTS_S: Final = 0.1  # from a command to the brakes, and from a place to `sense`
+EXTRA_LIFE_S: Final = 0.15  # between the last two commands, and to the watchdog of a controller
 MUTED_S: Final = 0.8
 LATE_S: Final = 0.5
+INACCURATE_S: Final = 1.5
+JUMPED_M: Final = 2.0
+HINT_RAD: Final = radians(
+    15.0
+)  # a course that is nearer to one that a known fault gives has this fault
 
 
 class SensedSample(NamedTuple):
@@ -51,6 +70,41 @@ class WrongError(Exception):
     """One line: why a check is not passed."""
 
 
+@contextmanager
+def calling(name: str) -> Iterator[None]:
+    """Turns what a method of a driver raises into one line. OSError of `open` says what is not there.
+
+    Raises WrongError."""
+    try:
+        yield
+    except (WrongError, TimeoutError):
+        raise
+    except Exception as problem:
+        if name == "open" and isinstance(problem, OSError):
+            raise
+        frame = traceback.extract_tb(problem.__traceback__)[-1]
+        where = f"{Path(frame.filename).name}:{frame.lineno}"
+        raise WrongError(f"{name} raised {type(problem).__name__}: {problem} ({where})") from None
+
+
+def checked(seen: object) -> Observation | None:
+    """What `sense` has returned. Raises WrongError if it is no observation, or one that is no number."""
+    if seen is None:
+        return None
+    if not isinstance(seen, Observation):
+        raise WrongError(f"sense returned a {type(seen).__name__}, not an Observation or None")
+    for name in (*Observation._fields[:5], "position_accuracy_m", "heading_accuracy_rad"):
+        value = getattr(seen, name)
+        if not isinstance(value, (int, float)) or isinstance(value, bool):
+            raise WrongError(f"{name} is a {type(value).__name__}, not a number: {value!r}")
+        # An infinite accuracy says that there is none.
+        if not isfinite(value) and "accuracy" not in name:
+            raise WrongError(f"{name} is {value}")
+    if not isinstance(seen.sensed_at_us, (int, float)):
+        raise WrongError(f"sensed_at_us is {seen.sensed_at_us!r}, not a number")
+    return seen
+
+
 class BodyTrial:
     """A body that is commanded every control period, and what it senses."""
 
@@ -58,6 +112,25 @@ class BodyTrial:
         """`orders`: host and port of the simulated machine's orders, if it is one."""
         self.body, self.vehicle, self.orders = body, vehicle, orders
         self.speed_m_s = min(SPEED_M_S, vehicle.speed_m_s)
+        self.drove_on_m: float | None = None  # after a command to stand
+        self.slowest_call: tuple[float, str] = (0.0, "")  # seconds, method
+
+    def sense(self, now_us: int) -> Observation | None:
+        """What the driver senses. Raises WrongError."""
+        with calling("sense"):
+            seen = self.body.sense(now_us)
+        self._took((self.now_us() - now_us) / S, "sense")
+        return checked(seen)
+
+    def drive(self, command: Drive) -> None:
+        """Command the driver. Raises WrongError."""
+        now_us = self.now_us()
+        with calling("drive"):
+            self.body.drive(GatedDrive(command), now_us)
+        self._took((self.now_us() - now_us) / S, "drive")
+
+    def _took(self, for_s: float, name: str) -> None:
+        self.slowest_call = max(self.slowest_call, (for_s, name))
 
     @staticmethod
     def now_us() -> int:
@@ -70,16 +143,17 @@ class BodyTrial:
         start_us = due_us = self.now_us()
         while due_us < start_us + for_s * S:
             now_us = self.now_us()
-            samples.append(SensedSample(now_us, self.body.sense(now_us)))
+            samples.append(SensedSample(now_us, self.sense(now_us)))
             if command is not None:
-                self.body.drive(GatedDrive(command), self.now_us())
-            due_us += CONTROL_PERIOD_US
+                self.drive(command)
+            # After a pause of the computer no burst of commands follows.
+            due_us = max(due_us + CONTROL_PERIOD_US, now_us)
             await asyncio.sleep(max(due_us - self.now_us(), 0) / S)
         return samples
 
     def here(self) -> Observation:
         """The newest observation. Raises WrongError."""
-        seen = self.body.sense(self.now_us())
+        seen = self.sense(self.now_us())
         if seen is None:
             raise WrongError("nothing is sensed")
         return seen
@@ -134,6 +208,47 @@ def windows(seen: Sequence[Observation]) -> list[tuple[Observation, Observation]
     return pairs
 
 
+def last_window(seen: Sequence[Observation]) -> tuple[Observation, Observation]:
+    """The newest pair. Raises WrongError where the times do not pass."""
+    pairs = windows(seen)
+    if not pairs:
+        passed_ms = (seen[-1].sensed_at_us - seen[0].sensed_at_us) / 1000
+        raise WrongError(f"the times of {len(seen)} places differ by {passed_ms:.0f} ms only")
+    return pairs[-1]
+
+
+def unit_of(sensed_at_us: float, now_us: int) -> str:
+    """What is wrong with a time that is far from ours, if that is known."""
+    for factor, unit in ((1_000_000, "in seconds"), (1000, "in milliseconds")):
+        if abs(sensed_at_us * factor - now_us) < 60 * S:
+            return f"; it seems to be {unit}, not in microseconds"
+    if abs(sensed_at_us / 1000 - now_us) < 60 * S:
+        return "; it seems to be in nanoseconds, not in microseconds"
+    if abs(sensed_at_us - time.time() * S) < 86_400 * S:
+        return "; it seems to be of time.time(), not of time.monotonic()"
+    return ""
+
+
+def side_of(off_rad: float) -> str:
+    """An angle in words."""
+    return f"{abs(degrees(off_rad)):.0f} degrees to the {'left' if off_rad > 0 else 'right'}"
+
+
+def hint_of(commanded_rad: float, driven_rad: float) -> str:
+    """Which known fault turns the commanded course into the driven one; empty: none."""
+    for course_rad, fault in (
+        (commanded_rad + pi, "are forward and backward exchanged?"),
+        (-commanded_rad, "is the sign of y (north) wrong?"),
+        (pi - commanded_rad, "is the sign of x (east) wrong?"),
+        (pi / 2 - commanded_rad, "are x and y exchanged, or are headings bearings from north?"),
+        (commanded_rad + pi / 2, "is the heading off by 90 degrees?"),
+        (commanded_rad - pi / 2, "is the heading off by 90 degrees?"),
+    ):
+        if abs(remainder(driven_rad - course_rad, 2 * pi)) < HINT_RAD:
+            return f"; {fault}"
+    return ""
+
+
 def moves(first: Observation, last: Observation) -> bool:
     """Whether the places of a window differ by more than their accuracy explains."""
     noise_m = 2 * (first.position_accuracy_m + last.position_accuracy_m)
@@ -145,8 +260,9 @@ async def opens(trial: BodyTrial) -> str:
     """It connects, and senses a place."""
     start_us = trial.now_us()
     async with asyncio.timeout(OPEN_S):
-        await trial.body.open()
-        while trial.body.sense(trial.now_us()) is None:
+        with calling("open"):
+            await trial.body.open()
+        while trial.sense(trial.now_us()) is None:
             await asyncio.sleep(CONTROL_PERIOD_US / S)
     return f"in {(trial.now_us() - start_us) / S:.1f} s"
 
@@ -158,10 +274,21 @@ async def has_current_times(trial: BodyTrial) -> str:
     `TIMES_TRIALS` trials without an old place is enough, and the others are told. Raises WrongError.
     """
     old_ms: list[str] = []
+    slow: list[tuple[float, str]] = []
     for _ in range(TIMES_TRIALS):
+        trial.slowest_call = (0.0, "")
         samples = await trial.run(HALT, 2.0)
+        slow.append(trial.slowest_call)
+        if min(slow)[0] > CALL_S:
+            if len(slow) < TIMES_TRIALS:
+                continue
+            took_s, name = min(slow)
+            raise WrongError(f"{name} took {took_s * 1000:.0f} ms, and must not wait")
         seen_in(samples)
         ages_us = [s.at_us - s.seen.sensed_at_us for s in samples if s.seen is not None]
+        wrong_unit = unit_of(samples[-1].at_us - ages_us[-1], samples[-1].at_us)
+        if wrong_unit:
+            raise WrongError(f"sensed_at_us is {samples[-1].at_us - ages_us[-1]:.0f}{wrong_unit}")
         if min(ages_us) < 0:
             raise WrongError(f"sensed {-min(ages_us) / 1000:.0f} ms in the future")
         if max(ages_us) <= AGE_MAX_US:
@@ -179,8 +306,10 @@ async def tells_its_accuracy(trial: BodyTrial) -> str:
     """Places are metres near the origin, and as accurate as the clearances need. Raises WrongError."""
     seen = seen_in(await trial.run(HALT, 2.0))
     here = seen[-1]
-    if not all(map(isfinite, here[:5])) or abs(here.heading_rad) > 4 * pi:
-        raise WrongError(f"not numbers, or heading not in radians: {here[:5]}")
+    if abs(here.heading_rad) > 4 * pi:
+        raise WrongError(
+            f"the heading is {here.heading_rad:.1f}; is it in degrees, not in radians?"
+        )
     accuracy_m, turn_rad = here.position_accuracy_m, here.heading_accuracy_rad
     if not accuracy_m <= POSITION_ACCURACY_M or not turn_rad <= HEADING_ACCURACY_RAD:
         raise WrongError(
@@ -191,21 +320,33 @@ async def tells_its_accuracy(trial: BodyTrial) -> str:
     wanders_m = max(dist(middle, s[:2]) for s in seen)
     if wanders_m > max(5 * accuracy_m, 0.02):
         raise WrongError(f"wanders {wanders_m:.2f} m standing, and says {accuracy_m:.3f} m")
-    return f"{accuracy_m:.3f} m, wanders {wanders_m:.3f} m standing"
+    exact = "; 0.0 says that it is exact, as no receiver is" if accuracy_m == 0.0 else ""
+    return f"{accuracy_m:.3f} m, wanders {wanders_m:.3f} m standing{exact}"
 
 
 async def drives_ahead(trial: BodyTrial) -> str:
     """A command along the heading moves it there, with that speed, and it says so. Raises WrongError."""
     command, from_m = trial.towards(0.0), trial.here()
     samples = await trial.run(command, 1.0 + 3 * trial.stops_in_s)
-    first, last = windows(seen_in(samples))[-1]
+    first, last = last_window(seen_in(samples))
     await trial.stand()
     speed_m_s, course_rad = speed_of(first, last)
-    off_rad = remainder(course_rad - atan2(command.vy_m_s, command.vx_m_s), 2 * pi)
+    commanded_rad = atan2(command.vy_m_s, command.vx_m_s)
+    off_rad = remainder(course_rad - commanded_rad, 2 * pi)
     if dist(from_m[:2], last[:2]) < trial.speed_m_s / 4:
-        raise WrongError(f"moved {dist(from_m[:2], last[:2]):.2f} m only")
+        turned_rad = remainder(last.heading_rad - from_m.heading_rad, 2 * pi)
+        turned = (
+            f", and turned {side_of(turned_rad)}; is its heading wrong?"
+            if abs(turned_rad) > ASIDE_RAD
+            else " only"
+        )
+        raise WrongError(
+            f"told to drive ahead, it moved {dist(from_m[:2], last[:2]):.2f} m{turned}"
+        )
     if abs(off_rad) > ASIDE_RAD:
-        raise WrongError(f"{degrees(off_rad):.0f} degrees to the left of the commanded course")
+        raise WrongError(
+            f"drives {side_of(off_rad)} of the commanded course{hint_of(commanded_rad, course_rad)}"
+        )
     if abs(speed_m_s / trial.speed_m_s - 1) > SHARE:
         raise WrongError(f"told {trial.speed_m_s:.2f} m/s, drove {speed_m_s:.2f} m/s")
     points_rad = remainder(last.heading_rad - course_rad, 2 * pi)
@@ -229,14 +370,18 @@ async def turns_the_right_way(trial: BodyTrial) -> str:
     for angle_rad in (radians(60.0), -radians(60.0)):
         before, command = trial.here(), trial.towards(angle_rad)
         samples = await trial.run(command, 6.0)
-        first, last = windows(seen_in(samples))[-1]
+        first, last = last_window(seen_in(samples))
         await trial.stand()
         course_rad = atan2(command.vy_m_s, command.vx_m_s)
-        off_rad = remainder(speed_of(first, last)[1] - course_rad, 2 * pi)
+        driven_rad = speed_of(first, last)[1]
+        off_rad = remainder(driven_rad - course_rad, 2 * pi)
         turned_rad = remainder(last.heading_rad - before.heading_rad, 2 * pi)
         side = "left" if angle_rad > 0 else "right"
         if abs(off_rad) > ASIDE_RAD:
-            raise WrongError(f"told to the {side}, it drives {degrees(off_rad):.0f} degrees off")
+            raise WrongError(
+                f"told to the {side}, it drives {side_of(off_rad)} of the commanded course"
+                f"{hint_of(course_rad, driven_rad)}"
+            )
         if trial.vehicle.drive is not DriveTrain.MECANUM and turned_rad * angle_rad < 0:
             raise WrongError(
                 f"told to the {side}, its heading turned {degrees(turned_rad):.0f} degrees"
@@ -280,12 +425,23 @@ async def speeds_up_as_declared(trial: BodyTrial) -> str:
     return said
 
 
-async def _stops(trial: BodyTrial, command: Drive | None, more_s: float) -> str:
-    await trial.run(trial.towards(0.0), 1.0 + 2 * trial.stops_in_s)
+class StopWay(NamedTuple):
+    """How a body has stopped."""
+
+    line: str
+    drove_on_m: float  # from the place of the last command to the one where it stood
+    noise_m: float  # of that way
+
+
+async def _stops(trial: BodyTrial, command: Drive | None, more_s: float) -> StopWay:
+    run_up = seen_in(await trial.run(trial.towards(0.0), 1.0 + 2 * trial.stops_in_s))
     from_us = trial.now_us()
+    if speed_of(*last_window(run_up))[0] < trial.speed_m_s / 2:
+        raise WrongError("it did not drive before it was to stop")
     samples = await trial.run(command, 1.5 + trial.stops_in_s + more_s)
     await trial.stand()
-    pairs = windows(seen_in(samples))
+    seen = seen_in(samples)
+    pairs = windows(seen)
     moving = [pair for pair in pairs if moves(*pair)]
     stood_at_us = sum(seen.sensed_at_us for seen in moving[-1]) / 2 if moving else from_us
     took_s = (stood_at_us - from_us) / S
@@ -294,21 +450,68 @@ async def _stops(trial: BodyTrial, command: Drive | None, more_s: float) -> str:
         raise WrongError("it does not stop")
     if took_s > most_s:
         raise WrongError(f"stood after {took_s:.2f} s; {most_s:.2f} s at most")
-    return f"stood after {max(took_s, 0.0):.2f} s, {most_s:.2f} at most"
+    line = f"stood after {max(took_s, 0.0):.2f} s, {most_s:.2f} at most"
+    return StopWay(line, *_way_on(run_up, seen, from_us))
+
+
+def _way_on(
+    run_up: Sequence[Observation], seen: Sequence[Observation], from_us: int
+) -> tuple[float, float]:
+    """Metres along its course that it drove after a time, and how far noise may be in them."""
+    rest = [s for s in seen if seen[-1].sensed_at_us - s.sensed_at_us < WINDOW_S * S]
+    end_m = fmean(s.x_m for s in rest), fmean(s.y_m for s in rest)
+    first, last = last_window(run_up)
+    speed_m_s, course_rad = speed_of(first, last)
+    middle = [s for s in run_up if last.sensed_at_us - s.sensed_at_us < WINDOW_S * S]
+    # Each place of the run-up, driven on to the time of the command.
+    ways_m = [
+        (end_m[0] - s.x_m) * cos(course_rad)
+        + (end_m[1] - s.y_m) * sin(course_rad)
+        - speed_m_s * (from_us - s.sensed_at_us) / S
+        for s in middle
+    ]
+    noise_m = fmean(dist(end_m, s[:2]) for s in rest)
+    return fmean(ways_m), 4 * noise_m / sqrt(len(rest))
 
 
 async def stops_when_told(trial: BodyTrial) -> str:
-    """A command to stand is obeyed within the time that the fleet plans with."""
-    return await _stops(trial, HALT, CONTROL_PERIOD_US / S)
+    """A command to stand is obeyed within the time and the way that the fleet plans with.
+
+    A place that is late and does not say so shows here: it drives on after the body stands.
+    Raises WrongError."""
+    stop = await _stops(trial, HALT, CONTROL_PERIOD_US / S)
+    trial.drove_on_m = stop.drove_on_m
+    most_m = trial.speed_m_s * (CONTROL_PERIOD_US / S + REACTS_S + trial.stops_in_s / 2)
+    said = f"{stop.drove_on_m:.2f} m; {most_m + stop.noise_m:.2f} m at most"
+    if stop.drove_on_m > most_m + stop.noise_m:
+        raise WrongError(
+            f"its places go on for {said}: it brakes late, or its places are later than they say"
+        )
+    return f"{stop.line}; {said}"
 
 
 async def stops_when_nobody_speaks(trial: BodyTrial) -> str:
-    """Without commands the wheels stand after their lifetime."""
-    return await _stops(trial, None, ACTUATOR_TTL_US / S)
+    """Without commands the wheels stand after their lifetime: it drives hardly further than when it is
+    told to stand. Raises WrongError."""
+    stop = await _stops(trial, None, ACTUATOR_TTL_US / S)
+    if trial.drove_on_m is None:
+        return stop.line
+    longer_s = (stop.drove_on_m - trial.drove_on_m) / trial.speed_m_s
+    # The command to stand came at once; the last command before the silence is one period old.
+    most_s = (ACTUATOR_TTL_US - CONTROL_PERIOD_US) / S + EXTRA_LIFE_S
+    if longer_s > most_s + 2 * stop.noise_m / trial.speed_m_s:
+        raise WrongError(
+            f"drives on for {(longer_s * S + CONTROL_PERIOD_US) / 1000:.0f} ms after the last command; "
+            f"a command lives for {ACTUATOR_TTL_US / 1000:.0f} ms"
+        )
+    return stop.line
 
 
 async def shows_missing_and_late_places(trial: BodyTrial) -> str:
-    """A place that does not arrive grows old; one that arrives late says so. Raises WrongError."""
+    """A place that does not arrive grows old; one that arrives late says so, and so does one that is
+    inaccurate. One that jumps is passed on as it is: the robot notices it, and a filter would hide it.
+
+    Raises WrongError."""
     if trial.orders is None:
         return ""
     said = []
@@ -323,6 +526,7 @@ async def shows_missing_and_late_places(trial: BodyTrial) -> str:
             raise WrongError(f"{fault}: the place passes for {age_us / 1000:.0f} ms old")
         said.append(f"{fault.split()[0]} {age_us / 1000:.0f} ms old")
         await trial.run(HALT, 1.0 + LATE_S)
+    await _worse_places(trial)
     truth, seen = await trial.order("where"), trial.here()
     apart_m = dist((truth["x_m"], truth["y_m"]), seen[:2])
     if apart_m > POSITION_ACCURACY_M:
@@ -330,14 +534,50 @@ async def shows_missing_and_late_places(trial: BodyTrial) -> str:
     return f"{', '.join(said)}; {apart_m:.3f} m from the truth"
 
 
+async def _worse_places(trial: BodyTrial) -> None:
+    """Inaccurate places and places that jump. Raises WrongError."""
+    if await trial.order(f"inaccurate {INACCURATE_S}") == "ok":
+        samples = await trial.run(HALT, INACCURATE_S - 2 * CONTROL_PERIOD_US / S)
+        seen = samples[-1].seen
+        fresh = seen is not None and samples[-1].at_us - seen.sensed_at_us <= AGE_MAX_US
+        if fresh and seen is not None and seen.position_accuracy_m <= POSITION_ACCURACY_M:
+            raise WrongError(
+                f"inaccurate: the place passes for accurate to {seen.position_accuracy_m:.3f} m"
+            )
+        await trial.run(HALT, 2.0)
+    if await trial.order(f"jumped {JUMPED_M} 0 {MUTED_S}") == "ok":
+        before = trial.here()
+        samples = await trial.run(HALT, MUTED_S - 2 * CONTROL_PERIOD_US / S)
+        steps_m = [
+            dist(a.seen[:2], b.seen[:2])
+            for a, b in pairwise(samples)
+            if a.seen is not None and b.seen is not None
+        ]
+        last = samples[-1].seen
+        hidden = all(sample.seen is not None for sample in samples) and max(steps_m) < JUMP_M
+        if hidden and last is not None and dist(before[:2], last[:2]) > POSITION_ACCURACY_M:
+            raise WrongError(
+                f"jumped {JUMPED_M:.0f} m: the place goes there by steps of {max(steps_m):.2f} m, "
+                "which no robot notices; pass a jump on as it is"
+            )
+        await trial.run(HALT, 1.0 + MUTED_S)
+
+
 async def opens_again(trial: BodyTrial) -> str:
-    """After `close` it stands, and can be opened again. Raises WrongError."""
+    """After `close` it stands, and can be opened again and driven. Raises WrongError."""
     await trial.run(trial.towards(0.0), 1.0)
-    trial.body.close()
+    with calling("close"):
+        trial.body.close()
     await asyncio.sleep(1.0 + trial.stops_in_s)
     said = await opens(trial)
-    if moves(*windows(seen_in(await trial.run(None, 1.0)))[-1]):
+    if moves(*last_window(seen_in(await trial.run(None, 1.0)))):
         raise WrongError("it drives after it was closed")
+    from_m = trial.here()
+    await trial.run(trial.towards(0.0), 1.0 + trial.stops_in_s)
+    moved_m = dist(from_m[:2], trial.here()[:2])
+    await trial.stand()
+    if moved_m < trial.speed_m_s / 4:
+        raise WrongError(f"opened again and told to drive, it moved {moved_m:.2f} m only")
     return said
 
 
@@ -365,15 +605,36 @@ async def judged(
         try:
             said = await check(trial)
             finding = Finding(name, True if said else None, said or "not tried: needs --machine")
-        except (WrongError, OSError, TimeoutError, StopIteration, IndexError) as problem:
+        except TimeoutError:
+            finding = Finding(name, False, f"no place in {OPEN_S:.0f} s")
+        except (WrongError, OSError) as problem:
             finding = Finding(name, False, str(problem) or type(problem).__name__)
-            trial.body.drive(HALT, trial.now_us())
+        if not finding.ok:
+            halt(trial.body)
         findings.append(finding)
         tell(finding)
         if name == "opens" and not finding.ok:
             break
-    trial.body.close()
+    try:
+        with calling("close"):
+            trial.body.close()
+    except WrongError as problem:
+        findings.append(Finding("close", False, str(problem)))
+        tell(findings[-1])
     return findings
+
+
+def rehearse(vehicle: Vehicle) -> None:
+    """Load the kernels of wheels. This takes a second on a busy computer, in which no command is sent."""
+    wheel_drive = WheelDrive(WheelBase.of(vehicle, wheel_radius_m=0.1))
+    for command in (Drive(0.5, 0.0), Drive(0.0, 0.5), HALT):
+        wheel_drive.speeds(GatedDrive(command), 0.0)
+
+
+def halt(body: RobotBody) -> None:
+    """Let it stand; a driver that fails at this has a finding already."""
+    with suppress(Exception):
+        body.drive(HALT, BodyTrial.now_us())
 
 
 def body_check(
@@ -384,8 +645,6 @@ def body_check(
 
     `name`: a plug-in, or "module:Name". `machine`: HOST:PORT of the simulated machine's orders.
     """
-    from pathlib import Path
-
     import_from(Path())
     try:
         orders = None
@@ -399,6 +658,7 @@ def body_check(
     except (FactoryError, ValueError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
+    rehearse(vehicle)
     console = Console(highlight=False)
 
     def tell(finding: Finding) -> None:

@@ -4,6 +4,7 @@ import asyncio
 import json
 import os
 import sys
+import traceback
 from pathlib import Path
 
 from rich.console import Console
@@ -128,12 +129,18 @@ async def _body(declared: RobotFile) -> list[Finding]:
     name = declared.body.plugin or str(declared.body.factory)
     try:
         body = await opened_body(declared, dry=True)
+        try:
+            findings = [Finding("body", True, name), await _place(body), _ranges(declared)]
+        finally:
+            body.close()
     except RobotError as problem:
         return [Finding("body", False, str(problem))]
-    try:
-        return [Finding("body", True, name), await _place(body), _ranges(declared)]
-    finally:
-        body.close()
+    except Exception as problem:  # drivers raise what they like
+        frame = traceback.extract_tb(problem.__traceback__)[-1]
+        where = f"{Path(frame.filename).name}:{frame.lineno}"
+        said = f"{name} raised {type(problem).__name__}: {problem} ({where})"
+        return [Finding("body", False, said)]
+    return findings
 
 
 async def _place(body: RobotBody) -> Finding:

@@ -4,10 +4,11 @@ import asyncio
 import json
 import subprocess
 import sys
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from importlib import import_module
-from math import hypot, pi
+from math import hypot, nan, pi
 from operator import xor
 from pathlib import Path
 from typing import Any
@@ -26,7 +27,7 @@ from agent.runtime.robot_body import DeclaredMachine
 from sim.machines.isobus_machine import IsobusMachine
 from sim.machines.nmea_machine import Dimensions, WheeledBody
 from tests.tools.launching import ENVIRONMENT, ROOT
-from tools.run.body_check import CHECKS, BodyTrial, judged
+from tools.run.body_check import CHECKS, BodyTrial, hint_of, judged, unit_of
 from tools.run.machine_command import order
 
 EXAMPLE = ROOT / "examples" / "robot"
@@ -209,6 +210,125 @@ class KeepsOn(NmeaBody):
         if hypot(self.last.vx_m_s, self.last.vy_m_s):
             super().drive(GatedDrive(self.last), now_us)
         return super().sense(now_us)
+
+
+class Unsaid(NmeaBody):
+    """Its places are 400 ms late, and pass for new."""
+
+    def __init__(self, slot: int, gnss: str, wheels: str) -> None:
+        super().__init__(slot, gnss, wheels)
+        self.before: deque[Observation] = deque(maxlen=9)
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        if seen is None:
+            return None
+        self.before.append(seen)
+        return self.before[0]._replace(sensed_at_us=seen.sensed_at_us)
+
+
+class Exact(NmeaBody):
+    """It leaves out the accuracy."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return None if seen is None else seen._replace(position_accuracy_m=0.0)
+
+
+class HoldsOn(NmeaBody):
+    """It repeats the last command for 300 ms, as a thread of its own would."""
+
+    last, told_at_us = GatedDrive(Drive(0.0, 0.0)), 0
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        self.last, self.told_at_us = command, now_us
+        super().drive(command, now_us)
+
+    def sense(self, now_us: int) -> Observation | None:
+        if 50_000 <= now_us - self.told_at_us < 300_000:
+            super().drive(self.last, now_us)
+        return super().sense(now_us)
+
+
+class Filtered(NmeaBody):
+    """Its filter believes a new place by a twentieth."""
+
+    kept: tuple[float, float] | None = None
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        if seen is None:
+            return None
+        x_m, y_m = self.kept or seen[:2]
+        self.kept = x_m + (seen.x_m - x_m) / 20, y_m + (seen.y_m - y_m) / 20
+        return seen._replace(x_m=self.kept[0], y_m=self.kept[1])
+
+
+class NoNumber(NmeaBody):
+    """Its place is no number while it drives."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        drives = seen is not None and hypot(seen.vx_m_s, seen.vy_m_s) > 0.2
+        return seen._replace(x_m=nan) if seen is not None and drives else seen
+
+
+class Raises(NmeaBody):
+    """Its code has a fault."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        raise KeyError("receiver")
+
+
+class Seconds(NmeaBody):
+    """Its times are seconds."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return None if seen is None else seen._replace(sensed_at_us=seen.sensed_at_us // 1_000_000)
+
+
+class StandsAgain(NmeaBody):
+    """It connects once only, and keeps the last place."""
+
+    last: Observation | None = None
+    opened = False
+
+    async def open(self) -> None:
+        if not self.opened:
+            await super().open()
+        self.opened = True
+
+    def sense(self, now_us: int) -> Observation | None:
+        self.last = super().sense(now_us) or self.last
+        return None if self.last is None else self.last._replace(sensed_at_us=now_us)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("driver", "check", "says"),
+    [
+        (Unsaid, "stop", "later than they say"), (Exact, "missing places", "inaccurate: the place"),
+        (HoldsOn, "life of a command", "after the last command"),
+        (Filtered, "missing places", "by steps of"), (NoNumber, "ahead", "x_m is nan"),
+        (Raises, "opens", "sense raised KeyError: 'receiver' (test_body_check.py:"),
+        (Seconds, "times", "in seconds"), (StandsAgain, "restart", "opened again"),
+    ],
+)  # fmt: skip
+def test_a_driver_that_passed_or_ended_the_checks_is_told_what_is_wrong(
+    driver: type[NmeaBody], check: str, says: str, machine: Machine
+) -> None:
+    """Places that were late, filtered or no numbers passed, and an exception ended all checks."""
+    names = ("opens", "stop", check) if check == "life of a command" else ("opens", check)
+    assert says in failed(trial(machine("differential"), body=driver), names)[check]
+
+
+def test_a_wrong_course_and_a_wrong_time_say_what_they_look_like() -> None:
+    assert "y (north)" in hint_of(0.7, -0.7) and "x (east)" in hint_of(0.7, pi - 0.7)
+    assert "bearings" in hint_of(0.3, pi / 2 - 0.3) and hint_of(0.4, 0.9) == ""
+    now_us = 5_000_000_000
+    assert "in milliseconds" in unit_of(now_us / 1000, now_us) and unit_of(now_us, now_us) == ""
+    assert "in nanoseconds" in unit_of(now_us * 1000, now_us)
 
 
 @pytest.mark.slow

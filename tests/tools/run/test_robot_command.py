@@ -141,6 +141,20 @@ def test_a_driver_beside_the_robot_file_is_found(folder: Path) -> None:
     assert code == 0 and "mine:Mine" in out and "ranges  yes" in out, out
 
 
+@pytest.mark.parametrize(("method", "arguments"), [("sense", "now_us"), ("close", "")])
+def test_check_says_what_a_driver_raises(method: str, arguments: str, folder: Path) -> None:
+    """It ended with a traceback and without a line on the rest."""
+    (folder / "mine.py").write_text(
+        "from agent.runtime.robot_body import StandingBody\n"
+        "class Mine(StandingBody):\n"
+        f"    def {method}(self, {arguments}):\n        raise KeyError('wheels')\n"
+    )
+    (folder / "fleet.toml").write_text(FILE + '[body]\nfactory = "mine:Mine"\n')
+    code, out, err = end(begin(folder, "fleet.toml", "--slot", "1", "--check"))
+    assert code == 2 and "not ready: body" in out and "Traceback" not in err, out + err
+    assert "raised KeyError: 'wheels' (mine.py:4)" in " ".join(out.split()), out
+
+
 def test_a_plugin_of_another_package_is_found(folder: Path) -> None:
     spy = folder / "spy"
     (spy / "rover_of_others.py").write_text(
