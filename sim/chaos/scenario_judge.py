@@ -237,6 +237,7 @@ class ScenarioJudge:
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
                 far_m, end_at_us = hypot(dx_m, dy_m), at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
+                self._at(at_us, partial(self._unsure_until, robot, end_at_us))
             case kinds.Blind(robot=robot, for_s=for_s):
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._unsure_until, robot, end_at_us))
@@ -374,7 +375,7 @@ class ScenarioJudge:
     def _place_jumps(self, slot: int, far_m: float, end_at_us: int) -> None:
         """S19: as without senses. A jump no longer than its way to standstill cannot be told from that
         way, if it begins while the robot has no place that it believes, or before it has moved since it
-        told its wheels to drive in vain."""
+        told its wheels to drive in vain. It believes none for a while after another jump, too."""
         now_us = self._now_us()
         self._far_m[slot] = far_m
         at, deaf_at = self.cluster.world.body(slot).position, self._deaf_at.get(slot)

@@ -32,6 +32,8 @@ MENDED = {
     ("senses", 40500055): "agent/avoidance/stopping_constraint.py",
     # A jump of 10 m was one of 1 m when the frozen place showed it.
     ("senses", 60500215): "sim/chaos/scenario_judge.py",
+    # A second jump began before the robot believed its place again after the first one.
+    ("senses", 60500973): "sim/chaos/scenario_judge.py",
     # A place that drifted while the robot stood made it fast, so a jump right after it was believed.
     ("senses", 40500025): "agent/peer/sense_freshness.py",
     # A small jump began before the robot believed its place again.
