@@ -248,6 +248,7 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._shows, robot, end_at_us, self._loses_senses))
             case kinds.DeafWheels(robot=robot, for_s=for_s):
+                self._at(at_us, partial(self._last_command_holds, robot))
                 self._at(at_us + round(for_s * S), partial(self._wheels_answer, robot))
             case kinds.Late(robot=robot, by_s=by_s, for_s=for_s) if by_s * S > AGE_MAX_US:
                 end_at_us = at_us + round(for_s * S)
@@ -597,9 +598,12 @@ class ScenarioJudge:
     def _lapses(self, slot: int) -> None:
         if self.cluster.is_up(slot):
             self._interrupted()
-            watching = self.cluster.stops.checker, self.silence, self.delivery, self.senseless
-            for checker in watching:
-                checker.lapses(slot, self.cluster.host.now_us())
+            self._last_command_holds(slot)
+
+    def _last_command_holds(self, slot: int) -> None:
+        """Until it expires in the actuator: no other one arrives there."""
+        for checker in (self.cluster.stops.checker, self.silence, self.delivery, self.senseless):
+            checker.lapses(slot, self.cluster.host.now_us())
 
     def _heard_of(self, slot: int) -> None:
         """It is back, or it can no longer be determined which robots receive each other."""

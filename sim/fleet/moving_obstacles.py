@@ -23,6 +23,7 @@ CLEAR_M = 0.6  # from body to body, at which one that yields stands: an arm's le
 ENTRY_M = 3.0  # from body to body: a robot that drives stops from 2.5 m/s in less
 PATIENCE_US = 5 * S  # for which a person waits before a robot that stands, before it turns round
 TURNS_MAX = 1  # one way back; after that the route is blocked at both ends
+WAYS_OUT_MAX = 6  # blocked as often as that between robots that wait for it, it is taken away
 TURNS_BESIDE_M = (
     0.1  # from body to body, at which a vehicle does not turn: its corners sweep further out
 )
@@ -54,7 +55,8 @@ def walk(
     on a robot that stands, nor right before one that drives, which no robot could stop for: it waits.
 
     One that yields and has stood for `PATIENCE_US` turns round, and vanishes where it came from. If it
-    has to turn more often than `TURNS_MAX`, it leaves by a straight way between the robots.
+    has to turn more often than `TURNS_MAX`, it leaves by a straight way between the robots. One that
+    no way leads out is taken away.
     """
     gone_m, long_m = 0.0, _length_m(route)
     onward, turns, stood_at_us = 1, 0, None
@@ -74,6 +76,8 @@ def walk(
             stood_at_us = at_us if stood_at_us is None else stood_at_us
             if at_us - stood_at_us >= PATIENCE_US:
                 onward, turns, stood_at_us = -onward, turns + 1, None
+                if turns > TURNS_MAX + WAYS_OUT_MAX:
+                    break
                 if turns > TURNS_MAX:
                     route = _way_out(world, place, shape)
                     onward, gone_m, long_m = 1, 0.0, _length_m(route)

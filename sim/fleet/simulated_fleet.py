@@ -10,7 +10,7 @@ from random import Random
 
 import can
 
-from agent.interface.config import ADDRESS_FIRST, ADDRESS_LAST
+from agent.interface.config import ADDRESS_FIRST, ADDRESS_LAST, STOP_SPACING_US
 from agent.interface.effects import Effect
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
@@ -263,7 +263,13 @@ class Cluster:
         self.stops.pressed(now_us, {slot, *(robot.slot for robot in members)}, unheard, by=slot)
         if self._stop_passes not in self.segment.taps:
             self.segment.taps.append(self._stop_passes)
+        safety = self.robots[slot].peer.safety
+        stops, stopped_at_us = safety.stops.active, safety.stopped_at_us
         self.robots[slot].shell.operate(Press(reason))
+        # A robot that has just pressed a stop of its own, for one with a used name, sends no other.
+        recent = 0 <= now_us - stopped_at_us < STOP_SPACING_US
+        if recent and safety.stops.active == stops and any(dot.slot == slot for dot in stops):
+            self.stops.repeats(slot)
 
     def _stop_passes(self, t_us: int, frame: Frame) -> None:
         """A tap on the bus, as long as a pressed robot waits for its stop frame to be sent."""

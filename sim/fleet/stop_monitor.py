@@ -142,6 +142,10 @@ class StopMonitor:
             if self._by[number] == slot and self._pressed_at_us[number] <= t_us
         }  # fmt: skip
 
+    def repeats(self, slot: int) -> None:
+        """The newest press of this slot repeats a stop that it has sent by itself."""
+        self._unsent.discard(max(number for number, by in self._by.items() if by == slot))
+
     # ---------------------------------------------------------------- levels
 
     @property
