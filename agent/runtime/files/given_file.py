@@ -73,9 +73,10 @@ def check_regular(path: Path) -> None:
 
 
 def read_text(path: Path, bytes_max: int) -> str:
-    """The text of a UTF-8 file. Raises GivenFileError."""
+    """The text of a UTF-8 file, with or without the mark at its begin that editors of Windows write.
+    Raises GivenFileError."""
     try:
-        return read_bytes(path, bytes_max).decode("utf-8")
+        return read_bytes(path, bytes_max).decode("utf-8-sig")
     except UnicodeDecodeError:
         raise GivenFileError("not a text file") from None
 

@@ -45,9 +45,10 @@ def read_isoxml(
     put into `broken` by its name, so that one invalid outline does not affect the others.
     """
     outlines: dict[str, list[list[LonLat]]] = {}
+    known: set[str] = set()  # what the next one may not be called
     for number, partfield in enumerate(load_task_data(path).partfields):
         name = str(partfield.designator or partfield.id or f"field {number}")
-        if any(known == name or known.startswith(f"{name} part ") for known in outlines):
+        if name in known:
             name = f"{name} ({partfield.id})"
         try:
             parts = list(_parts(path, name, partfield.polygons))
@@ -58,6 +59,7 @@ def read_isoxml(
             continue
         for k, part in enumerate(parts):
             label = name if len(parts) == 1 else f"{name} part {k}"
+            known |= {label, label.rpartition(" part ")[0]}
             outlines[label] = [_open(ring.coords) for ring in (part.exterior, *part.interiors)]
     return outlines
 
@@ -87,8 +89,8 @@ def load_task_data(path: Path) -> Any:
         data = _parse(path, NAME, text, module.Iso11783TaskData)
         if len(data.external_file_references) > EXTERNAL_MAX:
             raise FieldFileError(f"{path}: more than {EXTERNAL_MAX} external files")
-        for reference in data.external_file_references:
-            name = str(reference.filename)
+        # A file that is named twice is read once.
+        for name in dict.fromkeys(str(each.filename) for each in data.external_file_references):
             if not EXTERNAL.fullmatch(name):
                 raise FieldFileError(f"{path}: {name!r} is no name of an external file")
             further = _text(path, f"{name}.XML", read(f"{name}.XML"))

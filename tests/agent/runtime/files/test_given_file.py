@@ -4,7 +4,13 @@ from pathlib import Path
 
 import pytest
 
-from agent.runtime.files.given_file import GivenFileError, parse_json, parse_toml, read_bytes
+from agent.runtime.files.given_file import (
+    GivenFileError,
+    parse_json,
+    parse_toml,
+    read_bytes,
+    read_text,
+)
 
 
 def test_f_a_folder_is_no_regular_file(tmp_path: Path) -> None:
@@ -35,3 +41,9 @@ def test_half_of_a_character_is_no_json(text: str) -> None:
     with pytest.raises(GivenFileError, match="half of a character"):
         parse_json(text)
     assert parse_json(r'"\ud83d\ude00 \\ud800"') == "\U0001f600 \\ud800"
+
+
+def test_text_with_the_mark_of_a_windows_editor_is_read(tmp_path: Path) -> None:
+    """`{` behind a byte order mark was "Expecting value: line 1 column 1"."""
+    (tmp_path / "field.json").write_bytes('\ufeff{"name": "Åker"}'.encode())
+    assert parse_json(read_text(tmp_path / "field.json", 100)) == {"name": "Åker"}
