@@ -10,13 +10,13 @@ lost. Bodies narrower than that gap at stopping distance can be missed.
 """
 
 from collections.abc import Mapping, Sequence
-from math import atan2, ceil, cos, dist, floor, hypot, pi, sin
+from math import atan2, ceil, cos, dist, floor, hypot, inf, pi, sin
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.avoidance.fence_distance import gap_m
+from agent.avoidance.fence_distance import gap_m, way_gap_m
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import StoppingZone
@@ -38,6 +38,7 @@ BEYOND_M: Final = 0.4  # a ray that reaches this much further than a point has p
 # fence was noise. No ray reaches `BEYOND_M` further than a point in the strip before a fence.
 AT_FENCE_M: Final = 0.2
 NEARER_M: Final = 0.1  # such a ray ends at least this much before the point or behind it
+LOOK_M: Final = 0.1  # between places of a way that is looked at for fences
 assert AT_FENCE_M < FENCE_TOLERANCE_M, "what such a ray has passed is not the fence"
 FORGET_US: Final = 300 * S  # a point that was not observed again for this long is dropped
 
@@ -203,7 +204,13 @@ class ObstacleDetector:
             distance_m = hypot(dx_m, dy_m)
             turn = (atan2(dy_m, dx_m) - here.heading_rad) / step_rad
             beside = floor(turn) % count, ceil(turn) % count
-            passed = distance_m < WATCH_M and all(self._passes(here, k, distance_m) for k in beside)
+            passed = distance_m < WATCH_M and (
+                all(self._passes(here, k, distance_m) for k in beside)
+                or (
+                    all(self._ends_at_fence(here, k) for k in beside)
+                    and self._is_behind(here, dx_m, dy_m)
+                )
+            )
             if passed or now_us - seen_at_us > FORGET_US:
                 del self.points[grain]
 
@@ -212,11 +219,25 @@ class ObstacleDetector:
         range_m = here.ranges_m[ray]
         if range_m > distance_m + BEYOND_M:
             return True
-        if abs(range_m - distance_m) <= NEARER_M or self.fences.size == 0:
+        return abs(range_m - distance_m) > NEARER_M and self._ends_at_fence(here, ray)
+
+    def _ends_at_fence(self, here: Observation, ray: int) -> bool:
+        range_m = here.ranges_m[ray]
+        if range_m == inf or self.fences.size == 0:
             return False
         angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
         x_m, y_m = here.x_m + range_m * cos(angle_rad), here.y_m + range_m * sin(angle_rad)
         return gap_m(x_m, y_m, self.fences) <= AT_FENCE_M
+
+    def _is_behind(self, here: Observation, dx_m: float, dy_m: float) -> bool:
+        """Whether a fence lies between us and a point: what is there is not in our way. Rays that end at
+        a slanting fence may end as far away as such a point."""
+        distance_m = max(hypot(dx_m, dy_m), LOOK_M)
+        gap = way_gap_m(
+            here.x_m, here.y_m, dx_m / distance_m, dy_m / distance_m, LOOK_M,
+            ceil(distance_m / LOOK_M), self.fences,
+        )  # fmt: skip
+        return gap <= LOOK_M / 2
 
     def _explain(self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int) -> None:
         """Drop points that belong to a robot which has joined since they were seen."""

@@ -62,3 +62,20 @@ def test_noise_at_a_fence_is_forgotten_when_the_scan_is_right_again(off_m: float
     thing = here._replace(ranges_m=(1.4, 1.4, *true[2:-1], 1.4))  # what is there stays
     assert detector.observe(thing, AHEAD, {}, 100_000) is not None
     assert detector.observe(thing, AHEAD, {}, 150_000) is not None
+
+
+def test_a_point_behind_a_slanting_fence_is_forgotten() -> None:
+    """Found by `headland chaos`, profile senses, seed 60500613: rays that repeated themselves left a
+    point behind a fence. The ray beside it ended at the fence, just as far away as the point was, and
+    the robot asked for good about an obstacle that was never there (L5)."""
+    fence = np.array([(1.1, -20.0, 1.1, 20.0)])
+    turns = [2 * pi * k / RAYS for k in range(RAYS)]
+    true = [1.1 / cos(turn) if cos(turn) > 0.1 else inf for turn in turns]
+    ray = 16
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, ranges_m=tuple(true))
+    detector = ObstacleDetector(RADIUS_M, 1.5, fence, StoppingZone(RADIUS_M, 1.5))
+    turn = turns[ray] - 0.6 * 2 * pi / RAYS
+    point = (true[ray] * cos(turn), true[ray] * sin(turn))
+    assert point[0] > 1.1 + 0.25, "it is not the fence"
+    detector.points[0, 0] = (point, 0)
+    assert detector.observe(here, ((0.7, 2.4),), {}, 50_000) is None and not detector.points
