@@ -24,7 +24,8 @@ EPOCH_EVERY_US = 10 * S
 # Upper limit regardless of the uptime, because an hour would explain all 255. Higher epochs are
 # deferred.
 EPOCH_EXPLAINED_MAX = 64
-PERSISTS_US = 3 * S  # accepted if received again after this, because sync repeats differences
+PERSISTS_US = 3 * S  # accepted if received for so long, because sync repeats differences
+TOLD_MIN = 3  # times, because frames of a broken device may be alike by chance
 FORGOTTEN_US = 60 * S  # sync asks at least every 38 s
 # Sections that one robot may hold: four times what an honest one claims (`CLAIM_AHEAD`). More is a
 # broken unit or a stolen key.
@@ -43,7 +44,8 @@ class Admission:
         self.sections, self.owners = sections, owners
         self.refused: Counter[str] = Counter()  # why -> frames
         self._boot_at_us = now_us
-        self._put_off: dict[int, tuple[int, int, int]] = {}  # section: epoch, first and last told
+        # Section: epoch, when it was first and last told, and how often.
+        self._put_off: dict[int, tuple[int, int, int, int]] = {}
 
     def admits(self, message: Work, now_us: int) -> bool:
         """Whether the frame may be merged; a refused one is counted."""
@@ -91,12 +93,14 @@ class Admission:
         return f"robot {slot} claims more than {HELD_MAX} sections"
 
     def _persists(self, section: int, epoch: int, now_us: int) -> bool:
-        known, first_at_us, last_at_us = self._put_off.pop(section, (epoch, now_us, now_us))
+        new = epoch, now_us, now_us, 0
+        known, first_at_us, last_at_us, told = self._put_off.pop(section, new)
         if known != epoch or now_us - last_at_us > FORGOTTEN_US:
-            first_at_us = now_us
-        if now_us - first_at_us >= PERSISTS_US:
+            _, first_at_us, _, told = new
+        told += 1
+        if told >= TOLD_MIN and now_us - first_at_us >= PERSISTS_US:
             return True
-        self._put_off[section] = epoch, first_at_us, now_us
+        self._put_off[section] = epoch, first_at_us, now_us, told
         if len(self._put_off) > PUT_OFF_MAX:
             del self._put_off[next(iter(self._put_off))]
         return False

@@ -32,6 +32,18 @@ MENDED = {
     ("senses", 40500055): "agent/avoidance/stopping_constraint.py",
     # A jump of 10 m was one of 1 m when the frozen place showed it.
     ("senses", 60500215): "sim/chaos/scenario_judge.py",
+    # A robot pressed a stop by itself, and the press of a person right after that sends no other one.
+    ("devices", 61100646): "sim/fleet/simulated_fleet.py",
+    ("devices", 61100789): "sim/fleet/simulated_fleet.py",
+    ("devices", 61100896): "sim/fleet/simulated_fleet.py",
+    # Wheels that do not answer go on by their last command until that expires.
+    ("implement", 60800694): "sim/chaos/scenario_judge.py",
+    # A point behind a fence was kept in mind, beside a ray that ended as far away at the fence.
+    ("senses", 60500613): "agent/motion/obstacle_detector.py",
+    # A vehicle of somebody else was shut in by robots that waited for it to leave.
+    ("traffic", 61600575): "sim/fleet/moving_obstacles.py",
+    # A broken device said one epoch twice by chance, and was believed.
+    ("strangers", 61200596): "agent/peer/work_admission.py",
     # A second jump began before the robot believed its place again after the first one.
     ("senses", 60500973): "sim/chaos/scenario_judge.py",
     # A place that drifted while the robot stood made it fast, so a jump right after it was believed.
