@@ -72,6 +72,7 @@ def _word(robot: Seen, now_s: float) -> str:
     """The state of a robot, and the worst cause for which it may not move, as it tells it."""
     if now_s - robot.last_s >= SILENT_S:
         return "silent"
-    told = robot.causes.fresh(round(now_s * 1e6)) if robot.held else []
+    plain = not robot.held or robot.stopped or robot.state == State.EMERGENCY_STOP.name
+    told = [] if plain else robot.causes.fresh(round(now_s * 1e6))
     cause = cause_of(told[0].cause) if told else None
     return robot.state if cause is None else f"{robot.state}({cause.name})"

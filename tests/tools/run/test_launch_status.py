@@ -63,5 +63,12 @@ def test_a_robot_that_may_not_move_says_why() -> None:
         status.tell(5.0, 5, 9, "sections")
         heard(inspector, 10.0, State.WORKING)
         status.tell(10.0, 6, 9, "sections")
+        for beat in (
+            Heartbeat(2, State.EMERGENCY_STOP, True, True, True, False, 1.0, 0, 0),
+            Standstill(1, StandsBy.STOP_DOT, 0, 1),
+        ):
+            inspector.hear(15.0, encode(beat, 141, 255))
+        status.tell(15.0, 6, 9, "sections")
     lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert lines[-1].endswith("1:EMERGENCY_STOP"), "the state says why"
     assert lines[0].endswith("1:WORKING(SENSES_OLD)") and lines[1].endswith("1:WORKING")
