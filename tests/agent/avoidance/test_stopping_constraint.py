@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from agent.avoidance.orca import OrcaSolver
+from agent.avoidance.orca_kernel import TOLD
 from agent.avoidance.stopping_constraint import (
     HARDEST_M_S2,
     REACTION_S,
@@ -185,3 +186,13 @@ def test_a_robot_whose_wheels_slip_brakes_from_what_it_was_told(slip: float) -> 
         if told <= 0.0:
             return
     raise AssertionError("it stands by then")
+
+
+def test_the_solver_keeps_the_speed_that_wheels_without_slip_have() -> None:
+    """It falls by what braking allows in one period, also where less is told."""
+    robot, change_m_s, kept_m_s = Robot(0.0, 0.0, 0.0, True), BRAKING_M_S2 * DT_S, 0.0
+    for goal in [(9.0, 0.0)] * 3 + [(0.0, 0.0)] * 5:
+        robot.choose(goal, 0.0)
+        kept_m_s = max(hypot(*robot.wanted), kept_m_s - change_m_s)
+        assert robot.avoidance._work[TOLD] == pytest.approx(kept_m_s, abs=1e-6)
+    assert 0.0 < kept_m_s < SPEED_M_S
