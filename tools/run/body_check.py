@@ -596,6 +596,33 @@ CHECKS: Final[dict[str, Check]] = {
 }
 
 
+# Checks that measure from the last command to standing, and what is measured again before each of them:
+# a computer that pauses makes one such way too long or too short, and a driver does so each time.
+MEASURED_AGAIN: Final[dict[str, tuple[Check, ...]]] = {
+    "stop": (),
+    "life of a command": (stops_when_told,),
+}
+
+
+async def confirmed(trial: BodyTrial, name: str, check: Check) -> str:
+    """What a check says. Two of three trials decide where a busy computer can fail one.
+
+    Raises WrongError."""
+    try:
+        return await check(trial)
+    except WrongError as problem:
+        if name not in MEASURED_AGAIN:
+            raise
+        first = problem
+    for _ in range(2):
+        halt(trial.body)
+        for before in MEASURED_AGAIN[name]:
+            with suppress(WrongError):
+                await before(trial)
+        said = await check(trial)
+    return f"{said}; in a trial before it {first}: is this computer busy?"
+
+
 async def judged(
     trial: BodyTrial, tell: Callable[[Finding], None], checks: Mapping[str, Check] = CHECKS
 ) -> list[Finding]:
@@ -603,7 +630,7 @@ async def judged(
     findings: list[Finding] = []
     for name, check in checks.items():
         try:
-            said = await check(trial)
+            said = await confirmed(trial, name, check)
             finding = Finding(name, True if said else None, said or "not tried: needs --machine")
         except TimeoutError:
             finding = Finding(name, False, f"no place in {OPEN_S:.0f} s")
