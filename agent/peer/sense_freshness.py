@@ -8,6 +8,7 @@ by its heading. Spinning wheels look the same as a frozen place, so the robot st
 well. Of a machine that takes orders and does not carry one out, nothing is expected. What is limited is
 the way without a believed place, not the time: a slow body takes longer for a tenth of a metre.
 `frozen_way_m` says how far it drives, which is less than the plan leaves before a fence at that speed.
+A place that changes and leads nowhere is found by `agent/peer/place_progress.py`.
 
 A place is lost when its accuracy is worse than the clearances allow, or when it changes by more than the
 wheels can drive in that time. After a step back of its own clock that time is not known, and only the
@@ -37,6 +38,7 @@ from agent.peer.place_jumps import (
     PlaceJumps,
     Unseen,
 )
+from agent.peer.place_progress import PlaceProgress
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S
@@ -128,6 +130,7 @@ class Senses(Part):
         self._turn_frozen = False  # PLACE_FROZEN was noticed by the heading
         self._unseen = NOTHING_UNSEEN  # before the last change of the place
         self.jumps = PlaceJumps()
+        self.progress = PlaceProgress()
         self._lost_at_us = 0  # when the place was last wrong
 
     @property
@@ -153,6 +156,7 @@ class Senses(Part):
         """The robot did nothing until its clock showed again what it had shown. Its body drove on
         until the last command expired, and braked."""
         self.jumps.gap()
+        self.progress.forget()
         return NOTHING
 
     def age_us(self, now_us: int) -> int | None:
@@ -185,6 +189,7 @@ class Senses(Part):
         What the body may have driven while its place stood still remains: the place may be frozen yet."""
         self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
         self._periods, self._turn_frozen = 0, False
+        self.progress.forget()
         if notice.named:
             self.jumps.forget()
         return NOTHING
@@ -211,7 +216,7 @@ class Senses(Part):
             and not old
             and self._on_map
         ):
-            frozen = self._frozen(self._sensed_at_us)
+            frozen = self._hangs(self._sensed_at_us) or self._frozen(self._sensed_at_us)
             self._compared_at_us = self._sensed_at_us
         if frozen or self._changed:
             effects += self.safety.hold_while(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
@@ -274,6 +279,28 @@ class Senses(Part):
         if 0 <= age_us <= AGE_MAX_US:
             return ""
         return f"sensed {age_us / 1000:.0f} ms ago" if age_us > 0 else "sensed in the future"
+
+    def _hangs(self, sensed_at_us: int) -> str:
+        """Why a place that changes leads nowhere; empty if it leads on, or has not led nowhere before."""
+        here, progress = self.here, self.progress
+        assert here is not None
+        if progress.hangs:
+            if progress.is_back(here):
+                # What `_frozen` finds next is a change of the place, from this one on.
+                return ""
+            self._drive_on(here, sensed_at_us)
+            return "the place led nowhere"
+        start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
+        passed_for_us = sensed_at_us - start_at_us
+        wrong = progress.look(
+            here, self._drive, self.limits, self._acceleration_m_s2, passed_for_us
+        )
+        if progress.made_up is not NOTHING_UNSEEN:
+            self._unseen = self._unseen.then(progress.made_up)
+        if wrong:
+            self._drive_on(here, sensed_at_us)
+            self._since = self._since.then(progress.unseen(self._since.speed_m_s))
+        return wrong
 
     def _frozen(self, sensed_at_us: int) -> str:
         """Why the place does not follow the wheels; empty if it does or need not."""

@@ -149,6 +149,13 @@ def _frozen(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Faul
     return [kinds.Frozen(at_s=at_s, kind="frozen", robot=rng.randrange(robots), for_s=for_s)]
 
 
+def _hung_fixes(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
+    for_s, every_s = min(rng.choice((0.5, 3.0, 8.0)), end_at_s - at_s), rng.choice((0.1, 0.2))
+    robot, share = rng.randrange(robots), rng.choice((0.3, 1.0))
+    fault = {"at_s": at_s, "kind": "hung_fixes", "robot": robot, "for_s": for_s}
+    return [kinds.HungFixes.model_validate(fault | {"every_s": every_s, "share": share})]
+
+
 def _jumped(rng: Random, robots: int, at_s: float, end_at_s: float) -> list[Fault]:
     """Further than wheels can drive in a control period, or turned by more than they can turn."""
     angle_rad, far_m = rng.uniform(0.0, 2 * pi), rng.choice((1.0, 3.0, 10.0, 100.0))
@@ -359,6 +366,7 @@ DRAWS: dict[str, Draw] = {
     "vehicle": _vehicle,
     "blind": _blind,
     "frozen": _frozen,
+    "hung_fixes": _hung_fixes,
     "jumped": _jumped,
     "drifting": _drifting,
     "deaf_wheels": _deaf_wheels,

@@ -49,6 +49,7 @@ BODIES = (
     "pushed",
     "blind",
     "frozen",
+    "hung_fixes",
     "jumped",
     "drifting",
     "deaf_wheels",
@@ -92,7 +93,9 @@ class Profile(NamedTuple):
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
 EVERYTHING = (
-    dict.fromkeys((each for each in DRAWS if each not in (*SENSES, *ATTACKS, *TRAFFIC)), 1.0)
+    dict.fromkeys(
+        (each for each in DRAWS if each not in (*SENSES, *ATTACKS, *TRAFFIC, "hung_fixes")), 1.0
+    )
     | OFTEN
 )
 PROFILES = {
@@ -121,6 +124,9 @@ PROFILES = {
                                        "drifting": 2.0, "slipping": 2.0,
                                        "estop": 0.5, "loss": 0.5, "freeze": 0.5},
                       "receivers that fall silent, hang, jump, drift and are late; wheels that slip"),
+    "fixes": Profile((2, 4), (1, 6), {"hung_fixes": 4.0, "blind": 0.5, "frozen": 0.5, "jumped": 0.5,
+                                      "slipping": 0.5, "estop": 0.5, "freeze": 0.5},
+                     "receivers that hang, beside wheels that are counted"),
     # As above, no crashes.
     "stalls": Profile((2, 4), (2, 8), {"stalled": 6.0, "jumped": 1.0, "freeze": 1.0, "estop": 0.5,
                                        "loss": 0.5},
@@ -306,7 +312,7 @@ def calm(span: Span) -> list[Fault]:
 # After one of these a robot may receive nothing while its clock goes back.
 LONELY = (kinds.Partition, kinds.OneWay, kinds.BusOff, kinds.Crash, kinds.CrashWorking)
 # The place is not believed meanwhile.
-SENSELESS = (kinds.Blind, kinds.Frozen, kinds.Late, kinds.Freeze, kinds.Drifting)
+SENSELESS = (kinds.Blind, kinds.Frozen, kinds.HungFixes, kinds.Late, kinds.Freeze, kinds.Drifting)
 UNSEEN_M = 10.0  # no body drives and brakes that far
 BRAKING_S = 2.0  # from full speed
 VOUCHED_S = 3.0  # after the fleet's start
@@ -321,7 +327,13 @@ def _begins_unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
         each.at_s <= jump.at_s <= each.at_s + getattr(each, "for_s", 0.0) + BRAKING_S
         for each in drawn
         if isinstance(
-            each, kinds.Blind | kinds.Frozen | kinds.Late | kinds.Freeze | kinds.ClockJump
+            each,
+            kinds.Blind
+            | kinds.Frozen
+            | kinds.HungFixes
+            | kinds.Late
+            | kinds.Freeze
+            | kinds.ClockJump,
         )
         and each.robot == jump.robot
     )
@@ -338,17 +350,17 @@ def _believed(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
 
 def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     """A person looks at each robot whose place has jumped while it sensed nothing, or was believed, or
-    whose wheels did not answer, and starts it.
+    whose wheels did not answer or whose fixes hung, and starts it.
 
     Such a jump, along its way, cannot be told from its braking; then the return to the true place is
-    the jump that it notices. So is a push while it senses nothing, or nothing accurate. A clock that
-    goes back is noticed by the times of frames: without any, the robot seems to jump. All others go on
-    by themselves.
+    the jump that it notices. So is a push while it senses nothing, or nothing accurate, and the way of a
+    robot that waits and drives to and fro while its fixes hang. A clock that goes back is noticed by the
+    times of frames: without any, the robot seems to jump. All others go on by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]
     robots = {each.robot for each in jumps if _begins_unseen(each, drawn) or _believed(each, drawn)}
-    robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels)}
+    robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels | kinds.HungFixes)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
     if any(isinstance(each, LONELY) for each in drawn):
         robots |= {f.robot for f in drawn if isinstance(f, kinds.ClockJump) and f.by_s < 0.0}

@@ -21,6 +21,7 @@ from agent.peer.implement_check import ImplementCheck
 from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
 from agent.peer.place_jumps import NO_REACH, PlaceJumps
+from agent.peer.place_progress import PlaceProgress
 from agent.peer.progress_announcements import ProgressAnnouncements
 from agent.peer.range_freshness import RangeSensing
 from agent.peer.section_claims import SectionClaims
@@ -300,6 +301,13 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "frozen-place-believed": Mutant(
         "a place that does not change is not noticed", Senses, "_frozen", _constant(""), "body"
+    ),
+    "hung-fixes-believed": Mutant(
+        "a place that falls back again and again is not noticed",
+        PlaceProgress,
+        "look",
+        _constant(""),
+        "fixes",
     ),
     "way-unseen-is-a-jump": Mutant(
         "what a robot drove while it sensed nothing counts as part of a jump",

@@ -66,6 +66,8 @@ SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
 STAYS_DOWN_US = RISES_WITHIN_US + 2 * CONTROL_PERIOD_US + ACTUATOR_TTL_US + SLACK_US
 # Distance of a robot that starts to drive while its position is frozen, and brakes again.
 STARTING_M = 0.5
+# How far the place of a robot falls back, and how far the robot is told to drive beyond it.
+HUNG_M = 0.5 + 1.1
 STOOD_M = 0.01  # a body that is less far away than this has not moved
 # Copies are lost, but no robot is cut off.
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)
@@ -261,7 +263,12 @@ class ScenarioJudge:
                     self._at(at_us, partial(self._vouched_for, fault.robot))
             case kinds.Frozen(robot=robot, for_s=for_s):
                 end_at_us = at_us + round(for_s * S)
-                self._at(at_us, partial(self._place_freezes, robot, end_at_us))
+                self._at(at_us, partial(self._place_freezes, robot, end_at_us, STARTING_M))
+                self._at(at_us, partial(self._repeat, robot, end_at_us))
+                self._at(at_us, partial(self._unsure_until, robot, end_at_us))
+            case kinds.HungFixes(robot=robot, for_s=for_s):
+                end_at_us = at_us + round(for_s * S)
+                self._at(at_us, partial(self._place_freezes, robot, end_at_us, HUNG_M))
                 self._at(at_us, partial(self._repeat, robot, end_at_us))
                 self._at(at_us, partial(self._unsure_until, robot, end_at_us))
             case kinds.StuckImplement(robot=robot, for_s=for_s):
@@ -408,23 +415,23 @@ class ScenarioJudge:
         if watch is None:
             self._frozen_at.pop(slot, None)
 
-    def _place_freezes(self, slot: int, end_at_us: int) -> None:
+    def _place_freezes(self, slot: int, end_at_us: int, unnoticed_m: float) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
         now_us, let_go_at_us = self._now_us(), self._by_hand.get(slot, 0)
         if now_us < let_go_at_us:  # until then a person moves it, not its wheels
             if let_go_at_us < end_at_us:
-                self._at(let_go_at_us, partial(self._place_freezes, slot, end_at_us))
+                self._at(let_go_at_us, partial(self._place_freezes, slot, end_at_us, unnoticed_m))
         elif self.protocol_world is None and self.cluster.is_up(slot):
             self._frozen_at[slot] = self.cluster.world.body(slot).position
-            self._at(end_at_us, partial(self._thaws, slot))
+            self._at(end_at_us, partial(self._thaws, slot, unnoticed_m))
 
-    def _thaws(self, slot: int) -> None:
+    def _thaws(self, slot: int, unnoticed_m: float) -> None:
         self._now_us()
         before, body = self._frozen_at.pop(slot, None), self.cluster.world.robots[slot]
         if before is not None:
             way_m = hypot(body.position[0] - before[0], body.position[1] - before[1])
             speed_m_s = body.chassis.speed_m_s
-            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_for_s / 2) + STARTING_M
+            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_for_s / 2) + unnoticed_m
             if way_m > most_m:
                 what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
                 self._add("S19", self.cluster.host.now_us() / 1e6, what)

@@ -151,6 +151,9 @@ class FaultPlan:
                 cluster.receivers[robot].blind(now_us + round(for_s * S))
             case kinds.Frozen(robot=robot, for_s=for_s):
                 cluster.receivers[robot].frozen(now_us, now_us + round(for_s * S))
+            case kinds.HungFixes(robot=robot, every_s=every_s, share=share, for_s=for_s):
+                end_at_us = now_us + round(for_s * S)
+                cluster.receivers[robot].hung_fixes(end_at_us, round(every_s * S), share)
             case kinds.Jumped(robot=robot, dx_m=dx_m, dy_m=dy_m, turn_rad=turn_rad, for_s=for_s):
                 end_at_us = now_us + round(for_s * S)
                 cluster.receivers[robot].jumped(end_at_us, (dx_m, dy_m, turn_rad))

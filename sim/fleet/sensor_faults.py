@@ -16,6 +16,8 @@ from sim.fleet.scheduler import Host
 
 # A receiver works on while nobody asks it, so what it said before is not what its filter repeats.
 UNASKED_US = 1 * S
+# A driver passes on a greater difference as it is: the robot is to see a jump.
+PASSED_ON_M = 0.25
 HISTORY_MAX = 4_000  # delayed observations: 200 s of control periods
 
 
@@ -61,6 +63,39 @@ class Scanner:
         return seen
 
 
+class FixRepeater:
+    """A receiver that repeats one fix, beside wheels that are counted. The way of the wheels is the true
+    one: they do not slip here."""
+
+    def __init__(self) -> None:
+        self._ends_at_us, self._fix_for_us, self._share = -1, 0, 1.0
+        self._fix: tuple[float, float] | None = None  # what is repeated
+        self._off_m = (0.0, 0.0)  # from the true place to the one that is told
+        self._due_at_us = 0  # when the fix comes next
+
+    def begin(self, end_at_us: int, fix_for_us: int, share: float) -> None:
+        """It hangs until then."""
+        self._ends_at_us = max(self._ends_at_us, end_at_us)
+        self._fix_for_us, self._share = fix_for_us, share
+
+    def tells(self, seen: Observation, world_now_us: int) -> Observation:
+        """The place that the driver makes of it."""
+        if world_now_us >= self._ends_at_us:
+            self._fix = None
+            return seen
+        if self._fix is None:
+            self._fix, self._off_m = (seen.x_m, seen.y_m), (0.0, 0.0)
+            self._due_at_us = world_now_us + self._fix_for_us
+        x_m, y_m = seen.x_m + self._off_m[0], seen.y_m + self._off_m[1]
+        if world_now_us >= self._due_at_us:
+            self._due_at_us += self._fix_for_us
+            dx_m, dy_m = self._fix[0] - x_m, self._fix[1] - y_m
+            share = self._share if hypot(dx_m, dy_m) < PASSED_ON_M else 1.0
+            x_m, y_m = x_m + share * dx_m, y_m + share * dy_m
+            self._off_m = x_m - seen.x_m, y_m - seen.y_m
+        return seen._replace(x_m=x_m, y_m=y_m)
+
+
 class Receiver:
     """The faults of one robot's senses, in microseconds of the world.
 
@@ -74,6 +109,7 @@ class Receiver:
         self._jump_ends_at_us = self._deaf_ends_at_us = -1
         self._drift_begins_at_us = self._drift_ends_at_us = -1
         self._drift_m_s = (0.0, 0.0)
+        self._hung = FixRepeater()
         self.scanner = Scanner()
         self._late_for_us = 0  # delay
         self._jump = (0.0, 0.0, 0.0)  # metres east and north, radians
@@ -90,6 +126,11 @@ class Receiver:
         if now_us >= self._frozen_ends_at_us:
             self._frozen_begins_at_us = now_us
         self._frozen_ends_at_us = max(self._frozen_ends_at_us, end_at_us)
+
+    def hung_fixes(self, end_at_us: int, fix_for_us: int, share: float) -> None:
+        """The old fix comes again after each `fix_for_us`. The driver adds the way of the wheels, and
+        takes over `share` of the difference at each fix. Of two faults at once the later one holds."""
+        self._hung.begin(end_at_us, fix_for_us, share)
 
     def jumped(self, end_at_us: int, by: tuple[float, float, float]) -> None:
         """A place that is wrong by this much: reflected signals, a wrong fix, swapped antennas.
@@ -127,6 +168,7 @@ class Receiver:
         then the buffer.
         """
         seen = self.scanner.tells(seen, world_now_us)
+        seen = self._hung.tells(seen, world_now_us)
         if world_now_us < self._jump_ends_at_us:
             x_m, y_m, turn_rad = self._jump
             seen = seen._replace(

@@ -363,7 +363,8 @@ class NmeaMachine:
             *values, for_s = map(float, rest)
         except ValueError:
             name, values, for_s = "", [], 0.0
-        if len(values) != counts.get(name) or not all(map(isfinite, (*values, for_s))):
+        known = len(values) == counts.get(name) and all(map(isfinite, (*values, for_s)))
+        if not known or for_s <= 0.0:
             return b"not understood; it is one of where, " + ", ".join(sorted(counts)).encode()
         self.faults[name] = Fault(self.clock() + for_s, tuple(values))
         return b"ok"

@@ -322,6 +322,16 @@ class Frozen(_Fault):
     for_s: float = Field(gt=0.0)
 
 
+class HungFixes(_Fault):
+    """The receiver of a robot repeats its old fix, and the driver adds the way of the wheels to it."""
+
+    kind: Literal["hung_fixes"]
+    robot: Slot
+    every_s: float = Field(gt=0.0)  # between two fixes
+    share: float = Field(gt=0.0, le=1.0)  # of the difference to the fix that the driver takes over
+    for_s: float = Field(gt=0.0)
+
+
 class Jumped(_Fault):
     """The place of a robot arrives wrong by this much: a wrong fix, reflections, swapped antennas."""
 
@@ -441,7 +451,8 @@ Fault = Annotated[
     Partition | Heal | OneWay | Crash | Restart | Freeze | Loss | Omission | Duplicate | Errors
     | BusOff | Estop | Reset | Order | Box | Person | PassingVehicle | Pushed | Join | Babble
     | Clone | Drift
-    | ClockJump | CrashWorking | Blind | Frozen | Jumped | Drifting | DeafWheels | Slipping | Late
+    | ClockJump | CrashWorking
+    | Blind | Frozen | HungFixes | Jumped | Drifting | DeafWheels | Slipping | Late
     | NoRays | StuckRays | NoisyRays | StuckImplement
     | DiskFull
     | Buttons | UsedStop | Foreign | Twin | Nonsense | Forger,

@@ -95,7 +95,8 @@ class StationaryBody(SimulatedBody):
         self._moving = False
 
     def sense(self, now_us: int) -> Observation:
-        """A position that circles within `CIRCLE_M`, so that no two frames are equal."""
+        """A position that circles within `CIRCLE_M`, so that no two frames are equal. The body is not
+        under way: it does not drive what it is told."""
         angle = now_us * 1e-6 + self.slot
         x, y = CIRCLE_M * cos(angle), CIRCLE_M * sin(angle)
         x_m, y_m, course_rad = self.x_m + x, self.y_m + y, 0.0
@@ -115,7 +116,7 @@ class StationaryBody(SimulatedBody):
             0.0,
             0.0,
             None,
-            True,
+            False,
         )
         return _tuple(Observation, seen)
 

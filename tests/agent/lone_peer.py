@@ -91,7 +91,7 @@ def turn(peer: Peer, now_us: int) -> list[Effect]:
     """It senses that it has moved a little, its bus has sent what it said, and it has a turn."""
     assert peer.here is not None
     peer.step(BusState(Health.ACTIVE, True, now_us), now_us)
-    x_m = peer.here.x_m + 0.01
+    x_m = peer.here.x_m + 0.05
     peer.step(Sensed(peer.here._replace(x_m=x_m, sensed_at_us=now_us)), now_us)
     return [*peer.step(Timer(), now_us)]
 

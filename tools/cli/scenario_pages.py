@@ -54,6 +54,8 @@ MEANING = {
     "silence": "what others do about a silent robot: wait for it, go on slowly, or go on after 2 s",
     "asks": "in a building: stop before an unannounced obstacle and ask, else drive round it",
     "keys": "fleet key file or its folder, of `headland keys new`; `drawn`: from the seed",
+    "HungFixes.every_s": "between two fixes",
+    "HungFixes.share": "of the difference to the fix that the driver takes over",
     "slip": "share by which wheels slip, at random",
     "rays": "rays of each range sensor",
     "bitrate": "bit/s",

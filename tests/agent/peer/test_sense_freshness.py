@@ -188,6 +188,51 @@ def test_item_3_a_place_that_changes_ends_it_and_so_does_an_operators_start() ->
         assert FROZEN_M < robot.x_m - at_m < 0.6
 
 
+@pytest.mark.parametrize("says", [True, False], ids=["with", "without"])
+@pytest.mark.parametrize(("every", "share"), [(2, 1.0), (4, 1.0), (4, 0.3)])
+def test_a_place_that_falls_back_again_and_again_stops_a_robot(
+    every: int, share: float, says: bool
+) -> None:
+    """A driver counted wheels between fixes, and its receiver hung: the place sawed by 0.26 m. The robot
+    drove 4.3 m and left the field. It says a velocity, or none."""
+    robot = driving()
+    at_m, off_m, period = robot.x_m, 0.0, 0
+
+    def hung(seen: Observation) -> Observation:
+        nonlocal off_m, period
+        period += 1
+        if period % every == 0:
+            off_m += share * (at_m - (seen.x_m + off_m))
+        vx_m_s = seen.vx_m_s if says else 0.0
+        return seen._replace(x_m=seen.x_m + off_m, vx_m_s=vx_m_s, position_accuracy_m=0.02)
+
+    robot.spoilt = hung
+    while robot.told != HALT:
+        robot.period()
+    assert robot.held == {StopCause.PLACE_FROZEN} and robot.x_m - at_m < 1.7
+    assert robot.periods(100).held == {StopCause.PLACE_FROZEN} and robot.v_m_s == 0.0
+    robot.spoilt = lambda seen: seen
+    while robot.told == HALT:
+        robot.period()
+    assert not robot.periods(5).held, "the true place is one that the wheels can have driven to"
+
+
+def test_a_hung_place_is_right_again_before_that_is_noticed() -> None:
+    robot = driving()
+    at_m = robot.x_m
+    robot.spoilt = lambda seen: seen._replace(x_m=at_m + (seen.x_m - at_m) % 0.25)
+    while robot.x_m - at_m < 0.5:
+        robot.period()
+    robot.spoilt = lambda seen: seen
+    assert not robot.periods(5).held
+
+
+def test_a_place_that_fell_back_once_does_not_stop_a_robot() -> None:
+    robot = driving()
+    robot.spoilt = lambda seen: seen._replace(x_m=seen.x_m - 0.29)
+    assert not robot.periods(40).held and robot.v_m_s == pytest.approx(2.0)
+
+
 @pytest.mark.parametrize("slow_m_s2", [0.05, 0.3, 1.5])
 def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> None:
     robot = Robot()

@@ -107,6 +107,19 @@ def test_scans_are_absent_hang_and_are_noisy() -> None:
     assert scan(scanner, 5_000_000) == (5.0, inf)
 
 
+def test_hung_fixes_let_a_place_fall_back_and_then_it_is_the_true_one() -> None:
+    receiver = Receiver()
+    receiver.hung_fixes(1_500_000, 200_000, 1.0)
+    told = []
+    for now_us in range(1_000_000, 1_700_000, 50_000):
+        place = Observation(now_us / 1e6, 0.0, 0.0, 1.0, 0.0, sensed_at_us=now_us)
+        seen = receiver.tells(place, now_us)
+        assert seen is not None and seen.sensed_at_us == now_us
+        told.append(round(seen.x_m, 3))
+    saw = [1.0, 1.05, 1.1, 1.15]
+    assert told == [*saw, *saw, 1.0, 1.05, 1.5, 1.55, 1.6, 1.65]
+
+
 def test_wheels_that_are_deaf_get_no_command() -> None:
     receiver = Receiver()
     receiver.deaf_wheels(1_000_000)

@@ -89,7 +89,9 @@ def test_its_faults_show_in_its_sentences() -> None:
     assert hypot(seen_of(made)[0] - before[0]) == pytest.approx(1.0, abs=1e-3)
 
 
-@pytest.mark.parametrize("line", ["", "fly 3", "muted", "muted x", "jumped 1 2", "muted nan"])
+@pytest.mark.parametrize(
+    "line", ["", "fly 3", "muted", "muted x", "jumped 1 2", "muted nan", "muted -3"]
+)
 def test_an_order_that_it_does_not_know_is_answered(line: str) -> None:
     made, _ = machine()
     assert b"not understood" in made.order(line.split())

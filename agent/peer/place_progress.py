@@ -1,0 +1,224 @@
+"""Whether a place that changes leads anywhere: a receiver that hangs beside wheels that are counted.
+
+A driver may add the way of its wheels to the last fix. If its receiver repeats one fix with new times,
+the place goes on with the wheels and falls back at each fix. So it changes in every period, by less than
+a jump, and stays where it is. What shows this is a longer way: the wheels are told to drive
+`NOWHERE_WAY_M`, and the place has gained less than `FOLLOWS` of that, is near where it was, and went
+back more than once.
+
+A body is expected to drive as fast as it says, in the direction of the command, and no faster than that.
+If it points there, it is expected to speed up, too, whatever it says.
+"""
+
+from collections import deque
+from math import atan2, hypot, pi, radians, remainder
+from typing import Final, NamedTuple
+
+from agent.interface.config import ACTUATOR_TTL_US, S
+from agent.interface.effects import Drive
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.observation import Observation
+from agent.peer.place_jumps import FASTER, JUMP_M, NOTHING_UNSEEN, STANDS_M_S, Unseen
+
+# The way that wheels are told to drive, and the share of it that the place follows at least. A place that
+# fell back once by `JUMP_M` may be right, if the body follows by `FOLLOWS_BACK`. To the way comes the
+# accuracy of both places. A body that slips more stands, and people look at it.
+NOWHERE_WAY_M: Final = 0.8
+FOLLOWS: Final = 0.2
+FOLLOWS_BACK: Final = 0.6
+ACCURACIES: Final = 2.0
+assert JUMP_M <= (FOLLOWS_BACK - FOLLOWS) * NOWHERE_WAY_M
+# A person who pushes a machine pushes it away, or back once. A place that falls back by less than a jump
+# does so twice in this way, or nearly so, and stays within a jump.
+FALLS: Final = 2
+STEP_M: Final = 0.02  # of the expected way, between two places that are kept
+SETTLES_US: Final = 1 * S  # five fixes of a slow receiver
+# Between the command and the heading. A differential drive that is off by more drives slowly
+# (`pivot_course`).
+ALIGNED_RAD: Final = radians(15.0)
+
+
+class _Kept(NamedTuple):
+    """Ways until a place."""
+
+    gone_x_m: float  # that the place went while the body was expected to drive
+    gone_y_m: float
+    expected_x_m: float  # at least, as the wheels were told to drive
+    expected_y_m: float
+    way_m: float  # at most
+    falls: int  # how often the place began to go back
+
+
+class _Nowhere(NamedTuple):
+    """A place that led nowhere, and the direction in which the body was told to drive, a unit vector."""
+
+    x_m: float
+    y_m: float
+    east: float
+    north: float
+
+
+class PlaceProgress:
+    """Compares the progress of one robot's place with its commands."""
+
+    def __init__(self) -> None:
+        self._before: Observation | None = None
+        self._kept: deque[_Kept] = deque()  # oldest first: the last `NOWHERE_WAY_M`
+        self._now = _Kept(0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._goes_on = True  # in the direction of the command
+        self._fell: _Kept | None = None  # before the place went back first, in the last way
+        self._velocity_m_s = (0.0, 0.0)  # of the body, if it is slow to follow its commands
+        self._hung: _Nowhere | None = None
+        self._moved_at_us = 0
+        # How the body may have moved at most since the place fell back, if the newest place is a jump: a
+        # receiver that answers again says where the body has driven meanwhile.
+        self.made_up: Unseen = NOTHING_UNSEEN
+
+    def forget(self) -> None:
+        """Begin again: the next place is right, or nothing is known of how the body came there."""
+        self._before = self._hung = None
+        self._velocity_m_s = (0.0, 0.0)
+        self._begin_again()
+
+    def _begin_again(self) -> None:
+        self._kept.clear()
+        self._fell = None
+
+    @property
+    def hangs(self) -> bool:
+        """Whether the place leads nowhere."""
+        return self._hung is not None
+
+    def unseen(self, speed_m_s: float) -> Unseen:
+        """How the body may have moved at most since the oldest kept place, and drives now."""
+        return Unseen(self._now.way_m - self._kept[0].way_m, speed_m_s)
+
+    def is_back(self, here: Observation) -> bool:
+        """Whether the place is past the one that led nowhere. Then look again.
+
+        While the body brakes, its wheels still move the place, and a filter needs time to fall back. So
+        the body has to stand for `SETTLES_US`.
+        """
+        hung = self._hung
+        assert hung is not None
+        if hypot(here.vx_m_s, here.vy_m_s) > STANDS_M_S:
+            self._moved_at_us = here.sensed_at_us
+            return False
+        past_m = (here.x_m - hung.x_m) * hung.east + (here.y_m - hung.y_m) * hung.north
+        if past_m <= JUMP_M or here.sensed_at_us - self._moved_at_us < SETTLES_US:
+            return False
+        self.forget()
+        return True
+
+    def look(
+        self,
+        here: Observation,
+        drive: Drive,
+        limits: BodyLimits,
+        acceleration_m_s2: float,
+        passed_for_us: int,
+    ) -> str:
+        """Why this place leads nowhere; empty if it leads on.
+
+        `drive`: the command in force since the place before, which is `passed_for_us` older.
+        `acceleration_m_s2`: of the body at least.
+        """
+        before, self._before = self._before, here
+        self.made_up = NOTHING_UNSEEN
+        if passed_for_us > ACTUATOR_TTL_US:  # its commands expired meanwhile
+            self._velocity_m_s = (0.0, 0.0)
+        passed_for_s = min(max(passed_for_us, 0), ACTUATOR_TTL_US) / S
+        step_m = self._expected_m_s(here, drive, acceleration_m_s2 * passed_for_s) * passed_for_s
+        told_m_s, kept, now = hypot(drive.vx_m_s, drive.vy_m_s), self._kept, self._now
+        moved_m = 0.0 if before is None else hypot(here.x_m - before.x_m, here.y_m - before.y_m)
+        if moved_m > JUMP_M + FASTER * limits.speed_m_s * passed_for_s:  # a jump is noticed as one
+            fell = self._fell
+            if fell is not None and _between_m(fell, now) <= NOWHERE_WAY_M:
+                self.made_up = Unseen(now.way_m - fell.way_m, told_m_s)
+            self._begin_again()
+        if not here.under_way or not 0 <= passed_for_us <= ACTUATOR_TTL_US:
+            self._begin_again()
+        share, dx_m, dy_m, gained_m, sensed_m = 0.0, 0.0, 0.0, 0.0, 0.0
+        if step_m:
+            share = step_m / told_m_s
+            if before is not None and kept:
+                dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
+                gained_m = (dx_m * drive.vx_m_s + dy_m * drive.vy_m_s) / told_m_s
+                sensed_m = here.vx_m_s * drive.vx_m_s + here.vy_m_s * drive.vy_m_s
+                sensed_m *= passed_for_s / told_m_s
+        self._now = _Kept(
+            now.gone_x_m + dx_m, now.gone_y_m + dy_m,
+            now.expected_x_m + share * drive.vx_m_s, now.expected_y_m + share * drive.vy_m_s,
+            now.way_m + FASTER * told_m_s * passed_for_s,
+            now.falls + self._falls(step_m, gained_m, sensed_m),
+        )  # fmt: skip
+        far = self._fell is not None and _between_m(self._fell, self._now) > NOWHERE_WAY_M
+        if self._now.falls > now.falls and (self._fell is None or far):
+            self._fell = now
+        if kept and self._turned_back(drive):
+            self._begin_again()
+        if not kept or _between_m(kept[-1], self._now) >= STEP_M:
+            kept.append(self._now)
+        nowhere_m = NOWHERE_WAY_M + ACCURACIES * here.position_accuracy_m
+        while len(kept) > 1 and _between_m(kept[1], self._now) >= nowhere_m:
+            kept.popleft()
+        expected_m, gained_m = self._since_oldest()
+        if expected_m < nowhere_m or gained_m >= FOLLOWS * expected_m:
+            return ""
+        oldest = kept[0]
+        gone_m = hypot(self._now.gone_x_m - oldest.gone_x_m, self._now.gone_y_m - oldest.gone_y_m)
+        if self._now.falls - oldest.falls < FALLS or gone_m > JUMP_M:
+            return ""
+        self._hung = _Nowhere(
+            here.x_m,
+            here.y_m,
+            (self._now.expected_x_m - oldest.expected_x_m) / expected_m,
+            (self._now.expected_y_m - oldest.expected_y_m) / expected_m,
+        )
+        self._moved_at_us = here.sensed_at_us
+        return f"told to drive {expected_m:.2f} m, gained {gained_m:.2f} m"
+
+    def _falls(self, expected_m: float, gained_m: float, sensed_m: float) -> bool:
+        """Whether the place begins to go back by more than the body says that it does, in this period."""
+        goes_on = gained_m - min(sensed_m, 0.0) >= -expected_m / 2
+        falls, self._goes_on = self._goes_on and not goes_on, goes_on
+        return falls
+
+    def _since_oldest(self) -> tuple[float, float]:
+        """The expected way since the oldest kept place, and what the place gained in its direction."""
+        if not self._kept:
+            return 0.0, 0.0
+        oldest, now = self._kept[0], self._now
+        expected_m = _between_m(oldest, now)
+        if expected_m == 0.0:
+            return 0.0, 0.0
+        gained_m = (now.gone_x_m - oldest.gone_x_m) * (now.expected_x_m - oldest.expected_x_m)
+        gained_m += (now.gone_y_m - oldest.gone_y_m) * (now.expected_y_m - oldest.expected_y_m)
+        return expected_m, gained_m / expected_m
+
+    def _turned_back(self, drive: Drive) -> bool:
+        """Whether the command is against the way that was expected."""
+        oldest, now = self._kept[0], self._now
+        along = (now.expected_x_m - oldest.expected_x_m) * drive.vx_m_s
+        return along + (now.expected_y_m - oldest.expected_y_m) * drive.vy_m_s < 0.0
+
+    def _expected_m_s(self, here: Observation, drive: Drive, change_m_s: float) -> float:
+        """How fast the body drives at least where it is told to."""
+        (vx_m_s, vy_m_s), told_m_s = self._velocity_m_s, hypot(drive.vx_m_s, drive.vy_m_s)
+        to_x_m_s, to_y_m_s = drive.vx_m_s - vx_m_s, drive.vy_m_s - vy_m_s
+        share = min(1.0, change_m_s / max(hypot(to_x_m_s, to_y_m_s), 1e-9))
+        vx_m_s, vy_m_s = vx_m_s + share * to_x_m_s, vy_m_s + share * to_y_m_s
+        self._velocity_m_s = vx_m_s, vy_m_s
+        if told_m_s == 0.0:
+            return 0.0
+        east, north = drive.vx_m_s / told_m_s, drive.vy_m_s / told_m_s
+        fastest_m_s = max(here.vx_m_s * east + here.vy_m_s * north, 0.0)
+        off_rad = remainder(here.heading_rad - atan2(north, east), 2 * pi)
+        if abs(off_rad) <= ALIGNED_RAD:
+            fastest_m_s = max(vx_m_s * east + vy_m_s * north, fastest_m_s)
+        return min(fastest_m_s, told_m_s)
+
+
+def _between_m(first: _Kept, last: _Kept) -> float:
+    """The way that was expected between two places."""
+    return hypot(last.expected_x_m - first.expected_x_m, last.expected_y_m - first.expected_y_m)
