@@ -39,7 +39,7 @@ from sim.scenarios import scenario as kinds
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.protocol_setup import ProtocolSetup
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
-from sim.world.checkers import ExclusiveWorkChecker, Violation
+from sim.world.checkers import MOVES, ExclusiveWorkChecker, Violation
 from sim.world.contacts import TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.protocol_world import ProtocolWorld
@@ -58,6 +58,7 @@ SETTLED_US = 3 * S
 LEFT_US = 50 * MS  # frames under way when an address was lost are on the bus by then
 # A robot that is pushed, or has a box dropped before it, may touch something for this long.
 EXCUSED_US = 3 * S
+ROLLS_ON_US = 1 * S  # after the touch of a robot that a person pushes
 # The latest observation is one period old at most, expires one period after its limit, and that is
 # noticed one control period later.
 SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
@@ -133,6 +134,7 @@ class ScenarioJudge:
         self._stuck_ends_at_us: dict[int, int] = {}
         # Of each robot: pairs of looks between which its implement was down against its command.
         self._spans_down: dict[int, list[tuple[int, int]]] = {}
+        self._pushes: list[tuple[int, int, int]] = []  # (robot, begin, end), microseconds
         self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
 
     def run(self) -> "ScenarioJudge":
@@ -233,6 +235,7 @@ class ScenarioJudge:
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 let_go_at_us = at_us + round(hypot(dx_m, dy_m) / PUSHED_M_S * S) + CONTROL_PERIOD_US
                 self._at(at_us, partial(self._by_hand.__setitem__, robot, let_go_at_us))
+                self._pushes.append((robot, at_us, let_go_at_us))
                 self._at(at_us, partial(self._excuse, (robot,)))
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, at_us + 1))
@@ -737,8 +740,18 @@ class ScenarioJudge:
 
     def _moved(self) -> None:
         for rule, checker in self._moving:
-            for violation in checker.violations[:1]:
+            for violation in [v for v in checker.violations if not self._run_into(v)][:1]:
                 self._add(rule, violation.t_us / 1e6, f"robots {violation.slots}: {violation.what}")
+
+    def _run_into(self, violation: Violation) -> bool:
+        """Whether a robot that a person pushes touches this one, so that it moves without being told."""
+        return violation.what == MOVES and any(
+            {robot, *violation.slots} == {contact.first, contact.second}
+            and begin_at_us <= contact.t_us <= end_at_us
+            and contact.t_us <= violation.t_us <= contact.last_at_us + ROLLS_ON_US
+            for robot, begin_at_us, end_at_us in self._pushes
+            for contact in self.cluster.world.contacts
+        )
 
     @property
     def _together(self) -> list[Violation]:

@@ -18,6 +18,7 @@ from sim.world.swath_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.world.world import STEP_US, World
 
 # A broken rule is broken at every step; the first thousand are enough.
+MOVES: Final = "moves after a stop"
 VIOLATIONS_MAX: Final = 1_000
 
 
@@ -120,7 +121,7 @@ class MotionAfterStopChecker:
             if begun_at_us >= silent_at_us and body.commanded_at_us == begun_at_us:
                 self._add(now_us, slot, "told to move after a stop")
             if now_us >= still_at_us and body.moved_at_us == now_us:
-                self._add(now_us, slot, "moves after a stop")
+                self._add(now_us, slot, MOVES)
 
     def _add(self, t_us: int, slot: int, what: str) -> None:
         self.violations.append(Violation("motion after stop", t_us, (slot,), what))

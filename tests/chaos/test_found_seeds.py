@@ -28,8 +28,14 @@ MENDED = {
     ("stalls", 20600507): "sim/chaos/scenario_judge.py",
     # A filter that hung while the process was down repeated what the process had heard before.
     ("all", 20001421): "sim/fleet/sensor_faults.py",
+    # What follows is what the first way to notice hung fixes took for them: a push, slip and a jump.
+    ("body", 70400167): "agent/peer/place_progress.py",
+    ("senses", 70500033): "agent/peer/place_progress.py",
+    ("senses", 70500148): "agent/peer/place_progress.py",
     # Wheels that slipped moved a robot faster than told, and its next command followed that.
     ("senses", 40500055): "agent/avoidance/stopping_constraint.py",
+    # A robot that a person pushed touched one that stood, and moved it by 4 cm.
+    ("body", 80400236): "sim/chaos/scenario_judge.py",
     # A jump of 10 m was one of 1 m when the frozen place showed it.
     ("senses", 60500215): "sim/chaos/scenario_judge.py",
     # A robot pressed a stop by itself, and the press of a person right after that sends no other one.
