@@ -313,6 +313,8 @@ def calm(span: Span) -> list[Fault]:
 LONELY = (kinds.Partition, kinds.OneWay, kinds.BusOff, kinds.Crash, kinds.CrashWorking)
 # The place is not believed meanwhile.
 SENSELESS = (kinds.Blind, kinds.Frozen, kinds.HungFixes, kinds.Late, kinds.Freeze, kinds.Drifting)
+UNSEEING = (kinds.Blind, kinds.Frozen, kinds.HungFixes, kinds.Late, kinds.Freeze, kinds.ClockJump,
+            kinds.Jumped)  # fmt: skip
 UNSEEN_M = 10.0  # no body drives and brakes that far
 BRAKING_S = 2.0  # from full speed
 VOUCHED_S = 3.0  # after the fleet's start
@@ -320,22 +322,13 @@ VOUCHED_S = 3.0  # after the fleet's start
 
 def _begins_unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
     """Whether this jump is no further than a body drives and brakes, and begins while its robot
-    senses nothing, or shortly after."""
+    senses nothing, or a place that is wrong, or shortly after."""
     if hypot(jump.dx_m, jump.dy_m) >= UNSEEN_M:
         return False
     return any(
         each.at_s <= jump.at_s <= each.at_s + getattr(each, "for_s", 0.0) + BRAKING_S
         for each in drawn
-        if isinstance(
-            each,
-            kinds.Blind
-            | kinds.Frozen
-            | kinds.HungFixes
-            | kinds.Late
-            | kinds.Freeze
-            | kinds.ClockJump,
-        )
-        and each.robot == jump.robot
+        if isinstance(each, UNSEEING) and each.robot == jump.robot and each is not jump
     )
 
 

@@ -393,6 +393,7 @@ class ScenarioJudge:
         stands = deaf_at is not None and dist(at, deaf_at) < STOOD_M
         unsure = self._blind.get(slot) or now_us < self._unsure.get(slot, 0)
         if far_m < UNSEEN_M and (stands or unsure):
+            self._vouched_for(slot)  # what it showed before does not show any more
             return
         self._shows(slot, end_at_us, self._sees_jump)
 
@@ -405,7 +406,7 @@ class ScenarioJudge:
             self._jumps.setdefault(slot, []).append(watch)
 
     def _vouched_for(self, slot: int) -> None:
-        """A person starts it, and says so that its place is right."""
+        """A person starts it, and says so that its place is right; or its place is near again."""
         for watch in self._jumps.pop(slot, ()):
             self._sees_again(slot, watch)
 
