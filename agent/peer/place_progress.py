@@ -133,8 +133,10 @@ class PlaceProgress:
         moved_m = 0.0 if before is None else hypot(here.x_m - before.x_m, here.y_m - before.y_m)
         if moved_m > JUMP_M + FASTER * limits.speed_m_s * passed_for_s:  # a jump is noticed as one
             fell = self._fell
-            if fell is not None and _between_m(fell, now) <= NOWHERE_WAY_M:
-                self.made_up = Unseen(now.way_m - fell.way_m, told_m_s)
+            if fell is not None:
+                expected_m, gained_m = _since(fell, now)
+                if expected_m <= NOWHERE_WAY_M and gained_m < FOLLOWS * expected_m:
+                    self.made_up = Unseen(now.way_m - fell.way_m, told_m_s)
             self._begin_again()
         if not here.under_way or not 0 <= passed_for_us <= ACTUATOR_TTL_US:
             self._begin_again()
@@ -162,7 +164,7 @@ class PlaceProgress:
         nowhere_m = NOWHERE_WAY_M + ACCURACIES * here.position_accuracy_m
         while len(kept) > 1 and _between_m(kept[1], self._now) >= nowhere_m:
             kept.popleft()
-        expected_m, gained_m = self._since_oldest()
+        expected_m, gained_m = _since(kept[0], self._now)
         if expected_m < nowhere_m or gained_m >= FOLLOWS * expected_m:
             return ""
         oldest = kept[0]
@@ -183,18 +185,6 @@ class PlaceProgress:
         goes_on = gained_m - min(sensed_m, 0.0) >= -expected_m / 2
         falls, self._goes_on = self._goes_on and not goes_on, goes_on
         return falls
-
-    def _since_oldest(self) -> tuple[float, float]:
-        """The expected way since the oldest kept place, and what the place gained in its direction."""
-        if not self._kept:
-            return 0.0, 0.0
-        oldest, now = self._kept[0], self._now
-        expected_m = _between_m(oldest, now)
-        if expected_m == 0.0:
-            return 0.0, 0.0
-        gained_m = (now.gone_x_m - oldest.gone_x_m) * (now.expected_x_m - oldest.expected_x_m)
-        gained_m += (now.gone_y_m - oldest.gone_y_m) * (now.expected_y_m - oldest.expected_y_m)
-        return expected_m, gained_m / expected_m
 
     def _turned_back(self, drive: Drive) -> bool:
         """Whether the command is against the way that was expected."""
@@ -222,3 +212,13 @@ class PlaceProgress:
 def _between_m(first: _Kept, last: _Kept) -> float:
     """The way that was expected between two places."""
     return hypot(last.expected_x_m - first.expected_x_m, last.expected_y_m - first.expected_y_m)
+
+
+def _since(first: _Kept, last: _Kept) -> tuple[float, float]:
+    """The way that was expected between two places, and what the place gained in its direction."""
+    x_m, y_m = last.expected_x_m - first.expected_x_m, last.expected_y_m - first.expected_y_m
+    expected_m = hypot(x_m, y_m)
+    if expected_m == 0.0:
+        return 0.0, 0.0
+    along = (last.gone_x_m - first.gone_x_m) * x_m + (last.gone_y_m - first.gone_y_m) * y_m
+    return expected_m, along / expected_m

@@ -34,6 +34,8 @@ MENDED = {
     ("senses", 70500148): "agent/peer/place_progress.py",
     # Wheels that slipped moved a robot faster than told, and its next command followed that.
     ("senses", 40500055): "agent/avoidance/stopping_constraint.py",
+    # A place fell back by a millimetre as the robot turned round, and a jump of 1 m made up for it.
+    ("traffic", 81700168): "agent/peer/place_progress.py",
     # A jump of 1 m replaced one of a kilometre, which had begun while the process did nothing.
     ("stalls", 80700178): "sim/chaos/fault_profiles.py",
     # A robot that a person pushed touched one that stood, and moved it by 4 cm.

@@ -236,7 +236,7 @@ class Exact(NmeaBody):
 
 
 class HoldsOn(NmeaBody):
-    """It repeats the last command for 300 ms, as a thread of its own would."""
+    """It repeats the last command for 400 ms, as a thread of its own would."""
 
     last, told_at_us = GatedDrive(Drive(0.0, 0.0)), 0
 
@@ -245,7 +245,7 @@ class HoldsOn(NmeaBody):
         super().drive(command, now_us)
 
     def sense(self, now_us: int) -> Observation | None:
-        if 50_000 <= now_us - self.told_at_us < 300_000:
+        if 50_000 <= now_us - self.told_at_us < 400_000:
             super().drive(self.last, now_us)
         return super().sense(now_us)
 
