@@ -31,6 +31,7 @@ REASONS = (
     "EQUIPMENT_MALFUNCTION or MAINTENANCE_REQUIRED"
 )
 BY_A_PERSON = "OPERATOR_INTERVENTION"
+HOLD = "Press on after --timeout-s, until all have confirmed (on a bus that is flooded, say)."
 app = typer.Typer()
 
 
@@ -56,6 +57,7 @@ def stop(
     host: Host = "127.0.0.1", port: Port = 0, keys: PanelKey = None,
     reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = BY_A_PERSON,
     timeout_s: Timeout = 2.0,
+    hold: Annotated[bool, typer.Option("--hold", help=HOLD)] = False,
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
     json: Json = False,
 ) -> None:  # fmt: skip
@@ -67,7 +69,7 @@ def stop(
     from tools.operate.estop import estop as command
 
     raise SystemExit(
-        command(interface, channel, bitrate, host, port, keys, reason, timeout_s, watch, json)
+        command(interface, channel, bitrate, host, port, keys, reason, timeout_s, watch, json, hold)
     )
 
 

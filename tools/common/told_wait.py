@@ -36,3 +36,8 @@ def _shown(line: str) -> Iterator[None]:
     finally:
         if shown:
             print(CLEAR, end="", file=sys.stderr, flush=True)
+
+
+def tell_meanwhile(line: str) -> None:
+    """Print a line to stderr in place of the one that is shown."""
+    print(f"{CLEAR if sys.stderr.isatty() else ''}{line}", file=sys.stderr, flush=True)

@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+from math import inf
 from pathlib import Path
 
 from agent.runtime.files.key_file import OPERATOR, KeyFileError, read, read_panel
@@ -12,7 +13,7 @@ from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError, robots_of_launch
 from tools.common.bus_attach import attach
 from tools.common.launch_keys import own_keys
-from tools.common.told_wait import told_wait
+from tools.common.told_wait import tell_meanwhile, told_wait
 from tools.operate.operator_device import KnownRobot, Operator
 
 REPEAT_S = 0.005
@@ -23,6 +24,7 @@ AGAIN_S = 0.1
 SIGN_AGAIN_S = 0.5  # robots echo each dot once; if an echo was lost, a new dot gets a new echo
 FIRST_STOP = 1  # count of stops in the standard frame, since this device was started
 NOT_ALL, WRONG = 1, 2
+AGAIN = "press again, or use --hold to press until all have confirmed"
 NOT_SIGNED = (
     "NOT SIGNED: a fleet without keys believes any device on the bus; one with keys only brakes"
 )
@@ -30,10 +32,13 @@ NOT_SIGNED = (
 
 def estop(
     interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
-    reason: str, timeout: float, watch: bool, as_json: bool,
+    reason: str, timeout: float, watch: bool, as_json: bool, hold: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland stop`: 0 if every robot that is or was there has confirmed within
-    `timeout` seconds, 1 if some have not, 2 if there is no bus or the reason is unknown."""
+    `timeout` seconds, 1 if some have not, 2 if there is no bus or the reason is unknown.
+
+    `hold`: after `timeout` it says who has not confirmed, and presses on until all have.
+    """
     if reason not in Reason.__members__:
         known = ", ".join(Reason.__members__)
         print(f"headland: --reason {reason}: unknown; one of {known}", file=sys.stderr)
@@ -52,6 +57,7 @@ def estop(
                 timeout,
                 watch,
                 as_json,
+                hold,
             )
         )
     except AttachError as problem:
@@ -61,7 +67,7 @@ def estop(
 
 async def _estop(
     interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
-    reason: Reason, timeout_s: float, watch: bool, as_json: bool,
+    reason: Reason, timeout_s: float, watch: bool, as_json: bool, hold: bool,
 ) -> int:  # fmt: skip
     bus = attach(interface, channel, bitrate, host, port)
     try:
@@ -71,7 +77,7 @@ async def _estop(
         if watch:
             return await _watch(operator)
         with told_wait("until every robot confirms the stop", timeout_s):
-            late = await press(operator, reason, timeout_s)
+            late = await press(operator, reason, timeout_s, hold)
         return _tell(operator, late, as_json, keys is not None)
     finally:
         bus.close()
@@ -96,8 +102,13 @@ def listen_to(bus: CanBus, operator: Operator) -> None:
     bus.subscribe(lambda frame: operator.hear(loop.time(), frame))
 
 
-async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[KnownRobot]:
-    """Repeat until every member has confirmed; returns those that have not, silent ones among them."""
+async def press(
+    operator: Operator, reason: Reason, timeout_s: float, hold: bool = False
+) -> list[KnownRobot]:
+    """Repeat until every member has confirmed; returns those that have not, silent ones among them.
+
+    `hold`: after `timeout_s` a line says who has not confirmed, and the press goes on without an end.
+    """
     loop = asyncio.get_running_loop()
     operator.begin_press()
     begun_s = dot_s = loop.time()
@@ -120,10 +131,13 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Kn
         if heard and not late and now_s - begun_s >= LISTEN_S:
             return []
         if now_s - begun_s >= timeout_s:
-            return late
+            if not hold:
+                return late
+            tell_meanwhile(f"headland: {_who(operator, late)}; pressing on, Ctrl-C ends it")
+            timeout_s = inf
         none_stopped = not any(r.stopped or r.echoed for r in operator.live)
         unsigned = operator.signs and any(not r.signed for r in operator.live)
-        again_s = unlatched_s if none_stopped else SIGN_AGAIN_S
+        again_s = unlatched_s if none_stopped else max(SIGN_AGAIN_S, (now_s - begun_s) / 4)
         again = operator.live and (none_stopped or unsigned) and now_s - dot_s >= again_s
         if again or stop[:3] in operator.shown.spent:
             stop, dot_s = operator.new_stop(reason), now_s
@@ -132,6 +146,17 @@ async def press(operator: Operator, reason: Reason, timeout_s: float) -> list[Kn
             operator.stop(stop)
         if operator.unknown and round((now_s - begun_s) / REPEAT_S) % 20 == 0:
             operator.ask_who()
+
+
+def _all_stopped(operator: Operator, late: list[KnownRobot]) -> bool:
+    return bool(operator.live) and not late and not operator.unknown
+
+
+def _who(operator: Operator, late: list[KnownRobot]) -> str:
+    """Who has not confirmed, for one line."""
+    names = [f"robot {robot.slot}" for robot in late]
+    names += [f"address {address}" for address in sorted(operator.unknown)]
+    return f"not confirmed by {', '.join(names)}" if names else "no robot was heard"
 
 
 def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: bool) -> int:
@@ -143,7 +168,7 @@ def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: boo
             "not_stopped": [r.slot for r in late if r in live],
             "not_heard": [r.slot for r in late if r not in live],
             "unknown_addresses": sorted(operator.unknown),
-            "all_stopped": bool(live) and not late and not operator.unknown, "signed": signed,
+            "all_stopped": _all_stopped(operator, late), "signed": signed,
         }))  # fmt: skip
     else:
         for robot in operator.members:
@@ -154,7 +179,11 @@ def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: boo
             print(NOT_SIGNED)
     if not live:
         print("headland: no robot was heard on this bus, so none has confirmed", file=sys.stderr)
-    return 0 if live and not late and not operator.unknown else NOT_ALL
+    if _all_stopped(operator, late):
+        return 0
+    if live:
+        print(f"headland: {AGAIN}", file=sys.stderr)
+    return NOT_ALL
 
 
 def _word(operator: Operator, robot: KnownRobot, late: list[KnownRobot]) -> str:

@@ -25,7 +25,7 @@ from sim.scenarios.scenario import load
 from tools.common import bus_address
 from tools.common.bus_address import robots_of_launch
 from tools.operate.estop import press
-from tools.operate.operator_device import ECHOES_TRIED, Operator
+from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
 from tools.operate.reset import word
 
 KEYS = Keys(b"m" * 16, b"o" * 16)
@@ -168,3 +168,49 @@ def test_t14_a_press_names_the_robot_that_is_dead() -> None:
             await cluster.close()
 
     assert run_virtual(main()) == ([2], [0, 1])
+
+
+FLOOD_S, LEAST_S = 6.0, 4.0
+
+
+def test_a_press_that_is_held_goes_on_through_a_flood_until_all_have_confirmed(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without it the press ended in the flood, nobody had latched, and the fleet drove on after it."""
+
+    async def main(hold: bool) -> tuple[list[KnownRobot], float, list[bool]]:
+        cluster = Cluster(FieldSetup(load("small")), f"held press {hold}")
+        cluster.boot_all()
+        bus, flood = (CanBus(FieldBus(cluster.segment.channel)) for _ in range(2))
+        tool, loop = Operator(bus, None), asyncio.get_running_loop()
+        bus.subscribe(lambda frame: tool.hear(loop.time(), frame))
+        try:
+            await elapse(10.0)
+            tool.ask_who()
+            await elapse(1.0)
+            begun_s = loop.time()
+            flooding = asyncio.create_task(_flood(flood, begun_s + FLOOD_S))
+            late = await press(tool, Reason.OPERATOR_INTERVENTION, 2.0, hold)
+            ended_s = loop.time() - begun_s
+            bus.close()  # as the command does; what it has not sent is gone
+            await flooding
+            await elapse(5.0)
+            return late, ended_s, [r.peer.safety.latched for r in cluster.running]
+        finally:
+            flood.close()
+            await cluster.close()
+
+    late, ended_s, latched = run_virtual(main(False))
+    assert len(late) == 3 and ended_s < FLOOD_S and not any(latched), "the flood lets nothing pass"
+    assert "pressing on" not in capsys.readouterr().err
+    late, ended_s, latched = run_virtual(main(True))
+    assert not late and ended_s > LEAST_S and all(latched)
+    assert "not confirmed by robot 0, robot 1, robot 2; pressing on" in capsys.readouterr().err
+
+
+async def _flood(bus: CanBus, until_s: float) -> None:
+    """Frames that outrank a stop, more than the wire carries."""
+    while asyncio.get_running_loop().time() < until_s:
+        for _ in range(4):
+            bus.send(Frame(0, bytes(8)))
+        await elapse(0.001)
