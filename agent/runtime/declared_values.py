@@ -10,7 +10,8 @@ from difflib import get_close_matches
 from math import radians
 from typing import Any, Literal, get_args
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
+from pydantic_core import CoreSchema
 
 from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder, TaskKind
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
@@ -23,10 +24,31 @@ XY = tuple[float, float]  # metres east and north
 SAID_MAX = 60  # characters of a wrong value quoted in a message
 
 
+def _make_strict(schema: Any) -> None:
+    """Let no other kind of value pass for a number or a truth value, here and in what is inside."""
+    if isinstance(schema, dict):
+        if schema.get("type") in ("int", "float", "bool"):
+            schema["strict"] = True
+        for inner in schema.values():
+            _make_strict(inner)
+    elif isinstance(schema, list):
+        for inner in schema:
+            _make_strict(inner)
+
+
 class Table(BaseModel):
     """A table of a file: no unknown keys, no infinite numbers, never changed."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False)
+
+    @classmethod
+    def __get_pydantic_core_schema__(
+        cls, source: type[BaseModel], handler: GetCoreSchemaHandler
+    ) -> CoreSchema:
+        """Numbers and truth values are written as such: pydantic takes true for 1 and "3" for 3."""
+        schema = handler(source)
+        _make_strict(schema)
+        return schema
 
 
 class FieldTable(Table):

@@ -232,6 +232,11 @@ class RobotFile(Table):
         slots = [machine.slot for machine in found.machine]
         if len(set(slots)) < len(slots):
             raise RobotError(f"{name}: machine: two have one slot")
+        if slots and max(slots) >= found.fleet.robots:
+            raise RobotError(
+                f"{name}: machine: slot {max(slots)} is not one of {found.fleet.robots} robots "
+                f"(0 to {found.fleet.robots - 1})"
+            )
         mine = next((each for each in found.machine if each.slot == found.robot.slot), None)
         return found if mine is None else found._on(mine)
 

@@ -5,7 +5,7 @@ from typing import Annotated
 import pytest
 from pydantic import BaseModel, Field, ValidationError
 
-from agent.runtime.declared_values import first_error
+from agent.runtime.declared_values import FleetTable, first_error
 
 
 class Values(BaseModel):
@@ -36,3 +36,25 @@ def test_a_value_out_of_its_range_is_told_without_the_words_of_the_validator(
     with pytest.raises(ValidationError) as problem:
         Values.model_validate(given)
     assert first_error(problem.value, Values) == told
+
+
+@pytest.mark.parametrize(
+    ("given", "told"),
+    [
+        ({"robots": True}, "robots: not a whole number: True"),
+        ({"robots": "3"}, "robots: not a whole number: '3'"),
+        ({"radius_m": True}, "radius_m: not a number: True"),
+        ({"radius_m": "0.8"}, "radius_m: not a number: '0.8'"),
+        ({"asks": 1}, "asks: not true or false: 1"),
+        ({"asks": "yes"}, "asks: not true or false: 'yes'"),
+    ],
+)
+def test_a_value_of_another_kind_is_not_converted(given: dict[str, object], told: str) -> None:
+    """`robots = true` was a fleet of one robot."""
+    with pytest.raises(ValidationError) as problem:
+        FleetTable.model_validate(given)
+    assert first_error(problem.value, FleetTable) == told
+
+
+def test_a_whole_number_is_a_number() -> None:
+    assert FleetTable.model_validate({"radius_m": 1}).radius_m == 1.0

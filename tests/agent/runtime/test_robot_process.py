@@ -101,6 +101,7 @@ GOOD: dict[str, Any] = {"name": "n", "robot": {"slot": 0}, "fleet": {"robots": 2
     ("change", "says"),
     [
         ({"robot": {"slot": 2}}, "robot.slot: 2 is not one of 2 robots"),
+        ({"machine": [{"slot": 5}]}, "machine: slot 5 is not one of 2 robots (0 to 1)"),
         (
             {"robot": {"slot": 0, "jurnal": "x"}},
             "robot.jurnal: unknown key; did you mean 'journal'",
