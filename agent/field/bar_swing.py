@@ -41,6 +41,7 @@ class Course:
         self._course: Point | None = None
         self._turned_rad = 0.0  # more than the line at its beginning
         self._half_turns: int | None = None  # more than the line here
+        self._forwards_on: Line | None = None  # the segment on which it last drove forwards
 
     def moves(self, at: Point, moved_m: float, line: "Line", first: "Line") -> bool:
         """Whether the bar has turned the long way round since the last call.
@@ -65,10 +66,14 @@ class Course:
             if was_x * cx + was_y * cy > REVERSED_COS:
                 self._turned_rad += _turn_rad(was_x, was_y, cx, cy)
         self._course = cx, cy
-        line_rad, ux, uy = line
+        line_rad, ux, uy, behind_sharp = line
         along = ux * cx + uy * cy
         if abs(along) < NEAR_COS:
             return False
+        if along > 0.0:
+            self._forwards_on = line
+        elif behind_sharp and self._forwards_on is not line:
+            return False  # it has not turned yet: towards such a corner is backwards on its segment
         # Seen along the line, whether the robot drives forwards or backwards.
         off_rad = atan2((ux * cy - uy * cx) / along, 1.0)
         before, self._half_turns = (
@@ -78,8 +83,9 @@ class Course:
         return before is not None and before != self._half_turns
 
 
-# The angle by which a leg has turned since its beginning, and its direction, a unit vector.
-Line = tuple[float, float, float]
+# A segment: the angle by which the leg has turned since its beginning, its direction, a unit vector, and
+# whether the corner before it is so sharp that a robot on its way there seems to drive backwards on it.
+Line = tuple[float, float, float, bool]
 
 
 class BarSwing:
@@ -89,17 +95,20 @@ class BarSwing:
         """`points`: of the leg, (x, y) metres."""
         self._line: list[Line] = []  # by segment
         self._corners_m: list[float] = []
-        turned_rad = ux = uy = along_m = 0.0
+        turned_rad = was_x = was_y = ux = uy = along_m = 0.0
         for (ax, ay), (bx, by) in pairwise(points):
             length_m = hypot(bx - ax, by - ay)
             if length_m > 0.0:
                 was_x, was_y, ux, uy = ux, uy, (bx - ax) / length_m, (by - ay) / length_m
                 turned_rad += _turn_rad(was_x, was_y, ux, uy)
-            self._line.append((turned_rad, ux, uy))
+            sharp = was_x * ux + was_y * uy < -NEAR_COS
+            self._line.append((turned_rad, ux, uy, sharp))
             self._corners_m.append(along_m)
             along_m += length_m
         self._corners_m = self._corners_m[1:]
-        self._first = next((line for line in self._line if line[1] or line[2]), (0.0, 1.0, 0.0))
+        self._first = next(
+            (line for line in self._line if line[1] or line[2]), (0.0, 1.0, 0.0, False)
+        )
         self.wrongly = False  # it has turned the long way round a corner
         self._at: Point | None = None
         self._courses: list[Course] = []

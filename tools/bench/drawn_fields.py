@@ -1,5 +1,7 @@
 """Fields of odd shapes, drawn from a seed: stars, combs, the letter U, slivers, and fields with islands.
 
+Seeds from `ACUTE_FIRST` on are fields with acute corners: triangles, and two halves with a neck between them.
+
     setup = drawn_setup(7, folder)
 
 The shape and its size, the islands and the number of robots (1 to 24) follow from the seed alone.
@@ -98,13 +100,37 @@ def islands(draw: random.Random) -> list[Ring]:
     return [outline, *holes]
 
 
+def triangle(draw: random.Random) -> list[Ring]:
+    """One corner of 15 to 70 degrees."""
+    turn, first_m, second_m = draw.uniform(0, 2 * pi), draw.uniform(60, 150), draw.uniform(60, 150)
+    end = turn + draw.uniform(radians(15), radians(70))
+    ring = [(0.0, 0.0), (first_m * cos(turn), first_m * sin(turn))]
+    return [[*ring, (second_m * cos(end), second_m * sin(end))]]
+
+
+def neck(draw: random.Random) -> list[Ring]:
+    """Two halves that are narrow where they meet, with acute corners outside."""
+    half_m, high_m, wide_m = draw.uniform(2, 7), draw.uniform(30, 70), draw.uniform(25, 60)
+    low, far = draw.uniform(0.7, 1), draw.uniform(0.6, 1)
+    return [
+        [
+            (-wide_m, -high_m), (wide_m, -high_m * low), (half_m, 0.0), (wide_m * far, high_m),
+            (-wide_m, high_m), (-half_m, draw.uniform(-5, 5)),
+        ]
+    ]  # fmt: skip
+
+
 SHAPES: tuple[Callable[[random.Random], list[Ring]], ...] = (star, comb, letter_u, sliver, islands)
+ACUTE = (triangle, neck)
+ACUTE_FIRST: Final = 1000  # seeds before keep their shapes
 
 
 def drawn_setup(seed: int, folder: Path) -> FieldSetup:
     """The field of a seed as a file in `folder`, and the fleet that works it."""
     draw = random.Random(seed)
-    rings = SHAPES[seed % len(SHAPES)](draw)
+    shapes = ACUTE if seed >= ACUTE_FIRST else SHAPES
+    shape = shapes[seed % len(shapes)]
+    rings = shape(draw)
     room = int(Polygon(rings[0], rings[1:]).area / ROOM_M2)
     robots = draw.randint(1, max(1, min(ROBOTS_MAX, room)))
     east_m = DEGREE_M * cos(radians(NORTH_DEG))
@@ -112,6 +138,6 @@ def drawn_setup(seed: int, folder: Path) -> FieldSetup:
         [(EAST_DEG + x / east_m, NORTH_DEG + y / DEGREE_M) for x, y in [*ring, ring[0]]]
         for ring in rings
     ]
-    path = folder / f"{SHAPES[seed % len(SHAPES)].__name__}-{seed}.geojson"
+    path = folder / f"{shape.__name__}-{seed}.geojson"
     path.write_text(json.dumps({"type": "Polygon", "coordinates": degrees}))
     return FieldSetup(load(str(path)).changed(robots, seed))

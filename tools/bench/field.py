@@ -38,8 +38,8 @@ ALONE: Final = ("small", "oxted", "curitiba")
 ALONE_MAX = 1.02
 CHANGES: Final = (("small", 6), ("oxted", 6), ("curitiba", 8))
 CHANGE_MAX = 1.10
-DRAWN: Final = range(50)
-QUICK_DRAWN: Final = (8, 18, 32)  # of few robots, so that they take seconds
+DRAWN: Final = (*range(50), *range(1000, 1020))
+QUICK_DRAWN: Final = (8, 18, 32, 1012)  # of few robots, so that they take seconds
 IDLE_MAX = {6: 0.04, 24: 0.08}
 SPEED_LEAST = {("oxted", 6): 60.0, ("oxted", 24): 12.0}  # times real time
 TRACTORS: Final = (("small", 3), ("small", 6), ("curitiba", 3), ("curitiba", 6), ("oxted", 6))
@@ -182,5 +182,5 @@ def _drawn(seeds: Sequence[int]) -> Iterator[Figure]:
     named = f"; seeds {flawed}" if flawed else ""
     yield Figure("drawn fields with a gap, a contact or a unit worked twice", len(flawed), "",
                  "<= 0", not flawed, "",
-                 f"{len(seeds)} stars, combs, letters U, slivers and fields with islands, "
+                 f"{len(seeds)} stars, combs, letters U, slivers, triangles, fields with islands and necks, "
                  f"{robots} robots in sum{named}")  # fmt: skip

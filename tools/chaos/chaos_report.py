@@ -1,6 +1,7 @@
 """`headland chaos --report FOLDER`: results of campaigns, bug searches and fuzzing, from their files.
 
 The folder holds the JSON files that `headland chaos` and `headland fuzz` have written, under any names.
+A file may hold a list of such results, as those of a campaign that was played in parts.
 """
 
 import json
@@ -82,7 +83,9 @@ def _results(folder: Path) -> Iterable[tuple[Path, Result]]:
         raise ReportError(f"no results in {folder}: headland chaos --out {folder} makes some")
     for path in paths:
         try:
-            yield path, dict(json.loads(path.read_text()))
+            found = json.loads(path.read_text())
+            for result in found if isinstance(found, list) else [found]:
+                yield path, dict(result)
         except (ValueError, TypeError):
             raise ReportError(
                 f"{path} is not a result of headland chaos or headland fuzz"
@@ -128,11 +131,7 @@ def _campaigns(campaigns: list[Result], kept: Kept) -> Iterable[str]:
     hours: Counter[str] = Counter()
     for c in campaigns:
         hours[c["profile"]] += c["robot_hours"]
-    rows = [
-        (c["profile"], f"{c['seeds'][0]} to {c['seeds'][1] - 1}", c["runs"], f"{c['robot_hours']:.1f}",
-         f"{c['cpu_s'] / 3600:.2f}", len(c["failed"]), c["code"], c["hash"])
-        for c in campaigns
-    ]  # fmt: skip
+    rows = [_row(parts) for parts in _in_a_row(campaigns)]
     total, drills = sum(hours.values()), sum(hours[profile] for profile in DRILLS)
     keyed = sum(spent for profile, spent in hours.items() if is_keyed(profile))
     runs = sum(c["runs"] for c in campaigns)
@@ -175,6 +174,31 @@ def _campaigns(campaigns: list[Result], kept: Kept) -> Iterable[str]:
             f"No broken rule in {total:.0f} hours bounds their rate at {3 / total:.1e} an hour with 95 % "
             "confidence (rule of three), under this mix of faults only."
         )
+
+
+def _in_a_row(campaigns: list[Result]) -> list[list[Result]]:
+    """Results of one profile and code together whose seeds follow each other."""
+    found: list[list[Result]] = []
+    for c in campaigns:
+        before = found[-1][-1] if found else None
+        if before is not None and (before["profile"], before["code"], before["seeds"][1]) == (
+            c["profile"], c["code"], c["seeds"][0],
+        ):  # fmt: skip
+            found[-1].append(c)
+        else:
+            found.append([c])
+    return found
+
+
+def _row(parts: list[Result]) -> tuple[Any, ...]:
+    first, last = parts[0], parts[-1]
+    told = first["hash"] if len(parts) == 1 else f"{len(parts)} parts, each with its own"
+    hours, cpu_s = (sum(c[key] for c in parts) for key in ("robot_hours", "cpu_s"))
+    return (
+        first["profile"], f"{first['seeds'][0]} to {last['seeds'][1] - 1}",
+        sum(c["runs"] for c in parts), f"{hours:.1f}", f"{cpu_s / 3600:.2f}",
+        sum(len(c["failed"]) for c in parts), first["code"], told,
+    )  # fmt: skip
 
 
 def _hunts(hunts: list[Result]) -> Iterable[str]:

@@ -1,7 +1,7 @@
 """Corners: the bar swings round them with the implement down, or what begins there is worked again."""
 
 from collections.abc import Sequence
-from math import cos, hypot, pi, sin
+from math import cos, hypot, pi, radians, sin
 from random import Random
 
 import numpy as np
@@ -26,11 +26,14 @@ Push = tuple[float, float]
 CORNER = (26.0, 2.0)  # where the second unit ends and the third begins
 WIDTH_M, OVERLAP_M = 4.0, 0.2
 NEAR_M = 0.1  # a control period at full speed is 0.125 m, but corners are turned slowly
-SWATH = ((2.0, 2.0), CORNER, (26.0, 26.0))
+PIECE_M = 24.0
 
 
-def _field(units: int) -> Field:
-    section = Section(0, (SWATH,), (units,))
+def _field(units: int, turn_deg: float = 90.0) -> Field:
+    """One swath of two pieces, with a corner to the left between them."""
+    turn_rad = radians(turn_deg)
+    end = (CORNER[0] + PIECE_M * cos(turn_rad), CORNER[1] + PIECE_M * sin(turn_rad))
+    section = Section(0, (((2.0, 2.0), CORNER, end),), (units,))
     fences = ((0.0, 0.0), (28.0, 0.0), (28.0, 28.0), (0.0, 28.0))
     return Field(
         "corner", fences, (), (0.0, 0.0), (2.0, 2.0), WIDTH_M, OVERLAP_M, 48.0 / units, (section,)
@@ -38,7 +41,10 @@ def _field(units: int) -> Field:
 
 
 def _worked(
-    lifted_at: tuple[float, float] | None, units: int = 4, pushes: Sequence[Push] = ()
+    lifted_at: tuple[float, float] | None,
+    units: int = 4,
+    pushes: Sequence[Push] = (),
+    turn_deg: float = 90.0,
 ) -> tuple[list[int], float]:
     """Units in the order in which they were covered, and the area left out about the corner, in m2.
 
@@ -46,7 +52,7 @@ def _worked(
     implement up. `pushes`: its velocities, (x, y) metres a second, in the control periods after it
     has reached the corner for the first time.
     """
-    field, left = _field(units), None if not pushes else list(pushes)
+    field, left = _field(units, turn_deg), None if not pushes else list(pushes)
     route = Route(np.zeros((120, 120), dtype=np.bool_), -1.0, -1.0, 0.25)
     work = FieldMission(field, route, 0.8, 2.5, 1.5)
     progress, track = Progress(work.section_units), Track()
@@ -87,6 +93,15 @@ def _worked(
 def test_a_corner_is_worked_in_passing() -> None:
     covered, missed_m2 = _worked(None)
     assert covered == [0, 1, 2, 3] and missed_m2 < 0.05
+
+
+@pytest.mark.parametrize("turn_deg", [30.0, 60.0, 100.0, 130.0, 140.0, 154.0, 165.0])
+@pytest.mark.parametrize("units", [3, 4])
+def test_a_corner_of_any_angle_is_worked_in_passing(turn_deg: float, units: int) -> None:
+    """In triangles and at narrow necks, corners of more than 135 degrees were worked again for good: on
+    its way there a robot seemed to drive backwards on the next piece, its bar half a turn wrong."""
+    covered, missed_m2 = _worked(None, units, turn_deg=turn_deg)
+    assert covered == list(range(units)) and missed_m2 < 0.15
 
 
 def test_who_lifts_at_a_corner_between_two_units_swings_round_it_again() -> None:

@@ -40,6 +40,25 @@ def test_a_campaign_and_fuzzing_make_a_report(tmp_path: Path) -> None:
     assert "| frame | 50 |" in text and "**missed**" in text
 
 
+def test_parts_of_a_campaign_in_one_file_are_one_row(tmp_path: Path) -> None:
+    part: dict[str, Any] = {
+        "profile": "all", "seeds": [0, 10], "robot_hours": 1.5, "runs": 10, "cpu_s": 3600.0, "failed": [],
+        "broken": [], "code": "c", "robots": "r", "hash": "h", "faults": {"crash": 2},
+    }  # fmt: skip
+    parts = [
+        part,
+        part | {"seeds": [10, 20]},
+        part | {"seeds": [30, 40]},
+        part | {"profile": "bus"},
+    ]
+    (tmp_path / "campaign.json").write_text(json.dumps(parts))
+    text = report(tmp_path)
+    assert "6.0 robot-hours judged in 40 runs" in text
+    assert "| all | 0 to 19 | 20 | 3.0 | 2.00 | 0 | c | 2 parts, each with its own |" in text
+    assert "| all | 30 to 39 | 10 | 1.5 | 1.00 | 0 | c | h |" in text
+    assert "| bus | 0 to 9 |" in text and "| crash | 8 |" in text
+
+
 def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
     row: dict[str, Any] = {"profile": "all", "seeds": [0, 10], "robot_hours": 1.0}
     (tmp_path / "a.json").write_text(json.dumps(row))
