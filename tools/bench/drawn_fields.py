@@ -1,6 +1,6 @@
 """Fields of odd shapes, drawn from a seed: stars, combs, the letter U, slivers, and fields with islands.
 
-Seeds from `ACUTE_FIRST` on are fields with acute corners: triangles, and two halves with a neck between them.
+Seeds from `ACUTE_FIRST` on have acute corners: triangles, and two halves with a neck between them.
 
     setup = drawn_setup(7, folder)
 

@@ -182,5 +182,5 @@ def _drawn(seeds: Sequence[int]) -> Iterator[Figure]:
     named = f"; seeds {flawed}" if flawed else ""
     yield Figure("drawn fields with a gap, a contact or a unit worked twice", len(flawed), "",
                  "<= 0", not flawed, "",
-                 f"{len(seeds)} stars, combs, letters U, slivers, triangles, fields with islands and necks, "
+                 f"{len(seeds)} stars, combs, letters U, slivers, triangles, islands and necks, "
                  f"{robots} robots in sum{named}")  # fmt: skip
