@@ -89,6 +89,7 @@ class Profile(NamedTuple):
     together: float = 0.0  # chance that a fault comes within `CLOSE_S` of an earlier drawn one
     silence: str = "stop"  # the silence policy
     keyed: bool = False  # the fleet has keys
+    scenario: str = "yard"  # the one that ships, of a field
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
@@ -140,6 +141,10 @@ PROFILES = {
     "implement": Profile((2, 4), (2, 8), {"stuck_implement": 5.0, "crash_working": 1.0, "estop": 1.0,
                                           "reset": 0.5, "loss": 0.5, "freeze": 1.0, "blind": 0.5},
                          "implements that do not rise, stops, lost senses, dead robots"),
+    "corners": Profile((2, 4), (1, 6), {"pushed": 3.0, "box": 1.0, "crash_working": 1.0, "freeze": 1.0,
+                                        "estop": 1.0, "blind": 0.5, "loss": 0.5},
+                       "a field with acute corners: pushes, boxes, dead robots, presses",
+                       scenario="wedge"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
@@ -218,9 +223,9 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         faults += forgers(seed, profile, robots, span)
     keys = DRAWN if kind.keyed or attacked else None
     if kind.mission == "field":
-        yard = load("yard").changed(robots, seed)
-        fleet = yard.fleet.model_copy(update={"keys": keys})
-        return with_faults(yard.model_copy(update={"fleet": fleet}), faults)
+        field = load(kind.scenario).changed(robots, seed)
+        fleet = field.fleet.model_copy(update={"keys": keys})
+        return with_faults(field.model_copy(update={"fleet": fleet}), faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
 
 

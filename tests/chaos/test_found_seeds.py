@@ -28,6 +28,8 @@ MENDED = {
     ("stalls", 20600507): "sim/chaos/scenario_judge.py",
     # A filter that hung while the process was down repeated what the process had heard before.
     ("all", 20001421): "sim/fleet/sensor_faults.py",
+    # An acute corner of a ring was worked for good, with no fault that had to do with it.
+    ("corners", 0): "agent/field/bar_swing.py",
     # What follows is what the first way to notice hung fixes took for them: a push, slip and a jump.
     ("body", 70400167): "agent/peer/place_progress.py",
     ("senses", 70500033): "agent/peer/place_progress.py",

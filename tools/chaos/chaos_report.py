@@ -27,12 +27,13 @@ class ReportError(ValueError):
 def report(folder: Path) -> str:
     """Markdown. Raises ReportError."""
     results = list(_results(folder))
+    files = len({path for path, _ in results})
     hunts = [result for _, result in results if "mutants" in result]
     fuzzed = [row for _, result in results for row in result.get("fuzzed", [])]
     campaigns, kept = _judged(results)
     parts = [
         "# Chaos: what was found, and what was not",
-        f"Written by `headland chaos --report {folder.name}` from {len(results)} result files; nothing "
+        f"Written by `headland chaos --report {folder.name}` from {files} result files; nothing "
         "here is typed in. What the words mean: [chaos.md](../how/chaos.md).",
         *_campaigns(campaigns, kept), *_hunts(hunts), *_fuzzed(fuzzed),
     ]  # fmt: skip
