@@ -31,7 +31,7 @@ REASONS = (
     "EQUIPMENT_MALFUNCTION or MAINTENANCE_REQUIRED"
 )
 BY_A_PERSON = "OPERATOR_INTERVENTION"
-HOLD = "Press on after --timeout-s, until all have confirmed (on a bus that is flooded, say)."
+HOLD = "Press on after --timeout, until all have confirmed (on a bus that is flooded, say)."
 app = typer.Typer()
 
 
