@@ -2,6 +2,8 @@
 
 import asyncio
 import json
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from pathlib import Path
 
 import pytest
@@ -149,23 +151,30 @@ def test_t14_the_robots_of_a_launch_are_known_from_its_file(
     assert robots_of_launch("socketcan", "127.0.0.1", 0) == []
 
 
+@asynccontextmanager
+async def fleet_and_tool(name: str) -> AsyncIterator[tuple[Cluster, CanBus, Operator]]:
+    """Three robots after 11 s, and a tool on its bus that knows them."""
+    cluster = Cluster(FieldSetup(load("small")), name)
+    cluster.boot_all()
+    bus = CanBus(FieldBus(cluster.segment.channel))
+    tool, loop = Operator(bus, None), asyncio.get_running_loop()
+    bus.subscribe(lambda frame: tool.hear(loop.time(), frame))
+    try:
+        await elapse(10.0)
+        tool.ask_who()
+        await elapse(1.0)
+        yield cluster, bus, tool
+    finally:
+        await cluster.close()
+
+
 def test_t14_a_press_names_the_robot_that_is_dead() -> None:
     async def main() -> tuple[list[int], list[int]]:
-        cluster = Cluster(FieldSetup(load("small")), "confirmations")
-        cluster.boot_all()
-        bus = CanBus(FieldBus(cluster.segment.channel))
-        tool, loop = Operator(bus, None), asyncio.get_running_loop()
-        bus.subscribe(lambda frame: tool.hear(loop.time(), frame))
-        try:
-            await elapse(10.0)
-            tool.ask_who()
-            await elapse(1.0)
+        async with fleet_and_tool("confirmations") as (cluster, bus, tool):
             cluster.kill(2)
             late = await press(tool, Reason.OPERATOR_INTERVENTION, 2.0)
-            return [robot.slot for robot in late], [r.slot for r in tool.members if r not in late]
-        finally:
             bus.close()
-            await cluster.close()
+            return [robot.slot for robot in late], [r.slot for r in tool.members if r not in late]
 
     assert run_virtual(main()) == ([2], [0, 1])
 
@@ -179,26 +188,17 @@ def test_a_press_that_is_held_goes_on_through_a_flood_until_all_have_confirmed(
     """Without it the press ended in the flood, nobody had latched, and the fleet drove on after it."""
 
     async def main(hold: bool) -> tuple[list[KnownRobot], float, list[bool]]:
-        cluster = Cluster(FieldSetup(load("small")), f"held press {hold}")
-        cluster.boot_all()
-        bus, flood = (CanBus(FieldBus(cluster.segment.channel)) for _ in range(2))
-        tool, loop = Operator(bus, None), asyncio.get_running_loop()
-        bus.subscribe(lambda frame: tool.hear(loop.time(), frame))
-        try:
-            await elapse(10.0)
-            tool.ask_who()
-            await elapse(1.0)
+        async with fleet_and_tool(f"held press {hold}") as (cluster, bus, tool):
+            flood, loop = CanBus(FieldBus(cluster.segment.channel)), asyncio.get_running_loop()
             begun_s = loop.time()
             flooding = asyncio.create_task(_flood(flood, begun_s + FLOOD_S))
             late = await press(tool, Reason.OPERATOR_INTERVENTION, 2.0, hold)
             ended_s = loop.time() - begun_s
             bus.close()  # as the command does; what it has not sent is gone
             await flooding
+            flood.close()
             await elapse(5.0)
             return late, ended_s, [r.peer.safety.latched for r in cluster.running]
-        finally:
-            flood.close()
-            await cluster.close()
 
     late, ended_s, latched = run_virtual(main(False))
     assert len(late) == 3 and ended_s < FLOOD_S and not any(latched), "the flood lets nothing pass"
