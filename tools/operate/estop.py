@@ -78,7 +78,7 @@ async def _estop(
             return await _watch(operator)
         with told_wait("until every robot confirms the stop", timeout_s):
             late = await press(operator, reason, timeout_s, hold)
-        return _tell(operator, late, as_json, keys is not None)
+        return tell(operator, late, as_json, keys is not None)
     finally:
         bus.close()
 
@@ -159,7 +159,8 @@ def _who(operator: Operator, late: list[KnownRobot]) -> str:
     return f"not confirmed by {', '.join(names)}" if names else "no robot was heard"
 
 
-def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: bool) -> int:
+def tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: bool) -> int:
+    """Print who has confirmed and who has not, `late`; returns the exit code of a press."""
     live = operator.live
     confirmed = [r for r in operator.members if r not in late]
     if as_json:
@@ -181,8 +182,8 @@ def _tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: boo
         print("headland: no robot was heard on this bus, so none has confirmed", file=sys.stderr)
     if _all_stopped(operator, late):
         return 0
-    if live:
-        print(f"headland: {AGAIN}", file=sys.stderr)
+    if not as_json and (operator.unknown or any(r in live for r in late)):
+        print(f"headland: {AGAIN}", file=sys.stderr)  # programs read `all_stopped`
     return NOT_ALL
 
 

@@ -26,7 +26,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.common import bus_address
 from tools.common.bus_address import robots_of_launch
-from tools.operate.estop import press
+from tools.operate.estop import AGAIN, press, tell
 from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
 from tools.operate.reset import word
 
@@ -177,6 +177,23 @@ def test_t14_a_press_names_the_robot_that_is_dead() -> None:
             return [robot.slot for robot in late], [r.slot for r in tool.members if r not in late]
 
     assert run_virtual(main()) == ([2], [0, 1])
+
+
+def test_only_people_whom_a_live_robot_does_not_obey_are_told_to_press_again(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    tool = operator()
+    say(tool, 0.0, 1, Member(1, 1, 7), beat())
+    say(tool, 5.0, 2, Member(2, 1, 7), beat())
+    late = list(tool.members)
+    assert tell(tool, late, as_json=False, signed=True) == 1
+    assert AGAIN in capsys.readouterr().err
+    assert tell(tool, late, as_json=True, signed=True) == 1
+    told = capsys.readouterr()
+    assert not json.loads(told.out)["all_stopped"] and not told.err, "a program joins both streams"
+    silent = [robot for robot in late if robot not in tool.live]
+    assert silent and tell(tool, silent, as_json=False, signed=True) == 1
+    assert AGAIN not in capsys.readouterr().err, "no press reaches a robot that is silent"
 
 
 FLOOD_S, LEAST_S = 6.0, 4.0
