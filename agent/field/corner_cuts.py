@@ -2,9 +2,9 @@
 
 Each piece is straight or bends gently. At a cut it goes on straight by up to half a width, as far
 as the middle of the body may go. An implement that swings sweeps a corner by turning; this one has
-to go past the corner in both directions. At a corner about as sharp as a right angle with a fence
-ahead, the piece ends in a bend away from that fence. The outer end of the bar then runs ahead of
-the body, into the corner.
+to go past the corner in both directions. At a sharp corner with a fence ahead, the piece ends in a
+bend away from that fence. The outer end of the bar then runs ahead of the body, into the corner. Of
+several bends the one is taken with which both pieces together leave the least.
 
 A body that turns on the spot drives a corner in one go instead, where it has room for that. Ways are
 rounded before they are driven, so the line swings out first: the rounded one then passes the corner
@@ -12,8 +12,11 @@ itself, and the bar swings over all that it can reach from there. Cut pieces lea
 where the body is nearly as wide as the implement, because it cannot go past the corner.
 """
 
-from math import atan2, copysign, cos, hypot, pi, sin
+from itertools import pairwise
+from math import atan2, ceil, copysign, cos, hypot, inf, pi, sin
 
+import numpy as np
+import shapely
 from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
@@ -25,8 +28,14 @@ WINDOW_M = 1.2  # the length over which it is rounded
 SPARE, SPARE_RAD = 1.1, 0.05  # tolerances for an arc that is drawn as chords
 STEP_M = 0.05  # step of the search for the end of a piece
 SHARP_RAD = 1.2  # a corner that turns by less is swept to its end by going past it
-ACUTE_RAD = 1.9  # in a corner that turns by more there is no room to leave a bend again
-TURN_IN_RAD = 0.42  # at the end of a piece: the bar's outer end is then 40 % of its half ahead
+ACUTE_RAD = 1.9  # in a corner that turns by more the line does not swing out
+# At the end of a piece, the first of those that are as good. With 0.42 rad the outer end of the bar is
+# ahead by 40 % of its half. A right angle needs that, and a sharper corner more.
+TURN_INS_RAD = (0.42, 0.5, 0.58, 0.66, 0.74, 0.82, 0.34)
+AS_GOOD_M2 = 0.003  # a twentieth of a cell of the coverage check
+BESIDE_M = 0.03  # errors of tracking: the bar counts as shorter by this on both sides
+PAST_END_M = 0.2  # so far the bar goes on beyond the end of a piece, at least
+SWEEP_STEP_M = 0.2  # between places of the bar
 RUN_M = 0.8  # the bend, and straight on after it where it is tight: the body's course settles there
 CHORDS = 5  # number of chords of the bend at the end
 # So far past a corner a rounded way goes: half the usual overlap, for errors of tracking.
@@ -37,13 +46,13 @@ SIDE_SHARE = 0.4  # of the shorter side of a corner, for the way out
 
 def cut_at_corners(
     ring: Polyline, turn_radius_m: float, reach_m: float, free: BaseGeometry,
-    room: BaseGeometry | None = None,
+    room: BaseGeometry | None = None, asked: BaseGeometry | None = None,
 ) -> list[Polyline]:  # fmt: skip
     """The pieces of a ring in its order, as polylines of (x, y) metres.
 
     `turn_radius_m`: the smallest of the body. `reach_m`: half the implement width. `free`: where
     the middle of the body may be at the end of a piece. `room`: where it may be in a corner, if the body
-    can turn on the spot.
+    can turn on the spot. `asked`: the ground that is to be worked; None: bends are not compared.
     """
     pieces: list[list[XY]] = [[ring[0]]]
     most_rad = SPARE * WINDOW_M / turn_radius_m + SPARE_RAD
@@ -66,17 +75,67 @@ def cut_at_corners(
             pieces.append([ring[k]])
             turned_rad = run_m = 0.0
     bend_m = max(turn_radius_m * SPARE, reach_m / 2)
+    for before, after in pairwise(pieces):
+        turn_rad = _turn(before[-2], before[-1], after[1])
+        ends = _ends(before, after[::-1], turn_rad, reach_m, bend_m, free, asked)
+        before[:], after[:] = ends[0], ends[1][::-1]
     result = []
-    for k, piece in enumerate(pieces):
-        if k > 0:
-            turn_rad = -_turn(pieces[k - 1][-2], piece[0], piece[1])
-            piece = _on(piece[::-1], turn_rad, reach_m, bend_m, free)[::-1]
-        if k + 1 < len(pieces):
-            turn_rad = _turn(piece[-2], piece[-1], pieces[k + 1][1])
-            piece = _on(piece, turn_rad, reach_m, bend_m, free)
+    for piece in pieces:
         line = LineString(piece).simplify(0.001)
         result.append(tuple((float(x), float(y)) for x, y in line.coords))
     return result
+
+
+def _ends(
+    into: list[XY], out: list[XY], turn_rad: float, reach_m: float, bend_m: float,
+    free: BaseGeometry, asked: BaseGeometry | None,
+) -> tuple[list[XY], list[XY]]:  # fmt: skip
+    """Two pieces that end in the same corner, with their continuations past it.
+
+    `out`: from its far end, as if it were driven towards the corner.
+    """
+    corner = into[-1]
+    ground = Point(corner).buffer(2 * reach_m)
+    ground = ground.intersection(asked) if asked is not None else Point()
+    best: tuple[list[XY], list[XY]] | None = None
+    least_m2 = inf
+    for turn_in_rad in TURN_INS_RAD:
+        both = (
+            _on(into, turn_rad, turn_in_rad, reach_m, bend_m, free),
+            _on(out, -turn_rad, turn_in_rad, reach_m, bend_m, free),
+        )
+        if best == both or (best is not None and ground.is_empty):
+            return best
+        swept = [_swept(piece, corner, reach_m) for piece in both]
+        left_m2 = ground.difference(shapely.union_all(swept)).area
+        if left_m2 < least_m2 - AS_GOOD_M2:
+            best, least_m2 = both, left_m2
+    assert best is not None
+    return best
+
+
+def _swept(piece: list[XY], corner: XY, reach_m: float) -> BaseGeometry:
+    """What the bar passes over on the end of a piece, near a corner."""
+    (ax, ay), (bx, by) = piece[-2:]
+    past = PAST_END_M / hypot(bx - ax, by - ay)
+    line = LineString([*piece[:-1], (bx + (bx - ax) * past, by + (by - ay) * past)])
+    from_m = max(0.0, line.project(Point(corner)) - 3 * reach_m)
+    count = ceil((line.length - from_m) / SWEEP_STEP_M) + 1
+    at = shapely.line_interpolate_point(line, np.linspace(from_m, line.length, count))
+    places = shapely.get_coordinates(at)
+    courses = np.diff(places, axis=0)
+    courses /= np.hypot(*courses.T)[:, np.newaxis]
+    bars = np.stack((-courses[:, 1], courses[:, 0]), axis=1) * (reach_m - BESIDE_M)
+    left, right = places[:-1] + bars, places[:-1] - bars
+    # From each place to the next, with the bar as it is there: it swings where the course bends.
+    ahead_left, ahead_right = places[1:] + bars, places[1:] - bars
+    strips = shapely.polygons(np.stack((left, ahead_left, ahead_right, right), axis=1))
+    swings = [
+        shapely.convex_hull(shapely.multipoints(np.stack(ends)))
+        for ends in (*zip(ahead_left, left[1:], places[1:], strict=False),
+                     *zip(ahead_right, right[1:], places[1:], strict=False))
+    ]  # fmt: skip
+    return shapely.union_all([*strips, *swings])
 
 
 def _swung_out(a: XY, b: XY, c: XY, reach_m: float, room: BaseGeometry | None) -> list[XY]:
@@ -101,38 +160,38 @@ def _swung_out(a: XY, b: XY, c: XY, reach_m: float, room: BaseGeometry | None) -
 
 
 def _on(
-    piece: list[XY], turn_rad: float, reach_m: float, bend_m: float, free: BaseGeometry
-) -> list[XY]:
+    piece: list[XY], turn_rad: float, turn_in_rad: float, reach_m: float, bend_m: float,
+    free: BaseGeometry,
+) -> list[XY]:  # fmt: skip
     """The piece, whose end is where the ring turns by `turn_rad`, with its continuation past the
-    corner.
+    corner: straight, or with a bend of `turn_in_rad`.
     """
     a, b = piece[-2:]
     end, is_fence_ahead = _beyond(a, b, reach_m, free)
     course = atan2(b[1] - a[1], b[0] - a[0])
     # Length of the bend and its straight end along the way to `end`.
-    ahead_m = bend_m * sin(TURN_IN_RAD) + _tail_m(bend_m) * cos(TURN_IN_RAD)
+    ahead_m = bend_m * sin(turn_in_rad) + _tail_m(bend_m, turn_in_rad) * cos(turn_in_rad)
     straight_m = hypot(end[0] - a[0], end[1] - a[1]) - ahead_m
-    turns_in = is_fence_ahead and SHARP_RAD <= abs(turn_rad) <= ACUTE_RAD
+    turns_in = is_fence_ahead and abs(turn_rad) >= SHARP_RAD
     while turns_in and straight_m > 0.0:  # in an acute corner the bend nears the fence ahead
-        bend = _bend(a, course, straight_m, bend_m, copysign(1.0, turn_rad))
+        bend = _bend(a, course, straight_m, bend_m, copysign(turn_in_rad, turn_rad))
         if free.contains(Point(bend[-1])):
             return [*piece[:-1], *bend]
         straight_m -= STEP_M
     return [*piece, end]
 
 
-def _bend(a: XY, course: float, straight_m: float, bend_m: float, side: float) -> list[XY]:
-    """Points of a bend that begins `straight_m` from `a`; `side`: 1 to the left, -1 to the
-    right.
-    """
+def _bend(a: XY, course: float, straight_m: float, bend_m: float, turn_in_rad: float) -> list[XY]:
+    """Points of a bend that begins `straight_m` from `a`; `turn_in_rad`: positive to the left."""
+    most_rad, side = abs(turn_in_rad), copysign(1.0, turn_in_rad)
     ways = [
         (bend_m * sin(turned), bend_m * (1.0 - cos(turned)))
-        for turned in (TURN_IN_RAD * k / CHORDS for k in range(CHORDS + 1))
+        for turned in (most_rad * k / CHORDS for k in range(CHORDS + 1))
     ]
     on_m, aside_m = ways[-1]
-    tail_m = _tail_m(bend_m)
+    tail_m = _tail_m(bend_m, most_rad)
     if tail_m > 0.0:
-        ways.append((on_m + tail_m * cos(TURN_IN_RAD), aside_m + tail_m * sin(TURN_IN_RAD)))
+        ways.append((on_m + tail_m * cos(most_rad), aside_m + tail_m * sin(most_rad)))
     return [
         (
             a[0] + (straight_m + on_m) * cos(course) - side * aside_m * sin(course),
@@ -142,8 +201,8 @@ def _bend(a: XY, course: float, straight_m: float, bend_m: float, side: float) -
     ]
 
 
-def _tail_m(bend_m: float) -> float:
-    return max(0.0, RUN_M - bend_m * TURN_IN_RAD)
+def _tail_m(bend_m: float, turn_in_rad: float) -> float:
+    return max(0.0, RUN_M - bend_m * turn_in_rad)
 
 
 def _turn(a: XY, b: XY, c: XY) -> float:

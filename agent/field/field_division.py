@@ -29,7 +29,8 @@ SWEEP_DEG = 10.0  # step of the angles that are tried besides the directions of 
 EDGE_SHARE_MIN = 0.05  # edges shorter than this share of the outline propose no angle
 UNITS_LEAST = 8  # of a whole field, so that in a tiny one, work beside a standing robot counts
 UNIT_LEAST_M = 1.0  # shortest unit: three times the lead of a stretch
-KEEP_MORE_M = 0.35  # the lead-out of a stretch, beyond its end
+# The lead-out of a stretch goes 5 cm beyond this, and the body keeps 15 cm from the fence there.
+KEEP_MORE_M = 0.25
 ASTRAY_M = 0.1  # how far off its way a body may drive a corner
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
@@ -67,8 +68,10 @@ def divide(
     if turn_radius_m > 0.0:
         free = polygon.buffer(-(keep_m + KEEP_MORE_M))
         room = polygon.buffer(-(keep_m + ASTRAY_M)) if pivots else None
+        asked = polygon.buffer(-width_m / 2).buffer((width_m - overlap_m) / 2)
         bundles = [
-            cut_at_corners(ring, turn_radius_m, width_m / 2, free, room) for (ring,) in bundles
+            cut_at_corners(ring, turn_radius_m, width_m / 2, free, room, asked)
+            for (ring,) in bundles
         ]
     if not deep.is_empty:
         bundles += _strip_bundles(

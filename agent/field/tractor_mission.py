@@ -20,6 +20,7 @@ from agent.motion.tractor_tracker import (
     AT_WORK,
     BEND_HALF_M,
     ON_THE_WAY,
+    SteeredWheels,
     SteeringLimits,
     TractorTracker,
     bend_speed_m_s,
@@ -39,8 +40,9 @@ BENT_M = 1.0  # a stretch whose first straight is shorter begins in a bend
 LEAVE_M_S = 0.8  # speed from a stretch into a turn that is not planned yet
 ROOM_M = 1.5  # free length beyond the end of a stretch that this speed needs
 SLOW_WHEELS_S = 0.5  # from straight to the planned circle; wheels of tractors take 0.9 s
-STUCK_US = 5_000_000
-MOVED_M = 0.5  # a robot that moves less within `STUCK_US` is stuck
+# Two changes of gear, at which wheels turn from lock to lock, and a way between them.
+STUCK_US = 7_000_000
+MOVED_M = 0.5  # a robot that gets on by less along its path within `STUCK_US` is stuck
 BODY_M = 0.5  # between hulls on a path round a body: more than ORCA's disc takes
 MAKE_WAY_M = 6.0  # an idle robot keeps this far from a working one
 # Length of swath that is not worked beside a silent body: `BODY_M`, the lead-in, and room to stop.
@@ -68,12 +70,13 @@ class TractorMission(FieldMission):
         radius_m: float,
         limits: SteeringLimits,
         travel: TravelTimes | None = None,
+        wheels: SteeredWheels | None = None,
     ) -> None:
         """`route`: plans paths of a point in the field. `turns`: plans paths of our body.
-        `radius_m`: of every body. `limits`: of our chassis.
+        `radius_m`: of every body. `limits`, `wheels`: of our chassis, see `TractorTracker`.
         """
         super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2, travel)
-        self.turns, self.limits = turns, limits
+        self.turns, self.limits, self.wheels = turns, limits, wheels
         self.reach_m = 2 * radius_m + BODY_M
         self.on_the_way, self.run_out_m = AT_WORK, 0.0
         if 1.0 / (turns.radius_m * limits.steer_1_m_s) > SLOW_WHEELS_S:
@@ -85,8 +88,10 @@ class TractorMission(FieldMission):
         self.follow: TractorTracker | None = None
         self.bodies: list[tuple[float, float]] = []  # paths go round these since we were stuck
         self.joined = False  # we are at the beginning of the first leg and point along it
-        self._anchor, self._anchor_at_us, self._again_at_us = (0.0, 0.0), 0, 0
-        self._escape = EscapeManoeuvre(turns, radius_m, limits)
+        # The path that is watched for progress, and how far along it the last progress was.
+        self._followed: TractorTracker | None = None
+        self._anchor_m, self._anchor_at_us, self._again_at_us = 0.0, 0, 0
+        self._escape = EscapeManoeuvre(turns, radius_m, limits, wheels)
 
     def approach(self, section: int, view: FleetView) -> MotionRequest:
         self._look_round(view)
@@ -122,8 +127,7 @@ class TractorMission(FieldMission):
         self.follow, self.joined = None, False
 
     def idle(self, view: FleetView) -> MotionRequest:
-        """Stand still, but not where another robot works."""
-        self.heading_to, self.follow, self.joined = None, None, False
+        """Stand still, but not where another robot works or will work."""
         here = VehiclePose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         near = [
             (n.pose.x_m, n.pose.y_m)
@@ -132,7 +136,13 @@ class TractorMission(FieldMission):
             and hypot(n.pose.x_m - here.x_m, n.pose.y_m - here.y_m) < MAKE_WAY_M
         ]
         everybody = [(n.pose.x_m, n.pose.y_m) for n in view.neighbours.values()]
-        return _wish(here, self._escape.go(here, near, everybody), False)
+        escape = self._escape.go(here, near, everybody)
+        self.parking.observe(view)
+        spot = self.parking.spot
+        if escape is not None or spot is None:
+            self.heading_to, self.follow, self.joined = None, None, False
+            return _wish(here, escape, False)
+        return self.travel(spot, view)
 
     def _own_end(self, view: FleetView) -> tuple[float, float]:
         if self.legs:
@@ -200,9 +210,10 @@ class TractorMission(FieldMission):
             self.leg = WorkLeg((here[:2], first))
             self.headway.again()  # the remaining distance did not include the turn
             joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
-            way, end_m_s = sampled(here, pieces), 0.0 if only_approach else joins_m_s
+            stands = only_approach or pieces[-1].length_m < 0.0
+            way, end_m_s = sampled(here, pieces), 0.0 if stands else joins_m_s
         manner = AT_WORK if self.leg.units else self.on_the_way
-        self.follow = TractorTracker(way, self.limits, end_m_s, manner)
+        self.follow = TractorTracker(way, self.limits, end_m_s, manner, self.wheels)
         self.tracker = self.follow
         self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
         return True
@@ -216,8 +227,13 @@ class TractorMission(FieldMission):
 
     def _notice_stuck(self, view: FleetView, here: VehiclePose) -> None:
         """No progress: go round the standing robots, or work another leg first."""
-        if self.follow is None or distance_m(here[:2], self._anchor) > MOVED_M:
-            self._anchor, self._anchor_at_us = here[:2], view.now_us
+        follow = self.follow
+        if follow is not self._followed or (
+            follow is not None and follow.along_m - self._anchor_m > MOVED_M
+        ):
+            self._followed, self._anchor_at_us = follow, view.now_us
+            self._anchor_m = follow.along_m if follow is not None else 0.0
+        if follow is None:
             return
         if view.now_us - self._anchor_at_us < STUCK_US:
             return

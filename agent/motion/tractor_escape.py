@@ -1,9 +1,9 @@
 """Moves a steered body out of another robot's way: one arc or straight, forward or backward."""
 
 from collections.abc import Iterable
-from math import copysign, hypot
+from math import hypot
 
-from agent.motion.tractor_tracker import SteeringLimits, TractorTracker
+from agent.motion.tractor_tracker import AT_WORK, SteeredWheels, SteeringLimits, TractorTracker
 from agent.paths.dubins import step
 from agent.paths.tractor_route import Piece, Point, TurnRoute, VehiclePose, sampled
 
@@ -11,20 +11,22 @@ LENGTHS_M = (3.0, 5.0, 8.0)  # of the arcs and straights that are tried
 ENOUGH_M = 9.0  # a larger distance from the other robot is no better
 STEP_M = 0.5  # between places where the piece is checked for collisions
 SPARE_M = 0.35  # between hulls
-# Its wheels take 0.9 s to turn, and longer where they were turned the other way. Meanwhile a tractor goes
-# straight on: one backed into a fence so. A piece that is free then, too, is preferred.
+# Wheels take 0.9 s to turn, and longer where they were turned the other way. A tractor that still moves
+# goes straight on meanwhile: one backed into a fence so. A piece that is free then, too, is preferred.
 LATE_M = 0.5
-BEGIN_M, BEGIN_M_S = 0.4, 0.25  # so far it drives slowly while the wheels turn
 
 
 class EscapeManoeuvre:
     """One robot's way out of another robot's way: found once, then driven to its end."""
 
-    def __init__(self, turns: TurnRoute, radius_m: float, limits: SteeringLimits) -> None:
-        """`turns`: knows which arcs stay on free ground. `radius_m`: of every body. `limits`: our
-        chassis.
+    def __init__(
+        self, turns: TurnRoute, radius_m: float, limits: SteeringLimits,
+        wheels: SteeredWheels | None = None,
+    ) -> None:  # fmt: skip
+        """`turns`: knows which arcs stay on free ground. `radius_m`: of every body. `limits`,
+        `wheels`: of our chassis, see `TractorTracker`.
         """
-        self.turns, self.radius_m, self.limits = turns, radius_m, limits
+        self.turns, self.radius_m, self.limits, self.wheels = turns, radius_m, limits, wheels
         self.follow: TractorTracker | None = None
 
     def go(
@@ -40,16 +42,13 @@ class EscapeManoeuvre:
             pieces = self.find(here, others, list(everybody)) if others else None
             if pieces is None:
                 return None
-            self.follow = TractorTracker(sampled(here, [pieces]), self.limits)
+            way = sampled(here, [pieces])
+            self.follow = TractorTracker(way, self.limits, 0.0, AT_WORK, self.wheels)
         self.follow.locate(*here)
         if self.follow.arrived or self.follow.lost:
             self.follow = None
             return None
-        speed_m_s, turn_rad_s = self.follow.command()
-        if self.follow.along_m < BEGIN_M and abs(speed_m_s) > BEGIN_M_S:
-            turn_rad_s *= BEGIN_M_S / abs(speed_m_s)
-            speed_m_s = copysign(BEGIN_M_S, speed_m_s)
-        return speed_m_s, turn_rad_s
+        return self.follow.command()
 
     def find(
         self, here: VehiclePose, away_from: list[Point], everybody: list[Point]

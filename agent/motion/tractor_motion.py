@@ -2,16 +2,18 @@
 
 A tractor cannot follow ORCA's velocities, so ORCA only limits the speed along its own course. Its
 disc is larger by the tracking and steering error (the argument of NH-ORCA, Alonso-Mora et al.
-2010). The path planner handles fences: a path never leaves free ground. Of two tractors nose to
+2010). The path planner handles fences: a path never leaves free ground. A body that left its path
+stops before a fence, and its mission plans another one from there. Of two tractors nose to
 nose, the one with the higher slot backs away by one arc and waits. Its mission replans from there.
 """
 
 from collections.abc import Mapping
-from math import cos, hypot, sin
+from math import atan2, ceil, copysign, cos, hypot, inf, sin
 
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.avoidance.fence_distance import gap_m
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import Drive
 from agent.interface.mission import MotionRequest
@@ -19,9 +21,10 @@ from agent.interface.motion_controller import BodyLimits as Body
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
-from agent.motion.obstacle_detector import ObstacleDetector
+from agent.motion.obstacle_detector import REACTION_S, ObstacleDetector
 from agent.motion.tractor_escape import EscapeManoeuvre
-from agent.motion.tractor_tracker import SteeringLimits
+from agent.motion.tractor_tracker import HOLD_M_S, SteeredWheels, SteeringLimits
+from agent.paths.dubins import step
 from agent.paths.tractor_route import TurnRoute, VehiclePose
 
 DISC_M = 0.2  # extra disc radius for the tracking error and the swing into an arc
@@ -33,6 +36,9 @@ WAIT_US = 8 * S  # maximum wait after backing away
 APART_M = 5.0  # at this distance between bodies the way is free again
 NEAR_M = 1.8  # a robot further away is not the reason why we stand
 GOT_ON_M = 0.4  # a move of this length is progress
+# From hull to fence, where the body stops. It may move by 2 cm while its wheels are turned.
+FENCE_STOP_M, HOLD_STOP_M = 0.03, 0.01
+FENCE_LOOK_M = 0.2  # between places of a way that is looked at for fences
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
 
 
@@ -41,17 +47,21 @@ class TractorMotion(HolonomicMotion):
 
     def __init__(
         self, slot: int, limits: Body, turns: TurnRoute, steering: SteeringLimits,
-        fences: NDArray[np.float64], half_bar_m: float = 0.0,
+        fences: NDArray[np.float64], half_bar_m: float = 0.0, wheels: SteeredWheels | None = None,
     ) -> None:  # fmt: skip
         """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `turns`: knows which
         arcs stay on free ground. `steering`: our chassis. `fences`: known segments (n, 4) of ax,
-        ay, bx, by in metres; only the obstacle detector uses them. `half_bar_m`: see `Implement`.
+        ay, bx, by in metres. `half_bar_m`: see `Implement`. `wheels`: of our chassis; they are told
+        here what is commanded.
         """
         super().__init__(slot, limits, np.empty((0, 4)), half_bar_m=half_bar_m)
         self.lookout = ObstacleDetector(
             limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
         )
-        self.escape = EscapeManoeuvre(turns, limits.radius_m, steering)
+        self._braking_m_s2 = steering.deceleration_m_s2
+        self.known_fences = fences
+        self.wheels = wheels or SteeredWheels(steering.steer_1_m_s)
+        self.escape = EscapeManoeuvre(turns, limits.radius_m, steering, self.wheels)
         self.given = 0
         self._anchor, self._anchor_at_us = (0.0, 0.0), 0
         self._wait_ends_at_us = 0
@@ -77,12 +87,52 @@ class TractorMotion(HolonomicMotion):
         elif self._stalled(pose, wish, now_us):
             close = [o for o in others if o.distance_m < 2 * self.limits.radius_m + NEAR_M]
             wish = self._decide(pose, wish, close, places, now_us)
-        share = self._permitted(here, wish, rows)
+        share = self._before_fences(here, wish, self._permitted(here, wish, rows))
         # Down while it waits, too: the ground under it is then not worked twice.
         tool_on = wish.tool_on and not self.implement.must_be_up(
             here, (wish.vx_m_s, wish.vy_m_s), others, self.slot
         )
+        ahead = wish.vx_m_s * cos(here.heading_rad) + wish.vy_m_s * sin(here.heading_rad)
+        speed_m_s = copysign(hypot(wish.vx_m_s, wish.vy_m_s), ahead)
+        self.wheels.command(speed_m_s * share, wish.turn_rad_s * share)
         return Drive(wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share, tool_on)
+
+    def _before_fences(self, here: Observation, wish: MotionRequest, share: float) -> float:
+        """As much of this share as lets the body come to rest before a fence, or drive away from it.
+
+        Paths keep `FENCE_M` from fences. A body that left its path may be nearer.
+        """
+        asked_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
+        now_m = gap_m(here.x_m, here.y_m, self.known_fences)
+        keep_m = self.limits.radius_m + FENCE_STOP_M
+        if not asked_m_s or now_m > keep_m + self._stopping_m(asked_m_s * share):
+            return share
+        if asked_m_s <= HOLD_M_S:
+            keep_m = self.limits.radius_m + HOLD_STOP_M
+        course_rad = atan2(wish.vy_m_s, wish.vx_m_s)
+        backward = cos(course_rad - here.heading_rad) < 0.0
+        # The wheels are still on their way to the curvature of the request.
+        wheels_1_m = -self.wheels.curvature_1_m if backward else self.wheels.curvature_1_m
+        bend_1_m = (wheels_1_m + wish.turn_rad_s / asked_m_s) / 2
+        for part in SHARES:
+            way_m = self._stopping_m(asked_m_s * share * part)
+            if self._gap_on_way_m(here, course_rad, bend_1_m, way_m) >= min(keep_m, now_m):
+                return share * part
+        return 0.0
+
+    def _stopping_m(self, speed_m_s: float) -> float:
+        return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self._braking_m_s2)
+
+    def _gap_on_way_m(
+        self, here: Observation, course_rad: float, bend_1_m: float, way_m: float
+    ) -> float:
+        """The least distance of the middle of the body to a fence on an arc from here."""
+        steps = ceil(way_m / FENCE_LOOK_M)
+        gaps_m = []
+        for k in range(1, steps + 1):
+            x_m, y_m, _ = step(here.x_m, here.y_m, course_rad, bend_1_m, way_m * k / steps)
+            gaps_m.append(gap_m(x_m, y_m, self.known_fences))
+        return min(gaps_m, default=inf)
 
     def _permitted(
         self, here: Observation, wish: MotionRequest, rows: list[tuple[float, ...]]
@@ -109,7 +159,8 @@ class TractorMotion(HolonomicMotion):
         return 0.0
 
     def _stalled(self, pose: VehiclePose, wish: MotionRequest, now_us: int) -> bool:
-        wants = wish.vx_m_s != 0.0 or wish.vy_m_s != 0.0
+        # A body that waits until its wheels are turned is not held up by another one.
+        wants = hypot(wish.vx_m_s, wish.vy_m_s) > HOLD_M_S
         moved_m = hypot(pose.x_m - self._anchor[0], pose.y_m - self._anchor[1])
         if moved_m > GOT_ON_M or not wants:
             self._anchor, self._anchor_at_us = pose[:2], now_us

@@ -5,11 +5,14 @@ an arc begins. A cross-track error is closed within a fixed length, not within a
 path is the same at any speed.
 """
 
-from math import atan2, cos, hypot, pi, remainder, sin, sqrt
+from itertools import pairwise
+from math import atan2, cos, hypot, inf, pi, remainder, sin, sqrt
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+
+from agent.interface.config import CONTROL_PERIOD_US, S
 
 # Length in which a cross-track error is closed, critically damped. It is longer by `CLOSE_1_M` times
 # speed divided by steering rate, because wheels take time to turn.
@@ -18,9 +21,18 @@ CLOSE_1_M = 0.33
 CLOSE_RAD_MAX = 0.5  # largest angle to the path while an error is closed
 LATERAL_M_S2 = 1.0  # lateral acceleration that is comfortable, and far from tipping or slipping
 WINDOW_M = 1.2  # a bend may begin over this length: an arc is then 5 cm off at its ends
+WINDOW_ROWS = round(WINDOW_M / 0.1)
+WINDOW_ENDS_M = -WINDOW_M / 2, WINDOW_M / 2
 SLOWEST_M_S = 0.4  # bends are not planned slower than this
 BACK_M_S = 0.9  # highest speed backward
-SHIFT_M, SHIFT_M_S = 0.25, 0.35  # within this distance of a change of gear, at most this speed
+# Where it has just stood, the body waits until its wheels are turned to within this curvature. A speed
+# tells the chassis which way to turn them. The body moves by 4 cm meanwhile, at most.
+TURNED_1_M, HOLD_M_S = 0.05, 0.02
+QUICK_1_M_S = 2.0  # wheels that turn faster than this are not waited for
+STOOD_M, STOOD_M_S = (
+    0.1,
+    0.2,
+)  # this near to where it changed its gear, and at most this fast, it stood
 CREEP_M_S = 0.15  # lowest speed that is commanded
 ARRIVED_M = 0.08  # this near to the end, the path is driven
 LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another path
@@ -36,14 +48,15 @@ class SteeringManner(NamedTuple):
 
     share: float  # of the steering rate that plans use; the rest is for corrections
     preview_for_s: float  # the command is for the place where the body is after this
+    preview_share: float  # or after this part of the time that the wheels take, if that is longer
     astray_rad: float  # off the path by more, the body slows down
     astray_m: float
 
 
-AT_WORK = SteeringManner(0.7, 0.25, 0.0, 0.0)
+AT_WORK = SteeringManner(0.7, 0.25, 0.0, 0.0, 0.0)
 # The preview is half the time from lock to straight, and the delay of the command. Where wheels are
 # turned, a path of arcs is left by 0.2 rad at any speed.
-ON_THE_WAY = SteeringManner(0.85, 0.35, 0.2, 0.1)
+ON_THE_WAY = SteeringManner(0.85, 0.35, 0.4, 0.2, 0.1)
 
 
 class SteeringLimits:
@@ -55,6 +68,28 @@ class SteeringLimits:
         self.steer_1_m_s = steer_1_m_s
 
 
+class SteeredWheels:
+    """The curvature to which the wheels of a body are turned, from the commands that it was given.
+
+    A path begins with the wheels as the one before left them, so this outlives a path.
+    """
+
+    def __init__(self, steer_1_m_s: float, lock_1_m: float = inf) -> None:
+        """`steer_1_m_s`: change of curvature (1/m) in a second. `lock_1_m`: the greatest curvature."""
+        self._change_1_m = steer_1_m_s * CONTROL_PERIOD_US / S
+        self._lock_1_m = lock_1_m
+        self.curvature_1_m = self.speed_m_s = 0.0
+
+    def command(self, speed_m_s: float, turn_rad_s: float) -> None:
+        """The command of a control period, metres (negative: backward) and radians a second."""
+        self.speed_m_s = speed_m_s
+        if speed_m_s == 0.0:
+            return  # they stay as they are
+        wanted_1_m = min(max(turn_rad_s / speed_m_s, -self._lock_1_m), self._lock_1_m)
+        change_1_m = wanted_1_m - self.curvature_1_m
+        self.curvature_1_m += min(max(change_1_m, -self._change_1_m), self._change_1_m)
+
+
 class TractorTracker:
     """Progress along a sampled path, from its first row to its last.
 
@@ -63,12 +98,13 @@ class TractorTracker:
 
     def __init__(
         self, way: NDArray[np.float64], limits: SteeringLimits, end_m_s: float = 0.0,
-        manner: SteeringManner = AT_WORK,
+        manner: SteeringManner = AT_WORK, wheels: SteeredWheels | None = None,
     ) -> None:  # fmt: skip
         """`way`: (n, 5) rows of x, y in metres, heading in radians, curvature in 1/m, and gear (1
         or -1), as `tractor_route.sampled` makes them; at least two. `limits`: of the chassis.
         `end_m_s`: speed at the end, for a path that another one continues. `manner`: how bends
-        are steered.
+        are steered. `wheels`: of the body, told by another part what is commanded; None: straight
+        at the beginning, and all commands are ours.
         """
         assert way.shape[0] >= 2
         self.way, self.limits, self.manner = way, limits, manner
@@ -77,7 +113,11 @@ class TractorTracker:
         self.total_m = float(self.along[-1])
         self.speeds = _speeds(way, self.along, limits, end_m_s, manner.share)
         self.points = [(float(x), float(y)) for x, y in way[[0, -1], :2]]
+        self._own_wheels = SteeredWheels(limits.steer_1_m_s)
+        self.wheels = wheels or self._own_wheels
         self.row = 0
+        self._stood_m = 0.0  # along the way, where it last changed its gear
+        self._holds = False  # it waits until its wheels are turned
         self.along_m = self.off_m = self.off_rad = self.gap_m = 0.0
         self.arrived = False
 
@@ -106,7 +146,7 @@ class TractorTracker:
             at_shift = row + 1 < way.shape[0] and float(way[row + 1, GEAR]) != gear
             if at_shift and t_m >= -ARRIVED_M:  # here the gear changes
                 row += 1
-                self.row = row
+                self.row, self._stood_m = row, float(self.along[row])
                 continue
             break
         self.row = row
@@ -136,16 +176,37 @@ class TractorTracker:
         astray = min(astray + max(abs(self.off_m) - allowed_m, 0.0), 0.7)
         speed_m_s = max(speed_m_s * (1.0 - astray), CREEP_M_S)
         close_m = CLOSE_M + CLOSE_1_M / self.limits.steer_1_m_s * speed_m_s
-        reach = self.row + 1 + int(speed_m_s * self.manner.preview_for_s / 0.1)
-        ahead = self.way[self.row : reach + 1]
-        same = ahead[ahead[:, GEAR] == gear]
-        curvature = float(same[-1, 3]) if same.size else 0.0
+        curvature = self._curvature_ahead_1_m(speed_m_s, gear)
         steer = min(max(self.off_m / close_m, -CLOSE_RAD_MAX), CLOSE_RAD_MAX)
         # e' = v sin(psi): the angle to the way wanted is -steer ahead, +steer backing up.
         wanted_rad = -gear * steer
         turn = gear * speed_m_s * curvature
         turn += speed_m_s * 2.0 / close_m * (wanted_rad - self.off_rad)
+        self._holds = (
+            (self._holds or self._stands(gear))
+            and self.limits.steer_1_m_s < QUICK_1_M_S
+            and abs(curvature - self.wheels.curvature_1_m) > TURNED_1_M
+        )
+        if self._holds:
+            speed_m_s, turn = HOLD_M_S, gear * HOLD_M_S * curvature
+        self._own_wheels.command(gear * speed_m_s, turn)
         return gear * speed_m_s, turn
+
+    def _curvature_ahead_1_m(self, speed_m_s: float, gear: float) -> float:
+        """The curvature of the path where the body is when its wheels have followed a command."""
+        ahead = self.way[self.row : self.row + WINDOW_ROWS]
+        shifts = np.flatnonzero(ahead[:, GEAR] != gear)
+        bends = ahead[: shifts[0] if shifts.size else None, 3].tolist()
+        change_1_m = max(abs(bend_1_m - bends[0]) for bend_1_m in bends)
+        preview_for_s = max(
+            self.manner.preview_for_s,
+            self.manner.preview_share * change_1_m / self.limits.steer_1_m_s,
+        )
+        return float(bends[min(1 + int(speed_m_s * preview_for_s / 0.1), len(bends) - 1)])
+
+    def _stands(self, gear: float) -> bool:
+        """Whether the body is where it changed its gear, or where a path from a stand begins."""
+        return self.along_m - self._stood_m < STOOD_M and gear * self.wheels.speed_m_s < STOOD_M_S
 
 
 def _speeds(
@@ -163,17 +224,17 @@ def _speeds(
     speeds = np.minimum(bend, limits.speed_m_s)
     speeds[way[:, GEAR] < 0.0] = np.minimum(speeds[way[:, GEAR] < 0.0], BACK_M_S)
     # Curvature may change only as fast as the wheels are turned, and some of that is kept in reserve.
-    before = np.interp(along - WINDOW_M / 2, along, way[:, 3])
-    after = np.interp(along + WINDOW_M / 2, along, way[:, 3])
-    rate = np.abs(after - before) / WINDOW_M
-    speeds = np.minimum(speeds, steer_share * limits.steer_1_m_s / np.maximum(rate, 1e-6))
+    # At a change of gear the body stands while they turn.
+    shifts = [k for k in range(1, count) if way[k, GEAR] != way[k - 1, GEAR]]
+    for first, end in pairwise([0, *shifts, count]):
+        at, bends = along[first:end], way[first:end, 3]
+        before, after = (np.interp(at + ahead_m, at, bends) for ahead_m in WINDOW_ENDS_M)
+        rate = np.abs(after - before) / WINDOW_M
+        most = steer_share * limits.steer_1_m_s / np.maximum(rate, 1e-6)
+        speeds[first:end] = np.minimum(speeds[first:end], most)
     speeds = np.maximum(speeds, SLOWEST_M_S)
-    for k in range(1, count):
-        if way[k, GEAR] != way[k - 1, GEAR]:
-            if way[k, 3] != way[k - 1, 3]:  # the wheels turn while it creeps
-                near = np.abs(along - along[k]) < SHIFT_M
-                speeds[near] = np.minimum(speeds[near], SHIFT_M_S)
-            speeds[k - 1] = 0.0
+    for k in shifts:
+        speeds[k - 1] = 0.0
     speeds[-1] = min(speeds[-1], end_m_s)
     for k in range(count - 2, -1, -1):
         reach = sqrt(

@@ -18,6 +18,8 @@ Point = tuple[float, float]  # metres (x, y)
 SAMPLE_M = 0.1
 RUN_UPS_M = (1.5, 1.0, 0.5)  # lengths of the straight before the goal that are tried
 RUN_OUT_COST_M = 3.0  # a run-out that makes the rest longer by more is left out
+BACK_INS_M = (1.0, 0.5)  # lengths of the straight back to a goal that are tried
+BACK_IN_COST_M = 4.0  # such a way is taken unless it costs more than this: a turn ends less exactly
 RUN_UP_M = 1.0  # a shorter run-up is taken only if it saves more than this
 
 
@@ -55,8 +57,8 @@ class TurnRoute:
         reach_m: float = 0.0,
         run_out_m: float = 0.0,
     ) -> list[Piece] | None:
-        """Pieces from start to goal, with a straight run-up where there is room; None: no way was
-        found.
+        """Pieces from start to goal, with a straight run-up where there is room, or else straight back
+        to it; None: no way was found.
 
         `run_out_m`: of the straight before a first bend ahead, where there is room. Wheels that are
         straight at the start take time to turn.
@@ -91,9 +93,19 @@ class TurnRoute:
             pieces.append(Piece(0.0, run_up_m))
             if best is None or cost_m(pieces) + RUN_UP_M < cost_m(best):
                 best = pieces
-        if best is None:
-            self._open(blocked, goal)
-            best = self._search(blocked, start, goal)
+        if best is not None:
+            return best
+        self._open(blocked, goal)
+        best = self._search(blocked, start, goal)
+        for back_m in BACK_INS_M:  # with a fence behind the goal, straight back to it
+            if best == [] or not piece_is_free(blocked, self.place, *goal, 0.0, back_m):
+                continue
+            pieces = self._search(blocked, start, VehiclePose(*step(*goal, 0.0, back_m)))
+            if pieces is None:
+                break
+            pieces.append(Piece(0.0, -back_m))
+            if best is None or cost_m(pieces) < cost_m(best) + BACK_IN_COST_M:
+                return pieces
         return best
 
     def is_free(self, at: Point) -> bool:

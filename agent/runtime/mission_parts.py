@@ -17,7 +17,7 @@ from agent.delivery.warehouse import Warehouse
 from agent.exploration.exploration_mission import ExplorationMission
 from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder
 from agent.field.field_mission import FieldMission
-from agent.field.field_plan import FieldPlan, FieldValues
+from agent.field.field_plan import TURN_SPARE, FieldPlan, FieldValues
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import S
 from agent.interface.vehicle import Vehicle
@@ -26,6 +26,7 @@ from agent.mapping.dynamic_obstacles import geometry_of
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.motion.tractor_motion import TractorMotion
+from agent.motion.tractor_tracker import SteeredWheels
 from agent.navigation.navigation_mission import NavigationMission
 from agent.pathfinding.pathfinding_mission import GoalWork
 from agent.runtime.declared_values import BatteryTable, FieldTable, FleetTable, WarehouseTable
@@ -68,11 +69,15 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
     vehicle, field = plan.vehicle, plan.field
     half_bar_m = field.implement_width_m / 2 - field.overlap_m
     if plan.turn_radius_m:
+        steering = plan.steering
+        wheels = SteeredWheels(steering.steer_1_m_s, TURN_SPARE / plan.turn_radius_m)
         return MissionParts(
             TractorMission(
-                field, plan.route, plan.turns, vehicle.radius_m, plan.steering, plan.travel
+                field, plan.route, plan.turns, vehicle.radius_m, steering, plan.travel, wheels
             ),
-            TractorMotion(slot, vehicle.limits, plan.turns, plan.steering, plan.fences, half_bar_m),
+            TractorMotion(
+                slot, vehicle.limits, plan.turns, steering, plan.fences, half_bar_m, wheels
+            ),
         )
     return MissionParts(
         FieldMission(

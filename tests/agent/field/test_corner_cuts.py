@@ -1,19 +1,20 @@
 """Rings are cut where a body cannot follow, and nothing of them is lost."""
 
-from math import radians, sin
+from math import dist, radians, sin
 
 import pytest
 from shapely.geometry import LineString, MultiLineString, Polygon, box
 from shapely.ops import unary_union
 
-from agent.field.corner_cuts import cut_at_corners
+from agent.field.corner_cuts import PAST_END_M, cut_at_corners
 from agent.field.field_division import divide
-from agent.field.field_map import Field, Polyline
-from agent.field.field_plan import FieldValues, divided
+from agent.field.field_map import XY, Field, Polyline
+from agent.field.field_plan import FieldValues, divided, planned_radius_m
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
+from sim.world.reachable_ground import WorkingBody, reachable_ground
 
 FIELD = box(0, 0, 80, 60)
 FREE = FIELD.buffer(-1.2)
@@ -58,15 +59,42 @@ def test_only_bodies_that_steer_have_their_rings_cut() -> None:
     )
 
 
-def swept(field: Field) -> Coverage:
-    """What a body that turns on the spot works of a field, if it drives each swath as it is rounded."""
+@pytest.mark.parametrize("lean_deg", (0, 10, -15, 20, -25, 30))
+@pytest.mark.parametrize("width_m", (4.0, 5.0, 6.0, 8.0))
+def test_i26_a_tractor_sweeps_acute_corners(width_m: float, lean_deg: float) -> None:
+    """Where the ring turned by more than 1.9 rad, the plan left 0.9 m2 in each corner."""
+    lean_m = 60 * sin(radians(lean_deg))
+    outline = Polygon([(0, 0), (80, 0), (80 + lean_m, 60), (lean_m, 60)])
+    vehicle = Vehicle(radius_m=0.8, drive=DriveTrain.ACKERMANN)
+    values = FieldValues(implement_width_m=width_m)
+    field = divided("corners", outline, (0.0, 0.0), values, vehicle)
+    ends = MultiLineString([swath for section in field.sections for swath in section.swaths])
+    assert outline.buffer(-vehicle.radius_m).contains(ends)
+    told = swept(field, PAST_END_M, planned_radius_m(vehicle))
+    assert not len(told.missed), f"{len(told.missed)} cells: {told.missed[:8]}"
+
+
+def swept(field: Field, past_m: float = 0.0, turn_radius_m: float = 0.0) -> Coverage:
+    """What a body works of a field, if it drives each swath as it is rounded, and `past_m` further."""
     track: list[TrackPoint] = []
     for swath in (swath for section in field.sections for swath in section.swaths):
-        way = smooth_way(list(swath), BEND_HALF_M)[:, :2]
+        longer = [
+            _beyond(swath[1], swath[0], past_m),
+            *swath[1:-1],
+            _beyond(swath[-2], swath[-1], past_m),
+        ]
+        way = smooth_way(longer, BEND_HALF_M)[:, :2]
         track += [(len(track) + k, float(x), float(y), True) for k, (x, y) in enumerate(way)]
         track.append((len(track), *track[-1][1:3], False))
     raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
-    return coverage(raster, {0: track}, field.implement_width_m)
+    body = WorkingBody(field.implement_width_m, field.overlap_m, 0.8, turn_radius_m)
+    ground = reachable_ground(field.polygon, raster, body, [field.polygon.centroid.coords[0][:2]])
+    return coverage(raster, {0: track}, field.implement_width_m, ground.cells)
+
+
+def _beyond(a: XY, b: XY, past_m: float) -> XY:
+    share = past_m / dist(a, b)
+    return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share
 
 
 @pytest.mark.parametrize("lean_deg", (0, 15, -15))

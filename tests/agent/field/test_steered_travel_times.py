@@ -81,6 +81,39 @@ def test_who_claims_the_rest_of_a_section_again_does_not_give_it_back_at_once() 
     assert not work.work(view).given_up
 
 
+def test_i26_a_tractor_stands_where_a_way_ends_that_backs_into_a_row() -> None:
+    """It came to the row at 0.6 m/s backwards, and its wheels were turned for the arc before."""
+    blocked = np.zeros((220, 220), dtype=np.bool_)
+    blocked[:, : int((EAST[0][0] + 5.0) / 0.5) - 1] = True  # up to half a metre from the row
+    turns = TurnRoute(blocked, -5.0, -5.0, 0.5, RADIUS_M)
+    work = TractorMission(FIELD, ROUTE, turns, 0.8, LIMITS, TIMES)
+    here = Observation(20.0, 12.0, pi / 2, 0.0, 0.0)
+    progress = Progress(work.section_units)
+    view = FleetView(0, 0, here, FieldAllocationCRDT(), progress, frozenset({0}), {}, {})
+    work.begin(0, view)
+    work.work(view)
+    assert work.follow is not None and not work.leg.units
+    assert work.follow.way[-1, 4] == -1.0 and work.follow.speeds[-1] == 0.0
+
+
+def test_i26_a_tractor_without_work_leaves_a_line_that_is_to_be_worked() -> None:
+    """It stood in a corner until another one came near, and could not leave then."""
+    turns = TurnRoute(np.zeros((220, 220), dtype=np.bool_), -5.0, -5.0, 0.5, RADIUS_M)
+    idle = TractorMission(FIELD, ROUTE, turns, 0.8, LIMITS, TIMES)
+    open_line = FIELD.sections[0].swaths[0]
+    for done, moves in ((FIELD.sections[1:], True), (FIELD.sections, False)):
+        progress = Progress(idle.section_units)
+        for section in done:
+            for unit in range(section.units):
+                progress.cover(section.id, unit)
+        here = Observation(*open_line[0], 0.0, 0.0, 0.0)
+        view = FleetView(0, 0, here, FieldAllocationCRDT(), progress, frozenset({0}), {}, {})
+        idle.parking.forget()
+        wish = idle.idle(view)
+        assert (wish.vx_m_s != 0.0 or wish.vy_m_s != 0.0) is moves
+        assert not wish.tool_on
+
+
 def _pose(end: int, *, outward: bool) -> tuple[float, float, float]:
     section, last = FIELD.sections[end // 2], bool(end % 2)
     line = section.swaths[-1][::-1] if last else section.swaths[0]

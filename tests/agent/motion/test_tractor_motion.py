@@ -8,9 +8,9 @@ import pytest
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits as Body
-from agent.interface.observation import Neighbour
+from agent.interface.observation import Neighbour, Observation
 from agent.motion.tractor_motion import TractorMotion
-from agent.motion.tractor_tracker import SteeringLimits
+from agent.motion.tractor_tracker import HOLD_M_S, SteeringLimits
 from agent.paths.tractor_route import TurnRoute
 from protocol.frames.fleet_frames import Pose as Beat
 from sim.world.drive_trains import TRACTOR
@@ -70,6 +70,45 @@ def test_passing_in_the_next_row_slows_nobody() -> None:
     assert all(motion.given == 0 for motion in motions)
     east_m = world.body(0).sense(20_000_000).x_m
     assert east_m > -12.0 + 0.9 * SPEED_M_S * 18.0
+
+
+def test_a_tractor_that_waits_for_its_wheels_gives_way_to_nobody() -> None:
+    """Wheels take up to 1.8 s from lock to lock. It backed away from a robot that stood before it."""
+    motion = TractorMotion(1, BODY, TURNS, STEERING, np.empty((0, 4)))
+    stands = Beat(2.0, 0.0, 0.0, 0.0, State.WORKING, False, 0)
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
+    for now_us in range(0, 3_000_000, 50_000):
+        wish = MotionRequest(HOLD_M_S, 0.0, HOLD_M_S * 0.5, False)
+        motion.drive(here, wish, {0: Neighbour(stands, now_us)}, now_us)
+    assert motion.given == 0
+    for now_us in range(3_000_000, 5_000_000, 50_000):
+        motion.drive(here, MotionRequest(1.0, 0.0, 0.0), {0: Neighbour(stands, now_us)}, now_us)
+    assert motion.given == 1
+
+
+WALL = np.array([[-30.0, 3.0, 30.0, 3.0]])
+
+
+@pytest.mark.parametrize("turn_1_m", [0.0, 0.4, -0.4])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_i26_a_tractor_stops_before_a_fence_and_drives_away_from_it(
+    turn_1_m: float, seed: int
+) -> None:
+    """A tractor that had left its path by 0.4 m touched a fence: only paths knew of fences."""
+    world = World([(each[:2], each[2:]) for each in WALL.tolist()], seed)
+    body = world.add_robot(0, (0.0, -4.0), RADIUS_M, TRACTOR, pi / 2 - 2.5 * turn_1_m)
+    motion = TractorMotion(0, BODY, TURNS, STEERING, WALL)
+    for now_us in range(0, 20_000_000, 50_000):
+        here = body.sense(now_us)
+        ahead = 1.0 if now_us < 10_000_000 else -1.0
+        speed_m_s = ahead * SPEED_M_S
+        vx_m_s, vy_m_s = speed_m_s * cos(here.heading_rad), speed_m_s * sin(here.heading_rad)
+        wish = MotionRequest(vx_m_s, vy_m_s, abs(speed_m_s) * turn_1_m, False)
+        body.drive(motion.drive(here, wish, {}, now_us), now_us)
+        if now_us == 9_000_000 and not turn_1_m:
+            assert 0.0 < 3.0 - RADIUS_M - here.y_m < 0.4, "it has come near"
+    assert world.contacts == [], f"seed {seed}"
+    assert body.sense(20_000_000).y_m < 0.5
 
 
 @pytest.mark.parametrize("ahead_m", [0.6, 1.0])

@@ -11,8 +11,11 @@ from agent.interface.effects import Drive
 from agent.interface.vehicle import DriveTrain
 from agent.motion.tractor_tracker import (
     AT_WORK,
+    HOLD_M_S,
     ON_THE_WAY,
     SETTLED_M,
+    SLOWEST_M_S,
+    SteeredWheels,
     SteeringLimits,
     SteeringManner,
     TractorTracker,
@@ -103,6 +106,54 @@ def test_a_three_point_turn() -> None:
     pieces = [Piece(0, 5), Piece(BEND, 2), Piece(-BEND, -2), Piece(BEND, 1), Piece(0, 3)]
     rows = follow(sampled(VehiclePose(0, 0, 0), pieces), VehiclePose(0.0, 0.0, 0.0))
     assert np.abs(rows[:, 1]).max() < 0.2 and abs(rows[-1, 1]) < 0.05
+
+
+LOCK_TO_LOCK = [Piece(0, 4), Piece(BEND, 2.5), Piece(-BEND, 2.5), Piece(BEND, 2.5), Piece(0, 2)]
+TO_AND_FRO = [Piece(0, 3), Piece(BEND, -2.5), Piece(-BEND, 2), Piece(BEND, -2), Piece(-BEND, 2.5)]
+
+
+@pytest.mark.parametrize("manner", [AT_WORK, ON_THE_WAY], ids=["at work", "on the way"])
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_i26_wheels_are_turned_before_a_way_to_and_fro_goes_on(
+    manner: SteeringManner, seed: int
+) -> None:
+    """It left such a path by 0.4 m, and one touched a fence."""
+    way = sampled(VehiclePose(0, 0, 0), [*TO_AND_FRO, Piece(0, 1.5)])
+    rows = follow(way, VehiclePose(0.0, 0.0, 0.0), manner=manner, seed=seed)
+    assert np.abs(rows[:, 1]).max() < 0.06
+    assert len(rows) * 0.05 < 24.5, "no slower than before: 25 s"
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_i26_from_lock_to_lock_it_steers_earlier(seed: int) -> None:
+    """It left such a path by 0.46 m, and took 18.8 s."""
+    way = sampled(VehiclePose(0, 0, 0), LOCK_TO_LOCK)
+    rows = follow(way, VehiclePose(0.0, 0.0, 0.0), manner=ON_THE_WAY, seed=seed)
+    assert np.abs(rows[:, 1]).max() < 0.12
+    assert len(rows) * 0.05 < 16.0
+
+
+def test_wheels_that_are_turned_by_another_part_are_waited_for() -> None:
+    way = sampled(VehiclePose(0, 0, 0), [Piece(BEND, 3.0)])
+    wheels = SteeredWheels(LIMITS.steer_1_m_s, 2 * BEND)
+    tracker = TractorTracker(way, LIMITS, 0.0, AT_WORK, wheels)
+    tracker.locate(0.0, 0.0, 0.0)
+    speeds_m_s = []
+    for _ in range(40):
+        speed_m_s, turn_rad_s = tracker.command()
+        speeds_m_s.append(speed_m_s)
+        wheels.command(speed_m_s, turn_rad_s)
+    held = sum(speed_m_s == HOLD_M_S for speed_m_s in speeds_m_s)
+    assert held == pytest.approx(BEND / LIMITS.steer_1_m_s / 0.05, abs=3)
+    assert speeds_m_s[-1] > SLOWEST_M_S
+    for _ in range(200):
+        wheels.command(0.1, -5.0)
+    assert wheels.curvature_1_m == -2 * BEND, "they do not turn further than to their lock"
+    wheels.command(0.0, 1.0)
+    assert wheels.curvature_1_m == -2 * BEND, "and stay so where nothing is commanded"
+    tracker = TractorTracker(way, LIMITS, 0.0, AT_WORK, wheels)
+    tracker.locate(0.0, 0.0, 0.0)
+    assert all(tracker.command()[0] == HOLD_M_S for _ in range(400)), "nobody turns them"
 
 
 @pytest.mark.parametrize("clockwise", [False, True])

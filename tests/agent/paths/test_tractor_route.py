@@ -97,6 +97,18 @@ def test_out_of_a_dead_end_it_backs() -> None:
     assert (way[:, 4] < 0.0).any()
 
 
+@pytest.mark.parametrize("from_rad", [0.5, 2.0, -2.0])
+def test_i26_a_goal_with_a_fence_behind_it_is_reached_straight_back(from_rad: float) -> None:
+    """A way that ended in an arc there led beside the goal, and the first unit was missed."""
+    route = turns()
+    goal = VehiclePose(BORDER_M + 0.3, 15.0, 0.0)
+    start = VehiclePose(9.0, 13.0, from_rad)
+    pieces = route.way(start, goal)
+    way = check(route, start, goal, pieces)
+    assert pieces is not None and pieces[-1].curvature_1_m == 0.0
+    assert pieces[-1].length_m <= -0.5 and way[-1, 4] == -1.0
+
+
 def test_no_way_is_said_to_be_none() -> None:
     blocked = paddock()
     blocked[:, 80:82] = True

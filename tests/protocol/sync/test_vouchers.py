@@ -58,6 +58,17 @@ def test_many_lies_push_out_nothing_that_was_said_before_the_stated_point() -> N
     assert ours.allocation.key(0) == pack(0, STARTED, 0, 900, THIEF)
 
 
+def test_units_of_honest_members_are_remembered_for_the_next_revocation() -> None:
+    told = Vouchers(US)
+    for bits, sender, at_us in ((1, THIEF, 10), (2, 1, 2**40), (4, 2, 30), (1 << 39, THIEF, 40)):
+        told.units(7, bits, sender, at_us)
+    assert told.blocks_without(Revocation(THIEF, None, NOBODY_ELSE)) == {7: 1 | 1 << 39}
+    assert told.blocks_without(Revocation(1, 2**40 + 1, NOBODY_ELSE)) == {}
+    assert told.blocks_without(Revocation(1, 2**40, NOBODY_ELSE)) == {7: 2}
+    assert told.blocks_without(Revocation(2, None, NOBODY_ELSE)) == {7: 4}
+    assert told.blocks_without(Revocation(2, None, NOBODY_ELSE)) == {}
+
+
 def test_what_it_said_before_the_stated_point_remains() -> None:
     ours = replica(2)
     ours.on_message(WorkProgress(0, 0, 0b11), THIEF, 10)
