@@ -31,7 +31,7 @@ from sim.world.implement_contacts import implement_contacts
 from sim.world.missed_ground import told_missed
 from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
-from tools.common.bus_address import CHANNEL, absolute
+from tools.common.bus_address import CHANNEL, LAUNCH, absolute
 from tools.common.child_process import module_command, politely
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
@@ -192,9 +192,10 @@ class Launch:
         if self.setting.keys is None:
             self.console.print(f"[bold red]{NO_KEYS}[/bold red]")
         elif self.own_keys is not None:
-            self.console.print(
-                f"keys: in {escape(str(self.own_keys))}; your tools on this bus take them"
-            )
+            told = "your tools on this bus take them"
+            if self.out.absolute() != LAUNCH.parent.absolute():
+                told = f"tools take them with --keys, because the launch is not in {LAUNCH.parent}"
+            self.console.print(f"keys: in {escape(str(self.own_keys))}; {told}")
 
     # ---------------------------------------------------------------- what another mission has otherwise
 

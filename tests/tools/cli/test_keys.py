@@ -258,6 +258,28 @@ def test_a_launch_has_keys_of_its_own_and_the_tools_of_its_user_take_them(tmp_pa
     asyncio.run(story())
 
 
+@pytest.mark.slow
+def test_a_launch_elsewhere_says_that_tools_take_its_keys_if_they_are_named(tmp_path: Path) -> None:
+    call = partial(launching.call, tmp_path)
+
+    async def story() -> None:
+        launch = await launching.start(tmp_path, "launch", "small", "--robots", "2", "--out", "b")
+        try:
+            await launching.said(launch, "(tools take them with --keys)")
+            await launching.robots_up(launch, 2)
+            port = str(json.loads((tmp_path / "b" / "bus.json").read_text())["port"])
+            code, text = await call("stop", "--port", port, "--json")
+            assert code == 1 and not json.loads(text)["signed"], text
+            code, text = await call("stop", "--port", port, "--keys", "b/keys", "--json")
+            assert code == 0 and json.loads(text)["signed"], text
+        finally:
+            launch.terminate()
+            async with asyncio.timeout(WAIT_S):
+                await launch.wait()
+
+    asyncio.run(story())
+
+
 def test_a_key_for_one_person_has_roles_and_an_end(tmp_path: Path) -> None:
     assert headland("keys", "new", "k", folder=tmp_path).returncode == 0
     made = headland(
