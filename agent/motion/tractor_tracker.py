@@ -29,10 +29,8 @@ BACK_M_S = 0.9  # highest speed backward
 # tells the chassis which way to turn them. The body moves by 4 cm meanwhile, at most.
 TURNED_1_M, HOLD_M_S = 0.05, 0.02
 QUICK_1_M_S = 2.0  # wheels that turn faster than this are not waited for
-STOOD_M, STOOD_M_S = (
-    0.1,
-    0.2,
-)  # this near to where it changed its gear, and at most this fast, it stood
+# This near to where it changed its gear, and not faster than this, the body has stood.
+STOOD_M, STOOD_M_S = 0.1, 0.2
 CREEP_M_S = 0.15  # lowest speed that is commanded
 ARRIVED_M = 0.08  # this near to the end, the path is driven
 LOST_M, LOST_RAD = 0.8, 1.2  # further off than this, the mission plans another path
