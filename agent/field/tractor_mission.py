@@ -7,6 +7,7 @@ nearer than two turning radii is taken only after others, if there are others.
 
 from math import cos, hypot, pi, sin
 
+from agent.field.corner_cuts import PAST_END_M
 from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
 from agent.field.section_shares import Point
@@ -15,6 +16,7 @@ from agent.field.work_leg import WorkLeg
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import STILL, FleetView, MotionRequest
+from agent.motion.implement_clearance import LEAD_M
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import (
     AT_WORK,
@@ -51,6 +53,7 @@ STANDING_M_S = 0.1  # a slower robot counts as standing
 NEAR_M = 12.0  # bodies further away do not count for the next turn
 AGAIN_US = 1_000_000  # between attempts to find a path
 HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of the control period
+assert PAST_END_M < LEAD_M
 
 
 class TractorMission(FieldMission):
@@ -58,7 +61,7 @@ class TractorMission(FieldMission):
 
     beside_m = BLOCKED_M
     turns_on_the_spot = False
-    past_end_m = 0.2  # less than `LEAD_M`; in a corner the bar is then where it has to be
+    past_end_m = PAST_END_M  # in a corner the bar is then where it has to be
     # `_notice_stuck` watches instead, because a turn is longer than the remaining distance.
     plans_without_headway = False
 

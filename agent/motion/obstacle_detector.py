@@ -51,6 +51,11 @@ class Detection(NamedTuple):
     free_m: float  # from the hull along the motion
 
 
+def stopping_m(speed_m_s: float, deceleration_m_s2: float) -> float:
+    """Way to a standstill: reaction and braking, metres."""
+    return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * deceleration_m_s2)
+
+
 class ObstacleDetector:
     """The unexplained echoes that one robot remembers, and the nearest of them in its way."""
 
@@ -69,7 +74,7 @@ class ObstacleDetector:
 
     def stopping_m(self, speed_m_s: float) -> float:
         """Way to a standstill from this speed: reaction and braking, metres."""
-        return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self.deceleration_m_s2)
+        return stopping_m(speed_m_s, self.deceleration_m_s2)
 
     def observe(
         self,

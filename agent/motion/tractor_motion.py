@@ -21,7 +21,7 @@ from agent.interface.motion_controller import BodyLimits as Body
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
-from agent.motion.obstacle_detector import REACTION_S, ObstacleDetector
+from agent.motion.obstacle_detector import ObstacleDetector, stopping_m
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import HOLD_M_S, SteeredWheels, SteeringLimits
 from agent.paths.dubins import step
@@ -105,7 +105,8 @@ class TractorMotion(HolonomicMotion):
         asked_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
         now_m = gap_m(here.x_m, here.y_m, self.known_fences)
         keep_m = self.limits.radius_m + FENCE_STOP_M
-        if not asked_m_s or now_m > keep_m + self._stopping_m(asked_m_s * share):
+        way_m = stopping_m(asked_m_s * share, self._braking_m_s2)
+        if not asked_m_s or now_m > keep_m + way_m:
             return share
         if asked_m_s <= HOLD_M_S:
             keep_m = self.limits.radius_m + HOLD_STOP_M
@@ -115,13 +116,10 @@ class TractorMotion(HolonomicMotion):
         wheels_1_m = -self.wheels.curvature_1_m if backward else self.wheels.curvature_1_m
         bend_1_m = (wheels_1_m + wish.turn_rad_s / asked_m_s) / 2
         for part in SHARES:
-            way_m = self._stopping_m(asked_m_s * share * part)
+            way_m = stopping_m(asked_m_s * share * part, self._braking_m_s2)
             if self._gap_on_way_m(here, course_rad, bend_1_m, way_m) >= min(keep_m, now_m):
                 return share * part
         return 0.0
-
-    def _stopping_m(self, speed_m_s: float) -> float:
-        return speed_m_s * REACTION_S + speed_m_s * speed_m_s / (2 * self._braking_m_s2)
 
     def _gap_on_way_m(
         self, here: Observation, course_rad: float, bend_1_m: float, way_m: float
