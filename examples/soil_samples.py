@@ -1,4 +1,4 @@
-"""A mission of one's own: a sample of soil is taken at each post of a field, by whoever is near.
+"""A mission of one's own: robots take a sample of soil at each post of a field.
 
 A post is a section of the shared state with one unit, so that claims, hand-overs, stops and the record
 of what is done are those that field work has. `docs/use/missions.md` goes through it.

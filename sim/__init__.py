@@ -2,5 +2,6 @@
 
 `files` reads and writes, `can` is the wire, `world` the bodies, `scenarios` what is set up,
 `fleet` the peers together, `record` what is kept, `runs` one run of each mission, `chaos` runs
-with faults and judges.
+with faults and judges. `rigs` are single parts for benches and tests, `machines` are processes that
+drivers connect to.
 """

@@ -1,5 +1,6 @@
-"""Commands: everything that people run. `cli.headland` is the door.
+"""Commands: everything that people run. Read `cli.headland` first: it lists them.
 
-`operate` acts on a live fleet, `inspect` only listens, `run` runs and launches, `livemap` is the
-page, `chaos` the campaigns, `bench` the figures.
+`operate` acts on a live fleet, `inspect` only listens, `language` reads phrases, `run` runs and launches,
+`livemap` is the page, `report` one run as a page. `ros2` and `vda5050` connect other systems. `chaos` has
+the campaigns, `bench` the figures, `build` what is made before a run, `common` what commands share.
 """

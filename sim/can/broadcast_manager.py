@@ -31,7 +31,7 @@ class _Job:
 
 
 class _Filter:
-    """What is told of one identifier: all frames, or those whose content changes under a mask."""
+    """What a client gets of one identifier: all frames, or those whose content changes under a mask."""
 
     def __init__(self, masks: tuple[bytes, ...], gap_for_us: int) -> None:
         self.masks, self.gap_for_us = masks, gap_for_us  # no masks: every frame
@@ -110,7 +110,7 @@ class BroadcastManager:
         self._filters[key] = _Filter(masks, gap_for_us)
 
     def unsubscribe(self, key: Key) -> None:
-        """Tell nothing of this identifier. Raises BroadcastError if nothing is told of it."""
+        """End the subscription of this identifier. Raises BroadcastError if there is none."""
         if self._filters.pop(key, None) is None:
             raise BroadcastError("no subscription of this identifier")
 

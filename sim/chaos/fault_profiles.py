@@ -347,13 +347,13 @@ def _believed(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
 
 
 def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
-    """A person looks at each robot whose place has jumped while it sensed nothing, or was believed, or
-    whose wheels did not answer or whose fixes hung, and starts it.
+    """The starts that a person gives after looking at robots which cannot go on by themselves.
 
-    Such a jump, along its way, cannot be told from its braking; then the return to the true place is
-    the jump that it notices. So is a push while it senses nothing, or nothing accurate, and the way of a
-    robot that waits and drives to and fro while its fixes hang. A clock that goes back is noticed by the
-    times of frames: without any, the robot seems to jump. All others go on by themselves.
+    A robot needs one if its place jumped while it sensed nothing, or if it believed the jump. It cannot
+    distinguish such a jump along its way from its own braking, so the jump that it notices is the return
+    to the true place. The same holds for a push while it senses nothing accurate, for wheels that did not
+    answer, and for fixes that hung. A robot notices by the times of frames that its clock went back; one
+    that receives no frames seems to jump. All other robots go on by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]

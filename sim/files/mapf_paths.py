@@ -161,7 +161,7 @@ def path_text(
     head: Mapping[str, object], starts: Sequence[Cell], goals: Sequence[Cell],
     steps: Sequence[Sequence[Cell]],
 ) -> str:  # fmt: skip
-    """The file. `head`: what is told of the run. `steps`: the cells of all robots at each time."""
+    """The text of the file. `head`: remarks on the run. `steps`: the cells of all robots at each time."""
     lines = [f"{name}={value}" for name, value in head.items()]
     lines += [f"starts={_places(starts)}", f"goals={_places(goals)}", "solution="]
     lines += [f"{t}:{_places(cells)}" for t, cells in enumerate(steps)]

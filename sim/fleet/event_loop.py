@@ -131,21 +131,21 @@ class SimulatedRunner(BatchedRunner):
         self._arm()
 
 
-class ShellHandle:
+class RunnerHandle:
     """A runner that was started on the plain loop."""
 
-    def __init__(self, shell: SimulatedRunner) -> None:
-        self.shell, self._done = shell, False
+    def __init__(self, runner: SimulatedRunner) -> None:
+        self.runner, self._done = runner, False
 
     def begin(self) -> None:
         """Let the runner take its first turn, unless it was cancelled before."""
         if not self._done:
-            self.shell.begin()
+            self.runner.begin()
 
     def cancel(self) -> None:
         """End the runner."""
         self._done = True
-        self.shell.end()
+        self.runner.end()
 
     def done(self) -> bool:
         """Whether it has ended."""
@@ -216,17 +216,17 @@ class EventLoop:
         heappush(self._timers, (t_us, self._order, timer))
         return timer
 
-    def shell(self, *parts: Any) -> PeerRunner:
+    def make_runner(self, *parts: Any) -> PeerRunner:
         """A runner of a peer, from the arguments of `PeerRunner`, which takes its time from this
         loop."""
-        shell = SimulatedRunner(*parts)
-        shell.swarm, shell.clock = self, shell.local_now_us
-        return shell
+        runner = SimulatedRunner(*parts)
+        runner.swarm, runner.clock = self, runner.local_now_us
+        return runner
 
-    def start(self, shell: PeerRunner) -> ShellHandle:
+    def start(self, runner: PeerRunner) -> RunnerHandle:
         """Let a runner take its turns from now on."""
-        assert isinstance(shell, SimulatedRunner)
-        handle = ShellHandle(shell)
+        assert isinstance(runner, SimulatedRunner)
+        handle = RunnerHandle(runner)
         self.soon(handle.begin)
         return handle
 

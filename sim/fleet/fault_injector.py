@@ -179,13 +179,13 @@ class FaultPlan:
             case kinds.DiskFull(robot=robot, for_s=for_s):
                 return self._disk_full(robot, for_s)
             case kinds.Drift(robot=robot, ppm=ppm):
-                shell = cluster.robots[robot].shell
-                if isinstance(shell, SimulatedRunner):  # asyncio has one clock for all
-                    shell.drift(ppm)
+                runner = cluster.robots[robot].runner
+                if isinstance(runner, SimulatedRunner):  # asyncio has one clock for all
+                    runner.drift(ppm)
             case kinds.ClockJump(robot=robot, by_s=by_s):
-                shell = cluster.robots[robot].shell
-                if isinstance(shell, SimulatedRunner):
-                    shell.jump(by_s)
+                runner = cluster.robots[robot].runner
+                if isinstance(runner, SimulatedRunner):
+                    runner.jump(by_s)
         return None
 
     def _slip(self, robot: int, slip: float, for_s: float) -> Script[None]:

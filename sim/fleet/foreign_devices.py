@@ -49,6 +49,12 @@ NAMED_US: Final = 300 * MS  # from the clearance in advance to the press
 LATCHED_US: Final = 250 * MS  # and two frames: a press that is still being sent counts as a new one
 
 
+def times(cluster: Cluster, for_s: float, period_us: int) -> range:
+    """Each period from now on for `for_s` seconds, in microseconds."""
+    now_us = cluster.host.now_us()
+    return range(now_us, now_us + round(for_s * S), period_us)
+
+
 @contextmanager
 def device(
     cluster: Cluster, names: Mapping[int, Name] = MappingProxyType({})

@@ -29,7 +29,7 @@ from protocol.frames.safety_frames import Command, EmergencyReset, HeldReset, Op
 from protocol.frames.trust_frames import FleetTimeTold, Proof
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from protocol.rekeying import Rekeying, confirmed, own_key, seal
-from sim.fleet.foreign_devices import device
+from sim.fleet.foreign_devices import device, times
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.scenarios import scenario as kinds
@@ -59,7 +59,7 @@ def forger(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
 
 def _outsider(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
     with device(cluster, {}) as bus:
-        for due_at_us in _times(cluster, fault.for_s, FORGED_US):
+        for due_at_us in times(cluster, fault.for_s, FORGED_US):
             yield due_at_us
             address = _address(cluster, fault.robot)
             if address is not None:
@@ -74,7 +74,7 @@ def _replay(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
             heard.append(frame)
 
     with _listening(cluster, keep), device(cluster, {}) as bus:
-        for due_at_us in _times(cluster, fault.for_s, FORGED_US):
+        for due_at_us in times(cluster, fault.for_s, FORGED_US):
             yield due_at_us
             if heard:
                 bus.submit(_spoilt(rng.choice(heard), rng))
@@ -104,7 +104,7 @@ def _thief(cluster: Cluster, fault: kinds.Forger, rng: Random) -> Script[None]:
     begun_at_us = cluster.host.now_us()
     revoked = False
     with device(cluster, {}) as bus:
-        for due_at_us in _times(cluster, fault.for_s, FORGED_US):
+        for due_at_us in times(cluster, fault.for_s, FORGED_US):
             yield due_at_us
             if not revoked and due_at_us - begun_at_us >= fault.for_s * S * REVOKED_AFTER:
                 revoked = True
@@ -260,8 +260,3 @@ def _spoilt(frame: Frame, rng: Random) -> Frame:
 
 def _address(cluster: Cluster, robot: int) -> int | None:
     return cluster.robots[robot].peer.address if robot in cluster.robots else None
-
-
-def _times(cluster: Cluster, for_s: float, period_us: int) -> range:
-    now_us = cluster.host.now_us()
-    return range(now_us, now_us + round(for_s * S), period_us)

@@ -37,10 +37,10 @@ class Host(Protocol):
     def now_us(self) -> int:
         """The present time of this host."""
 
-    def shell(self, *parts: Any) -> PeerRunner:
+    def make_runner(self, *parts: Any) -> PeerRunner:
         """A runner of a peer, from the arguments of `PeerRunner`."""
 
-    def start(self, shell: PeerRunner) -> Handle:
+    def start(self, runner: PeerRunner) -> Handle:
         """Let a runner take its turns."""
 
     def spawn(self, script: Script[Any]) -> Handle:
@@ -77,13 +77,13 @@ class LoopHost:
         """The time of the asyncio loop."""
         return PeerRunner.now_us()
 
-    def shell(self, *parts: Any) -> PeerRunner:
+    def make_runner(self, *parts: Any) -> PeerRunner:
         """A runner of a peer that takes beacons in batches."""
         return BatchedRunner(*parts)
 
-    def start(self, shell: PeerRunner) -> Handle:
+    def start(self, runner: PeerRunner) -> Handle:
         """Run a runner as a task."""
-        return self._keep(asyncio.create_task(shell.run(), name=f"robot {shell.peer.slot}"))
+        return self._keep(asyncio.create_task(runner.run(), name=f"robot {runner.peer.slot}"))
 
     def spawn(self, script: Script[Any]) -> Handle:
         """Follow a script as a task."""

@@ -62,14 +62,14 @@ def tool_claim(number: int, address: int) -> Frame:
 class Robot:
     """One peer with everything around it."""
 
-    def __init__(self, slot: int, shell: PeerRunner, bus: FieldBus) -> None:
-        self.slot, self.shell, self.bus = slot, shell, bus
+    def __init__(self, slot: int, runner: PeerRunner, bus: FieldBus) -> None:
+        self.slot, self.runner, self.bus = slot, runner, bus
         self.task: Handle | None = None
 
     @property
     def peer(self) -> Peer:
         """The core that its runner drives."""
-        return self.shell.peer
+        return self.runner.peer
 
     @property
     def running(self) -> bool:
@@ -182,9 +182,9 @@ class Cluster:
             if record is not None:
                 record(slot, now_us, effect)
 
-        shell = self.host.shell(peer, CanBus(bus), self._received(slot), journal, keep)
-        robot = Robot(slot, shell, bus)
-        robot.task = self.host.start(shell)
+        runner = self.host.make_runner(peer, CanBus(bus), self._received(slot), journal, keep)
+        robot = Robot(slot, runner, bus)
+        robot.task = self.host.start(runner)
         self.robots[slot] = robot
         return robot
 
@@ -209,7 +209,7 @@ class Cluster:
             self.on_power(slot, False)
         if robot.task is not None:
             robot.task.cancel()
-        robot.shell.bus.close()
+        robot.runner.bus.close()
 
     def _up(self) -> set[int]:
         return {robot.slot for robot in self.running}
@@ -230,7 +230,7 @@ class Cluster:
     def freeze(self, slot: int, for_s: float) -> None:
         """The robot's process does nothing for this long."""
         self.look()
-        self.robots[slot].shell.freeze(for_s)
+        self.robots[slot].runner.freeze(for_s)
         now_us = self.host.now_us()
         self.acquaintance.hangs(slot, now_us, now_us + round(for_s * 1e6))
 
@@ -265,7 +265,7 @@ class Cluster:
             self.segment.taps.append(self._stop_passes)
         safety = self.robots[slot].peer.safety
         stops, stopped_at_us = safety.stops.active, safety.stopped_at_us
-        self.robots[slot].shell.operate(Press(reason))
+        self.robots[slot].runner.operate(Press(reason))
         # A robot that has just pressed a stop of its own, for one with a used name, sends no other.
         recent = 0 <= now_us - stopped_at_us < STOP_SPACING_US
         if recent and safety.stops.active == stops and any(dot.slot == slot for dot in stops):
@@ -408,7 +408,7 @@ class Cluster:
     def end(self) -> None:
         """Close all buses and forget the channel. The cluster cannot be used afterwards."""
         for robot in self.robots.values():
-            robot.shell.bus.close()
+            robot.runner.bus.close()
         if self._tool is not None:
             self._tool.shutdown()
         forget(self.channel)

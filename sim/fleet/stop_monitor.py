@@ -54,8 +54,8 @@ class StopMonitor:
         self._silence_stops = silence_stops
         beat = beat_of(robots)
         self.bound_for_us = beat.silence_for_us + REACTION_US
-        # By robots that do not hear it: somebody who sends beats in its name hides its silence, until its
-        # proofs end.
+        # For robots that do not hear the pressed one: an attacker that sends beats in its name hides its
+        # silence until its proofs expire.
         self.hidden_for_us = beat.life_for_us + self.bound_for_us
         self._imitated_ends_at_us: dict[int, int] = {}  # slot -> until when its beats may be forged
         self._stages: dict[int, dict[int, Stage]] = {}  # press -> slot -> what was done since

@@ -19,7 +19,7 @@ from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from protocol.name import Name, fleet_name
-from sim.fleet.foreign_devices import device
+from sim.fleet.foreign_devices import device, times
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios import scenario as kinds
@@ -50,7 +50,7 @@ def foreign(cluster: Cluster, fault: kinds.Foreign, rng: Random) -> Script[None]
     """A device of another maker uses the proprietary groups for its own data, each in turn."""
     address = CLAIMED_ADDRESS if fault.claims else UNCLAIMED_ADDRESS
     with device(cluster, {address: FOREIGN_NAME} if fault.claims else {}) as bus:
-        for turn, due_at_us in enumerate(_times(cluster, fault.for_s, FOREIGN_US)):
+        for turn, due_at_us in enumerate(times(cluster, fault.for_s, FOREIGN_US)):
             yield due_at_us
             pgn = FOREIGN_PF << 8 | turn % FOREIGN_GROUPS
             identifier = rng.randrange(8) << 26 | pgn << 8 | address
@@ -74,7 +74,7 @@ def twin(cluster: Cluster, fault: kinds.Twin, rng: Random) -> Script[None]:
     with device(cluster, {}) as bus:  # the twin sends its own claim
         bus.submit(encode(AddressClaimed(name), address))
         bus.submit(encode(member, address))
-        for turn, due_at_us in enumerate(_times(cluster, fault.for_s, BEATS[0].pose_period_us)):
+        for turn, due_at_us in enumerate(times(cluster, fault.for_s, BEATS[0].pose_period_us)):
             yield due_at_us
             bus.submit(encode(pose, address))
             if turn % BEATS_A_HEARTBEAT == 0:
@@ -93,7 +93,7 @@ def nonsense(cluster: Cluster, fault: kinds.Nonsense, rng: Random) -> Script[Non
                 bus.submit(encode(AddressClaimed(0), taken))
             yield cluster.host.now_us() + SAID_US
             return
-        for due_at_us in _times(cluster, fault.for_s, NONSENSE_US):
+        for due_at_us in times(cluster, fault.for_s, NONSENSE_US):
             yield due_at_us
             bus.submit(encode(next(said), address))
 
@@ -151,11 +151,6 @@ def _every_address(
 _NONSENSE: Final = {
     "field": _another_field, "work": _impossible_work, "claims": _every_address,
 }  # fmt: skip
-
-
-def _times(cluster: Cluster, for_s: float, period_us: int) -> range:
-    now_us = cluster.host.now_us()
-    return range(now_us, now_us + round(for_s * S), period_us)
 
 
 def _byte(rng: Random) -> int:

@@ -19,7 +19,7 @@ Found = tuple[int, str, bytes]
 
 
 class ChunkReader(StreamReader):
-    """Passes over the index of messages that follows a chunk: who reads all of a file needs none."""
+    """Skips the index of messages behind each chunk: a reader of the whole file does not need it."""
 
     def __init__(self, file: IO[bytes]) -> None:
         super().__init__(file, emit_chunks=True, validate_crcs=True)

@@ -41,7 +41,7 @@ class SegmentHost:
         name = f"segment {area.segment}"
         self.hub = Hub(segment(name, seed=seed), CHANNEL)
         self.halts: dict[int, int] = {}
-        self.shells = [self._robot(name, slot, robots) for slot in range(robots)]
+        self.runners = [self._robot(name, slot, robots) for slot in range(robots)]
         self.tasks: list[asyncio.Task[None]] = []
 
     def _robot(self, name: str, slot: int, robots: int) -> PeerRunner:
@@ -60,7 +60,7 @@ class SegmentHost:
         it ends."""
         await self.hub.start("0.0.0.0", port)
         freeze_gc()
-        self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
+        self.tasks = [asyncio.create_task(runner.run()) for runner in self.runners]
         print(json.dumps({"port": self.hub.port}), flush=True)
         reader = asyncio.StreamReader()
         loop = asyncio.get_running_loop()
@@ -78,32 +78,32 @@ class SegmentHost:
         match order["do"]:
             case "press":
                 pressed_at_us = PeerRunner.now_us()
-                shell = self.shells[order["slot"]]
-                shell.operate(Press(Reason.PERSON_IN_FIELD))
+                runner = self.runners[order["slot"]]
+                runner.operate(Press(Reason.PERSON_IN_FIELD))
                 return {"pressed_us": pressed_at_us}
             case (
                 "arm"
             ):  # every robot moves again: its stops are cleared, and it is reset and started
                 self.halts.clear()
-                for shell in self.shells:
-                    _release(shell)
+                for runner in self.runners:
+                    _release(runner)
                 return {}
             case "halts":
                 return {"halts": self.halts}
             case "claim":
                 section = int(order["section"])
-                self.shells[order["slot"]].operate(ClaimSection(section, 3))
+                self.runners[order["slot"]].operate(ClaimSection(section, 3))
                 return {}
             case "finish":
                 section = int(order["section"])
-                self.shells[order["slot"]].operate(Finish(section))
+                self.runners[order["slot"]].operate(Finish(section))
                 return {}
         return self.state()
 
     def state(self) -> dict[str, Any]:
         """How many robots joined, stopped, are alone and reach other segments, and the phases of
         sections."""
-        peers = [shell.peer for shell in self.shells]
+        peers = [runner.peer for runner in self.runners]
         remote = [remote_segments_of(peer) for peer in peers]
         return {
             "joined": all(peer.joining.joined for peer in peers),
@@ -118,16 +118,16 @@ class SegmentHost:
         }
 
 
-def _release(shell: PeerRunner) -> None:
+def _release(runner: PeerRunner) -> None:
     """Between two presses of a bench: reset immediately, without the rejoin that follows a person's
     reset."""
-    safety = shell.peer.safety
+    safety = runner.peer.safety
     for dot in safety.stops.active:
         safety.clear_near(dot, "a bench")
     for far in safety.far.active:
         safety.clear_far(far)
-    safety.manual_reset(shell.clock())
-    safety.start(shell.clock())
+    safety.manual_reset(runner.clock())
+    safety.start(runner.clock())
 
 
 def main() -> None:

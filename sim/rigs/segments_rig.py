@@ -83,7 +83,7 @@ class SegmentFleet:
             self.gateway_keys = None
         self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
         self.wires: dict[int, Segment] = {}
-        self.shells: dict[tuple[int, int], PeerRunner] = {}
+        self.runners: dict[tuple[int, int], PeerRunner] = {}
         self.gateways: dict[int, list[GatewayRunner]] = {}
         self.halted_at_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
         self.bits: Counter[int] = Counter()  # on each wire
@@ -137,9 +137,9 @@ class SegmentFleet:
             if type(effect) is Drive and not (effect.vx_m_s or effect.vy_m_s or effect.turn_rad_s):
                 self.halted_at_us[place] = now_us
 
-        shell = self.swarm.shell(peer, CanBus(bus), None, None, watch)
-        self.swarm.start(shell)
-        self.shells[place] = shell
+        runner = self.swarm.make_runner(peer, CanBus(bus), None, None, watch)
+        self.swarm.start(runner)
+        self.runners[place] = runner
 
     def add_gateway(self, number: int) -> GatewayRunner:
         """Switch another gateway on in the segment with this number."""
@@ -148,22 +148,22 @@ class SegmentFleet:
         swarm, chart = self.swarm, None
         if self.geometry is not None:
             chart = MapRelay(number, self.geometry, MergeOrder.DECAYED, swarm.now_us())
-        shell = GatewayRunner(
+        runner = GatewayRunner(
             Gateway(self.areas[number], name, boot, swarm.now_us(), chart, self.gateway_keys),
             CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
             self.backbone.attach(number),
             swarm.now_us,
             swarm.at,
         )
-        self.gateways[number].append(shell)
-        swarm.soon(shell.start)
-        return shell
+        self.gateways[number].append(runner)
+        swarm.soon(runner.start)
+        return runner
 
     # ---------------------------------------------------------------- acting
 
     def peer(self, number: int, slot: int) -> Peer:
         """The core of one robot."""
-        return self.shells[number, slot].peer
+        return self.runners[number, slot].peer
 
     def peers(self, number: int) -> list[Peer]:
         """The cores of a segment's robots, in slot order."""
@@ -173,10 +173,10 @@ class SegmentFleet:
         """The gateway that leads a segment now."""
         return next((g for g in self.gateways[number] if g.gateway.leads), None)
 
-    def kill_gateway(self, shell: GatewayRunner) -> None:
+    def kill_gateway(self, runner: GatewayRunner) -> None:
         """Switch a gateway off for good."""
-        shell.stop()
-        self.gateways[shell.gateway.segment].remove(shell)
+        runner.stop()
+        self.gateways[runner.gateway.segment].remove(runner)
 
     def run(self, duration_us: int, until: Callable[[], bool] | None = None) -> bool:
         """Let time pass; with `until`, stop when the condition holds (checked every 10 ms)."""
@@ -193,25 +193,25 @@ class SegmentFleet:
 
     def finish(self, number: int, slot: int, section: int, units: int = 3) -> None:
         """An operation as by a fast robot: claim, start, cover, done."""
-        shell = self.shells[number, slot]
-        shell.operate(ClaimSection(section, 3))
+        runner = self.runners[number, slot]
+        runner.operate(ClaimSection(section, 3))
 
         def work() -> Script[None]:
             due_at_us = self.swarm.now_us() + 5_000_000
-            while shell.peer.claims.current != section:
+            while runner.peer.claims.current != section:
                 if self.swarm.now_us() >= due_at_us:
                     return
                 yield self.swarm.now_us() + 50_000
-            shell.operate(Cover(section, tuple(range(units))))
+            runner.operate(Cover(section, tuple(range(units))))
             yield self.swarm.now_us() + 100_000
-            shell.operate(Finish(section))
+            runner.operate(Finish(section))
 
         self.swarm.spawn(work())
 
     def end(self) -> None:
         """Close all buses and forget their channels. The fleet cannot be used afterwards."""
-        for shell in self.shells.values():
-            shell.bus.close()
+        for runner in self.runners.values():
+            runner.bus.close()
         for gateways in self.gateways.values():
             for gateway in gateways:
                 gateway.stop()
@@ -242,7 +242,7 @@ class SegmentFleet:
         """Whether all robots are on their bus, and every segment has a gateway that reaches all
         others."""
         others = len(self.segments) - 1
-        return all(shell.peer.joining.joined for shell in self.shells.values()) and all(
+        return all(runner.peer.joining.joined for runner in self.runners.values()) and all(
             (lead := self.leader(k)) is not None
             and len(lead.gateway.reach.reached(self.swarm.now_us())) == others
             for k in self.segments

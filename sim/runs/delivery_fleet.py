@@ -33,8 +33,8 @@ class DeliveryFleet(Cluster):
 
     def boot(self, slot: int) -> Robot:
         robot = super().boot(slot)
-        assert robot.shell.body is not None
-        robot.shell.body = CarrierBody(robot.shell.body, slot, self.truth, self.host.now_us)
+        assert robot.runner.body is not None
+        robot.runner.body = CarrierBody(robot.runner.body, slot, self.truth, self.host.now_us)
         return robot
 
     @property

@@ -220,7 +220,7 @@ def of_bodies(cluster: Cluster) -> dict[str, Any]:
 
 
 def first_of(contacts: Sequence[Contact]) -> str:
-    """When and where the first of them was, and of whom; empty without one."""
+    """Time, robots and place of the first contact; empty if there was none."""
     if not contacts:
         return ""
     first = min(contacts, key=lambda contact: contact.t_us)

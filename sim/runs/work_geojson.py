@@ -13,20 +13,20 @@ from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> None:
     """`run`: the hash of the run's frames, `log_hash` in its report.json."""
     features = [
-        _feature(
+        feature(
             "Polygon", record.boundary, kind="boundary", name=record.name,
             started=record.started.isoformat(), finished=record.finished, width_mm=record.width_mm,
         )
     ]  # fmt: skip
     features += [
-        _feature("LineString", s.points, kind="swath", section=s.section) for s in record.swaths
+        feature("LineString", s.points, kind="swath", section=s.section) for s in record.swaths
     ]
     features += [
-        _feature("Polygon", rings, kind="covered", name="covered") for rings in record.covered
+        feature("Polygon", rings, kind="covered", name="covered") for rings in record.covered
     ]
     for robot, log in sorted(record.logs.items()):
         features.append(
-            _feature(
+            feature(
                 "LineString", [(p.lon, p.lat) for p in log], kind="log", robot=robot,
                 t_ms=[p.t_ms for p in log], working=[int(p.working) for p in log],
             )
@@ -37,7 +37,8 @@ def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> Non
     path.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
-def _feature(kind_of: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+def feature(kind_of: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
+    """A GeoJSON feature: `kind_of` is the type of its geometry. Places are (longitude, latitude)."""
     geometry = {"type": kind_of, "coordinates": coordinates}
     return {"type": "Feature", "properties": properties, "geometry": geometry}
 
@@ -62,8 +63,8 @@ def _record(document: dict[str, Any]) -> WorkRecord:
     covered: list[Rings] = []
     logs: dict[int, tuple[LogPoint, ...]] = {}
     head: dict[str, Any] = {}
-    for feature in document["features"]:
-        said, coordinates = feature["properties"], feature["geometry"]["coordinates"]
+    for each in document["features"]:
+        said, coordinates = each["properties"], each["geometry"]["coordinates"]
         match said["kind"]:
             case "boundary":
                 head = {**said, "rings": _rings(coordinates)}

@@ -6,7 +6,7 @@ Later they plan again, with what has happened.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
-from math import hypot
+from math import dist
 from typing import NamedTuple
 
 import numpy as np
@@ -227,7 +227,7 @@ class _Drawing:
             section = self.setup.field.section(jobs[visit.job])
             lines = self._lines(section, visit.entry)
             goal = lines[0][0]
-            way = () if _apart_m(at, goal) < HERE_M else self.setup.plan.route.path(at, goal)
+            way = () if dist(at, goal) < HERE_M else self.setup.plan.route.path(at, goal)
             planned.append(
                 PlannedSection(
                     section.id, self.degrees(way), visit.leaves_at_ms / 1000,
@@ -250,7 +250,7 @@ class _Drawing:
         travel, now_ms, found = self.setup.plan.travel, float(begins_at_ms), []
         for k, line in enumerate(lines):
             if k:
-                turn_m = _apart_m(lines[k - 1][-1], line[0])
+                turn_m = dist(lines[k - 1][-1], line[0])
                 now_ms += 1000 * float(travel.straight_for_s(np.array([turn_m]))[0])
             starts_at_ms, now_ms = now_ms, now_ms + travel.driven_for_ms([line])
             # Milliseconds of each swath are rounded; the last one ends with its section.
@@ -271,7 +271,3 @@ class _Drawing:
         ground: BaseGeometry = shapely.unary_union(stripes).intersection(field.polygon)
         parts = getattr(ground, "geoms", [ground])
         return tuple(self.rings(p) for p in parts if isinstance(p, Polygon) and p.area > 0.0)
-
-
-def _apart_m(a: Point, b: Point) -> float:
-    return hypot(a[0] - b[0], a[1] - b[1])

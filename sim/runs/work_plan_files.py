@@ -19,6 +19,7 @@ from agent.runtime.files.isoxml_reader import NAME
 from agent.runtime.files.printable_text import printable
 from protocol.name import fleet_name
 from sim.runs.isoxml_writer import device, guidance_pattern, polygon_of, task_file
+from sim.runs.work_geojson import feature
 from sim.runs.work_plan import PlannedSection, RobotPlan, WorkPlan
 from sim.runs.work_record import NAME_MAX, Rings, area_m2
 
@@ -33,41 +34,36 @@ DIGITS_S = 3
 
 def write_plan_geojson(plans: Sequence[WorkPlan], path: Path) -> None:
     """Write the plans of all fields as one FeatureCollection (RFC 7946)."""
-    features = [feature for plan in plans for feature in _features(plan)]
+    features = [each for plan in plans for each in _features(plan)]
     document = {"type": "FeatureCollection", "features": features}
     path.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
 
 
 def _features(plan: WorkPlan) -> Iterator[dict[str, Any]]:
-    yield _feature(
+    yield feature(
         "Polygon", plan.boundary, kind="boundary", name=plan.name, width_mm=plan.width_mm,
         sections=plan.sections, done=plan.done, ends_at_s=round(plan.ends_at_s, DIGITS_S),
         method=plan.method,
     )  # fmt: skip
     for robot in plan.robots:
         said: dict[str, Any] = {"field": plan.name, "robot": robot.robot}
-        yield _feature("Point", robot.start, kind="start", **said)
+        yield feature("Point", robot.start, kind="start", **said)
         for order, section in enumerate(robot.sections, 1):
             said = {**said, "section": section.section, "order": order}
             times = _times(section.starts_at_s, section.ends_at_s)
-            yield _feature("MultiPolygon", section.ground, kind="section", **said, **times)
+            yield feature("MultiPolygon", section.ground, kind="section", **said, **times)
             way = _times(section.leaves_at_s, section.starts_at_s)
             if section.way:
-                yield _feature("LineString", section.way, kind="way", **said, **way)
+                yield feature("LineString", section.way, kind="way", **said, **way)
             for number, swath in enumerate(section.swaths, 1):
                 times = _times(swath.starts_at_s, swath.ends_at_s)
-                yield _feature(
+                yield feature(
                     "LineString", swath.points, kind="swath", **said, swath=number, **times
                 )
 
 
 def _times(starts_at_s: float, ends_at_s: float) -> dict[str, float]:
     return {"starts_at_s": round(starts_at_s, DIGITS_S), "ends_at_s": round(ends_at_s, DIGITS_S)}
-
-
-def _feature(kind_of: str, coordinates: Any, **properties: Any) -> dict[str, Any]:
-    geometry = {"type": kind_of, "coordinates": coordinates}
-    return {"type": "Feature", "properties": properties, "geometry": geometry}
 
 
 def write_plan_kml(plans: Sequence[WorkPlan], path: Path) -> None:

@@ -294,7 +294,7 @@ class Forger(_Fault):
 
     kind: Literal["forger"]
     position: Literal["outside", "replaying", "inside"]
-    robot: Slot  # in whose name it speaks; from inside: whose keys it has
+    robot: Slot  # the attacker sends in its name; `inside`: the attacker has its keys
     for_s: float = Field(gt=0.0)
 
 

@@ -1,4 +1,4 @@
-"""What a run has left unworked, in one sentence: how much, where most of it is, and who stands there."""
+"""What a run has left unworked, in one sentence: how much, where most of it is, which robot is there."""
 
 from collections.abc import Mapping, Sequence
 from math import dist

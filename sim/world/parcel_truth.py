@@ -5,7 +5,7 @@ each parcel is delivered once and never moved again, none is lost, and no batter
 """
 
 from collections.abc import Callable, Sequence
-from math import hypot
+from math import dist, hypot
 from typing import Any, NamedTuple
 
 from agent.delivery.cost_matrix import Carrier
@@ -94,12 +94,12 @@ class Parcels:
         found = {
             task: VisibleParcel(*place, False)
             for task, place in self.lies.items()
-            if _gap(place, at) < REACH_M
+            if dist(place, at) < REACH_M
         }
         for other, task in self.aboard.items():
             if other != slot and not self.is_up(other):
                 place = self.place_of(other)
-                if _gap(place, at) < REACH_M:
+                if dist(place, at) < REACH_M:
                     found[task] = VisibleParcel(*place, True)
         return found
 
@@ -110,7 +110,7 @@ class Parcels:
         if own == task:
             del self.aboard[slot]
             self.lies[task] = at
-            there = _gap(at, self.dropoff[task]) < REACH_M
+            there = dist(at, self.dropoff[task]) < REACH_M
             self.events.append(Handled(now_us, task, slot, "delivered" if there else "put"))
             if there:
                 self.delivered_at_us.setdefault(task, now_us)
@@ -135,7 +135,7 @@ class Parcels:
         left, carrier = self.battery.setdefault(slot, 1.0), self.carrier
         if not carrier.runs_dry:
             return 1.0
-        bay = next((b for b in self.bays if b.works and _gap(b.at, at) < BAY_M), None)
+        bay = next((b for b in self.bays if b.works and dist(b.at, at) < BAY_M), None)
         if bay is not None and still:
             left += seconds / (carrier.dock_s + carrier.charge_s)
         else:
@@ -161,10 +161,6 @@ class Parcels:
         }
 
 
-def _gap(a: Point, b: Point) -> float:
-    return hypot(b[0] - a[0], b[1] - a[1])
-
-
 class CarrierBody:
     """A body with an arm and a battery, between its peer and the world's body."""
 
@@ -182,7 +178,7 @@ class CarrierBody:
             return None
         t_us, at = self._now_us(), (seen.x_m, seen.y_m)
         still = hypot(seen.vx_m_s, seen.vy_m_s) < STILL_M_S
-        metres = 0.0 if self._last is None else _gap(at, (self._last.x_m, self._last.y_m))
+        metres = 0.0 if self._last is None else dist(at, (self._last.x_m, self._last.y_m))
         left = self._parcels.drain(self._slot, metres, (t_us - self._last_at_us) / S, at, still)
         self._last, self._last_at_us = seen, t_us
         if not still:

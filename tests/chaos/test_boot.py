@@ -23,8 +23,8 @@ def test_boot_is_a_few_frames_a_robot(robots: int, seed: int) -> None:
         try:
             working = await squad.until_working(20.0)
             await elapse(4.0)
-            assert not any(s.peer.safety.holds(StopCause.UNHEARD) for s in squad.shells)
-            leaders: set[object] = {s.peer.named.votes.election.leader for s in squad.shells}
+            assert not any(s.peer.safety.holds(StopCause.UNHEARD) for s in squad.runners)
+            leaders: set[object] = {s.peer.named.votes.election.leader for s in squad.runners}
             return working, dict(squad.segment.wire.by_group), leaders
         finally:
             await squad.close()

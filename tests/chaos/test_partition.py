@@ -124,7 +124,7 @@ def test_cut_and_heal(seed: int) -> None:
 def test_a_member_that_is_heard_again_is_asked_without_the_pause_of_lost_questions() -> None:
     """Found by chaos (S7): questions to a member that could not hear had doubled the pause to 4 s.
 
-    For so long after the link was mended, both worked one section.
+    For 4 s after the link was repaired, both worked one section.
     """
     verdict = judge(draw(302, "split"))
     assert verdict.ok, verdict.broken

@@ -1,4 +1,4 @@
-"""New keys for a fleet at work: it goes on, and a revoked robot is none of it any more."""
+"""New keys for a fleet at work: it goes on, and a revoked robot is no longer a member."""
 
 from pathlib import Path
 

@@ -90,12 +90,12 @@ def test_a_bus_that_takes_nothing_is_noticed() -> None:
     async def story(cluster: Cluster) -> None:
         robot = cluster.robots[2]
         submit = robot.bus.submit
-        robot.shell.bus._submit = lambda frame: False  # type: ignore[attr-defined]
+        robot.runner.bus._submit = lambda frame: False  # type: ignore[attr-defined]
         await elapse(0.5)
         assert StopCause.UNHEARD in causes(cluster, 2)
         await elapse(1.5)
         assert stands(cluster, 2)
-        robot.shell.bus._submit = submit  # type: ignore[attr-defined]
+        robot.runner.bus._submit = submit  # type: ignore[attr-defined]
         await elapse(3.0)
         assert not causes(cluster, 2)
 
@@ -128,7 +128,7 @@ def test_error_passive_is_borne_for_a_second() -> None:
 
 def test_bus_off_is_noticed_by_itself() -> None:
     async def story(cluster: Cluster) -> None:
-        now_us = cluster.robots[1].shell.now_us()
+        now_us = cluster.robots[1].runner.now_us()
         cluster.segment.wire.bus_off(cluster.node_of(1), now_us + 2 * S)
         await elapse(0.1)
         assert causes(cluster, 1) >= {StopCause.BUS_OFF}
@@ -142,11 +142,11 @@ def test_bus_off_is_noticed_by_itself() -> None:
 
 def test_a_late_control_period_is_looked_round_after() -> None:
     async def story(cluster: Cluster) -> None:
-        shell = cluster.robots[0].shell
-        shell.freeze(ACTUATOR_TTL_US / S - 0.02)
+        runner = cluster.robots[0].runner
+        runner.freeze(ACTUATOR_TTL_US / S - 0.02)
         await elapse(0.2)
         assert StopCause.LATE_TICK not in causes(cluster, 0), "the actuator has not missed it"
-        shell.freeze(ACTUATOR_TTL_US / S + 0.1)
+        runner.freeze(ACTUATOR_TTL_US / S + 0.1)
         await elapse(0.25)
         assert causes(cluster, 0) == {StopCause.LATE_TICK}
         await elapse(LATE_HOLD_US / S - 0.1)
@@ -232,7 +232,7 @@ def test_item_2_a_robot_that_hears_nobody_goes_on_only_where_its_frames_are_conf
         cluster.boot_all()
         if not confirms:
             for robot in cluster.running:
-                robot.shell._confirming = None
+                robot.runner._confirming = None
         try:
             await elapse(8.0)
             assert not any(causes(cluster, slot) for slot in range(2)), "they hear each other"

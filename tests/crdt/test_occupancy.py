@@ -1,4 +1,4 @@
-"""The map's laws, against a model of one dictionary and tuples, and the mission's own faults."""
+"""The map's laws, against a model of one dictionary and tuples, and faults of the brief's own join."""
 
 from random import Random
 
@@ -142,7 +142,7 @@ def test_resampling_a_join_is_joining_what_was_resampled(
 
 
 def test_an_obstacle_is_where_it_was_on_another_map() -> None:
-    """The mission skips maps of another size without a word."""
+    """The join of the project brief skips maps of another size and does not say so."""
     finer = OccupancyMap(Geometry(40, 40, (0.0, 0.0), 0.05))
     see(finer, 10, 21, CellObservation(OBSTACLE, 9, 4, 2))
     chart = OccupancyMap(Geometry(30, 30, (-1.0, -1.0), 0.1))

@@ -11,6 +11,7 @@ from rich.table import Table
 from sim.files.strict_json import dumps
 from tools.bench.figure import Figure
 from tools.chaos.campaign import ClusterError, workers
+from tools.common.exit_codes import WRONG
 
 BENCHES = {
     "wire": "bus load, deliveries, response times against their bounds, decoding",
@@ -35,13 +36,13 @@ BENCHES = {
     "phrases": "plain language, misspellings, why, the inspector's screen",
     "files": "damaged files of every kind that is read: time and memory to refuse them",
     "isobus": "devices of other makers: what a robot answers them, what their tools read of it",
-    "systems": "doors to other systems: VDA 5050, each against a counterpart of others",
+    "systems": "interfaces to other systems, each against a counterpart of others",
     "people": "the first hour: start, install, typing errors, a round of an operator, prose",
     "leaks": "memory of ten robots with the map, 24 h from 30 min",
     "house": "what can be counted of the sources: cycles, names, ignored types, docstrings, lines",
     "chaos": "the speed of simulated trouble, campaigns, planted bugs, decoders",
 }
-MISSED, WRONG = 1, 2
+MISSED = 1
 
 
 def bench(

@@ -1,4 +1,4 @@
-"""Grid coverage: makespan over what no plan can beat, the mission's planner, deaths, planning time.
+"""Grid coverage: makespan over what no plan can beat, the planner of the brief, deaths, planning time.
 
 Instances come from the folder named by HEADLAND_DATA, else from `../shared/data` beside the project:
 `mcpp/instances/*.mcpp` and `fields/grids/*.map`. Where they are absent only random maps are measured.

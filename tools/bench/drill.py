@@ -104,7 +104,7 @@ class ProtocolFleet:
         self.channel = f"drill {next(_numbers)}"
         self.segment: Segment = segment(self.channel, seed=seed)
         self.bodies = [Place(slot) for slot in range(robots)]
-        self.shells: list[PeerRunner] = []
+        self.runners: list[PeerRunner] = []
         sections = sections or 8 * robots
         for slot, body in enumerate(self.bodies):
             identity = identity_of("drill", slot, robots, 1, first_boot=True)
@@ -113,23 +113,23 @@ class ProtocolFleet:
             rng = Random(f"{seed}/drill/{slot}")
             parts = MissionParts(mission, motion)
             peer = make_peer(identity, rng, PeerRunner.now_us(), parts=parts)
-            self.shells.append(
+            self.runners.append(
                 PeerRunner(peer, CanBus(FieldBus(self.channel)), body, MemoryJournal())
             )
-        self.tasks = [asyncio.create_task(shell.run()) for shell in self.shells]
+        self.tasks = [asyncio.create_task(runner.run()) for runner in self.runners]
 
     async def until_working(self, limit_s: float = 60.0) -> bool:
         """Whether all peers are WORKING within `limit_s` of virtual time."""
         loop = asyncio.get_running_loop()
         while loop.time() < limit_s:
             await asyncio.sleep(0.5)
-            if all(shell.peer.state.name == "WORKING" for shell in self.shells):
+            if all(runner.peer.state.name == "WORKING" for runner in self.runners):
                 return True
         return False
 
     def node_of(self, slot: int) -> int:
         """The number of a peer's controller on the wire."""
-        bus = self.shells[slot].bus
+        bus = self.runners[slot].bus
         assert isinstance(bus, CanBus) and isinstance(bus.bus, FieldBus)
         return bus.bus.node
 
@@ -138,6 +138,6 @@ class ProtocolFleet:
         for task in self.tasks:
             task.cancel()
         await asyncio.gather(*self.tasks, return_exceptions=True)
-        for shell in self.shells:
-            shell.bus.close()
+        for runner in self.runners:
+            runner.bus.close()
         forget(self.channel)

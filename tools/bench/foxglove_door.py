@@ -25,7 +25,7 @@ from tools.bench.figure import Figure
 from tools.bench.standing_bodies import Bodies, BodiesPress, standing, start_watched
 from tools.bench.stopped_beats import BUS_BOUND_MS, Beats
 from tools.bench.systems import ADDED_MS, CounterpartAbsent
-from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
+from tools.bench.vda5050.counterparts import WAIT_S, drain, end, release, said, start
 from tools.common.bus_address import CHANNEL
 from tools.common.bus_attach import attach
 from tools.operate.operator_device import Operator
@@ -238,15 +238,9 @@ def _cpu_s(pid: int) -> float:
 async def _released(folder: Path, port: str, beats: Beats) -> None:
     """Release until no robot is stopped: 20 robots take more than two cores, and some hear it late."""
     for _ in range(RELEASES_MAX):
-        await _release(folder, port)
+        await release(folder, port)
         with suppress(TimeoutError):
             async with asyncio.timeout(RELEASED_S):
                 await beats.until(False)
                 return
     await beats.until(False)
-
-
-async def _release(folder: Path, port: str) -> None:
-    process = await start(folder, "release", "--start", "--port", port)
-    async with asyncio.timeout(WAIT_S):
-        await process.communicate()

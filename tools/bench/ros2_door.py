@@ -22,7 +22,7 @@ from tools.bench.ros2_field import LIMIT_S, POSES_MIN, worked_field
 from tools.bench.standing_bodies import Bodies, BodiesPress, standing, start_watched
 from tools.bench.stopped_beats import BUS_BOUND_MS, READY_S, Beats
 from tools.bench.systems import ADDED_MS, CounterpartAbsent
-from tools.bench.vda5050.counterparts import WAIT_S, drain, end, said, start
+from tools.bench.vda5050.counterparts import drain, end, release, said, start
 from tools.common.bus_address import CHANNEL
 from tools.common.bus_attach import attach
 from tools.operate.operator_device import Operator
@@ -116,7 +116,7 @@ async def stops(folder: Path, presses: int) -> tuple[Stops, Stops]:
                 else:
                     took.latched_ms.append(await beats.pressed(operator))
                 took.bodies.append(await bodies.stood(begun_at_s, driving))
-                await _release(folder, port)
+                await release(folder, port)
                 await beats.until(False)
         bus.close()
     finally:
@@ -158,9 +158,3 @@ class _Presser:
 
         self.node.destroy_node()
         try_shutdown(context=self.context)
-
-
-async def _release(folder: Path, port: str) -> None:
-    process = await start(folder, "release", "--start", "--port", port)
-    async with asyncio.timeout(WAIT_S):
-        await process.communicate()

@@ -104,10 +104,10 @@ def order(
     _load(fleet, Random(f"{seed}/load"), span_us)
     shares = list(fleet.share.values())
     fleet.halted_at_us.clear()
-    presser = fleet.shells[1, 0]
+    presser = fleet.runners[1, 0]
     pressed_us = fleet.swarm.now_us()
     presser.operate(Press(Reason.PERSON_IN_FIELD))
-    everybody = len(fleet.shells)
+    everybody = len(fleet.runners)
     heard = fleet.run(S, lambda: len(fleet.halted_at_us) == everybody)
     stopped_us = max(fleet.halted_at_us.values()) - pressed_us if heard else S
     gc.collect()

@@ -105,7 +105,7 @@ async def _silence(robots: int, kind: str, seed: str) -> int:
         await asyncio.sleep(rng.uniform(0.5, 1.5))
         loop = asyncio.get_running_loop()
         at_us, victim = round(loop.time() * 1e6), rng.randrange(robots)
-        shell = squad.shells[victim]
+        runner = squad.runners[victim]
         nodes = [squad.node_of(slot) for slot in range(robots)]
         match kind:
             case "cut":
@@ -113,9 +113,9 @@ async def _silence(robots: int, kind: str, seed: str) -> int:
                 squad.segment.wire.partition(half, set(nodes) - half)
             case "kill":
                 squad.tasks[victim].cancel()
-                shell.bus.close()
+                runner.bus.close()
             case "freeze":
-                shell.freeze(3.0)
+                runner.freeze(3.0)
             case "bus-off":
                 squad.segment.wire.bus_off(nodes[victim], at_us + 3 * S)
         await asyncio.sleep(2 * beat_of(robots).silence_for_us / S)

@@ -1,4 +1,4 @@
-"""The mission document's own coverage planner, to compare with: Voronoi, DFS with hops, reservations.
+"""The coverage planner of the project brief, to compare with: Voronoi, DFS with hops, reservations.
 
 Written after `grid-coverage-planner.md`, stages A to C and their sketches. Stage C as it stands there
 (`strict=False`) gives a cell to the lowest index among the robots that propose it, even if another

@@ -67,7 +67,7 @@ async def _load(robots: int, seed: int, seconds: float) -> tuple[float, bool]:
         working = await squad.until_working()
         before_us = squad.segment.wire.worst_for_us
         await asyncio.sleep(seconds)
-        working &= all(s.peer.state.name in ("WORKING", "IDLE") for s in squad.shells)
+        working &= all(s.peer.state.name in ("WORKING", "IDLE") for s in squad.runners)
         return (squad.segment.wire.worst_for_us - before_us) / (seconds * 1e6), working
     finally:
         await squad.close()

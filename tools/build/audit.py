@@ -2,7 +2,7 @@
 
 `python -m tools.build.audit` is the last step of continuous integration. It tells what it finds and does
 not fail: an advisory that is published later must not break a commit that was good. Without an advisory
-service it says so. `make lock` writes the lock file anew.
+service it says so. `make lock` writes a new lock file.
 """
 
 import json

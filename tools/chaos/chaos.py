@@ -27,10 +27,11 @@ from sim.scenarios.toml_writer import to_toml
 from tools.chaos.campaign import ClusterError, room, workers
 from tools.chaos.chaos_report import ReportError, report
 from tools.chaos.planted_bug_hunt import hunt_all
+from tools.common.exit_codes import WRONG
 from tools.common.fingerprint import ROBOTS, fingerprint
 from tools.common.gc_collector import patient
 
-FAILED, WRONG = 1, 2
+FAILED = 1
 KEEP_S = 30.0  # interval at which results are written: at most this much is lost with a process
 
 

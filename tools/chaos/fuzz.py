@@ -22,8 +22,9 @@ from rich.console import Console
 from sim.chaos.fuzz_targets import TARGETS, seeds
 from sim.files.strict_json import dumps
 from tools.common.child_process import module_command
+from tools.common.exit_codes import WRONG
 
-FAILED, WRONG = 1, 2
+FAILED = 1
 CORPUS = Path(__file__).parents[2] / "tests" / "fuzz" / "corpus"
 SIZE_MAX = 1024  # longest input, bytes; no valid one is longer
 TIME_MAX_S = 2.0  # of computing for one input

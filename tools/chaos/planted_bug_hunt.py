@@ -1,4 +1,4 @@
-"""`headland chaos --mutants`: how soon is each planted bug found? In slices, if it must be.
+"""`headland chaos --mutants`: how soon each planted bug is found; a search may be done in parts.
 
 Each is hunted in the profile that `sim/chaos/planted_bugs.py` names, seed after seed from a first
 one. What was found is kept in `mutants.json`, or `mutants-FIRST.json` where the first seed is

@@ -28,6 +28,7 @@ from protocol.name import GATEWAY_FUNCTION, Name
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, keep_attached
+from tools.common.exit_codes import WRONG
 from tools.common.panel_keys import PanelKeys
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 
@@ -35,7 +36,6 @@ if TYPE_CHECKING:
     from tools.inspect.prometheus_metrics import MetricsServer
 
 TELL_S = 5.0  # a status line this often
-WRONG = 2
 
 
 class ZenohBackbone:
@@ -142,14 +142,14 @@ async def carry(
     def at(t_us: int, call: Callable[[], None]) -> asyncio.TimerHandle:
         return loop.call_at(t_us / 1e6, call)
 
-    shell = GatewayRunner(gateway, bus, backbone, now_us, at)
+    runner = GatewayRunner(gateway, bus, backbone, now_us, at)
     freeze_gc()
 
     def told() -> dict[str, Any]:
         return {**gateway.status(now_us()), "bus": bus.health.name}
 
     metrics = None if served is None else _metrics_of(told, served)
-    shell.start()
+    runner.start()
     shown: object = None
     while not end.is_set():
         renewed = None if keys is None else keys.renewed()
@@ -164,7 +164,7 @@ async def carry(
             await asyncio.wait_for(end.wait(), 0.2)
         except TimeoutError:
             continue
-    shell.stop()
+    runner.stop()
     if metrics is not None:
         metrics.close()
 

@@ -1,13 +1,13 @@
-"""Commands that attach to a bus with robots on it, as devices that are none."""
+"""Commands that attach to the bus of a fleet as a device that is not a robot."""
 
 from pathlib import Path
 from typing import Annotated, Literal
 
 import typer
 
-from tools.cli.one_line_errors import WRONG
 from tools.cli.panels import LOOK, OPERATE, SET_UP
 from tools.common.bus_address import AttachError, find_launch
+from tools.common.exit_codes import WRONG
 from tools.common.options import (
     PORT_MAX,
     Bitrate,

@@ -7,8 +7,8 @@ from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import fields_of, project
 from agent.runtime.files.printable_text import printable
 from sim.files.strict_json import dumps
+from tools.common.exit_codes import WRONG
 
-WRONG = 2
 HECTARE_M2 = 10_000.0
 
 

@@ -10,7 +10,7 @@ import typer
 
 from tools.cli import bus_commands, keys, robot_commands, setup_commands, tasks
 from tools.cli import test_commands as trial_commands
-from tools.cli.one_line_errors import INTERRUPTED, WRONG, one_line_errors, tell_origin
+from tools.cli.one_line_errors import one_line_errors, tell_origin
 from tools.cli.panels import (
     DEVELOP,
     LOOK,
@@ -23,6 +23,7 @@ from tools.cli.panels import (
     show_version,
 )
 from tools.common.compiled_caches import guard
+from tools.common.exit_codes import INTERRUPTED, WRONG
 from tools.common.gc_collector import GC_YOUNG
 from tools.common.options import (
     PORT_MAX,

@@ -19,8 +19,8 @@ from sim.can.socketcand_beacon import announce
 from sim.can.socketcand_server import Hub
 from sim.files.strict_json import dumps
 from tools.common.bus_address import CHANNEL
+from tools.common.exit_codes import INTERRUPTED, WRONG
 
-WRONG, INTERRUPTED = 2, 130
 OPEN = (
     "headland: WARNING: everybody who reaches this address over the network can drive and stop the "
     "robots on this bus; socketcand has no passwords"

@@ -7,10 +7,10 @@ from typing import Annotated, NoReturn
 
 import typer
 
+from tools.common.exit_codes import WRONG
 from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port, Timeout
 
 FLEET_FILE, PANEL_FILE, OPERATOR_FILE = "fleet.json", "panel.json", "operator.json"
-WRONG = 2
 app = typer.Typer(
     help="Make, rotate, revoke and show the keys of a fleet.", no_args_is_help=True,
     pretty_exceptions_enable=False, rich_markup_mode=None,

@@ -1,17 +1,14 @@
-"""What no command expected, but a person can cause, is one line on stderr and an exit code."""
+"""Errors that a person can cause and no command handles: one line on stderr, and an exit code."""
 
 import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
-from typing import Final
 
 from tools.common import extras
+from tools.common.exit_codes import INTERRUPTED, WRONG
 from tools.common.verbosity import Verbosity
-
-WRONG: Final = 2
-INTERRUPTED: Final = 130
 
 
 @contextmanager

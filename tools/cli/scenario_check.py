@@ -11,8 +11,7 @@ from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, setting_of
 from sim.scenarios.scenario import ScenarioError
 from sim.scenarios.scenario_kind import Kind, named
-
-WRONG = 2
+from tools.common.exit_codes import WRONG
 
 
 def check(names: list[str], as_json: bool) -> int:

@@ -15,8 +15,8 @@ from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, read_text
 from sim.files.strict_json import dumps
 from sim.scenarios.scenario import SHIPPED, ScenarioError
 from sim.scenarios.scenario_kind import Kind, all_shipped, named
+from tools.common.exit_codes import WRONG
 
-WRONG = 2
 FILE_KEY = re.compile(r'^(?:file|map|tasks) = "([^"\n]+)"', re.M)
 
 

@@ -38,7 +38,7 @@ def address_of_launch() -> tuple[str, int, str]:
 
 
 def find_launch(interface: str, port: int) -> None:
-    """Raises AttachError where a bus is not named, so that it is that of a launch, and there is none."""
+    """Raises AttachError if no bus is named and no launch is running here."""
     if interface == "socketcand" and port == 0:
         address_of_launch()
 

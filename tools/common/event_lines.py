@@ -1,4 +1,4 @@
-"""What a command that runs until it is ended says happens: lines for people, or one JSON object each."""
+"""Events of a command that runs until it is ended: a line for people, or a JSON object, for each."""
 
 from collections.abc import Callable
 

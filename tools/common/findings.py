@@ -1,4 +1,4 @@
-"""What a command found out, thing by thing: a list for people, or JSON."""
+"""What a check found, one finding a line: as text for people, or as JSON."""
 
 from collections.abc import Sequence
 from typing import NamedTuple

@@ -1,4 +1,4 @@
-"""Which code a result was had with: a hash of every source that can change it."""
+"""Which code made a result: a hash of every source that can change it."""
 
 from collections.abc import Sequence
 from hashlib import sha256

@@ -15,7 +15,7 @@ class ReleaseRecords(NamedTuple):
     """The release logs of all robots of a fleet."""
 
     logs: Sequence[ReadLog]
-    people: Mapping[int, str]  # device -> for whom its key was made
+    people: Mapping[int, str]  # device -> the person that its key was made for
     root: bool  # the owner's file was there, so that tags were checked
 
     @property

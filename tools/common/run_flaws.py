@@ -2,7 +2,7 @@
 
 from typing import Any
 
-# What makes a run flawed, by the figures that say so; each with what is told of it.
+# The figures that make a run flawed, each with the words for it.
 FLAWS = {
     "contacts": "{} contacts of bodies", "moved_after_stop": "{} times a robot moved after a stop",
     "implement_contacts": "implements met {} times", "claims_lost": "{} claims lost",

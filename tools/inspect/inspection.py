@@ -18,12 +18,12 @@ from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, stay_attached
+from tools.common.exit_codes import WRONG
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
 from tools.inspect.robot_table import show
 
-WRONG = 2
 LISTEN_S = 3.0  # to a live bus, where nothing else is said
 WATCH_S = 1.0  # between two lines of a watch
 HEARD_S = 0.3  # by then we are on the bus
@@ -157,7 +157,7 @@ async def _listen(
     where = (interface, channel, bitrate, host, port)
     bus = attach(*where) if tell is None else await stay_attached(*where, "inspect")
     loop = asyncio.get_running_loop()
-    begun_s = loop.time()  # of a clock whose zero tells nobody anything
+    begun_s = loop.time()  # of a clock with an arbitrary zero
     try:
         bus.subscribe(lambda frame: inspector.hear(loop.time() - begun_s, frame))
         operator = Operator(bus, None)

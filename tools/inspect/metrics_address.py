@@ -4,8 +4,9 @@ import socket
 from importlib.util import find_spec
 from typing import NamedTuple
 
+from tools.common.options import PORT_MAX
+
 LOOPBACK = "127.0.0.1"  # not visible from other machines, unless a host is named
-PORT_MAX = 65535
 NO_PACKAGE = "--metrics needs the metrics extra: pip install 'headland[metrics]'"
 
 

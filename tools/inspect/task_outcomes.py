@@ -12,8 +12,9 @@ from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOr
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
-from tools.common.bus_address import AttachError
+from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG, wrong
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
@@ -26,8 +27,7 @@ DUMB_S = (
 )
 LOOK_S = 0.2
 AGAIN_S = 2.0  # between questions for registers while waiting
-NOT_DELIVERED, WRONG = 1, 2
-Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
+NOT_DELIVERED = 1
 
 
 class ListedTask(NamedTuple):
@@ -100,7 +100,7 @@ class TaskListener:
         return ListedTask(number, order, outcome)
 
 
-def list_tasks(house: Warehouse | None, where: Where, as_json: bool) -> int:
+def list_tasks(house: Warehouse | None, where: Attached, as_json: bool) -> int:
     """The exit code of `headland task list`: 0, or 2 without a fleet."""
 
     async def story() -> list[ListedTask]:
@@ -116,13 +116,15 @@ def list_tasks(house: Warehouse | None, where: Where, as_json: bool) -> int:
         with told_wait("robots tell their tasks", LISTEN_S + LEARN_S):
             found = asyncio.run(story())
     except AttachError as problem:
-        return _wrong(problem)
+        return wrong(problem)
     for each in found:
         print(dumps(each.to_dict(house)) if as_json else _line(each))
     return 0
 
 
-def status(number: int, wait_s: float, house: Warehouse | None, where: Where, as_json: bool) -> int:
+def status(
+    number: int, wait_s: float, house: Warehouse | None, where: Attached, as_json: bool
+) -> int:
     """The exit code of `headland task status`: 0 if it is delivered, 1 if not, 2 if nobody knows it.
 
     `wait_s`: how long to wait for a final outcome."""
@@ -149,7 +151,7 @@ def status(number: int, wait_s: float, house: Warehouse | None, where: Where, as
         with told_wait(f"task {number}", LISTEN_S + LEARN_S + wait_s):
             found = asyncio.run(story())
     except AttachError as problem:
-        return _wrong(problem)
+        return wrong(problem)
     if found is None:
         print(f"headland: no robot knows task {number}: headland task list", file=sys.stderr)
         return WRONG
@@ -161,8 +163,3 @@ def _line(task: ListedTask) -> str:
     carrier = task.outcome.carrier
     by = "" if carrier is None else f" by robot {carrier}"
     return f"task {task.number}: {task.outcome.phase}{by}"
-
-
-def _wrong(problem: Exception) -> int:
-    print(f"headland: {problem}", file=sys.stderr)
-    return WRONG

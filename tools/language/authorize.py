@@ -21,10 +21,10 @@ from tools.language.intent import (
 )
 from tools.language.places import Places
 from tools.language.question import Question, QuestionReason
+from tools.operate.order import ANSWERS
 
 # Between the places of two robots: a body is up to 1.6 m wide, and ORCA keeps them apart.
 ROOM_M = 2.0
-ANSWERS = ("wait", "continue", "replan")
 
 
 class AuthorizedOrder(NamedTuple):

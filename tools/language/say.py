@@ -4,31 +4,24 @@ What reads phrases is imported when the options are sound: it is half of the sta
 """
 
 import asyncio
-import sys
 from importlib.util import find_spec
 
+from tools.common.exit_codes import wrong
 from tools.language.say_options import Options
-
-WRONG = 2
 
 
 def say(words: list[str], options: Options) -> int:
     """The exit code of `headland say`: that of the phrase, or of the last one of a conversation; 2
     for a wrong argument, file or bus."""
     if find_spec("lark") is None:
-        return _wrong("the language needs lark: pip install 'headland[operator]'")
+        return wrong("the language needs lark: pip install 'headland[operator]'")
     if options.by is not None and options.by != "any" and not options.by.isdigit():
-        return _wrong(f"--by {options.by}: needs the number of a robot, or any")
+        return wrong(f"--by {options.by}: needs the number of a robot, or any")
     if words and not "".join(words).strip():
-        return _wrong('nothing is said; say what you want: headland say "where is robot 2"')
+        return wrong('nothing is said; say what you want: headland say "where is robot 2"')
     from tools.language.conversation import WRONG_WORDS, Conversation
 
     try:
         return asyncio.run(Conversation(options).hold(" ".join(words) or None))
     except WRONG_WORDS as problem:
-        return _wrong(str(problem))
-
-
-def _wrong(message: str) -> int:
-    print(f"headland: {message}", file=sys.stderr)
-    return WRONG
+        return wrong(str(problem))

@@ -30,6 +30,7 @@ from sim.record.recording import Recording
 from sim.record.scene import Scene, in_folder
 from tools.common.bus_address import LAUNCH, AttachError
 from tools.common.bus_attach import stay_attached
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.log_frames import NO_LOG, SourceError, columns_of
@@ -45,7 +46,6 @@ if TYPE_CHECKING:
 
 Heard = Callable[[float, Frame], None]  # seconds of the loop's clock
 HOST = "127.0.0.1"  # not visible from other machines; there is no option for that
-WRONG = 2
 RECORDED_SPEED = 10.0
 TOKEN_BYTES = 16  # 128 bits: not to be guessed
 NO_SERVER = "the map needs the operator extra: pip install 'headland[operator]'"

@@ -6,12 +6,11 @@ before, so its time is right to half a second, and exact where the watcher knows
 
 from typing import NamedTuple
 
-from crdt.claim_register import Phase
+from crdt.allocation import HELD
 from tools.inspect.inspector import SILENT_S
 from tools.livemap.map_state import Watcher
 
 ROBOTS_END = 128  # a stop from a number beyond was pressed at an operator's device
-HELD = (Phase.CLAIMED, Phase.STARTED)
 
 
 class NotedEvent(NamedTuple):

@@ -1,9 +1,10 @@
-"""`--foxglove PORT`: where viewers look, looked at before anything starts."""
+"""`--foxglove PORT`: the port for viewers, checked before anything starts."""
 
 import socket
 from importlib.util import find_spec
 
-LOOPBACK = "127.0.0.1"  # not visible from other machines; there is no option for that
+from tools.inspect.metrics_address import LOOPBACK
+
 NO_PACKAGE = "--foxglove needs the foxglove extra: pip install 'headland[foxglove]'"
 
 
@@ -12,7 +13,8 @@ class PortTaken(Exception):
 
 
 def check_port(port: int) -> None:
-    """Raises PortTaken, also where the package is not installed."""
+    """Raises PortTaken, also where the package is not installed. Other machines never see the port:
+    there is no option for that."""
     if find_spec("foxglove") is None:
         raise PortTaken(NO_PACKAGE)
     try:

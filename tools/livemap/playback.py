@@ -1,4 +1,4 @@
-"""A playhead over a recording: where a person looks, and the watcher as it was then.
+"""A playhead over a recording: the time that a person looks at, and the state of the watcher then.
 
 The state at any time is that of the last snapshot before it, and the frames since. Snapshots are made
 once for all viewers, by the index, which hears every frame as it comes. For a live bus the snapshots
@@ -34,7 +34,7 @@ class Snapshot(NamedTuple):
     state: bytes  # compressed
 
     def watcher(self) -> Watcher:
-        """A watcher as it was then."""
+        """A copy of the watcher at one time."""
         watcher: Watcher = pickle.loads(zlib.decompress(self.state))
         return watcher
 

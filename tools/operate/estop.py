@@ -12,6 +12,7 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError, robots_of_launch
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import tell_meanwhile, told_wait
 from tools.operate.operator_device import KnownRobot, Operator
@@ -23,7 +24,7 @@ LISTEN_S = 0.5  # ten beats: a robot that was not heard by then is absent
 AGAIN_S = 0.1
 SIGN_AGAIN_S = 0.5  # robots echo each dot once; if an echo was lost, a new dot gets a new echo
 FIRST_STOP = 1  # count of stops in the standard frame, since this device was started
-NOT_ALL, WRONG = 1, 2
+NOT_ALL = 1
 AGAIN = "press again, or use --hold to press until all have confirmed"
 NOT_SIGNED = (
     "NOT SIGNED: a fleet without keys believes any device on the bus; one with keys only brakes"

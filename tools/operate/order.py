@@ -9,9 +9,10 @@ from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
-from tools.operate.estop import NOT_ALL, WRONG, listen_to
+from tools.operate.estop import NOT_ALL, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.reset import NOT_SIGNED, operator_keyring
 

@@ -14,9 +14,10 @@ from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError, robots_of_launch
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
-from tools.operate.estop import NOT_ALL, WRONG
+from tools.operate.estop import NOT_ALL
 from tools.operate.operator_device import Operator
 
 LISTEN_S = 0.7  # every robot has beaten by then

@@ -14,9 +14,10 @@ from protocol.operator_badges import ALL_ROLES, DAY_S, Role
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError, robots_of_launch
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
-from tools.operate.estop import NOT_ALL, WRONG, listen_to
+from tools.operate.estop import NOT_ALL, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped

@@ -19,6 +19,7 @@ from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import AttachError, scenario_of_launch
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of
@@ -27,7 +28,7 @@ from tools.operate.tool_address import DeviceAddress
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 CONFIRM_S = 5.0
 SHIPPED = "warehouse"  # whose map is taken where nothing says which
-REFUSED, WRONG = 1, 2
+REFUSED = 1
 
 
 def order(

@@ -12,6 +12,7 @@ from urllib.parse import quote
 
 from sim.files.strict_json import dumps
 from sim.record.mcap_log import McapMissing
+from tools.common.exit_codes import WRONG
 from tools.common.gc_collector import uncollected
 from tools.inspect.log_frames import SourceError
 from tools.report.planned_aside import planned_aside
@@ -20,7 +21,6 @@ if TYPE_CHECKING:
     from tools.report.chapter import Chapter
     from tools.report.run_data import RunEvidence
 
-WRONG = 2
 PAGE = "report.html"
 
 

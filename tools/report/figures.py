@@ -1,4 +1,4 @@
-"""The pictures of a report, one chart each, from what `history` and `followed` found."""
+"""The pictures of a report, one chart each, from what `timeline` and `tracking_error` found."""
 
 from base64 import b64decode
 from collections import Counter

@@ -22,9 +22,10 @@ from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_address import LAUNCH, AttachError, scenario_of_launch
+from tools.common.bus_address import LAUNCH, Attached, AttachError, scenario_of_launch
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
 from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
@@ -36,7 +37,6 @@ from tools.operate.tool_address import DeviceAddress
 from tools.operate.transport_order import house_of
 from tools.ros2.graph import Graph
 
-WRONG = 2
 ASK_S = 0.2  # between looks whether something is to be asked
 NODE = "headland"
 NAMESPACE = re.compile(r"/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*)?/?", re.ASCII)
@@ -46,11 +46,10 @@ NO_ROS = (
 )
 NO_ZENOH = "headland ros2 --zenoh needs {}: pip install 'headland[ros,backbone]'"
 NO_RELEASE = "no operator's key: start it with --operator-key, or release with headland release"
-Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
 def serve(
-    where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
+    where: Attached, keys: Path | None, operator_key: Path | None, scenario: str | None,
     namespace: str, domain: int | None, seconds: float | None, zenoh: str | None = None,
     as_json: bool = False,
 ) -> int:  # fmt: skip
@@ -154,7 +153,7 @@ def _house(scenario: str | None) -> Warehouse | None:
 
 
 async def _serve(
-    where: Where, keys: Path | None, operator_key: Path | None, scenario: str | None,
+    where: Attached, keys: Path | None, operator_key: Path | None, scenario: str | None,
     namespace: str, domain: int | None, seconds: float | None, zenoh: str | None,
     lines: EventLines,
 ) -> None:  # fmt: skip

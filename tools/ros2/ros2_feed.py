@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from crdt import Phase
 from protocol.frames.fleet_frames import Pose
 from sim.files.palette import rgb_of
+from sim.record.foxglove import GREY, HEIGHT_M
 from sim.record.scene import Scene
 from tools.inspect.inspector import NO_KEYS, SILENT_S, Seen
 from tools.livemap.map_state import Watcher
@@ -29,10 +30,9 @@ CELL_M: Final = 0.5  # of the coverage grid, or coarser where the field is large
 CELLS_MAX: Final = 1_000_000
 UNKNOWN, OPEN, SOLID = -1, 0, 100  # of an occupancy grid
 WORKED: Final = {Phase.FREE: 0, Phase.CLAIMED: 10, Phase.STARTED: 50, Phase.DONE: 100}
-HEIGHT_M, LINE_M = 0.6, 0.15
+LINE_M = 0.15
 LOOK_S: Final = 0.1  # between two looks whether the feed has been closed
 ANSWER_S: Final = 30.0  # for a service that stops or releases: as long as the panel itself may take
-GREY: Final = (0.5, 0.5, 0.5)
 Asked = Callable[[], Any]  # makes a coroutine that returns (success, message)
 
 

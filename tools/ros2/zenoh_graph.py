@@ -22,7 +22,6 @@ from tools.ros2.bag_messages import jazzy, kinds_of
 from tools.ros2.graph import KINDS, TAKEN, ActionGoal, GoalPlace, Publisher, Quality
 
 DOMAIN_MAX: Final = 232
-ROUTER: Final = "tcp/localhost:7447"  # where rmw_zenoh looks for its router
 TOKENS: Final = "@ros2_lv"
 NONE: Final = "%"  # an empty part of a token, and a slash in one
 GID_BYTES: Final = 16

@@ -34,10 +34,10 @@ from agent.peer.place_jumps import (
 from agent.runtime.body_plugins import made, plugins
 from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody
 from sim.files.strict_json import dumps
+from tools.common.exit_codes import INTERRUPTED, WRONG
 from tools.common.findings import Finding, print_findings
 from tools.run.robot_command import import_from
 
-WRONG, INTERRUPTED = 2, 130
 SPEED_M_S: Final = 0.5  # at most, while it is tried
 OPEN_S: Final = 10.0
 STANDS_M_S: Final = 0.05  # slower is standing: a receiver is never quite still

@@ -17,10 +17,11 @@ from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
+from tools.report.run_data import REPORT
 from tools.run.film import FILM_S, FilmError, write_film
 
 Say = Callable[[str], object]  # of a line for people
-RECORD, REPORT = "work.geojson", "report.json"  # what `headland run` of a field leaves
+RECORD = "work.geojson"  # what `headland run` of a field leaves
 
 
 def export(

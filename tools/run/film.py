@@ -12,6 +12,7 @@ from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from crdt.progress import BLOCK_UNITS
 from sim.files.palette import ROBOTS
 from sim.record.recording import Recording
 from tools.inspect.inspector import SILENT_S
@@ -30,7 +31,6 @@ SIDE = 250  # pixels of the column with robots and events
 DENSE = 2  # drawn that much larger
 MARGIN, FOOT = 26, 34  # pixels around the field, and for the line of time
 CAPTION_S = 2.6  # of the film: a caption of seven words is read in two
-BLOCK_UNITS = 40  # units in one frame of progress, as in `protocol/frames/work_frames.py`
 COLOURS = 96  # chosen by area, for smooth edges; the named ones below come beside them
 ROBOTS_NAMED = 20  # whose colours are in the palette for certain
 SAMPLES = 8  # pictures from which the palette is made

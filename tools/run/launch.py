@@ -33,6 +33,7 @@ from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
 from tools.common.bus_address import CHANNEL, LAUNCH, absolute
 from tools.common.child_process import module_command, politely
+from tools.common.exit_codes import INTERRUPTED
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
 from tools.inspect.inspector import NO_KEYS, Inspector
@@ -56,7 +57,7 @@ STRAIGHT_M = 0.02
 QUIET_LOOKS = 6  # checks in a row at which all is done before the launch ends
 MAP_NICE = 5  # niceness of the map's process; robots go first
 GRACE_S = 3.0  # between asking a robot to leave and killing it
-UNFINISHED, WRONG, INTERRUPTED = 1, 2, 130
+UNFINISHED = 1
 
 
 class BusError(Exception):

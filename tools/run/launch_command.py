@@ -1,7 +1,6 @@
 """`headland launch`: a fleet of processes in real time, from what the command line says."""
 
 import asyncio
-import sys
 import time
 from pathlib import Path
 
@@ -14,17 +13,14 @@ from sim.scenarios.scenario import ScenarioError
 from tools.build.kernel_cache import Compiling, told_compiling
 from tools.build.warmup import warm
 from tools.common.bus_address import AttachError
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import fleet_keys
 from tools.common.run_folder import FolderError
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.livemap.command import ServerError, check_operator_key, listen
 from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.run.fleet_folder import fleet_folder
-from tools.run.launch import (
-    WRONG,
-    BusError,
-    Launch,
-)
+from tools.run.launch import BusError, Launch
 from tools.run.launch_delivery import HaulLaunch
 from tools.run.launch_setup import setting_of
 
@@ -47,22 +43,22 @@ def launch(
     console = Console(stderr=as_json, highlight=False, soft_wrap=True)
     try:
         if no_keys and keys is not None:
-            return _wrong("--no-keys: with --keys it makes no sense; leave one of them out")
+            return wrong("--no-keys: with --keys it makes no sense; leave one of them out")
         setting = setting_of(scenario, robots, seed, keys)
         makes_own = setting.keys is None and not no_keys
         if makes_own and segment:
-            return _wrong(
+            return wrong(
                 "--segment: all segments have the same keys: make them with 'headland keys new' and name "
                 "them with --keys; or say --no-keys"
             )
         if no_keys and setting.keys is not None:
-            return _wrong(f"--no-keys: {scenario} names keys under [fleet]; leave one of them out")
+            return wrong(f"--no-keys: {scenario} names keys under [fleet]; leave one of them out")
         if segment and not isinstance(setting, FieldSetup):
-            return _wrong(
+            return wrong(
                 f"--segment: {scenario} is a warehouse, and they are not bridged: leave it out"
             )
         if setting.scenario.fault:
-            return _wrong(
+            return wrong(
                 f"{scenario}: [[fault]]: a launch has real processes and plays no faults; "
                 "play this scenario with headland run"
             )
@@ -70,7 +66,7 @@ def launch(
             listen(page_port).close()  # a port that is taken is reported before robots start
             check_operator_key(operator_key)
         if makes_own and operator_key is not None:
-            return _wrong(
+            return wrong(
                 "--operator-key: of which fleet? Name the keys of its robots with --keys, too"
             )
         served = None if metrics is None else metrics_address(metrics)
@@ -91,9 +87,9 @@ def launch(
         MetricsError,
         PortTaken,
     ) as problem:
-        return _wrong(str(problem))
+        return wrong(str(problem))
     except OSError as problem:
-        return _wrong(f"--out: {problem}")
+        return wrong(f"--out: {problem}")
     if fleet.said:
         console.print(escape(fleet.said))
     # Here once, and not in every robot at the same time.
@@ -112,18 +108,13 @@ def launch(
         code = asyncio.run(running.run(port, seconds))
     except BusError as problem:
         if hub_port:
-            return _wrong(f"--hub {hub_port}: {problem}")
-        return _wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
+            return wrong(f"--hub {hub_port}: {problem}")
+        return wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
     except OSError as problem:
-        return _wrong(f"--out: {problem}")
+        return wrong(f"--out: {problem}")
     finally:
         for lock in fleet.locks:
             lock.close()
     if as_json:
         print(dumps({**running.report, "wall_s": round(time.monotonic() - begun, 1)}))
     return code
-
-
-def _wrong(message: str) -> int:
-    print(f"headland: {message}", file=sys.stderr)
-    return WRONG

@@ -8,8 +8,8 @@ from agent.runtime.end_signals import on_end
 from sim.files.strict_json import dumps
 from sim.machines.isobus_machine import IsobusMachine, opened
 from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
+from tools.common.exit_codes import WRONG
 
-WRONG = 2
 SHOWN_S = 1.0
 ANSWER_FOR_S = 3.0  # a machine answers within milliseconds
 

@@ -1,4 +1,4 @@
-"""Pictures of how robots followed their paths: one PNG a robot, as in the thesis."""
+"""Pictures of how robots followed their paths: one PNG for each robot."""
 
 from collections.abc import Sequence
 from pathlib import Path

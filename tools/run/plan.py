@@ -19,8 +19,9 @@ from sim.runs.work_record import WorkRecord
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Scenario, ScenarioError, load
 from sim.scenarios.scenario_kind import Kind, named
+from tools.common.exit_codes import WRONG
 
-SOME_FAILED, WRONG = 1, 2
+SOME_FAILED = 1
 GEOJSON, KML, TASK_DATA = "plan.geojson", "plan.kml", "TASKDATA"
 
 

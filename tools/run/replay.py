@@ -14,12 +14,12 @@ from sim.files.strict_json import dumps
 from sim.record.recording import FramesDigest
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
+from tools.common.exit_codes import WRONG
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
 from tools.inspect.robot_table import table_of
 from tools.livemap.command import show_map
 
-WRONG = 2
 LOOK_S = 0.25  # time of the recording between two updates of the screen
 PICTURES_A_SECOND = 8
 

@@ -12,6 +12,7 @@ from agent.runtime.body_plugins import factory_of
 from agent.runtime.robot_body import FactoryError, named
 from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
+from tools.common.exit_codes import INTERRUPTED
 
 BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
@@ -19,7 +20,6 @@ BLIND = (
 )
 KEYLESS = "NO KEYS: any device on the bus can stop and release it"
 RED, PLAIN = "\x1b[1;31m", "\x1b[0m"  # of a terminal
-INTERRUPTED = 130
 
 
 def robot(

@@ -15,6 +15,7 @@ from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
 from tools.common.bus_address import CHANNEL, absolute
+from tools.common.exit_codes import INTERRUPTED
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
 from tools.common.run_folder import LAUNCH, RUNS, link
@@ -22,7 +23,7 @@ from tools.run.plain_text import plain_text
 from tools.run.run_mission import UNFINISHED, MissionCommand, RunError, run_mission
 from tools.run.run_recorder import RunRecorder
 
-UNREACHABLE, INTERRUPTED = 3, 130
+UNREACHABLE = 3
 HOST = "127.0.0.1"
 BUS = "bus.json"  # where tools find the bus of a launch
 

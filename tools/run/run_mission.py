@@ -22,6 +22,7 @@ from sim.record.recording import Recording
 from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
 from tools.build.kernel_cache import WAIT, kernels_kept, told_compiling
+from tools.common.exit_codes import wrong
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.verbosity import Verbosity
@@ -30,7 +31,7 @@ from tools.run.film import write_film
 from tools.run.run_recorder import RunRecorder
 
 FILM = "film.gif"  # of `--film`
-UNFINISHED, WRONG = 1, 2  # exit codes; 0 only for a run without a flaw
+UNFINISHED = 1  # exit code of a run with a flaw
 RunT = TypeVar("RunT", bound=MissionRun[Any, Any, Any])
 
 
@@ -94,9 +95,9 @@ def run_mission(
         recording = shown.server.recording if shown is not None else Recording() if film else None
         recorder = RunRecorder(setting, folder, recording)
     except (ScenarioError, ServerError, FolderError) as problem:
-        return _wrong(problem)
+        return wrong(problem)
     except (OSError, ValueError) as problem:
-        return _wrong(f"{'--out or --log' if logs else '--out'}: {problem}")
+        return wrong(f"{'--out or --log' if logs else '--out'}: {problem}")
     if shown is not None:
         console.print(f"map: {shown.url}")
     if kernels_kept() == 0:
@@ -106,7 +107,7 @@ def run_mission(
         with ProgressBar(console, name, command.run, command.unit), told_compiling(console.print):
             outcome = command.play(console, folder, recorder)
     except (RunError, FleetFullError) as problem:
-        return _wrong(problem)
+        return wrong(problem)
     finally:
         recorder.close()
     report = {**outcome.to_dict(), "log_hash": recorder.log_hash, **command.report(outcome)}
@@ -166,11 +167,6 @@ def next_commands(folder: Path, further: Sequence[tuple[str, str]] = ()) -> str:
     rows = [(f"headland {words.format(name)}", why) for words, why in (*LOOKS, *further)]
     width = max(len(words) for words, _ in rows)
     return "next:\n" + "\n".join(f"  {words:<{width}}  # {why}" for words, why in rows)
-
-
-def _wrong(problem: object) -> int:
-    print(f"headland: {problem}", file=sys.stderr)
-    return WRONG
 
 
 class ProgressBar(Progress):

@@ -36,8 +36,8 @@ from protocol.name import fleet_name
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
 from tools.common.event_lines import EventLines
+from tools.common.exit_codes import WRONG
 
-WRONG = 2
 TICK_S = 0.005
 GOODBYE_S = 0.2
 SQUARE_M: float = 10_000.0  # in a hectare

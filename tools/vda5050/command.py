@@ -12,21 +12,20 @@ from agent.runtime.vda5050.broker_link import Broker, BrokerError, is_level
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_address import AttachError
+from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
+from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import own_keys
 from tools.inspect.proven_work import UNPROVEN, proven_work_of
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookError, OrderBook
 
-WRONG = 2
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
-Where = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
 def serve(
-    broker: str, scenario: str, book: Path, where: Where, keys: Path | None, interface: str,
+    broker: str, scenario: str, book: Path, where: Attached, keys: Path | None, interface: str,
     manufacturer: str, version: str, seconds: float | None, as_json: bool = False,
 ) -> int:  # fmt: skip
     """The exit code of `headland vda5050`: 0 when it was ended, 2 for a wrong argument."""
@@ -67,7 +66,7 @@ def _named(url: str, interface: str, manufacturer: str) -> Broker:
 
 
 async def _serve(
-    broker: Broker, scenario: str, path: Path, where: Where, keys: Path | None, interface: str,
+    broker: Broker, scenario: str, path: Path, where: Attached, keys: Path | None, interface: str,
     manufacturer: str, version: str, seconds: float | None, lines: EventLines,
 ) -> None:  # fmt: skip
     warehouse = load_warehouse(scenario)

@@ -98,7 +98,7 @@ def test_what_is_planned_for_a_working_robot_is_left_to_it_until_it_should_have_
 
 def test_other_sections_that_are_finished_do_not_put_off_what_nobody_takes() -> None:
     """A robot gave its last section back, and 23 idle ones left it to that robot until it took it
-    again, 20 s later: each section that was finished meanwhile began their 5 s anew (`oxted`, 24
+    again, 20 s later: each section that was finished meanwhile restarted their 5 s (`oxted`, 24
     robots, seed 1)."""
     early = [section.id for section in FIELD.sections[:LAST]]
     allocation = FieldAllocationCRDT()

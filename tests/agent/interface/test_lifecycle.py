@@ -1,4 +1,4 @@
-"""The state machine of the mission's document, edge by edge, and the additions we made.
+"""The state machine of the project brief, edge by edge, and the additions we made.
 
 Then every state with every event and every cause, on a peer: it reacts as docs/use/stopping.md says.
 """
@@ -25,7 +25,7 @@ from protocol.frames.safety_frames import EmergencyReset, Reason
 from protocol.state_machine import to_mermaid
 from tests.agent.lone_peer import held_by, pass_time, peer_in
 
-# Copied from the mission's diagram by hand: (source, event, target).
+# Copied from the diagram of the project brief by hand: (source, event, target).
 MISSION = {
     (State.DISCONNECTED, Event.FLEET_JOINED, State.IDLE),
     (State.IDLE, Event.SYNC_RECEIVED, State.SYNCHRONIZING),

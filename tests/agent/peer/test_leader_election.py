@@ -1,4 +1,4 @@
-"""Elections: one vote a term, the newest term counts, and who was away for a moment is told of it."""
+"""Elections: one vote a term, the newest term counts, and a robot that was away learns it."""
 
 from agent.interface.config import MS
 from agent.peer.leader_election import AGAIN_US, PATIENCE, SETTLE_US, SPACING_US, Election

@@ -246,7 +246,7 @@ def test_a_vehicle_that_forgot_its_pick_and_has_a_load_has_picked() -> None:
 
 
 def test_a_program_that_died_while_the_vehicle_put_a_parcel_down_knows_where_it_lies() -> None:
-    """No robot found it: vehicles see no parcels, and whoever knew the place was gone."""
+    """No robot found it: vehicles see no parcels, and the program that knew the place was gone."""
     orders = fresh()
     act = STILL._replace(parcel_action=7)
     orders.on_state(state(ordered(orders.want(act, (1.0, 1.0), 0)), ahead=False, load=True), 0)

@@ -1,4 +1,4 @@
-"""Who is told of a stop, how often and under which name; and whose silence stands for one."""
+"""Which robots get a stop, how often, under which name, and which silences count as a stop."""
 
 from collections.abc import Iterable
 
@@ -36,9 +36,9 @@ def test_who_knows_nobody_repeats_its_stop_for_a_second() -> None:
 
 @pytest.mark.parametrize("stood", [False, True])
 def test_a_claim_by_one_that_may_move_is_no_sign_of_life(stood: bool) -> None:
-    """Found by `headland chaos`, profile protocol, seed 1600653: who was pressed off the bus came back,
-    claimed its address, and could say the stop only 250 ms later; its claim put the silence off. A fleet
-    that is reset claims again, and is not silent."""
+    """Found by `headland chaos`, profile protocol, seed 1600653: a robot was pressed while it was off the
+    bus, came back and claimed its address. It could send the stop only 250 ms later, and its claim
+    counted as a sign of life. A fleet that is reset claims again, and is not silent."""
     peer = peer_in(State.WORKING, None)
     name = fleet_name("total", 1).pack()
     introduce(peer, 140, 1)

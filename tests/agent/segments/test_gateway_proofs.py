@@ -147,7 +147,7 @@ def test_an_attacker_in_a_gateways_name_ends_no_work(fleet: SegmentFleet) -> Non
 
 def test_recorded_frames_of_a_gateway_change_nothing(fleet: SegmentFleet) -> None:
     attacker = Attacker(fleet, 2)
-    fleet.shells[1, 0].operate(ClaimSection(LENT, 3))
+    fleet.runners[1, 0].operate(ClaimSection(LENT, 3))
     fleet.run(6 * S)
     recorded = [frame for frame in attacker.heard if frame.identifier & 0xFF >= GATEWAY_ADDRESS]
     assert recorded
@@ -164,8 +164,8 @@ def test_recorded_frames_of_a_gateway_change_nothing(fleet: SegmentFleet) -> Non
 
 def test_nobody_hides_that_the_other_segments_are_lost(fleet: SegmentFleet) -> None:
     for number in fleet.segments:
-        for shell in list(fleet.gateways[number]):
-            fleet.kill_gateway(shell)
+        for runner in list(fleet.gateways[number]):
+            fleet.kill_gateway(runner)
     attacker = Attacker(fleet, 1)
     for turn in range(200):
         attacker.say(GatewayBeat(124, 3, 9, 1, 7), GATEWAY_ADDRESS)
@@ -213,16 +213,16 @@ def test_gateways_without_keys_carry_stops_and_no_work() -> None:
 
 def test_a_gateway_with_the_keys_of_before_a_rotation_is_not_believed(fleet: SegmentFleet) -> None:
     for number in fleet.segments:
-        for shell in fleet.gateways[number]:
-            assert shell.gateway.proofs is not None
-            shell.gateway.proofs.rekey(OTHER, fleet.swarm.now_us())
+        for runner in fleet.gateways[number]:
+            assert runner.gateway.proofs is not None
+            runner.gateway.proofs.rekey(OTHER, fleet.swarm.now_us())
     far = work_of(fleet, 2)
     fleet.finish(1, 0, LENT)
     fleet.run(10 * S)
     assert work_of(fleet, 2) == far, f"seed {SEED}"
     assert all(remote_segments_of(peer).alone for peer in fleet.peers(2))
     for number in fleet.segments:  # its file is read again
-        for shell in fleet.gateways[number]:
-            assert shell.gateway.proofs is not None
-            shell.gateway.proofs.rekey(Keys(KEYS.master, None), fleet.swarm.now_us())
+        for runner in fleet.gateways[number]:
+            assert runner.gateway.proofs is not None
+            runner.gateway.proofs.rekey(Keys(KEYS.master, None), fleet.swarm.now_us())
     assert fleet.run(15 * S, lambda: all_know_done(fleet, LENT)), f"seed {SEED}"

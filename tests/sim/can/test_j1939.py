@@ -57,8 +57,8 @@ class Bus:
             diagnostics=True,
         )
         peer = make_peer(identity, Random(slot), PeerRunner.now_us(), {})
-        shell = PeerRunner(peer, CanBus(FieldBus(self.segment.channel)), None, None)
-        self._tasks.append(asyncio.create_task(shell.run()))
+        runner = PeerRunner(peer, CanBus(FieldBus(self.segment.channel)), None, None)
+        self._tasks.append(asyncio.create_task(runner.run()))
         self.peers.append(peer)
         return peer
 

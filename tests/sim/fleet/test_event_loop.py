@@ -76,12 +76,12 @@ def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
 
 def test_a_clock_that_runs_fast_reaches_every_deadline() -> None:
     """Found by `headland chaos`, profile protocol, seed 1130: by a last bit, time stood still."""
-    shell = SimulatedRunner.__new__(SimulatedRunner)
-    shell._base_at_us = shell._rate_set_at_us = 117_798_000
+    runner = SimulatedRunner.__new__(SimulatedRunner)
+    runner._base_at_us = runner._rate_set_at_us = 117_798_000
     for ppm in (5_000.0, -5_000.0, 37.0):
-        shell._rate = 1.0 + ppm * 1e-6
+        runner._rate = 1.0 + ppm * 1e-6
         for due_at_us in (153_066_666, *range(153_000_000, 153_100_000, 7)):
-            assert shell._shown_at(shell._at(due_at_us)) >= due_at_us, (ppm, due_at_us)
+            assert runner._shown_at(runner._at(due_at_us)) >= due_at_us, (ppm, due_at_us)
 
 
 def test_a_run_in_which_time_stands_still_ends() -> None:

@@ -24,7 +24,7 @@ WARM_UP_S, END_S = 200.0, 500.0  # of virtual time
 SLACK = 96  # elements of what comes and goes: the rest of a way, the legs of a turn
 CHANGES = 20_000  # four hours of ten robots
 CACHES_BYTES_MAX = 150_000  # 107 kB in a new process, 75 kB in one that has objects to use again
-POOL = "._corners."  # arrays of a path planner, doubled when too small: `corner_memory.POOL_MAX`
+POOL = "._corners."  # arrays of a path planner, doubled when too small: `corner_cache.POOL_MAX`
 ATOMS = (
     int,
     float,

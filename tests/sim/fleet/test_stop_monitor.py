@@ -24,7 +24,7 @@ def play(story: Story) -> Cluster:
         try:
             await elapse(10.0)
             await story(cluster)
-            cluster.world.advance(cluster.robots[0].shell.now_us())
+            cluster.world.advance(cluster.robots[0].runner.now_us())
             return cluster
         finally:
             await cluster.close()
@@ -39,7 +39,7 @@ def order(cluster: Cluster, command: Command) -> None:
 async def misdrive(cluster: Cluster, slot: int) -> None:
     """A motor controller that drives by itself, also between two commands of the robot to stand."""
     for _ in range(3):
-        cluster.world.body(slot).drive(Drive(1.0, 0.0), cluster.robots[slot].shell.now_us())
+        cluster.world.body(slot).drive(Drive(1.0, 0.0), cluster.robots[slot].runner.now_us())
         await elapse(0.013)
 
 

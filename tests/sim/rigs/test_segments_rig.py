@@ -43,7 +43,7 @@ def fleet() -> Iterator[SegmentFleet]:
 
 
 def press(fleet: SegmentFleet, number: int, slot: int = 0) -> None:
-    fleet.shells[number, slot].operate(Press(Reason.PERSON_IN_FIELD))
+    fleet.runners[number, slot].operate(Press(Reason.PERSON_IN_FIELD))
 
 
 def all_latched(fleet: SegmentFleet, *numbers: int) -> bool:
@@ -66,8 +66,8 @@ def test_a_reset_where_it_was_pressed_holds_everywhere(fleet: SegmentFleet) -> N
     dot = next(iter(fleet.peer(1, 0).safety.stops.active))
     tool = AddressClaimed(tool_name(OPERATOR).pack())
     for slot in range(3):
-        fleet.shells[1, slot].operate(Heard(249, tool))
-        fleet.shells[1, slot].operate(Heard(249, EmergencyReset(*dot, OPERATOR)))
+        fleet.runners[1, slot].operate(Heard(249, tool))
+        fleet.runners[1, slot].operate(Heard(249, EmergencyReset(*dot, OPERATOR)))
     held = [peer for k in fleet.segments for peer in fleet.peers(k)]
     assert fleet.run(S, lambda: not any(p.safety.far.latched for p in held)), f"seed {SEED}"
     assert all(peer.safety.manual_reset(0) for peer in held)
@@ -149,8 +149,8 @@ def test_all_gateways_of_a_segment_restart_and_are_not_fenced_off(fleet: Segment
     fleet.kill_gateway(leader)
     assert fleet.run(4 * S, lambda: fleet.leader(2) is not None)
     assert fleet.run(3 * S, lambda: fleet.joined)
-    for shell in list(fleet.gateways[2]):
-        fleet.kill_gateway(shell)
+    for runner in list(fleet.gateways[2]):
+        fleet.kill_gateway(runner)
     fleet.add_gateway(2)
     assert fleet.run(8 * S, lambda: fleet.joined), f"seed {SEED}"
 
@@ -176,8 +176,8 @@ def test_only_the_home_decides_about_a_section_at_the_border(fleet: SegmentFleet
     """A robot of segment 1 and one of segment 2 want the same section of 2 at the same moment."""
     lent = 0  # of segment 2, lent to 1
     here = next(s for s, place in fleet.areas[1].borrowed.items() if place == (2, lent))
-    fleet.shells[1, 0].operate(ClaimSection(here, 3))
-    fleet.shells[2, 2].operate(ClaimSection(lent, 3))
+    fleet.runners[1, 0].operate(ClaimSection(here, 3))
+    fleet.runners[2, 2].operate(ClaimSection(lent, 3))
     fleet.run(2 * S)
     guest, host = fleet.peer(1, 0).claims.current, fleet.peer(2, 2).claims.current
     assert (guest is None) != (host is None), f"one of them has it; seed {SEED}"
@@ -190,7 +190,7 @@ def test_a_lent_section_is_not_claimed_by_who_cannot_ask(fleet: SegmentFleet) ->
     here = next(iter(fleet.areas[1].borrowed))
     fleet.backbone.cut({1}, {2, 3})
     assert fleet.run(6 * S, lambda: remote_segments_of(fleet.peer(1, 0)).alone)
-    fleet.shells[1, 0].operate(ClaimSection(here, 3))
+    fleet.runners[1, 0].operate(ClaimSection(here, 3))
     assert fleet.peer(1, 0).allocation.key(here) is None, f"seed {SEED}"
 
 
@@ -322,7 +322,7 @@ def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int)
 
     for slot in range(3):
         for half in plain_reset(RemoteStopDot(*dot)):
-            fleet.shells[number, slot].operate(Heard(GATEWAY_ADDRESS, half))
+            fleet.runners[number, slot].operate(Heard(GATEWAY_ADDRESS, half))
 
 
 def hold_button(fleet: SegmentFleet, bus: CanBus, for_us: int) -> None:
@@ -341,11 +341,11 @@ def release(fleet: SegmentFleet, dot: tuple[int, ...], bus: CanBus) -> None:
     peers = [peer for k in fleet.segments for peer in fleet.peers(k)]
     cleared = [peer.safety for peer in peers]
     assert fleet.run(S, lambda: not any(s.far.latched or s.stops.latched for s in cleared))
-    for shell in fleet.shells.values():
-        shell.operate(ManualReset())
+    for runner in fleet.runners.values():
+        runner.operate(ManualReset())
     assert fleet.run(5 * S, lambda: fleet.joined), f"seed {SEED}"
-    for shell in fleet.shells.values():
-        shell.operate(Start())
+    for runner in fleet.runners.values():
+        runner.operate(Start())
     assert fleet.run(3 * S, lambda: all(peer.safety.may_move for peer in peers)), f"seed {SEED}"
 
 
@@ -389,8 +389,8 @@ def test_t5_an_old_stop_that_a_new_gateway_is_told_stops_nobody(fleet: SegmentFl
     bus = panel_of(fleet, 1)
     release(fleet, next(iter(fleet.peer(1, 0).safety.stops.active)), bus)
     fleet.run(S)
-    for shell in list(fleet.gateways[2]):
-        fleet.kill_gateway(shell)
+    for runner in list(fleet.gateways[2]):
+        fleet.kill_gateway(runner)
     made = fleet.add_gateway(2)
     moving = [peer for k in fleet.segments for peer in fleet.peers(k)]
     assert fleet.run(8 * S, lambda: fleet.joined and bool(made.gateway.stops.stops)), f"seed {SEED}"

@@ -1,4 +1,4 @@
-"""The mission's own planner, as a comparison: what it promises and where it fails."""
+"""The planner of the project brief, for comparison: what it promises and where it fails."""
 
 from itertools import pairwise
 

@@ -56,15 +56,15 @@ def test_a_gateway_with_new_keys_does_not_bring_back_what_a_revoked_robot_said()
     fleet.run(6 * S)
     others = fleet.peers(1)[:thief]
     assert all(peer.allocation.phase_of(section) is Phase.DONE for peer in others)
-    fleet.shells[1, thief].operate(Leave())
+    fleet.runners[1, thief].operate(Leave())
     fleet.run(S)
     for peer in others:  # what they do at the switch
         peer.named.state_sync.sync.void(thief, None, fleet.swarm.now_us())
         peer.membership.revoke(thief, fleet.swarm.now_us())
-    for shell in fleet.gateways[1]:
-        shell.gateway.rekey(Keys(keys.master, None), fleet.swarm.now_us())
+    for runner in fleet.gateways[1]:
+        runner.gateway.rekey(Keys(keys.master, None), fleet.swarm.now_us())
     fleet.run(2 * S)
-    fleet.shells[1, 0].operate(ClaimSection(section, 3))
+    fleet.runners[1, 0].operate(ClaimSection(section, 3))
     fleet.run(3 * S)
     for peer in others:
         assert peer.allocation.phase_of(section) is not Phase.DONE

@@ -55,7 +55,7 @@ def test_peers_live_on_the_backbone_itself() -> None:
         links = [ZenohLink(configure([], [at]), loop)]
         links += [ZenohLink(configure([at], []), loop) for _ in range(2)]
         assert await until(lambda: all(link.links for link in links))
-        shells = []
+        runners = []
         for slot, link in enumerate(links):
             identity = Identity(
                 slot,
@@ -67,11 +67,11 @@ def test_peers_live_on_the_backbone_itself() -> None:
             )
             peer = make_peer(identity, Random(slot), PeerRunner.now_us(), area=Area(1, 4))
             bus = ZenohBus(link, "headland/test/1/bus")
-            shells.append(PeerRunner(peer, bus, None, None))
-        tasks = [asyncio.create_task(shell.run()) for shell in shells]
-        assert await until(lambda: all(len(s.peer.membership.live) == 3 for s in shells))
-        shells[1].operate(Press(Reason.PERSON_IN_FIELD))
-        assert await until(lambda: all(s.peer.safety.latched for s in shells))
+            runners.append(PeerRunner(peer, bus, None, None))
+        tasks = [asyncio.create_task(runner.run()) for runner in runners]
+        assert await until(lambda: all(len(s.peer.membership.live) == 3 for s in runners))
+        runners[1].operate(Press(Reason.PERSON_IN_FIELD))
+        assert await until(lambda: all(s.peer.safety.latched for s in runners))
         for task in tasks:
             task.cancel()
         await asyncio.gather(*tasks, return_exceptions=True)

@@ -23,7 +23,7 @@ def test_a_robot_tells_its_name_and_its_newest_traces() -> None:
         bus.subscribe(lambda frame: asker.hear(loop.time(), frame))
         try:
             await squad.until_working()
-            address = squad.shells[1].peer.address
+            address = squad.runners[1].peer.address
             assert address is not None
             name = await asker.ask(COMPONENT_PGN, address, 5.0)
             traces = await asker.ask(LOG_PGN, address, 5.0)

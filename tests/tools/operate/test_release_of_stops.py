@@ -65,7 +65,7 @@ def test_t11_a_reset_clears_no_stop_that_only_a_forger_has_named(tmp_path: Path)
                     cluster.inject(EmergencyStop(PANEL, 1, counter, 0, tag=7), 38)
                     await elapse(0.05)
 
-        cluster.robots[1].shell.operate(Press(Reason.PERSON_IN_FIELD))
+        cluster.robots[1].runner.operate(Press(Reason.PERSON_IN_FIELD))
         forger = asyncio.ensure_future(forge())
         await elapse(1.0)
         operator = operator_on(cluster, key.keyring())
@@ -116,7 +116,7 @@ def test_beats_in_the_name_of_a_latched_robot_do_not_make_its_release_a_success(
                 cluster.inject(beat, address)
                 await elapse(0.004)
 
-        cluster.robots[1].shell.operate(Press(Reason.PERSON_IN_FIELD))
+        cluster.robots[1].runner.operate(Press(Reason.PERSON_IN_FIELD))
         await elapse(0.5)
         cluster.robots[1].peer.safety.raise_cause(StopCause.DISK_ERROR, 0)
         forger = asyncio.ensure_future(forge())

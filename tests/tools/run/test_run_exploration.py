@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
+from tools.common.exit_codes import WRONG
 from tools.run.run_exploration import explore
-from tools.run.run_mission import WRONG
 
 
 def test_a_run_leaves_a_report_and_pictures(

@@ -45,6 +45,13 @@ async def said(process: Process, pattern: str) -> str:
     raise AssertionError(f"it ended before it said {pattern}: {''.join(lines[-5:])}")
 
 
+async def release(folder: Path, port: str) -> None:
+    """Release every stop of the launch whose bus is at this port, and start its robots."""
+    process = await start(folder, "release", "--start", "--port", port)
+    async with asyncio.timeout(WAIT_S):
+        await process.communicate()
+
+
 async def drain(process: Process) -> None:
     """Read the output to its end, so that the pipe never fills."""
     assert process.stdout is not None

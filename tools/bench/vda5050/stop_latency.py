@@ -18,7 +18,7 @@ from typing import Final, NamedTuple
 from sim.scenarios.delivery_scenario import load_warehouse
 from tools.bench.standing_bodies import Bodies, BodiesPress, start_watched
 from tools.bench.stopped_beats import Beats
-from tools.bench.vda5050.counterparts import WAIT_S, Mosquitto, end, said, start
+from tools.bench.vda5050.counterparts import Mosquitto, end, release, said
 from tools.bench.vda5050.masters_orders import ROBOTS, SCENARIO, vehicles
 from tools.common.bus_address import CHANNEL
 from tools.common.bus_attach import attach
@@ -77,7 +77,7 @@ async def trial(folder: Path, node: Path, presses: int = PRESSES) -> StopLatency
                     if side == PAUSE:
                         master.stdin.write(b"stopPause\n")
                     else:
-                        await _release(folder, port)
+                        await release(folder, port)
                         await beats.until(False)
             bus.close()
     finally:
@@ -88,9 +88,3 @@ async def trial(folder: Path, node: Path, presses: int = PRESSES) -> StopLatency
         await broker.kill()
     (folder / "took.json").write_text(json.dumps(told._asdict()))
     return told
-
-
-async def _release(folder: Path, port: str) -> None:
-    process = await start(folder, "release", "--start", "--port", port)
-    async with asyncio.timeout(WAIT_S):
-        await process.communicate()
