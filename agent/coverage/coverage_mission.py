@@ -103,9 +103,10 @@ class GridWork(Mission):
         here, now_us = view.here, view.now_us
         if self._to == NONE:
             self._asked_at_us = now_us
-            self._from = self._to = self.ground.at(here.x_m, here.y_m)
-            assert self._to != NONE, "a robot stands in a free cell"
-        self._sweep(view)
+            if view.placed:
+                self._from = self._to = self.ground.at(here.x_m, here.y_m)
+        if view.placed:
+            self._sweep(view)
         self._forget_told(view)
         rounds = self.agreement
         if rounds.round != self._round:
@@ -116,7 +117,8 @@ class GridWork(Mission):
         if gathering:
             self._tell_of_silent(view)
         self._at_once = gathering
-        free = state in ABLE and now_us - self._asked_at_us < HELD_US
+        # A robot that was put down beside the map takes no part until it is put into a free cell.
+        free = state in ABLE and now_us - self._asked_at_us < HELD_US and self._to != NONE
         number = self._standing(view, free, gathering)
         answer = AgreementReply.BUSY if self._stranded else AgreementReply.GRANT
         if not free:
@@ -134,7 +136,7 @@ class GridWork(Mission):
         has entered. It counts as in the nearer cell, and goes back when the other has gone.
         """
         here = view.here
-        near = self._off_m(view, self._from) < COVERED * self.ground.cell_m
+        near = self._from != NONE and (self._off_m(view, self._from) < COVERED * self.ground.cell_m)
         if not self._asked:
             self._stopped_at_us = view.now_us  # it drives on to the next cell after the stop
         start_at_us = max(self.agreement.begun_at_us, self._stopped_at_us)
@@ -243,6 +245,8 @@ class GridWork(Mission):
 
     def _drive(self, view: FleetView) -> MotionRequest:
         here, now_us = view.here, view.now_us
+        if self._to == NONE:
+            return STILL
         speed_m = self.speed_m_s * PERIOD_S
         x_m, y_m = self.ground.centre(self._to)
         dx, dy = x_m - here.x_m, y_m - here.y_m

@@ -34,6 +34,7 @@ class FleetView(NamedTuple):
     things: frozenset[tuple[float, float]] = frozenset()
     leave_out: bool = False  # the units under these places are skipped
     may_move: bool = True  # no stop cause holds the robot
+    placed: bool = True  # `here` is where the robot is; else it is a place that is not believed
 
 
 class ClaimRequest(NamedTuple):

@@ -134,6 +134,8 @@ class ObstacleStop:
         `may_move`: no stop cause holds the robot. The safety gate comes after the result.
         """
         if self.asking:
+            if not here.ranges_m:
+                self._seen_at_us = now_us  # a robot that sees nothing does not see that it has gone
             ux, uy = self._course
             way = (ux * self.limits.speed_m_s, uy * self.limits.speed_m_s)
             return HALT, self._stand(self.lookout.observe(here, (way,), neighbours, now_us), now_us)

@@ -5,8 +5,8 @@ from math import hypot
 from typing import Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, IMPLEMENT_FOLLOWS_US
-from agent.interface.effects import Drive, Send, Trace
-from agent.interface.lifecycle import IDLE, WORKING
+from agent.interface.effects import HALT, Drive, Send, Trace
+from agent.interface.lifecycle import ABLE, IDLE, WORKING
 from agent.interface.mission import NOTHING_COVERED, STILL, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import MotionController
 from agent.interface.observation import Observation
@@ -95,7 +95,11 @@ class ControlCycle(Part):
             outputs.append(notices.ImplementMoved(at_work))
         motion.set_state(self.lifecycle.state)
         wanted = motion.drive(here, self.wish, view.neighbours, now_us)
-        wanted, asked = self.obstacle.watch(wanted, here, view.neighbours, now_us)
+        if self.lifecycle.state not in ABLE:
+            wanted = HALT  # it is no member, so nobody knows where it is: it does not even give way
+        # Rays say nothing from a place that is not ours, or that are old.
+        seen = here if view.placed else here._replace(ranges_m=())
+        wanted, asked = self.obstacle.watch(wanted, seen, view.neighbours, now_us)
         outputs += asked
         if off and wanted.tool_on:
             wanted = wanted._replace(tool_on=False)

@@ -21,6 +21,8 @@ from agent.peer.durable_records import (
     VOTE,
 )
 from agent.peer.key_renewal import FLEET_KEYS, RECORD
+from agent.peer.range_freshness import SCANNED, SCANS_KEY
+from agent.peer.sense_freshness import BELIEVED, DOUBTED, PLACE_KEY
 from agent.safety.stop_controller import (
     COUNTER_KEY,
     FAR_KEY,
@@ -65,6 +67,8 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     COUNTER_KEY: _size(*COUNTER_BYTES),
     FLEET_KEYS: _size(RECORD.size),
     HOLD_KEY: lambda raw: raw in (FREE, HELD, LATCHED),
+    PLACE_KEY: lambda raw: raw in (BELIEVED, DOUBTED),
+    SCANS_KEY: lambda raw: raw == SCANNED,
 }
 _FAMILIES: Mapping[
     str, tuple[tuple[int, ...], tuple[int, ...]]

@@ -1,7 +1,8 @@
 """Conflicts with other machines: a different field description, or our own identity.
 
 Such a conflict lasts while that machine sends frames. It ends when the machine agrees, when
-another device claims its address, or when it was not received for `GONE_US`.
+another device claims its address, or when it was not received for `GONE_US`. A device that takes the
+address later has no part in it.
 
 Two machines with one identity may also share one address, because equal NAMEs do not contend. Then
 each receives beats from its own address that it did not send. A driver may loop back our own frames,
@@ -35,6 +36,7 @@ class Conflicts(Part):
     def __init__(self, safety: StopController, joining: NetworkJoin) -> None:
         self.safety, self.joining = safety, joining
         self._cause_of: dict[int, StopCause] = {}  # address of the other machine
+        self._ends_at_us: dict[int, int] = {}  # if nothing more is received from that address
         self._said: deque[tuple[type, bytes]] = deque(maxlen=SAID_MAX)
         # since when another machine sends from our address
         self._doubled_first_at_us: int | None = None
@@ -61,7 +63,7 @@ class Conflicts(Part):
     def found(self, cause: StopCause, address: int, why: str, now_us: int) -> Sequence[Effect]:
         """That machine cannot work with us: stand still while it sends frames."""
         new = self._cause_of.get(address) is not cause
-        self._cause_of[address] = cause
+        self._cause_of[address], self._ends_at_us[address] = cause, now_us + GONE_US
         self.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
         told = [Trace("safety", "", cause.name, "PROTECTIVE", f"address {address}")] if new else []
         return [HALT, *told]
@@ -69,9 +71,18 @@ class Conflicts(Part):
     def heard(self, address: int, now_us: int) -> None:
         """A frame of that address: a known conflict still exists, so extend its stop."""
         cause = self._cause_of.get(address)
-        if cause is not None:
+        if cause is None or address == self.joining.address:
+            return  # at our own address, `speaks_from_our_address` tells our frames from others
+        if now_us >= self._ends_at_us[address]:
+            del self._cause_of[address]
+        else:
+            self._ends_at_us[address] = now_us + GONE_US
             detail = dict(self.safety.causes).get(cause, f"address {address}")
             self.safety.raise_cause(cause, now_us, detail, GONE_US)
+
+    def has_our_name(self, address: int) -> bool:
+        """Whether a device at this address was found to have our identity."""
+        return self._cause_of.get(address) is StopCause.DUPLICATE_ID
 
     def settled(self, address: int, now_us: int) -> None:
         """End the conflict: the machine agrees, or another device has its address."""

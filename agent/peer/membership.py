@@ -16,7 +16,7 @@ from collections.abc import Mapping
 from enum import Enum, auto
 from typing import Any
 
-from agent.interface.config import FAREWELL_SPEED_M_S, GONE_QUIET_US
+from agent.interface.config import FAREWELL_SPEED_M_S, GONE_QUIET_US, LEAVES_WITHIN_US
 from agent.interface.effects import Trace
 from agent.interface.identity import Identity
 from agent.interface.observation import Neighbour
@@ -163,7 +163,7 @@ class Membership(Part):
         if slot is None:
             return NOTHING if m.leaving else [notices.StrangerHeard(source)]
         if m.leaving:
-            if self._moves(slot):
+            if self._moves(slot, now_us):
                 self.void_farewells += 1
                 return NOTHING
             self.leave(slot, now_us)
@@ -261,10 +261,14 @@ class Membership(Part):
         """Nobody can have received us yet: only later beacons count."""
         self.reflected_at_us = NEVER_US
 
-    def _moves(self, slot: int) -> bool:
-        """Whether its newest beacon shows it in motion: a robot says farewell when it stands."""
+    def _moves(self, slot: int, now_us: int) -> bool:
+        """Whether its newest beacon shows it in motion: a robot says farewell when it stands.
+
+        One that has told for long that it does not know its place stands, whatever its speed was."""
         seen = self.neighbours.get(slot)
-        return seen is not None and seen.pose.speed_m_s > FAREWELL_SPEED_M_S
+        if seen is None or now_us - seen.heard_at_us >= LEAVES_WITHIN_US:
+            return False
+        return seen.pose.speed_m_s > FAREWELL_SPEED_M_S
 
     def stands(self, slot: int) -> bool:
         """Whether its newest pose reports that it is stopped."""

@@ -9,7 +9,7 @@ from agent.interface.effects import HALT, Effect, Send
 from agent.interface.identity import Identity
 from agent.peer import notices
 from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
-from protocol.address import AddressClaim, AddressMessage
+from protocol.address import CANNOT, AddressClaim, AddressMessage
 from protocol.frames.fleet_frames import Member
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.messages import GROUP_OF
@@ -26,7 +26,9 @@ class NetworkJoin(Part):
         self.machine = AddressClaim(identity.name, ADDRESS_FIRST + identity.slot, rng, now_us)
         self.joined = False
         self.lost_address = False
-        self.away = False  # we left on purpose: claim nothing before we rejoin
+        self.away = False  # claim nothing before we rejoin
+        self.left = False  # we are away on purpose, not because the bus is gone
+        self._without = False  # it was told that there is no address for us
         self._spoke_at_us: dict[int, int] = {}  # address -> when we last claimed it, or lost it
         self._ask_all = True  # request all address claims before we claim one
 
@@ -41,7 +43,7 @@ class NetworkJoin(Part):
             notices.GroupRequested: self._requested,
             notices.AddressCommanded: self._commanded,
             notices.Rejoining: self._rejoin,
-            notices.BusLost: self._leave,
+            notices.BusLost: self._off,
             notices.Left: self._leave,
         }
 
@@ -64,6 +66,11 @@ class NetworkJoin(Part):
             self._ask_all = self.machine.asks = False
             outputs.append(Send(Request(CLAIM_PGN), source=NULL_ADDRESS))
         outputs += claims
+        if self.machine.state is not CANNOT:
+            self._without = False
+        elif not self._without:  # else a robot that never had one would not say why it stands
+            self._without = True
+            outputs += [HALT, notices.AddressLost()]
         address = self.machine.address
         if address is not None and not self.joined:
             self.joined = True
@@ -111,13 +118,17 @@ class NetworkJoin(Part):
         return effects
 
     def _rejoin(self, ctx: StepContext, notice: notices.Rejoining) -> Outputs:
-        self.joined = self.lost_address = self.away = False
+        self.joined = self.lost_address = self.away = self.left = False
         self._ask_all = True
         self.machine.restart(ctx.now_us)
         return NOTHING
 
-    def _leave(self, ctx: StepContext, notice: notices.Left | notices.BusLost) -> Outputs:
-        """Claim nothing before we rejoin: we left on purpose, or the controller is off the bus."""
+    def _leave(self, ctx: StepContext, notice: notices.Left) -> Outputs:
+        self.joined, self.away, self.left = False, True, True
+        return NOTHING
+
+    def _off(self, ctx: StepContext, notice: notices.BusLost) -> Outputs:
+        """The controller is off the bus."""
         self.joined, self.away = False, True
         return NOTHING
 

@@ -6,7 +6,7 @@ until START. WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstac
 """
 
 from collections.abc import Mapping
-from math import hypot, isfinite
+from math import hypot
 from typing import Any
 
 from agent.interface.config import S
@@ -15,6 +15,7 @@ from agent.interface.mission import STILL, FleetView, Mission, MotionRequest
 from agent.peer import inputs, notices
 from agent.peer.obstacle_hold import ObstacleHold
 from agent.peer.part import NOTHING, DirectListener, Handler, Header, Outputs, Part, StepContext
+from agent.peer.sense_freshness import Senses
 from agent.safety.stop_controller import StopController
 from protocol.frames.operator_frames import OperatorGoal, OperatorReport, ReportKind, goal_check
 from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand
@@ -37,10 +38,16 @@ class OperatorDirective(Part):
     """The part that obeys operators' orders to this robot. Places are (x, y) metres."""
 
     def __init__(
-        self, slot: int, safety: StopController, mission: Mission | None, obstacle: ObstacleHold
+        self,
+        slot: int,
+        safety: StopController,
+        senses: Senses,
+        mission: Mission | None,
+        obstacle: ObstacleHold,
     ) -> None:
         self.slot, self.safety, self.mission, self.obstacle = slot, safety, mission, obstacle
-        self.home: Point | None = None  # position at power-up
+        self.senses = senses
+        self.home: Point | None = None  # the first place that was believed since power-up
         self.goal: Point | None = None  # None: it does its own work
         self.arrived = False
         self._named: dict[tuple[int, bool], tuple[OperatorGoal, int]] = {}  # (operator, north)
@@ -51,11 +58,11 @@ class OperatorDirective(Part):
 
     @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
-        return {inputs.Sensed: self._sensed}
+        return {notices.ControlDue: self._period}
 
-    def _sensed(self, fact: inputs.Sensed, now_us: int) -> Outputs:
-        here = fact.observation
-        if self.home is None and here is not None and isfinite(here.x_m + here.y_m):
+    def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
+        here = self.senses.known
+        if self.home is None and here is not None:
             self.home = here.x_m, here.y_m
         return NOTHING
 

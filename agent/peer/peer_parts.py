@@ -156,8 +156,8 @@ class PeerParts:
         # This robot: what it senses, decides and does.
         drives = mission is not None and motion is not None
         needed_m = inf if mission is None else mission.position_accuracy_max_m
-        self.senses = Senses(self.safety, motion, drives, needed_m)
-        self.ranges = RangeSensing(self.safety, self.senses)
+        self.senses = Senses(self.safety, motion, drives, needed_m, recalled)
+        self.ranges = RangeSensing(self.safety, self.senses, recalled)
         self.implement = ImplementCheck(self.safety, self.senses)
         self.check = SelfCheck(self.safety, self.joining, self.membership, beat, now_us)
         self.knowledge = SelfKnowledge(self.safety, self.senses, self.check)
@@ -166,7 +166,7 @@ class PeerParts:
         self.views = FleetViews(
             self.senses, self.allocation, self.progress, self.membership, self.obstacle, self.safety
         )
-        self.directive = OperatorDirective(slot, self.safety, mission, self.obstacle)
+        self.directive = OperatorDirective(slot, self.safety, self.senses, mission, self.obstacle)
         self.mission_messages = MissionMessages(mission)
         self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
         self.progress_told.with_heartbeats = bool(self.proven.kinds)

@@ -118,7 +118,9 @@ NO_REACH: Final = Reach()
 class PlaceJumps:
     """Compares each accurate place of one robot with the ones before, and with its commands."""
 
-    def __init__(self) -> None:
+    def __init__(self, doubted: bool = False) -> None:
+        """`doubted`: the place was wrong before the restart, and nobody knows since by how much."""
+        self._doubted = doubted
         self._before: Observation | None = None  # the last accurate place
         self._gap = False  # how long ago that was is not known
         self._turn_rad_s = 0.0  # between the last two places in time
@@ -128,7 +130,7 @@ class PlaceJumps:
 
     def forget(self) -> None:
         """An operator says that the next place is right."""
-        self._before = None
+        self._before, self._doubted = None, False
         self._offset, self._reach = Offset(), NO_REACH
 
     def gap(self) -> None:
@@ -159,7 +161,7 @@ class PlaceJumps:
         told = self._told or self._told_before
         self._told, self._told_before = False, self._told
         if before is None:
-            return ""
+            return self._lost
         if self._lost:
             self._wrong_at_us = now_us
         elif now_us - self._wrong_at_us >= TRUSTED_US:
@@ -193,7 +195,14 @@ class PlaceJumps:
         return self._lost
 
     @property
+    def lost(self) -> bool:
+        """Whether the body cannot be at the newest place that was looked at."""
+        return bool(self._lost)
+
+    @property
     def _lost(self) -> str:
+        if self._doubted:
+            return "jumped before the restart"
         if self._reach.holds(self._offset):
             return ""
         moved_m = hypot(self._offset.east_m, self._offset.north_m)

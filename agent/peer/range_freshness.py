@@ -5,7 +5,8 @@ is old, and a scan that arrives with every observation counts as new. A driver t
 scan. This shows when the robot moves: no two scans from different places are equal, except beside
 straight walls along which it drives.
 
-A robot that has had no scan since its boot has no range sensors, and is not held.
+A robot that has never had a scan has no range sensors, and is not held. It remembers its first scan for
+good: a restart does not make a dead sensor one that never was.
 """
 
 from collections.abc import Mapping
@@ -13,6 +14,7 @@ from math import cos, hypot, isfinite, pi, remainder, sin
 from typing import Any, Final
 
 from agent.interface.config import SCAN_AGE_MAX_US, S
+from agent.interface.effects import Persist
 from agent.interface.observation import Observation
 from agent.peer import notices
 from agent.peer.part import NOTHING, DirectListener, Outputs, Part
@@ -28,13 +30,18 @@ TURNED_RAD: Final = 0.2
 # Sine of the angle between two echoes beside each other and the way that was driven: less is a wall
 # along that way, of which every scan is the same.
 ALONG: Final = 0.1
+SCANS_KEY, SCANNED = "scans", b"\1"  # durable: it has had a scan
 
 
 class RangeSensing(Part):
     """Watches one robot's scans in each control period, after its place."""
 
-    def __init__(self, safety: StopController, senses: Senses) -> None:
+    def __init__(
+        self, safety: StopController, senses: Senses, recalled: Mapping[str, bytes]
+    ) -> None:
+        """`recalled`: durable memory as it was before the start; the key is `SCANS_KEY`."""
         self.safety, self.senses = safety, senses
+        self._has_scanned = recalled.get(SCANS_KEY) == SCANNED
         self._scan: tuple[float, ...] | None = None  # the newest; None: there never was one
         self._first: Observation | None = None  # the first observation with that scan
         self._wrong_at_us = 0  # when scans were last absent or stuck
@@ -48,15 +55,17 @@ class RangeSensing(Part):
         if here is None or not self.senses.current:
             self._first = None
             return NOTHING  # without a place the robot stands, and it cannot compare scans
-        if not here.ranges_m and self._scan is None:
+        if not here.ranges_m and not self._has_scanned:
             return NOTHING
+        first = () if self._has_scanned else (Persist(SCANS_KEY, SCANNED),)
+        self._has_scanned = True
         why = self._wrong(here)
         if why:
             self._wrong_at_us = now_us
         elif not self.safety.holds(StopCause.SCAN_LOST):
-            return NOTHING
+            return first
         there = bool(why) or now_us - self._wrong_at_us < STEADY_US
-        return self.safety.hold_while(StopCause.SCAN_LOST, there, why, now_us)
+        return [*first, *self.safety.hold_while(StopCause.SCAN_LOST, there, why, now_us)]
 
     def _wrong(self, here: Observation) -> str:
         """Why the scan is not what is around the robot now; empty if nothing speaks against it."""

@@ -185,10 +185,11 @@ class SenderOrigins(Part):
         outputs += claims
         if source in (NULL_ADDRESS, self.joining.address):
             return outputs
-        if self.origins.changes(source, m.name):
+        changes = self.origins.changes(source, m.name)
+        if changes or self.conflicts.has_our_name(source):
             outputs.append(notices.ConflictSettled(source))
-            if self.origins.of(source) is Origin.OURS:
-                self._contended_end_at_us[source] = now_us + CONTENDED_US
+        if changes and self.origins.of(source) is Origin.OURS:
+            self._contended_end_at_us[source] = now_us + CONTENDED_US
         is_known = self.name_discovery.asks.known(source)
         self.origins.claimed(source, m.name)
         self._claimed_at_us[source] = now_us

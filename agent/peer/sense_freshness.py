@@ -21,7 +21,7 @@ from math import atan2, cos, degrees, hypot, isfinite, pi, radians, remainder, s
 from typing import Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
-from agent.interface.effects import HALT, Drive, Effect
+from agent.interface.effects import HALT, Drive, Effect, Persist
 from agent.interface.motion_controller import BodyLimits, MotionController
 from agent.interface.observation import Observation
 from agent.peer import inputs, notices
@@ -57,6 +57,9 @@ TURNS_SHARE: Final = 0.5
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 # Where the most counts, wheels may have as much more.
 ACCELERATION_SHARE: Final = 0.5
+PLACE_KEY, BELIEVED, DOUBTED = "place", b"\0", b"\1"  # durable: whether the place has jumped
+NOTHING_RECALLED: Final[Mapping[str, bytes]] = {}
+NOT_ON_MAP: Final = "further from the origin than frames can say, or not a number"
 
 
 def blind_way_m(limits: BodyLimits) -> float:
@@ -99,13 +102,16 @@ class Senses(Part):
         motion: MotionController | None,
         drives: bool,
         accuracy_max_m: float = POSITION_ACCURACY_M,
+        recalled: Mapping[str, bytes] = NOTHING_RECALLED,
     ) -> None:
-        """`drives`: the robot has a mission and can move. `accuracy_max_m`: what the mission needs."""
+        """`drives`: the robot has a mission and can move. `accuracy_max_m`: what the mission needs.
+        `recalled`: durable memory as it was before the start; the key is `PLACE_KEY`."""
         self.accuracy_max_m = min(accuracy_max_m, POSITION_ACCURACY_M)
         self.safety, self.motion, self.drives = safety, motion, drives
         self.here: Observation | None = None  # the newest observation
         self.known: Observation | None = None  # the newest observation that was believed
         self._no_velocity = False  # whether the velocity of it was none
+        self._on_map = False  # whether the place of it is one that frames can carry
         self.current = False  # whether the sensed place is our current place
         self._sensed_at_us: int | None = None  # time of the newest observation
         # time of the observation last compared with the wheels
@@ -129,7 +135,9 @@ class Senses(Part):
         self._turn_anchor_rad = self._expected_rad = 0.0
         self._turn_frozen = False  # PLACE_FROZEN was noticed by the heading
         self._unseen = NOTHING_UNSEEN  # before the last change of the place
-        self.jumps = PlaceJumps()
+        # As remembered: a restart is no reason to believe a place that had jumped.
+        self._doubts = recalled.get(PLACE_KEY) == DOUBTED
+        self.jumps = PlaceJumps(self._doubts)
         self.progress = PlaceProgress()
         self._lost_at_us = 0  # when the place was last wrong
 
@@ -146,10 +154,20 @@ class Senses(Part):
         }
 
     def _take(self, fact: inputs.Sensed, now_us: int) -> Outputs:
-        """The current observation, or None."""
-        if fact.observation is not None:
-            self.here, self._no_velocity = _sound(fact.observation)
-            self._sensed_at_us = fact.observation.sensed_at_us
+        """The current observation, or None.
+
+        A place that frames cannot carry is replaced by the last one, so no other part meets a place
+        that it cannot compute with."""
+        seen = fact.observation
+        if seen is not None:
+            self._on_map = _is_on_map(seen)
+            sound, self._no_velocity = _sound(seen)
+            last = self.here
+            if self._on_map:
+                self.here = sound
+            elif last is not None:
+                self.here = sound._replace(x_m=last.x_m, y_m=last.y_m, heading_rad=last.heading_rad)
+            self._sensed_at_us = seen.sensed_at_us
         return NOTHING
 
     def _went_back(self, notice: notices.ClockWentBack, now_us: int) -> Outputs:
@@ -190,9 +208,11 @@ class Senses(Part):
         self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
         self._periods, self._turn_frozen = 0, False
         self.progress.forget()
-        if notice.named:
-            self.jumps.forget()
-        return NOTHING
+        if not notice.named:
+            return NOTHING
+        self.jumps.forget()
+        doubted, self._doubts = self._doubts, False
+        return [Persist(PLACE_KEY, BELIEVED)] if doubted else NOTHING
 
     def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
         return self.look(now_us)
@@ -230,31 +250,28 @@ class Senses(Part):
             self.known = self.here
         return effects
 
-    @property
-    def _on_map(self) -> bool:
-        """Whether the place is one that frames can carry."""
-        here = self.here
-        return here is not None and (
-            abs(here.x_m) < -NOWHERE_M and abs(here.y_m) < -NOWHERE_M and isfinite(here.heading_rad)
-        )
-
     def _believe(self, now_us: int, old: bool) -> list[Effect]:
         """Believe the newest place, or find it lost."""
         here = self.here
-        if here is None or old:
+        if old:
             return []
-        wrong = self._inaccurate(here) or self._jumped(here, now_us)
+        wrong = NOT_ON_MAP if here is None else self._inaccurate(here) or self._jumped(here, now_us)
         if wrong:
             self._lost_at_us = now_us
         elif not self.safety.holds(StopCause.PLACE_LOST):
             return []
         back = not wrong and now_us - self._lost_at_us >= STEADY_US
-        return self.safety.hold_while(StopCause.PLACE_LOST, not back, wrong, now_us)
+        effects = self.safety.hold_while(StopCause.PLACE_LOST, not back, wrong, now_us)
+        doubts = not back and (self._doubts or self.jumps.lost)
+        if doubts is not self._doubts:
+            self._doubts = doubts
+            effects.append(Persist(PLACE_KEY, DOUBTED if doubts else BELIEVED))
+        return effects
 
     def _inaccurate(self, here: Observation) -> str:
         """Why the place is too inaccurate to drive by; empty if it is not."""
         if not self._on_map:
-            return "further from the origin than frames can say, or not a number"
+            return NOT_ON_MAP
         if self._no_velocity:
             return "its velocity is more than frames can say, or not a number"
         # Not a number is inaccurate, too, and so is less than nothing.
@@ -432,12 +449,17 @@ class Senses(Part):
         return FASTEST if limits is None else limits
 
 
+def _is_on_map(seen: Observation) -> bool:
+    """Whether the place is one that frames can carry."""
+    return abs(seen.x_m) < -NOWHERE_M and abs(seen.y_m) < -NOWHERE_M and isfinite(seen.heading_rad)
+
+
 def _sound(seen: Observation) -> tuple[Observation, bool]:
     """What a robot can compute with, and whether the velocity was none. A driver, or somebody on the
     network of a receiver, may say anything.
 
     A scan with a distance that is none is no scan. A charge or a health that is none is an empty or a
-    failed one. The place is left to `_on_map`.
+    failed one. The place is left to `_is_on_map`.
     """
     ranges_m = seen.ranges_m
     # The sum is no number where one of them is none.

@@ -207,7 +207,7 @@ class StopReception(Part):
 
     def _bus_back(self, ctx: StepContext, notice: notices.BusBack) -> Outputs:
         self.safety.clear_cause(StopCause.BUS_OFF, ctx.now_us)
-        return [notices.Rejoining()]
+        return NOTHING if self.joining.left else [notices.Rejoining()]
 
     def _members(self, ctx: StepContext, notice: notices.MembershipChanged) -> Outputs:
         return self.safety.members(notice.live, notice.silent, ctx.now_us)

@@ -172,6 +172,7 @@ class FleetCoordinationEngine:
         peer = make_peer(identity, self._rng, now_us, recalled, keyring=keyring)
         self._runner = PeerRunner(peer, self.bus, None, self.journal, self._effect)
         self._task = asyncio.create_task(self._runner.run(), name=f"peer {self.tractor_id}")
+        self._task.add_done_callback(self._ended)
         try:
             await self._wait(lambda: peer.lifecycle.state is not State.DISCONNECTED, JOIN_TIMEOUT_S)
         except TimeoutError:
@@ -377,9 +378,9 @@ class FleetCoordinationEngine:
         free.
 
         Read it in each control period before commanding the wheels: it includes all stops and other
-        causes. It is 0.0 while the engine is not started.
+        causes. It is 0.0 while the engine is not started, and for good after a failure that ended it.
         """
-        if self._runner is None or self._peer.safety.severity >= Severity.PAUSE:
+        if self._runner is None or self.failure or self._peer.safety.severity >= Severity.PAUSE:
             return 0.0
         return CREEP_M_S if self._peer.safety.severity is Severity.SLOW else inf
 
@@ -388,7 +389,18 @@ class FleetCoordinationEngine:
         """Why this machine stands still or creeps, and what a person can do: one line for each
         cause.
         """
-        return [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
+        told = [f"the engine ended: {self.failure}; stop and start it"] if self.failure else []
+        return told + [sentence(c.number, about(c, why)) for c, why in self._peer.safety.causes]
+
+    @property
+    def failure(self) -> str:
+        """What ended the engine, as a driver that raised; empty while it runs or is not started.
+
+        It neither hears nor says anything then, and its other answers are of that moment.
+        """
+        if self._task is None or not self._task.done() or self._task.cancelled():
+            return ""
+        return repr(self._task.exception())
 
     def leader(self) -> str | None:
         """The id of the elected leader as this machine knows it; None if there is none, or before
@@ -446,6 +458,18 @@ class FleetCoordinationEngine:
         if self._runner is None:
             raise RuntimeError("the engine is not started: await engine.start() first")
         return self._runner.peer
+
+    def _ended(self, task: asyncio.Task[None]) -> None:
+        """The peer has failed: the program has to stop the machine."""
+        if task.cancelled() or task is not self._task:
+            return
+        log.error("%s has failed", self.tractor_id, exc_info=task.exception())
+        told = {
+            "why": f"the engine ended: {self.failure}", "from_state": self._state,
+            "reason": None, "slot": None, "position": None,
+        }  # fmt: skip
+        for stop in self._on_emergency:
+            self._call(stop, told)
 
     def _operate(self, call: Input) -> None:
         _ = self._peer

@@ -11,7 +11,7 @@ from collections import deque
 from collections.abc import Callable, Sequence
 
 from agent.interface.config import CONTROL_PERIOD_US, LEAVES_WITHIN_US, S
-from agent.interface.effects import Drive, Effect, Persist, Send, Trace
+from agent.interface.effects import HALT, Drive, Effect, Persist, Send, Trace
 from agent.interface.ports import Body, Bus, Confirming, Journal
 from agent.peer.inputs import BusState, DiskFailed, Input, Leave, Received, Sensed, Timer
 from agent.peer.peer import Peer
@@ -108,6 +108,8 @@ class PeerRunner:
                         continue  # earlier frames are not being sent
                     self._taken = self.bus.send(frame)
             elif isinstance(effect, Drive):
+                if self._disk_failed:
+                    effect = HALT  # nothing moves a robot whose disk has failed
                 if self.body is not None:
                     self.body.drive(effect, now_us)
             elif isinstance(effect, Trace) and log.isEnabledFor(logging.INFO):

@@ -198,7 +198,7 @@ class RobotFile(Table):
 
     name: str = Field(min_length=1, max_length=64)
     robot: RobotTable
-    fleet: FleetTable = FleetTable()
+    fleet: FleetTable
     device: DeviceTable = DeviceTable()
     field: FieldTable | None = None
     warehouse: CarrierTable | None = None
@@ -220,6 +220,9 @@ class RobotFile(Table):
             raise RobotError(f"{name}: {first_error(problem, cls)}") from None
         except TypeError as problem:
             raise RobotError(f"{name}: {problem}") from None
+        # A default number would let a machine wait for members that nobody has.
+        if "robots" not in found.fleet.model_fields_set:
+            raise RobotError(f"{name}: fleet.robots: is missing")
         if found.robot.slot >= found.fleet.robots:
             raise RobotError(
                 f"{name}: robot.slot: {found.robot.slot} is not one of {found.fleet.robots} robots "

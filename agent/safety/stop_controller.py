@@ -179,11 +179,12 @@ class StopController:
         """Make a cause active, or renew it.
 
         `detail`: what it is about, for people. `for_us`: the cause ends by itself after this many
-        microseconds; with 0 it has no end, or keeps the one that it had.
+        microseconds, and not before the end that it had; with 0 it has no end, or keeps that one.
         """
         self._causes[cause] = detail
         if for_us:
-            self._expires_at_us[cause] = now_us + for_us
+            ends_at_us = self._expires_at_us.get(cause, 0)
+            self._expires_at_us[cause] = max(ends_at_us, now_us + for_us)
 
     def clear_cause(self, cause: StopCause, now_us: int) -> None:
         """End a cause; nothing happens if it is not active."""
@@ -212,8 +213,10 @@ class StopController:
         counts as an echo. All other members have to echo the dot itself. A second press within
         `STOP_SPACING_US` is the same press and only brakes.
         """
-        # A second press within the spacing is the same press. A clock set back does not count as one.
-        if 0 <= now_us - self._pressed_at_us < STOP_SPACING_US:
+        # A second press within the spacing is the same press, unless an operator has cleared that one
+        # meanwhile. A clock set back does not count as one.
+        same = 0 <= now_us - self._pressed_at_us < STOP_SPACING_US
+        if same and StopCause.STOP_DOT in self._causes:
             return [HALT]
         self._again, self._renewals, self._free = AGAIN_MAX, RENEWALS_MAX, set(free)
         return self._press(reason, now_us)
@@ -486,6 +489,7 @@ class StopController:
             return ()
         holder = self.buttons.holder(now_us)
         about = f"address {source if holder is None else holder}"
+        self._expires_at_us.pop(StopCause.IMPLEMENTS_STOP, None)  # a permit may end it earlier
         self.raise_cause(StopCause.IMPLEMENTS_STOP, now_us, about, held_for_us)
         return [HALT] if m.switch in STOPS or not held else ()
 

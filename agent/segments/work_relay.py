@@ -15,7 +15,7 @@ from typing import NamedTuple
 from agent.interface.config import MS
 from agent.segments.segment_area import GUEST_FIRST, Area, SegmentPlace
 from crdt import FieldAllocationCRDT, Phase, Progress
-from crdt.claim_register import DONE_BIT, Claim
+from crdt.claim_register import DONE_BIT, EPOCH_MAX, LAMPORT_MAX, Claim
 from crdt.digest import mix
 from protocol.backbone_messages import ENTRIES_MAX, Entry
 from protocol.frames.work_frames import (
@@ -207,6 +207,8 @@ class WorkRelay:
         if claim.phase == Phase.DONE or claim.phase == Phase.FREE:
             return  # nothing to decide
         lamport = self.allocation.lamport + 1
+        if claim.epoch == EPOCH_MAX or lamport > LAMPORT_MAX:
+            return  # as with `allocation`: there is no later claim
         if self.allocation.apply(
             change.section, claim._replace(epoch=claim.epoch + 1, lamport=lamport).pack()
         ):

@@ -316,6 +316,8 @@ def calm(span: Span) -> list[Fault]:
 
 # After one of these a robot may receive nothing while its clock goes back.
 LONELY = (kinds.Partition, kinds.OneWay, kinds.BusOff, kinds.Crash, kinds.CrashWorking)
+# After one of these a robot that was up boots with what it remembers.
+ENDED = (kinds.Crash, kinds.CrashWorking, kinds.Restart, kinds.DiskFull)
 # The place is not believed meanwhile.
 SENSELESS = (kinds.Blind, kinds.Frozen, kinds.HungFixes, kinds.Late, kinds.Freeze, kinds.Drifting)
 UNSEEING = (kinds.Blind, kinds.Frozen, kinds.HungFixes, kinds.Late, kinds.Freeze, kinds.ClockJump,
@@ -353,7 +355,8 @@ def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     distinguish such a jump along its way from its own braking, so the jump that it notices is the return
     to the true place. The same holds for a push while it senses nothing accurate, for wheels that did not
     answer, and for fixes that hung. A robot notices by the times of frames that its clock went back; one
-    that receives no frames seems to jump. All other robots go on by themselves.
+    that receives no frames seems to jump. A robot that is switched off while its place is wrong does not
+    know afterwards by how much. All other robots go on by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]
@@ -362,6 +365,11 @@ def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
     if any(isinstance(each, LONELY) for each in drawn):
         robots |= {f.robot for f in drawn if isinstance(f, kinds.ClockJump) and f.by_s < 0.0}
+    ended = [each for each in drawn if isinstance(each, ENDED)]
+    if ended:
+        known = {getattr(each, "robot", None) for each in ended}
+        moved = {e.robot for e in drawn if isinstance(e, (*SENSELESS, kinds.Jumped, kinds.Pushed))}
+        robots |= moved if None in known else moved & known
     at_s = span.start_at_s + VOUCHED_S
     return [
         kinds.Order(at_s=at_s, kind="order", robot=slot, order="start") for slot in sorted(robots)

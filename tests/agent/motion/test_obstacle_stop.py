@@ -1,5 +1,7 @@
 """The question about an obstacle, state by state; how a robot behaves is in tests/chaos/test_pause.py."""
 
+from math import inf
+
 import numpy as np
 
 from agent.interface.effects import HALT
@@ -7,6 +9,7 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.obstacle_stop import (
+    FREE_US,
     QUESTION_TABLE,
     REPORT,
     ObstacleStop,
@@ -54,3 +57,17 @@ def test_what_it_goes_round_follows_what_it_sees() -> None:
     assert sees(near, beside, other) == {near, beside}
     assert isinstance(stop.things, frozenset)
     assert not sees(other) and stop.machine.state is QuestionState.NONE
+
+
+def test_a_robot_without_scans_does_not_see_that_an_obstacle_has_gone() -> None:
+    lookout = ObstacleDetector(0.8, 1.5, np.empty((0, 4)), StoppingZone(0.8, 1.5))
+    stop = ObstacleStop(0, BodyLimits(0.8, 2.5, 1.5), lookout)
+    stop.machine.fire(QuestionEvent.BLOCKED)
+    blind = Observation(0.0, 0.0, 0.0, 0.0, 0.0)
+    clear = blind._replace(ranges_m=(inf,) * 36)
+    for now_us in range(0, 10 * FREE_US, FREE_US // 10):
+        stop.watch(HALT, blind, {}, False, now_us)
+    assert stop.asking
+    for now_us in range(10 * FREE_US, 12 * FREE_US, FREE_US // 10):
+        stop.watch(HALT, clear, {}, False, now_us)
+    assert not stop.asking

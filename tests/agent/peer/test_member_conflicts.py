@@ -4,15 +4,18 @@ from collections.abc import Iterator
 
 import pytest
 
-from agent.interface.config import MS, S
+from agent.interface.config import LEAVES_WITHIN_US, MS, S
 from agent.interface.effects import Drive, Send
 from agent.interface.lifecycle import State
-from agent.peer.inputs import Heard, Leave, Sensed, Start
+from agent.peer.inputs import BusState, Heard, Leave, Received, Sensed, Start
 from agent.peer.member_conflicts import GONE_US, TOLD_APART_US
-from agent.peer.membership import FAREWELL_US
+from agent.peer.membership import FAREWELL_US, MemberStatus
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import StopCause
-from protocol.frames.fleet_frames import Heartbeat, Member, Pose
+from protocol.controller_health import Health
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import PLACE_UNKNOWN_M_S, Heartbeat, Member, Pose
+from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
@@ -217,3 +220,69 @@ def test_t6_the_tail_of_a_farewell_is_none() -> None:
     assert peer.membership.live == {0}
     list(running(peer, 2 * S, 3 * S))
     assert not held_by(peer)
+
+
+FOREIGN = AddressClaimed(0xA00284DE_0000_0000 | 12345)  # an ECU of another maker
+SPEED_OF_VEHICLE = 0x18FEF100  # its frame
+
+
+def test_one_claim_of_our_name_from_another_device_holds_for_a_while_only() -> None:
+    peer = robot()
+    peer.step(Heard(38, FOREIGN), 2 * S)
+    peer.step(Heard(38, AddressClaimed(fleet_name("total", 0).pack())), 3 * S)
+    assert StopCause.DUPLICATE_ID in held_by(peer)
+    peer.step(Heard(38, FOREIGN), 4 * S)  # it says again who it is
+    list(running(peer, 4 * S, 4 * S + 100 * MS))
+    assert StopCause.DUPLICATE_ID not in held_by(peer)
+
+
+def test_a_device_at_the_address_of_a_twin_that_is_gone_holds_nobody() -> None:
+    peer = robot()
+    peer.step(Heard(200, AddressClaimed(fleet_name("total", 0).pack())), 2 * S)
+    list(running(peer, 2 * S, 2 * S + GONE_US + S))
+    assert not held_by(peer)
+    for now_us in range(9 * S, 12 * S, 100 * MS):
+        peer.step(Received(Frame(SPEED_OF_VEHICLE | 200, bytes(8))), now_us)
+        list(running(peer, now_us, now_us + 100 * MS))
+    assert not held_by(peer)
+
+
+def test_our_own_frames_that_a_driver_returns_do_not_keep_a_twin_alive() -> None:
+    peer, address = robot(), None
+    for now_us in range(2 * S, 4 * S, 50 * MS):
+        address = peer.address
+        peer.step(Heard(address, POSE._replace(x_m=now_us / S)), now_us)
+        list(running(peer, now_us, now_us + 50 * MS))
+    assert StopCause.DUPLICATE_ID in held_by(peer)
+    for now_us in range(4 * S, 4 * S + 2 * GONE_US, 10 * MS):
+        for effect in turn(peer, now_us):
+            if isinstance(effect, Send) and effect.source is None:
+                assert peer.address is not None
+                frame = encode(effect.message, peer.address, effect.destination)
+                peer.step(Received(frame), now_us)
+    assert not held_by(peer)
+
+
+def test_a_robot_that_stood_without_a_place_for_long_may_leave() -> None:
+    peer = robot()
+    introduce(peer, 129, 1, 2 * S)
+    peer.step(Heard(129, POSE._replace(speed_m_s=2.0, state=State.WORKING)), 2 * S)
+    farewell = Heartbeat(0, State.WORKING, False, True, True, True, 1.0, 0, 0, False)
+    lost = POSE._replace(speed_m_s=PLACE_UNKNOWN_M_S, state=State.WORKING)
+    end_at_us = 2 * S + LEAVES_WITHIN_US
+    for now_us in range(2 * S, end_at_us, 50 * MS):
+        peer.step(Heard(129, lost), now_us)
+        list(running(peer, now_us, now_us + 50 * MS))
+    peer.step(Heard(129, farewell), end_at_us)
+    assert peer.membership.void_farewells == 0
+    assert peer.membership.standing[1] is MemberStatus.LEFT
+
+
+def test_a_robot_that_has_left_does_not_come_back_with_its_bus() -> None:
+    peer = robot()
+    for _ in range(2):  # the second one does not wait for its standstill
+        peer.step(Leave(), 2 * S)
+    peer.step(BusState(Health.OFF, True, 5), 3 * S)
+    peer.step(BusState(Health.ACTIVE, True, 5), 4 * S)
+    said = list(running(peer, 4 * S, 6 * S))
+    assert peer.state is State.DISCONNECTED and not said

@@ -1,7 +1,7 @@
 """Item 3: senses that are old, absent or frozen stop a robot, and it says so in its beats."""
 
 from collections.abc import Callable, Iterable
-from math import hypot, inf, nan, pi, radians
+from math import hypot, inf, isfinite, nan, pi, radians
 from random import Random
 from typing import NamedTuple
 
@@ -27,12 +27,16 @@ from agent.peer.sense_freshness import (
 from agent.runtime.peer_factory import make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
+from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, POSE, Pose
 from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.operator_frames import OperatorReport
+from protocol.frames.safety_frames import Command, OperatorCommand
 from protocol.name import tool_name
-from tests.agent.lone_peer import held_by, introduce, peer_in
+from tests.agent.lone_peer import held_by, introduce, introduce_tools, peer_in
 
 SPEED_M_S, ACCELERATION_M_S2 = 2.5, 1.5
+OPERATOR = 250
 SENSES = {StopCause.SENSES_OLD, StopCause.PLACE_FROZEN, StopCause.PLACE_LOST}
 
 
@@ -673,3 +677,43 @@ def test_the_gate_passes_no_command_that_is_no_number() -> None:
         for wanted in (Drive(wrong, 0.0), Drive(0.0, wrong), Drive(1.0, 0.0, wrong)):
             assert safety.gate(wanted, 0) == HALT
     assert safety.gate(Drive(1.0, 0.0, 0.5), 0) == Drive(1.0, 0.0, 0.5)
+
+
+@pytest.mark.parametrize("wrong", [nan, inf, 1e300])
+def test_no_part_meets_a_place_that_frames_cannot_carry(wrong: float) -> None:
+    robot = driving()
+    last = robot.peer.here
+    assert last is not None
+    robot.spoilt = lambda o: o._replace(x_m=wrong)
+    robot.periods(3)
+    assert robot.held == {StopCause.PLACE_LOST}
+    here = robot.peer.here
+    assert here is not None and isfinite(here.x_m) and abs(here.x_m - last.x_m) < 1.0
+    order = OperatorCommand(Command.STOP, 0, OPERATOR, 0)
+    introduce_tools(robot.peer, OPERATOR)
+    for _ in range(2):
+        said = robot.peer.step(Heard(OPERATOR, order), robot.now_us)
+    assert any(isinstance(e, Send) and isinstance(e.message, OperatorReport) for e in said)
+    encoded = [encode(e.message, 128) for e in said if isinstance(e, Send)]
+    assert encoded
+
+
+def test_a_first_place_that_frames_cannot_carry_is_no_place() -> None:
+    safety = peer_in(State.WORKING, None).safety
+    senses = Senses(safety, None, drives=True)
+    for now_us in range(CONTROL_PERIOD_US, 4 * CONTROL_PERIOD_US, CONTROL_PERIOD_US):
+        nowhere = Observation(nan, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)
+        senses.listens_direct[Sensed](Sensed(nowhere), now_us)
+        senses.look(now_us)
+    assert safety.holds(StopCause.PLACE_LOST) and senses.here is None and not senses.current
+
+
+def test_a_robot_goes_home_to_the_first_place_that_it_believed() -> None:
+    robot = Robot()
+    robot.spoilt = lambda o: o._replace(x_m=o.x_m + 0.25, position_accuracy_m=9.0)
+    robot.periods(3)
+    assert robot.peer.named.directive.home is None
+    robot.spoilt = lambda o: o
+    robot.periods(40)
+    home = robot.peer.named.directive.home
+    assert home is not None and home[0] < 0.25

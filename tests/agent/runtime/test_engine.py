@@ -375,3 +375,26 @@ def test_m18_the_speed_limit_of_a_machine_says_creep_and_stand() -> None:
         assert engine.speed_limit_m_s == 0.0
 
     play(2, story)
+
+
+def test_an_engine_that_has_failed_lets_no_machine_drive() -> None:
+    """A driver that raises ends the peer. The program has to notice that, and to stop the machine."""
+
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        engine, told = engines[0], list[dict[str, Any]]()
+        assert engine.speed_limit_m_s == inf and not engine.failure
+        engine.on_emergency(told.append)
+        runner = engine._runner
+        assert runner is not None
+
+        def unplugged() -> None:
+            raise RuntimeError("the adapter is gone")
+
+        runner.on_tick = unplugged  # type: ignore[method-assign]
+        await elapse(1.0)
+        assert engine.speed_limit_m_s == 0.0
+        assert "the adapter is gone" in engine.failure
+        assert "the adapter is gone" in engine.stands[0]
+        assert "the adapter is gone" in told[-1]["why"]
+
+    play(2, story)

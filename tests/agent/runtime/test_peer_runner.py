@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import can
 
-from agent.interface.effects import Persist, Send
+from agent.interface.effects import HALT, Drive, Persist, Send
 from agent.interface.lifecycle import State
 from agent.runtime.peer_runner import ON_DISK_FIRST, PeerRunner
 from crdt import Phase
@@ -54,3 +54,26 @@ def test_a_robot_with_a_full_disk_says_nothing_that_would_have_to_be_on_it() -> 
             frame_of = encode(message, ADDRESS)
             sent = (frame_of.identifier, frame_of.data) in heard
             assert sent is not isinstance(message, ON_DISK_FIRST), message
+
+
+class Wheels:
+    """A body that notes what it was told."""
+
+    def __init__(self) -> None:
+        self.told: list[Drive] = []
+
+    def sense(self, now_us: int) -> None:
+        return None
+
+    def drive(self, drive: Drive, now_us: int) -> None:
+        self.told.append(drive)
+
+
+def test_no_command_follows_the_halt_of_a_disk_that_failed() -> None:
+    """The other effects of that turn go on, and the drive that was decided before was among them."""
+    peer, wheels = peer_in(State.WORKING, None), Wheels()
+    with can.Bus("failed-disk", interface="virtual") as ours:
+        runner = PeerRunner(peer, CanBus(ours), wheels, FullDisk(), clock=lambda: 0)
+        runner.perform([Persist("unit", b"1"), Drive(2.0, 0.0, 0.0, True)])
+        runner.perform([Drive(2.0, 0.0, 0.0, True)])
+    assert wheels.told and set(wheels.told) == {HALT}

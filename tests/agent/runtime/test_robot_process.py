@@ -107,6 +107,7 @@ GOOD: dict[str, Any] = {"name": "n", "robot": {"slot": 0}, "fleet": {"robots": 2
             "robot.jurnal: unknown key; did you mean 'journal'",
         ),
         ({"fleet": {"robots": 0}}, "fleet.robots: "),
+        ({"fleet": {"speed_m_s": 1.0}}, "fleet.robots: is missing"),
         ({"field": {"file": "f"}, "mission": {"factory": "a:b"}}, "a robot has one work"),
         ({"name": ""}, "name: "),
         ({"device": {"device_class": 128}}, "device.device_class: "),
@@ -121,6 +122,12 @@ def test_a_wrong_robot_file_is_one_line(change: dict[str, Any], says: str) -> No
     with pytest.raises(RobotError) as problem:
         RobotFile.of({**GOOD, **change}, "r.toml", Path())
     assert says in str(problem.value) and "\n" not in str(problem.value)
+
+
+def test_a_robot_file_without_its_fleet_is_refused() -> None:
+    alone = {key: value for key, value in GOOD.items() if key != "fleet"}
+    with pytest.raises(RobotError, match="fleet: is missing"):
+        RobotFile.of(alone, "r.toml", Path())
 
 
 @pytest.mark.parametrize(

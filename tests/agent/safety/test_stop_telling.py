@@ -14,7 +14,7 @@ from agent.safety.stop_controller import REPEATS_ALONE, StopController
 from crdt.stops import StopDot
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.network_frames import AddressClaimed
-from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, Reason
 from protocol.name import fleet_name
 from tests.agent.lone_peer import introduce, peer_in
 
@@ -149,3 +149,24 @@ def test_who_was_stopped_by_another_while_we_were_off_the_bus_has_to_say_our_sto
     assert stop in stops_of(peer.safety.on_tick(70 * MS))
     peer.step(Heard(140, stop._replace(echo=True)), 70 * MS)
     assert not stops_of(peer.safety.on_tick(80 * MS))
+
+
+def test_a_press_after_its_stop_was_cleared_is_a_new_one() -> None:
+    """Within 100 ms, a second press counts as the same one only while that one holds."""
+    safety = StopController(0, 1, SilencePolicy.STOP, None, {}, 0)
+    safety.press(Reason.PERSON_IN_FIELD, 0)
+    (dot,) = safety.stops.active
+    safety.receive_reset(EmergencyReset(*dot, 249), 50 * MS)
+    assert safety.manual_reset(60 * MS)
+    assert stops_of(safety.press(Reason.PERSON_IN_FIELD, 90 * MS))
+    assert safety.stops.latched and not safety.manual_reset(95 * MS)
+
+
+def test_a_cause_that_is_raised_with_an_earlier_end_keeps_its_own() -> None:
+    safety = StopController(0, 1, SilencePolicy.STOP, None, {}, 0)
+    safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, 1 * S, "now", 2 * S)
+    safety.raise_cause(StopCause.UNAUTHENTICATED_STOP, 0, "heard before", 2 * S)
+    safety.on_tick(2500 * MS)
+    assert safety.holds(StopCause.UNAUTHENTICATED_STOP)
+    safety.on_tick(3 * S)
+    assert not safety.holds(StopCause.UNAUTHENTICATED_STOP)

@@ -1,0 +1,134 @@
+"""What a restart must not make good: a place that had jumped, and a range sensor that had died."""
+
+from collections.abc import Callable
+from random import Random
+
+import numpy as np
+import pytest
+
+from agent.interface.config import S
+from agent.interface.effects import HALT, Drive, Persist, Send
+from agent.interface.identity import SilencePolicy
+from agent.interface.motion_controller import BodyLimits
+from agent.interface.observation import Observation
+from agent.motion.holonomic_motion import HolonomicMotion
+from agent.peer.inputs import BusState, Sensed, Start, Timer
+from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
+from agent.safety.stop_cause import StopCause
+from protocol.controller_health import Health
+from tests.agent.lone_peer import Eager
+
+FENCES = np.array([
+    [-99.0, -99.0, 99.0, -99.0], [99.0, -99.0, 99.0, 99.0],
+    [99.0, 99.0, -99.0, 99.0], [-99.0, 99.0, -99.0, -99.0],
+])  # fmt: skip
+Sense = Callable[[int, float, Drive], Observation]  # time, way in metres, command in force
+
+
+class Machine:
+    """One robot with its disk. It drives as it is told, at once."""
+
+    def __init__(self) -> None:
+        self.disk: dict[str, bytes] = {}
+        self.now_us, self.sent, self.way_m = 0, 0, 0.0
+        self.boot(first=True)
+
+    def boot(self, first: bool = False) -> None:
+        identity = identity_of("total", 0, 3, 1, SilencePolicy.CONTINUE, first_boot=first)
+        motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), FENCES)
+        self.peer = make_peer(
+            identity, Random(self.now_us), self.now_us, dict(self.disk),
+            MissionParts(Eager(), motion),
+        )  # fmt: skip
+        self.told = HALT
+
+    def until(self, end_at_us: int, sense: Sense) -> float:
+        """Run on; the metres that it drives."""
+        begun_m = self.way_m
+        while self.now_us < end_at_us:
+            then_us = max(self.now_us + 1, self.peer.due_at_us)
+            self.way_m += self.told.vx_m_s * (then_us - self.now_us) / S
+            self.now_us = then_us
+            self.peer.step(BusState(Health.ACTIVE, True, self.sent), then_us)
+            if self.peer.wants_observation(then_us):
+                self.perform(self.peer.step(Sensed(sense(then_us, self.way_m, self.told)), then_us))
+            self.perform(self.peer.step(Timer(), then_us))
+        return self.way_m - begun_m
+
+    def perform(self, effects: object) -> None:
+        for effect in effects:  # type: ignore[attr-defined]
+            self.sent += isinstance(effect, Send)
+            if isinstance(effect, Persist):
+                self.disk[effect.key] = effect.value
+            if isinstance(effect, Drive):
+                self.told = effect
+
+    @property
+    def held(self) -> set[StopCause]:
+        return {cause for cause, _ in self.peer.safety.causes}
+
+
+def off_by(jump_m: float, rays: tuple[float, ...] = ()) -> Sense:
+    """A receiver that is wrong by so much."""
+    return lambda now_us, way_m, told: Observation(
+        way_m - 90.0 + jump_m, 0.0, 0.0, told.vx_m_s, 0.0, rays, sensed_at_us=now_us
+    )
+
+
+def changing(now_us: int, way_m: float, told: Drive) -> Observation:
+    """Rays that see a far wall."""
+    rays = (60.0 - way_m / 2,) * 36
+    return off_by(0.0, rays)(now_us, way_m, told)
+
+
+def test_a_place_that_had_jumped_is_not_believed_after_a_restart() -> None:
+    machine = Machine()
+    assert machine.until(3 * S, off_by(0.0)) > 1.0
+    machine.until(6 * S, off_by(30.0))
+    assert StopCause.PLACE_LOST in machine.held
+    machine.boot()
+    assert machine.until(12 * S, off_by(30.0)) == 0.0
+    assert StopCause.PLACE_LOST in machine.held
+
+
+@pytest.mark.parametrize("restarts", [1, 2])
+def test_a_person_at_the_robot_says_that_its_place_is_right(restarts: int) -> None:
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    machine.until(6 * S, off_by(30.0))
+    for _ in range(restarts):
+        machine.boot()
+        machine.until(machine.now_us + 3 * S, off_by(0.0))
+    machine.perform(machine.peer.step(Start(named=False), machine.now_us))
+    assert machine.until(machine.now_us + 2 * S, off_by(0.0)) == 0.0, "a start of the whole fleet"
+    machine.perform(machine.peer.step(Start(named=True), machine.now_us))
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0
+    machine.boot()
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0, "and it is remembered"
+
+
+def test_a_jump_that_is_over_is_no_doubt_after_a_restart() -> None:
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    machine.until(5 * S, off_by(30.0))
+    assert machine.until(9 * S, off_by(0.0)) > 1.0, "it goes on by itself"
+    machine.boot()
+    assert machine.until(13 * S, off_by(0.0)) > 1.0
+
+
+def test_a_scanner_that_died_is_missed_after_a_restart() -> None:
+    machine = Machine()
+    assert machine.until(3 * S, changing) > 1.0
+    machine.until(6 * S, off_by(0.0))
+    assert StopCause.SCAN_LOST in machine.held
+    machine.boot()
+    assert machine.until(12 * S, off_by(0.0)) == 0.0
+    assert StopCause.SCAN_LOST in machine.held
+    assert machine.until(16 * S, changing) > 1.0, "it works again"
+
+
+def test_a_robot_that_never_had_a_scanner_drives_after_a_restart() -> None:
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    machine.boot()
+    assert machine.until(6 * S, off_by(0.0)) > 1.0
