@@ -68,6 +68,11 @@ class Geometry(NamedTuple):
         row = (at[1] - self.origin_m[1]) / self.cell_m
         return int(row // 1), int((at[0] - self.origin_m[0]) / self.cell_m // 1)
 
+    def holds(self, at: XY) -> bool:
+        """Whether a place (x, y), in metres, is in a cell of the map."""
+        row, column = self.cell(at)
+        return 0 <= row < self.rows and 0 <= column < self.columns
+
 
 def patch_of(row: int, column: int) -> int:
     """The number of the patch of a cell."""

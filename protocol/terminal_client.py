@@ -17,6 +17,7 @@ from protocol.terminal_pool import (
     ALARM_TEXT,
     COVERED,
     DATA_MASK,
+    DOTS_MAX,
     DOTS_MIN,
     FIRST_ROW,
     RELEASE_CODE,
@@ -307,7 +308,7 @@ class TerminalClient:
         (width,) = unpack_from("<H", data, 4)
         self._machine.fire(TerminalEvent.SIZE_TOLD)
         self._due_at_us = now_us + TERMINAL_UPLOAD_US
-        self._dots = width
+        self._dots = min(max(width, DOTS_MIN), DOTS_MAX)  # 0xFFFF: it does not say
         return [PoolWanted(self._dots)]
 
     def _read(self, data: bytes, now_us: int) -> list[TerminalOutput]:

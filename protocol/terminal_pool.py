@@ -22,6 +22,7 @@ ROW_CHARACTERS: Final = 24
 ALARM_CHARACTERS: Final = 48
 ROWS_MAX: Final = 20  # robots on one screen
 DOTS_MIN: Final = 200  # edge of the smallest data mask of the standard
+DOTS_MAX: Final = 2000  # more than any terminal has; positions are 16 bits with a sign
 ROW_DOTS, TEXT_DOTS, FONT_DOTS = 9, 8, 6  # height of a row and of a text, width of a character
 HEAD_DOTS: Final = 24  # above the rows
 # Dots; four bits each: 1,920 bytes, so that the picture alone goes by the extended transport, too.

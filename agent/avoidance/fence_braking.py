@@ -27,8 +27,11 @@ def braking_first(
 
     (x, y): the body, metres. (vx, vy): its velocity, (wx, wy): the chosen one, metres a second.
     `fences` (n, 4): ax, ay, bx, by, metres. `radius_m`: of the body. If the change from the one to
-    the other does not brake fast enough towards a fence, its part along that fence is reduced.
+    the other does not brake fast enough towards the fence before which the body has to brake most, its
+    part along that fence is reduced. Only that one counts: on a round outline of short edges each
+    reduction would undo the braking before another edge.
     """
+    most_share, most_nx, most_ny = 0.0, 0.0, 0.0
     for k in range(fences.shape[0]):
         ax, ay = fences[k, 0], fences[k, 1]
         ex, ey = fences[k, 2] - ax, fences[k, 3] - ay
@@ -40,15 +43,20 @@ def braking_first(
             continue
         nx, ny = nx / gap_m, ny / gap_m
         closing_m_s = vx * nx + vy * ny
-        brakes_m_s = closing_m_s - (wx * nx + wy * ny)
-        if closing_m_s <= 0.0 or brakes_m_s <= 0.0:
+        if closing_m_s <= 0.0:
             continue
         room_m = max(gap_m - radius_m, ROOM_MIN_M)
         share = closing_m_s * closing_m_s / (2.0 * room_m * acceleration_m_s2)
-        along_m_s = -(wx - vx) * ny + (wy - vy) * nx
-        most_m_s = brakes_m_s * sqrt(max(1.0 / (share * share) - 1.0, 0.0)) if share > 0.0 else 1e9
-        if abs(along_m_s) > most_m_s:
-            along_m_s = most_m_s if along_m_s > 0.0 else -most_m_s
-            wx = vx - brakes_m_s * nx - along_m_s * ny
-            wy = vy - brakes_m_s * ny + along_m_s * nx
+        if share > most_share:
+            most_share, most_nx, most_ny = share, nx, ny
+    nx, ny = most_nx, most_ny
+    brakes_m_s = (vx - wx) * nx + (vy - wy) * ny
+    if most_share == 0.0 or brakes_m_s <= 0.0:
+        return wx, wy
+    along_m_s = -(wx - vx) * ny + (wy - vy) * nx
+    most_m_s = brakes_m_s * sqrt(max(1.0 / (most_share * most_share) - 1.0, 0.0))
+    if abs(along_m_s) > most_m_s:
+        along_m_s = most_m_s if along_m_s > 0.0 else -most_m_s
+        wx = vx - brakes_m_s * nx - along_m_s * ny
+        wy = vy - brakes_m_s * ny + along_m_s * nx
     return wx, wy

@@ -6,7 +6,7 @@ itself ensures that one robot carries it. Claims only avoid duplicate work. A pa
 died is where that robot stands. The robot that takes the task over fetches it from there.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
 from math import hypot, inf
 
@@ -17,7 +17,7 @@ from agent.delivery.reachability import Reachability
 from agent.delivery.task_allocation import Dispatched, TaskAllocation
 from agent.delivery.task_headway import TaskHeadway
 from agent.delivery.task_registry import TASKS_MAX, recalled_orders, stop_names
-from agent.delivery.warehouse import CarrierState, Warehouse
+from agent.delivery.warehouse import SECTIONS_END, CarrierState, Warehouse
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, MotionRequest, Record
@@ -86,6 +86,10 @@ class DeliveryMission(NavigationMission):
     @property
     def section_units(self) -> Mapping[int, int]:
         return {}
+
+    @property
+    def sections(self) -> Collection[int]:
+        return range(SECTIONS_END if self.house.bays else TASKS_MAX)
 
     # ---------------------------------------------------------------- frames
 

@@ -81,7 +81,7 @@ class TaskAllocation:
         number.
         """
         self.slot, self.house = slot, house
-        self.book = TaskRegistry(slot, {**house.tasks, **recalled}, now_us)
+        self.book = TaskRegistry(slot, {**house.tasks, **recalled}, now_us, house.known)
         self.round = PlanNegotiation(slot, seed)
         self.itinerary: list[int] = []  # tasks that we intend to begin, not those begun
         self.telling = ItineraryBroadcast(now_us)
@@ -183,7 +183,9 @@ class TaskAllocation:
     def _plan_stops(self, view: FleetView) -> None:
         """Our announced stops, including the bay that we are at or will have to visit."""
         held = view.allocation.assigned_sections(self.slot)
-        at_bay = [TASKS_MAX + self.house.bay_of(s) for s in held if s >= TASKS_MAX]
+        at_bay = [
+            TASKS_MAX + self.house.bay_of(s) for s in held if s >= TASKS_MAX and self.house.bays
+        ]
         known = [t for t in self.itinerary if self.house.known(self.book.tasks[t])]
         ahead = self.house.charged_between(self.standing(view), known, self.book.tasks)
         self.telling.stops = (at_bay + ahead)[:STOPS_MAX]
@@ -394,6 +396,8 @@ class TaskAllocation:
     def _adopt(self, view: FleetView) -> None:
         rows, self.round.adopted = self.round.adopted, None
         assert rows is not None
+        # A row may name an order that we have not received, or that never was.
+        rows = {slot: [t for t in row if t in self.book] for slot, row in rows.items()}
         planned = {task for row in rows.values() for task in row}
         for slot, row in rows.items():
             means = self.means(slot)

@@ -1,10 +1,11 @@
 """The tasks that exist: a map from number to pickup and dropoff that only grows, joined by maximum.
 
 A robot that knows a task missing in another robot's digest repeats its order, unless another robot
-has just done so.
+has just done so. A robot that misses a task of another robot's digest answers with its own digest of
+those tasks, because it would not come to them by itself.
 """
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from struct import Struct
 from typing import NamedTuple
 from zlib import crc32
@@ -73,9 +74,23 @@ def stop_names(begun: Iterable[int], ahead: Iterable[int], load: int) -> list[st
 class TaskRegistry:
     """The replica of one peer, and what it still has to send to make others equal."""
 
-    def __init__(self, slot: int, tasks: Mapping[int, TransportTask], now_us: int) -> None:
-        """`slot`: ours. `tasks`: those that every robot was given before the start, by number."""
-        self.tasks = dict(tasks)
+    def __init__(
+        self,
+        slot: int,
+        tasks: Mapping[int, TransportTask],
+        now_us: int,
+        on_floor: Callable[[TransportTask], bool] = lambda order: True,
+    ) -> None:
+        """`slot`: ours. `tasks`: those that every robot was given before the start, by number.
+        `on_floor`: whether both cells of an order are places of the building, which is the same for all
+        robots; other orders are counted in `refused`."""
+        self._on_floor = on_floor
+        self.refused = 0  # orders with cells that are no places
+        self.tasks = {task: order for task, order in tasks.items() if self._is_sound(order)}
+        self._asked_at_us: dict[
+            int, int
+        ] = {}  # bucket -> when we last told that we lack some of it
+        self._lacking: dict[int, None] = {}  # buckets to tell, because others know more
         self.added = 0  # change counter, so that cached results can detect changes
         self._due: dict[int, int] = {}  # task to send again, and from when
         self._heard_at_us: dict[int, int] = {}
@@ -85,6 +100,10 @@ class TaskRegistry:
 
     def __contains__(self, task: int) -> bool:
         return task in self.tasks
+
+    def _is_sound(self, order: TransportTask) -> bool:
+        """Whether its cells are places. An order that was taken back has no pickup any more."""
+        return self._on_floor(order._replace(pickup=order.dropoff) if order.withdrawn else order)
 
     def on_message(
         self, message: TaskOrder | TaskBookDigest, now_us: int
@@ -106,6 +125,9 @@ class TaskRegistry:
         self._heard_at_us[message.task] = now_us
         self._due.pop(message.task, None)
         order, known = TransportTask(message.pickup, message.dropoff), self.tasks.get(message.task)
+        if not self._is_sound(order):
+            self.refused += 1
+            return ()
         if known is None or order > known:
             self.tasks[message.task] = order
             self.added += 1
@@ -117,6 +139,11 @@ class TaskRegistry:
 
     def _compare(self, message: TaskBookDigest, now_us: int) -> None:
         bits, check = self._digest(message.bucket)
+        if message.bits & ~bits and (
+            now_us - self._asked_at_us.get(message.bucket, -AGAIN_US) >= AGAIN_US
+        ):
+            self._asked_at_us[message.bucket] = now_us
+            self._lacking[message.bucket] = None
         lacking = bits & ~message.bits
         if not lacking and bits == message.bits and check != message.check:
             lacking = bits  # one number, two tasks: send ours, so that all take the greater one
@@ -143,6 +170,11 @@ class TaskRegistry:
             del self._due[task]
             self._heard_at_us[task] = now_us
             yield TaskOrder(task, *self.tasks[task])
+        if self._lacking:  # a digest that shows what we lack makes others repeat it
+            bucket = next(iter(self._lacking))
+            del self._lacking[bucket]
+            bits, check = self._digest(bucket)
+            yield TaskBookDigest(bucket, check, bits)
         if now_us >= self._digest_at_us:
             self._digest_at_us = now_us + DIGEST_US
             buckets = max(self.tasks, default=0) // BUCKET_TASKS + 1

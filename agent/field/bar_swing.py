@@ -26,6 +26,8 @@ REVERSED_COS: Final = -0.985
 NEAR_COS: Final = 0.7
 # So near to a corner of its leg a robot follows its courses. Before it, each is taken at least once.
 WATCHED_M: Final = 0.5
+# On a shorter side of the leg a course belongs to several sides, so the turns are compared behind it.
+SIDE_M: Final = 4 * COURSE_M
 # A longer step is a jump of the place, or a pause.
 STEP_MAX_M: Final = 0.3
 assert COURSES * BEGUN_EACH_M <= COURSE_M < WATCHED_M / 2
@@ -66,7 +68,9 @@ class Course:
             if was_x * cx + was_y * cy > REVERSED_COS:
                 self._turned_rad += _turn_rad(was_x, was_y, cx, cy)
         self._course = cx, cy
-        line_rad, ux, uy, behind_sharp = line
+        line_rad, ux, uy, behind_sharp, length_m = line
+        if length_m < SIDE_M:
+            return False
         along = ux * cx + uy * cy
         if abs(along) < NEAR_COS:
             return False
@@ -84,8 +88,9 @@ class Course:
 
 
 # A segment: the angle by which the leg has turned since its beginning, its direction, a unit vector, and
-# whether the corner before it is so sharp that a robot on its way there seems to drive backwards on it.
-Line = tuple[float, float, float, bool]
+# whether the corner before it is so sharp that a robot on its way there seems to drive backwards on it,
+# and its length in metres.
+Line = tuple[float, float, float, bool, float]
 
 
 class BarSwing:
@@ -102,12 +107,12 @@ class BarSwing:
                 was_x, was_y, ux, uy = ux, uy, (bx - ax) / length_m, (by - ay) / length_m
                 turned_rad += _turn_rad(was_x, was_y, ux, uy)
             sharp = was_x * ux + was_y * uy < -NEAR_COS
-            self._line.append((turned_rad, ux, uy, sharp))
+            self._line.append((turned_rad, ux, uy, sharp, length_m))
             self._corners_m.append(along_m)
             along_m += length_m
         self._corners_m = self._corners_m[1:]
         self._first = next(
-            (line for line in self._line if line[1] or line[2]), (0.0, 1.0, 0.0, False)
+            (line for line in self._line if line[1] or line[2]), (0.0, 1.0, 0.0, False, inf)
         )
         self.wrongly = False  # it has turned the long way round a corner
         self._at: Point | None = None

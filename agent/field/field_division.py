@@ -63,7 +63,7 @@ def divide(
         raise ValueError(f"{name} is nowhere as wide as the implement ({width_m} m)")
     deep = polygon.buffer(-(width_m - overlap_m))
     if turn_radius_m == 0.0:
-        lines = [swinging(line, overlap_m / 2) for line in lines]
+        lines = [swinging(line, overlap_m / 2, width_m) for line in lines]
     bundles = [[piece] for line in lines for piece in pieces(line, section_length_m, width_m)]
     if turn_radius_m > 0.0:
         free = polygon.buffer(-(keep_m + KEEP_MORE_M))

@@ -30,6 +30,9 @@ CUT_STEP_M: Final = 1.0  # step of the search for a straight place for a cut
 # degrees for reversing, and no robot's course is exact.
 TIP_RAD: Final = radians(160.0)
 TIP_M: Final = 0.1  # corners within this length are driven as one
+# Of the working width: that is half of a side of the arc round a corner of the field. A tip that takes in
+# an arc would leave the ring.
+TIP_SHARE: Final = 1 / 40
 ARC_RAD: Final = 0.3  # a smaller turn belongs to an arc
 ARC_SHARE: Final = (
     5  # points of an arc are passed within this part of the slack; the side uses it up
@@ -132,10 +135,10 @@ def _straight(ring: LineString, cut: float, count: int, width_m: float, turns: _
 # ---------------------------------------------------------------- tips
 
 
-def swinging(ring: LineString, slack_m: float) -> LineString:
+def swinging(ring: LineString, slack_m: float, width_m: float) -> LineString:
     """The ring with a side across wherever it turns back; the same ring if it does so nowhere.
 
-    `slack_m`: how far it may leave the ring, half the overlap.
+    `slack_m`: how far it may leave the ring, half the overlap. `width_m`: of the implement.
     """
     loop = _loop(ring, slack_m)
     if loop is not None:
@@ -146,7 +149,7 @@ def swinging(ring: LineString, slack_m: float) -> LineString:
     longest = max(range(count), key=lambda k: dist(points[k - 1], points[k]))
     points = points[longest:] + points[:longest]  # no tip lies across the closing point
     result: list[XY] = []
-    at, tips = 0, list(_tips(points))
+    at, tips = 0, list(_tips(points, min(TIP_M, TIP_SHARE * width_m)))
     for number, (first, last) in enumerate(tips):
         tip = points[first : last + 1]
         end = tips[number + 1][0] if number + 1 < len(tips) else count
@@ -206,32 +209,32 @@ def _loop(ring: LineString, slack_m: float) -> LineString | None:
     return box if box.difference(near).length < slack_m else None
 
 
-def _tips(points: Sequence[XY]) -> Iterator[tuple[int, int]]:
+def _tips(points: Sequence[XY], tip_m: float) -> Iterator[tuple[int, int]]:
     """The first and the last point of each tip, with points near by that belong to no longer side.
 
-    `points`: of a ring, none twice.
+    `points`: of a ring, none twice. `tip_m`: corners within this length are one tip.
     """
     count, done = len(points), 0
     first = 0
     while first < count:
-        last = _turned_back(points, first)
+        last = _turned_back(points, first, tip_m)
         if last is None:
             first += 1
             continue
-        while first > done and dist(points[first - 1], points[first]) < TIP_M:
+        while first > done and dist(points[first - 1], points[first]) < tip_m:
             first -= 1
-        while last + 1 < count and dist(points[last], points[last + 1]) < TIP_M:
+        while last + 1 < count and dist(points[last], points[last + 1]) < tip_m:
             last += 1
         yield first, last
         first = done = last + 1
 
 
-def _turned_back(points: Sequence[XY], first: int) -> int | None:
+def _turned_back(points: Sequence[XY], first: int, tip_m: float) -> int | None:
     """The point at which a turn that begins at `first` has turned back; None if it does not."""
     count, turned_rad, run_m = len(points), 0.0, 0.0
     for last in range(first, count):
         run_m += dist(points[last - 1], points[last]) if last > first else 0.0
-        if run_m > TIP_M:
+        if run_m > tip_m:
             return None
         turned_rad += _turn(points[last - 1], points[last], points[(last + 1) % count])
         if abs(turned_rad) > TIP_RAD:
@@ -242,7 +245,10 @@ def _turned_back(points: Sequence[XY], first: int) -> int | None:
 def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY]:
     """The two ends of the side that replaces the points of a tip."""
     into, out = _unit(before, tip[0]), _unit(tip[-1], after)
-    ux, uy = _unit(out, into)
+    if dist(into, out) > NO_TURN_M:
+        ux, uy = _unit(out, into)
+    else:  # it goes on as it came, after a whole turn
+        ux, uy = into
     turned_rad = sum(
         _turn(a, b, c) for a, b, c in zip((before, *tip), tip, (*tip[1:], after), strict=False)
     )

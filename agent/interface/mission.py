@@ -6,7 +6,7 @@ the peer sends with its next beat.
 """
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import inf
 from typing import NamedTuple
 
@@ -104,6 +104,11 @@ class Mission(ABC):
         It is empty if sections appear during the run.
         """
         return NO_SECTIONS
+
+    @property
+    def sections(self) -> Collection[int]:
+        """The sections that exist or may appear; others are refused. Empty: any may."""
+        return frozenset(self.section_units)
 
     # ---------------------------------------------------------------- sections
 

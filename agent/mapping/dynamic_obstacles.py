@@ -188,8 +188,10 @@ class DynamicObstacles:
         """
         rows, columns, (west, south), cell_m = self._geometry
         low, high = (self._geometry.cell((at[0] + d, at[1] + d)) for d in (-reach_m, reach_m))
+        first_r, first_c = max(low[0], 0), max(low[1], 0)
         r, c = np.mgrid[
-            max(low[0], 0) : min(high[0] + 1, rows), max(low[1], 0) : min(high[1] + 1, columns)
+            first_r : max(min(high[0] + 1, rows), first_r),
+            first_c : max(min(high[1] + 1, columns), first_c),
         ].reshape(2, -1)
         gaps = np.hypot(west + (c + 0.5) * cell_m - at[0], south + (r + 0.5) * cell_m - at[1])
         near = gaps <= reach_m
@@ -334,8 +336,10 @@ class ObstacleMap(LocalAndFleetMap):
     def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:
         """Place silent members as obstacles, by slot.
 
-        Each stands until the member is received, or until we see that its place is free.
+        Each stands until the member is received, or until we see that its place is free. A place that
+        somebody tells beside the map is in nobody's way.
         """
+        bodies = {slot: at for slot, at in bodies.items() if self.geometry.holds(at)}
         if bodies == self._bodies:
             return
         for slot in self._bodies.keys() - bodies.keys():
@@ -344,7 +348,7 @@ class ObstacleMap(LocalAndFleetMap):
             if self._bodies.get(slot) != (x_m, y_m):
                 body = Obstacle(x_m, y_m, self.radius_m, 0, FOREVER_US, slot, BODY)
                 self.grid.place(body, now_us)
-        self._bodies = dict(bodies)
+        self._bodies = bodies
 
     def avoid(self, at: XY, now_us: int) -> None:
         """Avoid one place for `BELIEVED_S`; it replaces the place of the last call."""
@@ -404,7 +408,7 @@ class ObstacleMap(LocalAndFleetMap):
     def _no_longer(self) -> None:
         """Remove others' obstacles from cells that our own rays see to be free."""
         for (owner, cell), standing in list(self.grid.obstacles.items()):
-            if cell == IMPASSABLE:
+            if cell == IMPASSABLE or not self.geometry.holds((standing.x_m, standing.y_m)):
                 continue
             row, column = self.geometry.cell((standing.x_m, standing.y_m))
             if self.grid.evidence[row, column] == LEAST:

@@ -70,10 +70,7 @@ class LocalAndFleetMap:
 
     def admits(self, at: tuple[float, float]) -> bool:
         """Whether a robot may be sent to (x, y) metres, as far as is known."""
-        row, column = self.geometry.cell(at)
-        rows, columns, _, _ = self.geometry
-        inside = 0 <= row < rows and 0 <= column < columns
-        return inside and not self.grid.tight.blocked[row, column]
+        return self.geometry.holds(at) and not self.grid.tight.blocked[self.geometry.cell(at)]
 
     def take_fleet_walls(self) -> None:
         """Take walls of the fleet's map into our own, so that paths avoid them."""

@@ -23,6 +23,7 @@ from typing import Any
 
 from agent.interface.effects import Persist
 from agent.peer import notices
+from agent.peer.leader_election import TERM_MAX
 from agent.peer.part import NOTHING, Outputs, Part, StepContext
 from crdt import FieldAllocationCRDT, Progress
 from crdt.claim_register import KEY_BITS, Phase, phase_of
@@ -62,7 +63,9 @@ class DurableRecords(Part):
             self.incarnation = lot
         self.operations = self._number(OPERATIONS, U32, 0)
         raw = recalled.get(ELECTION, b"")
-        self.term = VOTE.unpack(raw)[0] + 1 if len(raw) == VOTE.size else 0
+        # At the last term we may vote a second time in it. That a forged vote uses the terms up must
+        # not end robots.
+        self.term = min(VOTE.unpack(raw)[0] + 1, TERM_MAX) if len(raw) == VOTE.size else 0
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """Make the incarnation durable before the first frame that could reveal it."""

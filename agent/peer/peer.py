@@ -38,7 +38,7 @@ from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.segment_frames import gateway_slot
 
-REQUEST_PF = 0xEA
+REQUEST_PF = 0x0EA  # with both data pages: another page is another group
 URGENT, DEVICE, GATEWAY = Senders.URGENT, Senders.DEVICE, Senders.GATEWAY
 MEMBER, MEMBER_ONLY = Senders.MEMBER, Senders.MEMBER_ONLY
 EFFECTS = frozenset((Send, Drive, Persist, Trace))
@@ -149,7 +149,7 @@ class Peer:
             return self._heard(source, GLOBAL_ADDRESS, message, now_us)
         destination = identifier >> 8 & 0xFF
         overheard: Outputs = NOTHING
-        if identifier >> 16 & 0xFF == REQUEST_PF:
+        if identifier >> 16 & 0x3FF == REQUEST_PF:
             request = notices.RequestOverheard(frame.data, destination)
             overheard = self._settled([request], now_us)
         if destination not in (GLOBAL_ADDRESS, self.joining.address):

@@ -107,7 +107,7 @@ class PeerParts:
         self.sync.replica.vouchers = vouchers
         for section, key in ends.items():
             self.sync.replica.await_units(section, key, {slot: [Vouched(key, 0)]})
-        self.admission = Admission(frozenset(units), identity.members, now_us)
+        self.admission = Admission(mission.sections if mission else (), identity.members, now_us)
 
         # Stops, and the members on the bus.
         incarnation = self.records.incarnation

@@ -240,7 +240,7 @@ class TerminalService(Part):
     def _screen(self, ctx: StepContext) -> ShownScreen:
         rows: list[tuple[bool, str]] = []  # whether nothing holds it, and its line
         standing: list[str] = []
-        for slot in sorted(self._identity.members):
+        for slot in sorted({ctx.slot, *self.membership.standing}):  # without those revoked
             causes = self._causes(slot, ctx, Severity.PAUSE)
             state = self._state(slot, ctx)
             rows.append((not causes, f"{slot} {causes[0] if causes else state}"))

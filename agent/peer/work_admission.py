@@ -10,6 +10,7 @@ holds few sections, by claims or by sync answers.
 """
 
 from collections import Counter
+from collections.abc import Collection
 from collections.abc import Set as AbstractSet
 
 from agent.interface.config import CLAIM_AHEAD, S
@@ -39,8 +40,8 @@ Work = TaskClaim | StateSyncResponse | WorkProgress
 class Admission:
     """Decides which received work frames may be merged, and counts the others."""
 
-    def __init__(self, sections: AbstractSet[int], owners: AbstractSet[int], now_us: int) -> None:
-        """`sections`: those of the field; empty: any. `owners`: slots that may hold a section."""
+    def __init__(self, sections: Collection[int], owners: AbstractSet[int], now_us: int) -> None:
+        """`sections`: those that exist or may appear; empty: any. `owners`: slots that may hold one."""
         self.sections, self.owners = sections, owners
         self.refused: Counter[str] = Counter()  # why -> frames
         self._boot_at_us = now_us

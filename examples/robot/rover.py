@@ -1,6 +1,5 @@
 """A driver of a differential rover: NMEA 0183 in, wheel speeds out (docs/use/own_machine.md)."""
 
-from math import cos, sin
 from typing import Any
 
 from headland.agent.interface.effects import HALT, GatedDrive
@@ -36,12 +35,12 @@ class Rover(RobotBody):
         if said.msgID == "GGA":
             t = said.time
             utc_us = (t.hour * 3600 + t.minute * 60 + t.second) * 1_000_000 + t.microsecond
+            self.fixes.take_kind(said.quality, at_us)  # RTK, or metres off, or no fix
             self.fixes.take_place(said.lon, said.lat, self.clock.sensed_at_us(utc_us, at_us))
         elif said.msgID == "GST":
             self.fixes.take_accuracy(max(said.stdLat, said.stdLong), at_us)
         elif said.msgID == "VTG":
-            course, speed_m_s = course_rad(said.cogt), said.sogk / 3.6
-            self.fixes.take_velocity(speed_m_s * cos(course), speed_m_s * sin(course), at_us)
+            self.fixes.take_speed(said.sogk / 3.6, course_rad(said.cogt), at_us)
         elif said.msgID == "HDT":
             self.fixes.take_heading(course_rad(said.headingT), at_us)
         self.newest = self.fixes.whole(at_us) or self.newest

@@ -2,6 +2,8 @@
 
 from random import Random
 
+import pytest
+
 from protocol.terminal_client import (
     JoinTerminal,
     KeyPressed,
@@ -153,3 +155,15 @@ def test_any_bytes_in_any_state_raise_nothing() -> None:
                 client.upload(bytes(2000), SHOWN, now_us)
         client.show(ShownScreen((str(step), "x"), step % 100, rng.choice(("", "alarm"))), now_us)
         client.on_timer(now_us)
+
+
+@pytest.mark.parametrize(("said", "dots"), [("FFFF", 2000), ("2080", 2000), ("0000", 200)])
+def test_a_width_that_no_terminal_has_is_one_that_fits(said: str, dots: int) -> None:
+    """A pool for it cannot be packed, and its robot ended; so did the next leader."""
+    client = TerminalClient()
+    client.on_message(VT, STATUS, 0)
+    client.serve(True, 0)
+    tell(client, "C0 04 00")
+    tell(client, "C3 FFFFFFFF 7F 7F 0F")
+    assert tell(client, f"C7 01 02 0F {said} {said}") == [PoolWanted(dots)]
+    assert screen_pool("north", SHOWN.rows, 12, field_picture((), (), ()), dots)

@@ -9,6 +9,7 @@ from protocol.links.bus import CanBus, open_bus
 from protocol.links.socketcand_link import ANSWER_S, SocketcandLink
 from tools.common.bus_address import AttachError, address_of_launch
 
+GREETING = b"< hi >"  # of a socketcand server, before anything else
 REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
 # What python-can logs when an interface cannot be opened, it also raises: one line is enough.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -49,7 +50,7 @@ def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> 
         if port == 0:
             host, port, channel = address_of_launch()
         options = {"host": host, "port": port}
-        _reach(host, port)
+        _reach(host, port, greets=True)
     try:
         return open_bus(interface, channel, bitrate, **options)
     except Exception as problem:  # python-can interfaces raise what they like
@@ -58,10 +59,21 @@ def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> 
         raise AttachError(f"cannot open {interface} at {where}: {reason}") from None
 
 
-def _reach(host: str, port: int) -> None:
-    """python-can tries a closed port for ten seconds and prints each try; one try is enough here."""
+def _reach(host: str, port: int, greets: bool = False) -> None:
+    """python-can tries a closed port for ten seconds and prints each try; one try is enough here.
+
+    `greets`: wait for the greeting, too. python-can waits for it without a limit, and a server that
+    hangs accepts connections."""
     try:
-        socket.create_connection((host, port), REACH_S).close()
+        with socket.create_connection((host, port), REACH_S) as link:
+            if greets and not link.recv(len(GREETING)):
+                raise AttachError(
+                    f"{host}:{port} is no socketcand server: it closed the connection"
+                )
+    except TimeoutError:
+        raise AttachError(
+            f"{host}:{port} does not answer: a server that hangs, or no socketcand server"
+        ) from None
     except (OSError, OverflowError, UnicodeError) as problem:
         raise AttachError(
             f"cannot open socketcand at {host}:{port}: {problem}; is a launch running there?"

@@ -67,6 +67,8 @@ async def _reset(
             with told_wait("until every robot has started", timeout_s):
                 await started(operator, timeout_s)
         await hear_causes(operator)
+        shown_still, _ = operator.shown.named
+        cleared = [dot for dot in cleared if dot not in shown_still]
         silent = [robot.slot for robot in operator.silent]
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:

@@ -194,7 +194,7 @@ class Launch:
             self.console.print(f"[bold red]{NO_KEYS}[/bold red]")
         elif self.own_keys is not None:
             told = "your tools on this bus take them"
-            if self.out.absolute() != LAUNCH.parent.absolute():
+            if self.out.resolve() != LAUNCH.parent.resolve():
                 told = f"tools take them with --keys, because the launch is not in {LAUNCH.parent}"
             self.console.print(f"keys: in {escape(str(self.own_keys))}; {told}")
 

@@ -54,8 +54,9 @@ class LaunchStatus:
         now = {slot for slot, seen in self.inspector.robots.items() if seen.state == latched}
         if now - self._stopped:
             who = " ".join(map(str, sorted(now)))
-            self.console.print(f"[bold red]EMERGENCY STOP[/bold red]: robots {who} stand; "
-                               "headland release --start clears it")  # fmt: skip
+            who = f"robots {who} stand" if len(now) > 1 else f"robot {who} stands"
+            self.console.print(f"[bold red]EMERGENCY STOP[/bold red]: {who}; headland inspect says why, "
+                               "headland release --start clears stops")  # fmt: skip
         elif self._stopped - now and not now:
             self.console.print("the stop is released")
         self._stopped = now

@@ -17,7 +17,7 @@ which is the shortest difference seen between arrival and time: what arrives lat
 from collections import Counter
 from collections.abc import Callable
 from datetime import time as Clock
-from math import cos, inf, sin
+from math import inf
 from typing import Any, Final
 
 try:
@@ -68,6 +68,8 @@ class NmeaFixes:
         try:
             if kind == "GGA":
                 self._take_place(sentence, arrived_at_us)
+            elif _says_invalid(sentence):
+                self.counts["invalid"] += 1
             elif kind in ("HDT", "THS"):
                 degrees = sentence.headingT if kind == "HDT" else sentence.headt
                 self.fixes.take_heading(course_rad(float(degrees)), arrived_at_us)
@@ -101,5 +103,13 @@ class NmeaFixes:
             to_rad = self.fixes.heading_rad
         else:
             to_rad = course_rad(float(course))
-        vx_m_s, vy_m_s = speed_m_s * cos(to_rad), speed_m_s * sin(to_rad)
-        self.fixes.take_velocity(vx_m_s, vy_m_s, arrived_at_us)
+        self.fixes.take_speed(speed_m_s, to_rad, arrived_at_us)
+
+
+def _says_invalid(sentence: Any) -> bool:
+    """Whether a sentence says of itself that its heading or velocity is not to be used."""
+    if sentence.msgID == "THS":
+        return bool(sentence.mi != "A")  # estimated, manual, simulated or not valid
+    if sentence.msgID == "RMC":
+        return bool(sentence.status != "A")
+    return bool(sentence.msgID == "VTG" and getattr(sentence, "posMode", "") == "N")

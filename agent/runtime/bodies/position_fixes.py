@@ -14,6 +14,8 @@ from agent.interface.observation import Observation
 DAY_US: Final = 86_400 * S
 # Standard deviation of a place without GST, metres, by the kind of fix: 4 is RTK fixed, 5 RTK float.
 ACCURACY_M: Final = {1: 3.0, 2: 1.0, 4: 0.02, 5: 0.4}
+# What a fix of this kind is at best, whatever its receiver says of it.
+BEST_M: Final = {1: 1.0, 2: 0.3, 4: 0.0, 5: 0.05}
 HEADING_ACCURACY_RAD: Final = radians(1.0)  # of two antennas a metre apart
 HEADING_AGE_MAX_US: Final = S // 10  # an older heading is no heading
 VELOCITY_AGE_MAX_US: Final = S // 2
@@ -77,6 +79,8 @@ class PositionFixes:
 
     def take_kind(self, kind: int, arrived_at_us: int) -> None:
         """The kind of fix, numbered as in GGA; another than those of `ACCURACY_M` is no fix."""
+        if self._kind is not None and self._kind[0] != kind:
+            self._accuracy = None  # it was of the fixes before: without RTK they are metres off
         self._kind = kind, arrived_at_us
 
     def take_heading(self, heading_rad: float, arrived_at_us: int) -> None:
@@ -86,6 +90,10 @@ class PositionFixes:
     def take_velocity(self, vx_m_s: float, vy_m_s: float, arrived_at_us: int) -> None:
         """Metres a second, east and north."""
         self._velocity = vx_m_s, vy_m_s, arrived_at_us
+
+    def take_speed(self, speed_m_s: float, course_rad: float, arrived_at_us: int) -> None:
+        """Metres a second over ground; the course is counter-clockwise from east."""
+        self.take_velocity(speed_m_s * cos(course_rad), speed_m_s * sin(course_rad), arrived_at_us)
 
     def take_accuracy(self, accuracy_m: float, arrived_at_us: int) -> None:
         """Standard deviation of the place, metres."""
@@ -117,11 +125,12 @@ class PositionFixes:
         return self._last
 
     def _accuracy_m(self, now_us: int) -> float:
-        if self._accuracy is not None and now_us - self._accuracy[1] <= ACCURACY_AGE_MAX_US:
-            return self._accuracy[0]
+        kind = None
         if self._kind is not None and now_us - self._kind[1] <= ACCURACY_AGE_MAX_US:
-            return ACCURACY_M.get(self._kind[0], inf)
-        return self.accuracy_m
+            kind = self._kind[0]
+        if self._accuracy is not None and now_us - self._accuracy[1] <= ACCURACY_AGE_MAX_US:
+            return max(self._accuracy[0], 0.0 if kind is None else BEST_M.get(kind, inf))
+        return self.accuracy_m if kind is None else ACCURACY_M.get(kind, inf)
 
     def _velocity_m_s(self, x_m: float, y_m: float, at_us: int, now_us: int) -> tuple[float, float]:
         velocity, last = self._velocity, self._last

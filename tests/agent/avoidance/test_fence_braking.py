@@ -1,6 +1,6 @@
 """A body that cannot take a velocity at once brakes before fences first."""
 
-from math import hypot
+from math import cos, hypot, pi, sin
 from random import Random
 
 import numpy as np
@@ -53,3 +53,17 @@ def test_what_does_not_concern_a_fence_stays() -> None:
     assert away == (0.3, 2.0)
     far = braking_first(-50.0, 0.0, 1.0, 0.0, -1.0, 0.5, fences, RADIUS_M, ACCELERATION_M_S2)
     assert far == (-1.0, 0.5)
+
+
+@pytest.mark.parametrize("count", [24, 180, 720])
+def test_short_edges_of_a_round_outline_do_not_undo_the_braking(count: int) -> None:
+    """Robots touched the fence of a circle of 720 points: each edge cut what braked before the others."""
+    middle_m, ring = 20.0, np.linspace(0.0, 2 * pi, count + 1)
+    x, y = middle_m * np.cos(ring), middle_m * np.sin(ring)
+    fences = np.column_stack((x[:-1], y[:-1], x[1:], y[1:]))
+    for course_rad in np.linspace(-1.2, 1.2, 13):
+        at_m, vx, vy = 17.6, 1.4 * cos(course_rad), 1.4 * sin(course_rad)
+        for wx, wy in ((-1.5, 1.5), (0.5, -1.4), (0.0, 2.0)):
+            cx, _ = braking_first(at_m, 0.0, vx, vy, wx, wy, fences, RADIUS_M, ACCELERATION_M_S2)
+            assert cx <= max(wx, vx) + 1e-9
+            assert vx - cx >= min(vx - wx, 0.5 * (vx - wx)) - 1e-9, "it brakes nearly as was chosen"

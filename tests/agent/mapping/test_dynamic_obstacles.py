@@ -147,3 +147,16 @@ def test_what_was_free_when_we_passed_may_stand_there_now() -> None:
     two.world.add_box(*BOX, 0.6)
     two.elapse(3.0)
     assert two.gap_m(1) > 0.3 + HALL.radius_m, "clear of the box"
+
+
+@pytest.mark.parametrize("place", [(100.0, 2.0), (-0.5, 2.0), (5.0, 1e5), (-1e5, -1e5)])
+def test_a_silent_member_beside_the_map_is_in_nobodys_way(place: tuple[float, float]) -> None:
+    """A beat of anybody, in the name of a robot that has just died, ended all other robots."""
+    two = Two()
+    robot = two.robots[0]
+    two.world.add_box(*BOX, 0.6)
+    two.elapse(3.0)  # now it has a map of obstacles
+    assert robot.map is not None
+    robot.map.stand({1: place}, two.now_us)
+    two.elapse(1.0)
+    assert robot.path(AT, GOAL) is not None

@@ -1,7 +1,17 @@
 """Elections: one vote a term, the newest term counts, and a robot that was away learns it."""
 
-from agent.interface.config import MS
-from agent.peer.leader_election import AGAIN_US, PATIENCE, SETTLE_US, SPACING_US, Election
+from random import Random
+
+from agent.interface.config import MS, S
+from agent.peer.durable_records import DurableRecords
+from agent.peer.leader_election import (
+    AGAIN_US,
+    PATIENCE,
+    SETTLE_US,
+    SPACING_US,
+    TERM_MAX,
+    Election,
+)
 from protocol.frames.fleet_frames import LeaderElectionVote
 
 BOTH = frozenset({0, 1})
@@ -81,3 +91,15 @@ def test_what_is_said_again_keeps_no_new_vote_waiting() -> None:
             now_us += 100 * MS
     alone.heard(0, _vote(3, 0), BOTH)
     assert alone.speak(now_us + SPACING_US) == _vote(3, 0)
+
+
+def test_a_forged_vote_with_the_last_term_ends_no_robot_at_its_next_start() -> None:
+    """Its term is on the disk, and the next one does not fit into a record."""
+    recalled = dict([DurableRecords.vote(TERM_MAX, 0)])
+    records = DurableRecords(recalled, first_boot=False, rng=Random(1))
+    assert records.term == TERM_MAX
+    election = Election(1, 0, 0x1234, records.term)
+    election.see(0)
+    election.tick(frozenset({0, 1}), 10 * S)
+    vote = election.speak(10 * S)
+    assert vote is not None and DurableRecords.vote(vote.term, vote.candidate)

@@ -248,9 +248,10 @@ def test_a_device_at_the_address_of_a_twin_that_is_gone_holds_nobody() -> None:
 
 
 def test_our_own_frames_that_a_driver_returns_do_not_keep_a_twin_alive() -> None:
-    peer, address = robot(), None
+    peer = robot()
     for now_us in range(2 * S, 4 * S, 50 * MS):
         address = peer.address
+        assert address is not None
         peer.step(Heard(address, POSE._replace(x_m=now_us / S)), now_us)
         list(running(peer, now_us, now_us + 50 * MS))
     assert StopCause.DUPLICATE_ID in held_by(peer)

@@ -40,7 +40,7 @@ class Machine:
             identity, Random(self.now_us), self.now_us, dict(self.disk),
             MissionParts(Eager(), motion),
         )  # fmt: skip
-        self.told = HALT
+        self.told: Drive = HALT
 
     def until(self, end_at_us: int, sense: Sense) -> float:
         """Run on; the metres that it drives."""

@@ -4,7 +4,7 @@ from collections.abc import Iterable, Mapping
 
 import can
 
-from agent.interface.effects import HALT, Drive, Persist, Send
+from agent.interface.effects import HALT, Drive, GatedDrive, Persist, Send
 from agent.interface.lifecycle import State
 from agent.runtime.peer_runner import ON_DISK_FIRST, PeerRunner
 from crdt import Phase
@@ -74,6 +74,6 @@ def test_no_command_follows_the_halt_of_a_disk_that_failed() -> None:
     peer, wheels = peer_in(State.WORKING, None), Wheels()
     with can.Bus("failed-disk", interface="virtual") as ours:
         runner = PeerRunner(peer, CanBus(ours), wheels, FullDisk(), clock=lambda: 0)
-        runner.perform([Persist("unit", b"1"), Drive(2.0, 0.0, 0.0, True)])
-        runner.perform([Drive(2.0, 0.0, 0.0, True)])
+        runner.perform([Persist("unit", b"1"), GatedDrive(Drive(2.0, 0.0, 0.0, True))])
+        runner.perform([GatedDrive(Drive(2.0, 0.0, 0.0, True))])
     assert wheels.told and set(wheels.told) == {HALT}

@@ -38,14 +38,14 @@ def told(terminal: bool) -> str:
 def test_in_a_pipe_the_line_comes_every_five_seconds_and_events_once() -> None:
     lines = told(terminal=False).splitlines()
     assert [line for line in lines if "sections" in line] == ["     5 s  5/9 sections  1:IDLE"]
-    assert sum("EMERGENCY STOP: robots 1 stand" in line for line in lines) == 1
+    assert sum("EMERGENCY STOP: robot 1 stands" in line for line in lines) == 1
     assert lines.count("the stop is released") == 1
 
 
 def test_at_a_terminal_one_line_renews_itself() -> None:
     text = told(terminal=True)
     assert "5/9 sections" in text or "robots start" in text
-    assert "EMERGENCY STOP: robots 1 stand" in text and "the stop is released" in text
+    assert "EMERGENCY STOP: robot 1 stands" in text and "the stop is released" in text
     assert "\n     5 s" not in text
 
 

@@ -127,3 +127,42 @@ def test_no_bytes_are_an_exception(line: bytes, at_us: int) -> None:
         taken.take(b"$%b*%02X" % (whole, reduce(xor, whole, 0)), at_us)
     seen = taken.take(hdt(degrees(1.0)), at_us)
     assert seen is None or abs(remainder(seen.heading_rad, 2 * pi)) <= pi
+
+
+@pytest.mark.parametrize(("quality", "at_least_m"), [(1, 1.0), (2, 0.3), (5, 0.05)])
+def test_an_rtk_fix_that_is_lost_is_not_hidden_by_what_was_said_of_it(
+    quality: int, at_least_m: float
+) -> None:
+    """A GST of the last RTK fix counted for two seconds, and a robot drove 3.7 m by a place of metres."""
+    taken = fixes()
+    heading = sentence("GNHDT,90.0,T")
+    taken.take(gga("123511.00", kind=4), 0)
+    taken.take(sentence("GNGST,123511.00,0.5,0.3,0.3,0.0,0.01,0.01,0.5"), 0)
+    seen = taken.take(heading, 0)
+    assert seen is not None and seen.position_accuracy_m == 0.01
+    taken.take(gga("123512.00", kind=quality), S)
+    seen = taken.take(heading, S)
+    assert seen is not None and seen.position_accuracy_m >= at_least_m
+    taken.take(sentence("GNGST,123512.00,0.5,0.3,0.3,0.0,0.01,0.01,0.5"), S)  # it goes on with it
+    taken.take(gga("123513.00", kind=quality), S)
+    seen = taken.take(heading, S)
+    assert seen is not None and seen.position_accuracy_m >= at_least_m
+
+
+@pytest.mark.parametrize("mode", ["E", "M", "S", "V"])
+def test_a_heading_that_says_that_it_is_none_is_none(mode: str) -> None:
+    taken = fixes()
+    taken.take(gga("123511.00", kind=4), 0)
+    assert taken.take(sentence(f"GNTHS,90.0,{mode}"), 0) is None
+    assert taken.counts["invalid"] == 1
+    assert taken.take(sentence("GNTHS,90.0,A"), 0) is not None
+
+
+def test_a_velocity_that_says_that_it_is_none_is_none() -> None:
+    taken = fixes()
+    taken.take(sentence("GNRMC,123511.00,V,5200.0,N,00500.0,E,200.0,90.0,010126,,,N"), 0)
+    taken.take(sentence("GNVTG,90.0,T,,M,200.0,N,370.0,K,N"), 0)
+    taken.take(gga("123511.00", kind=4), 0)
+    seen = taken.take(sentence("GNTHS,90.0,A"), 0)
+    assert seen is not None and (seen.vx_m_s, seen.vy_m_s) == (0.0, 0.0)
+    assert taken.counts["invalid"] == 2

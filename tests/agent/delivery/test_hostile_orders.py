@@ -1,0 +1,61 @@
+"""Orders and claims that a building does not have; each of them ended a robot."""
+
+from agent.delivery.task_registry import AGAIN_US, TASKS_MAX, TaskRegistry, TransportTask
+from agent.delivery.warehouse import SECTIONS_END
+from agent.interface.config import MS, S
+from agent.peer.work_admission import Admission
+from crdt import Phase
+from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from protocol.frames.work_frames import TaskClaim
+
+CELLS = 100  # of the building of these tests
+
+
+def on_floor(order: TransportTask) -> bool:
+    return max(order) < CELLS
+
+
+def test_an_order_with_a_cell_that_is_no_place_is_refused() -> None:
+    book = TaskRegistry(0, {7: TransportTask(1, 2)}, 0, on_floor)
+    assert not book.on_message(TaskOrder(7, 50_000, 3), 0)
+    assert not book.on_message(TaskOrder(8, 1, 50_000), 0)
+    assert not book.on_message(TaskOrder(7, 0xFFFF, 50_000), 0), "taken back, to nowhere"
+    assert book.tasks == {7: TransportTask(1, 2)} and book.refused == 3
+    assert book.on_message(TaskOrder(7, 0xFFFF, 2), 0) and book.tasks[7].withdrawn
+
+
+def test_an_order_without_a_place_is_not_remembered_over_a_restart() -> None:
+    assert TaskRegistry(0, {3: TransportTask(50_000, 1)}, 0, on_floor).tasks == {}
+
+
+def test_a_robot_that_comes_late_learns_all_orders() -> None:
+    """It told only of the numbers up to its own highest one, so nobody repeated those beyond."""
+    known, late = (
+        TaskRegistry(0, {k: TransportTask(1, 2) for k in range(3 * BUCKET_TASKS)}, 0),
+        TaskRegistry(1, {}, 0),
+    )
+    for now_us in range(0, 60 * S, 50 * MS):
+        for book, other in ((known, late), (late, known)):
+            for said in list(book.outgoing(now_us)):
+                other.on_message(said, now_us)
+    assert late.tasks == known.tasks
+
+
+def test_a_digest_that_shows_more_is_answered_once_in_a_while() -> None:
+    book = TaskRegistry(1, {}, 0)
+    more = TaskBookDigest(5, 0, 1)
+    said = []
+    for now_us in range(0, AGAIN_US, 50 * MS):
+        book.on_message(more, now_us)
+        said += [
+            m for m in book.outgoing(now_us) if isinstance(m, TaskBookDigest) and m.bucket == 5
+        ]
+    assert len(said) == 1 and said[0].bits == 0
+
+
+def test_a_claim_of_a_bay_that_the_building_does_not_have_is_refused() -> None:
+    bay = TaskClaim(TASKS_MAX, 0, Phase.CLAIMED, 3, 1, 0)
+    for sections, admitted in ((range(TASKS_MAX), False), (range(SECTIONS_END), True)):
+        admission = Admission(sections, frozenset({0, 1}), 0)
+        assert admission.admits(bay, 0) is admitted
+        assert admission.admits(bay._replace(section=5), 0)
