@@ -121,10 +121,10 @@ class DotSet(Generic[D]):
 
     def merge(self, other: "DotSet[D]") -> None:
         """Join a whole replica: the union of the pressed and of the cleared dots."""
+        for dot in other._cleared:  # first, so that a full set has no dot too many in between
+            self.clear(dot)
         for dot in other._pressed:
             self.press(dot)
-        for dot in other._cleared:
-            self.clear(dot)
         if other.more > self.more:
             self.more = other.more
             self._activate(self.active)

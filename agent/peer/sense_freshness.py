@@ -60,6 +60,7 @@ ACCELERATION_SHARE: Final = 0.5
 PLACE_KEY, BELIEVED, DOUBTED = "place", b"\0", b"\1"  # durable: whether the place has jumped
 NOTHING_RECALLED: Final[Mapping[str, bytes]] = {}
 NOT_ON_MAP: Final = "further from the origin than frames can say, or not a number"
+NO_VELOCITY: Final = "its velocity is more than frames can say, or not a number"
 
 
 def blind_way_m(limits: BodyLimits) -> float:
@@ -255,7 +256,7 @@ class Senses(Part):
         here = self.here
         if old:
             return []
-        wrong = NOT_ON_MAP if here is None else self._inaccurate(here) or self._jumped(here, now_us)
+        wrong = NOT_ON_MAP if here is None else self._unfit(here) or self._jumped(here, now_us)
         if wrong:
             self._lost_at_us = now_us
         elif not self.safety.holds(StopCause.PLACE_LOST):
@@ -268,20 +269,13 @@ class Senses(Part):
             effects.append(Persist(PLACE_KEY, DOUBTED if doubts else BELIEVED))
         return effects
 
-    def _inaccurate(self, here: Observation) -> str:
-        """Why the place is too inaccurate to drive by; empty if it is not."""
+    def _unfit(self, here: Observation) -> str:
+        """Why the place is no number or too inaccurate to drive by; empty if it is neither."""
         if not self._on_map:
             return NOT_ON_MAP
         if self._no_velocity:
-            return "its velocity is more than frames can say, or not a number"
-        # Not a number is inaccurate, too, and so is less than nothing.
-        if not 0.0 <= here.position_accuracy_m <= self.accuracy_max_m:
-            return (
-                f"accurate to {here.position_accuracy_m:.2f} m, needed {self.accuracy_max_m:.2f} m"
-            )
-        if not here.heading_accuracy_rad <= HEADING_ACCURACY_RAD:
-            return f"heading accurate to {degrees(here.heading_accuracy_rad):.0f} degrees"
-        return ""
+            return NO_VELOCITY
+        return _inaccurate(here, self.accuracy_max_m)
 
     def _jumped(self, here: Observation, now_us: int) -> str:
         """Why the body cannot have driven to this accurate place; empty if it can."""
@@ -292,10 +286,7 @@ class Senses(Part):
         """Why the senses are not current; empty if they are."""
         if self._sensed_at_us is None:
             return "nothing is sensed"
-        age_us = now_us - self._sensed_at_us
-        if 0 <= age_us <= AGE_MAX_US:
-            return ""
-        return f"sensed {age_us / 1000:.0f} ms ago" if age_us > 0 else "sensed in the future"
+        return _not_now(now_us - self._sensed_at_us)
 
     def _hangs(self, sensed_at_us: int) -> str:
         """Why a place that changes leads nowhere; empty if it leads on, or has not led nowhere before."""
@@ -447,6 +438,35 @@ class Senses(Part):
         """The limits of the body; if they are not known, those of the fastest body."""
         limits = None if self.motion is None else self.motion.body_limits
         return FASTEST if limits is None else limits
+
+
+def unusable(seen: Observation, accuracy_max_m: float, now_us: int) -> str:
+    """Why a robot stands with this observation alone; empty if it drives by it.
+
+    `accuracy_max_m`: what its mission needs."""
+    if not _is_on_map(seen):
+        return NOT_ON_MAP
+    here, no_velocity = _sound(seen)
+    if no_velocity:
+        return NO_VELOCITY
+    return _not_now(now_us - seen.sensed_at_us) or _inaccurate(here, accuracy_max_m)
+
+
+def _not_now(age_us: int) -> str:
+    """Why a place of this age is not the current one; empty if it is."""
+    if 0 <= age_us <= AGE_MAX_US:
+        return ""
+    return f"sensed {age_us / 1000:.0f} ms ago" if age_us > 0 else "sensed in the future"
+
+
+def _inaccurate(here: Observation, accuracy_max_m: float) -> str:
+    """Why the place is too inaccurate to drive by; empty if it is not."""
+    # Not a number is inaccurate, too, and so is less than nothing.
+    if not 0.0 <= here.position_accuracy_m <= accuracy_max_m:
+        return f"accurate to {here.position_accuracy_m:.2f} m, needed {accuracy_max_m:.2f} m"
+    if not here.heading_accuracy_rad <= HEADING_ACCURACY_RAD:
+        return f"heading accurate to {degrees(here.heading_accuracy_rad):.0f} degrees"
+    return ""
 
 
 def _is_on_map(seen: Observation) -> bool:

@@ -244,15 +244,13 @@ class RobotFile(Table):
         return found if mine is None else found._on(mine)
 
     def _on(self, machine: MachineTable) -> Self:
-        """With what this machine has of its own."""
-        body = machine.body or self.body
-        options = {**body.options, **machine.body_options}
-        return self.model_copy(
-            update={
-                "body": body.model_copy(update={"options": options}),
-                "bus": machine.bus or self.bus,
-            }
-        )
+        """With what this machine has of its own. What it does not say stays unset."""
+        update: dict[str, Any] = {"bus": machine.bus or self.bus}
+        if machine.body is not None or machine.body_options:
+            body = machine.body or self.body
+            options = {**body.options, **machine.body_options}
+            update["body"] = body.model_copy(update={"options": options})
+        return self.model_copy(update=update)
 
     def changed(self, changes: Changes) -> Self:
         """With what a command line says instead."""

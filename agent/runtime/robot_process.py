@@ -154,7 +154,8 @@ async def run_robot(
 
     `first_boot`: a new machine. Otherwise an empty memory counts as lost, and the robot stays latched
     until a person resets it. `dry`: its body is never driven. `started`: called once, when it takes
-    part. Raises RobotError before it takes part, and whatever ends its peer.
+    part. Raises RobotError before it takes part, AbsentError where a driver of its body or its bus fails
+    later, and whatever else ends its peer.
     """
     slot, keys = robot.robot.slot, keys_of(robot)
     journal, recalled = _journal(robot)
@@ -213,6 +214,8 @@ async def _take_part(
     for task in (ending, watching):
         task.cancel()
     (failure,) = await asyncio.gather(running, return_exceptions=True)
+    if isinstance(failure, OSError):  # the body or the bus: it may be there at the next start
+        raise AbsentError(f"robot {runner.peer.slot}: a device failed: {failure}") from failure
     if isinstance(failure, BaseException) and not isinstance(failure, asyncio.CancelledError):
         raise failure
 

@@ -3,6 +3,7 @@
 from typing import Any
 
 from agent.interface.config import S
+from agent.safety.stop_cause import Severity
 from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_fleet import Cluster
 from sim.runs.run import SetupT, of_bodies, points_of
@@ -28,6 +29,18 @@ class WorkRun(SectionRun[SetupT, FieldOutcome]):
         return {**super().measure(cluster), "refused": refused}
 
 
+def held(cluster: Cluster) -> dict[int, list[str]]:
+    """Of each running robot the causes for which it may not move, by name, worst first."""
+    return {
+        robot.slot: [
+            cause.name
+            for cause, _ in robot.peer.safety.causes
+            if cause.severity is not Severity.SLOW
+        ]
+        for robot in cluster.running
+    }
+
+
 class FieldRun(WorkRun[FieldSetup]):
     """Works a field to its end, and measures the swept ground."""
 
@@ -51,7 +64,7 @@ class FieldRun(WorkRun[FieldSetup]):
             "reached": truth.reached,
             "unreached": ground.unreached,
             "missed": told_missed(
-                truth.missed, raster.cell_m, field.implement_width_m, self.tracks
+                truth.missed, raster.cell_m, field.implement_width_m, self.tracks, held(cluster)
             ),
             "makespan_s": truth.last_at_us / 1e6,
             "worked_twice": truth.twice,

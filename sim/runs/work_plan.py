@@ -111,7 +111,7 @@ def plan_work(setup: FieldSetup, done: WorkRecord | None = None, seed: int = 0) 
             "steer choose as they drive"
         )
     field, travel = setup.field, setup.plan.travel
-    covered = _covered(field, done)
+    covered = covered_units(field, done)
     left = left_of(field, travel, covered)
     plan = FleetPlan(travel, seed)
     # As robot 0 knows the fleet: its own place, and those of the others as their frames tell them.
@@ -160,7 +160,7 @@ def left_of(
     return left
 
 
-def _covered(field: Field, done: WorkRecord | None) -> dict[int, frozenset[int]]:
+def covered_units(field: Field, done: WorkRecord | None) -> dict[int, frozenset[int]]:
     """The units whose ground is in the finished work, by section."""
     if done is None or not done.covered:
         return {}
@@ -175,10 +175,14 @@ def _covered(field: Field, done: WorkRecord | None) -> dict[int, frozenset[int]]
     worked = shapely.unary_union(parts)
     shapely.prepare(worked)
     half_m = (field.implement_width_m - field.overlap_m) / 2
+    # No bar sweeps the ground in a corner beyond this (`sim/world/coverage_truth.py`).
+    reach = field.polygon.buffer(-field.implement_width_m / 2).buffer(half_m)
     covered = {}
     for section in field.sections:
         stripes = [LineString(line).buffer(half_m, cap_style="flat") for line in section.unit_lines]
         asked = shapely.intersection(np.array(stripes), field.polygon)
+        swept = shapely.intersection(asked, reach)
+        asked = np.where(shapely.is_empty(swept), asked, swept)
         share = shapely.area(shapely.intersection(asked, worked)) / np.maximum(
             shapely.area(asked), 1e-9
         )

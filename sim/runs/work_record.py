@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime
 from typing import Any, NamedTuple
 
+import numpy as np
 import shapely
 from pyproj import Geod, Transformer
 from shapely.geometry import LineString, Polygon
@@ -18,6 +19,7 @@ from shapely.geometry.polygon import orient
 from agent.field.field_map import Field
 from agent.runtime.files.field_error import LonLat
 from agent.runtime.files.field_file import plane
+from sim.world.coverage_truth import BACK_COS, Floats, strokes_of
 from sim.world.ground_truth import TrackPoint
 
 OUTLINE_DIGITS, LOG_DIGITS = 9, 7
@@ -25,6 +27,9 @@ OUTLINE_DIGITS, LOG_DIGITS = 9, 7
 # implement.
 LOG_US = 1_000_000
 DETAIL_M = 0.02  # tolerance of the outline of the covered area
+STROKE_M = 0.005  # of a track: a place moved by more takes ground from the stripe at its end
+SWING_RAD = 0.01  # the end of a bar of 4 m passes 2 cm in it, the detail of the outline
+SWING_STEPS = 16  # of an arc; the chord of the longest step leaves 0.4 % of the half bar
 NAME_MAX = 32  # characters, the limit of ISO 11783-10
 GRID_M = 0.001  # its points are on millimetres, so that rounding cannot make it cross itself
 
@@ -102,30 +107,50 @@ def record_of(
 
 
 def covered_area(field: Field, tracks: Mapping[int, Sequence[TrackPoint]]) -> list[Polygon]:
-    """The area that the implement swept inside the fences, metres."""
+    """The area that the implement swept inside the fences, metres: the strokes that the judge counts
+    (`sim/world/coverage_truth.py`), and the swing of the bar where one turns into the next."""
     half_m = field.implement_width_m / 2
-    strokes = [
-        LineString(stroke).simplify(DETAIL_M).buffer(half_m, cap_style="flat", join_style="round")
-        for _, track in sorted(tracks.items())
-        for stroke in _strokes(track)
-    ]
-    swept: BaseGeometry = shapely.unary_union(strokes).intersection(field.polygon)
-    swept = shapely.set_precision(swept.simplify(DETAIL_M), GRID_M)
-    parts = swept.geoms if hasattr(swept, "geoms") else [swept]
+    swept: list[BaseGeometry] = []
+    for _, track in sorted(tracks.items()):
+        strokes = strokes_of(track)
+        swept += [
+            LineString(line).simplify(STROKE_M).buffer(half_m, cap_style="flat", join_style="round")
+            for line in _lines(strokes)
+        ]
+        swept += _swings(strokes, half_m)
+    ground = shapely.unary_union(swept).intersection(field.polygon)
+    ground = shapely.set_precision(ground.simplify(DETAIL_M), GRID_M)
+    parts = ground.geoms if hasattr(ground, "geoms") else [ground]
     return [p for p in parts if isinstance(p, Polygon) and p.area > 0.0]
 
 
-def _strokes(track: Sequence[TrackPoint]) -> Iterator[list[tuple[float, float]]]:
-    stroke: list[tuple[float, float]] = []
-    for _, x_m, y_m, tool in track:
-        if tool or stroke:
-            stroke.append((x_m, y_m))
-        if not tool and stroke:
-            if len(set(stroke)) > 1:
-                yield stroke
-            stroke = []
-    if len(set(stroke)) > 1:
-        yield stroke
+def _lines(strokes: Floats) -> Iterator[Floats]:
+    """Strokes that follow each other as one line, (n, 2) metres each."""
+    if not len(strokes):
+        return
+    begins = np.flatnonzero((strokes[:, 6:] == 0.0).all(axis=1))
+    for run in np.split(strokes, begins[1:]):
+        yield np.vstack([run[:1, :2], run[:, 2:4]])
+
+
+def _swings(strokes: Floats, half_m: float) -> list[BaseGeometry]:
+    """What both halves of the bar pass over where the course turns, by the shorter way."""
+    was = strokes[:, 6:]
+    course = strokes[:, 2:4] - strokes[:, :2]
+    cos = (was * course).sum(axis=1)
+    sin = was[:, 0] * course[:, 1] - was[:, 1] * course[:, 0]
+    turned = was.any(axis=1) & (cos > BACK_COS * np.hypot(*course.T))
+    turn_rad = np.arctan2(sin, cos)
+    turned &= np.abs(turn_rad) > SWING_RAD
+    ends_rad = np.arctan2(was[turned, 1], was[turned, 0])[:, None] - np.pi / 2
+    arc_rad = ends_rad + turn_rad[turned, None] * np.linspace(0.0, 1.0, SWING_STEPS + 1)
+    arcs = half_m * np.stack([np.cos(arc_rad), np.sin(arc_rad)], axis=-1)
+    centres = strokes[turned, None, :2]
+    return [
+        sector
+        for side in (arcs, -arcs)
+        for sector in shapely.polygons(np.concatenate([centres, centres + side], axis=1))
+    ]
 
 
 def _thinned(track: Sequence[TrackPoint]) -> Iterator[TrackPoint]:

@@ -1,4 +1,5 @@
-"""What a run has left unworked, in one sentence: how much, where most of it is, which robot is there."""
+"""What a run has left unworked, in one sentence: how much, where most of it is, which robot is there,
+and which robots wait for a person."""
 
 from collections.abc import Mapping, Sequence
 from math import dist
@@ -15,10 +16,15 @@ Floats = NDArray[np.float64]
 
 
 def told_missed(
-    missed: Floats, cell_m: float, width_m: float, tracks: Mapping[int, Sequence[TrackPoint]]
+    missed: Floats,
+    cell_m: float,
+    width_m: float,
+    tracks: Mapping[int, Sequence[TrackPoint]],
+    waits: Mapping[int, Sequence[str]],
 ) -> str:
     """Empty if nothing is left. `missed`: (n, 2), centres of the cells that can be reached and were never
-    worked, metres. `width_m`: of the implement; a robot that stands nearer than that is named."""
+    worked, metres. `width_m`: of the implement; a robot that stands nearer than that is named.
+    `waits`: of each robot that runs, by slot, why it may not move; empty if it may."""
     if not len(missed):
         return ""
     patch, count = _largest(missed, cell_m)
@@ -35,10 +41,12 @@ def told_missed(
         gap_m = np.hypot(patch[:, 0] - x_of, patch[:, 1] - y_of).min()
         if gap_m <= width_m:
             beside.append((_standing_at_us(track), slot))
-    if not beside:
-        return told
-    at_us, slot = min(beside)  # the one that is there longest, not one that has come by at the end
-    return f"{told}, where robot {slot} stands since {at_us / S:.1f} s"
+    if beside:
+        at_us, slot = min(beside)  # there longest, not one that has come by at the end
+        told += f", where robot {slot} stands since {at_us / S:.1f} s"
+        told += "" if slot in waits else ", switched off"
+    held = [f"robot {slot} ({', '.join(why)})" for slot, why in sorted(waits.items()) if why]
+    return f"{told}; held: {', '.join(held)}" if held else told
 
 
 def _largest(missed: Floats, cell_m: float) -> tuple[Floats, int]:

@@ -141,3 +141,17 @@ def test_t10_the_digest_is_that_of_what_is_held() -> None:
     assert first.digest() != full, "a press without a name changes it"
     first.clear_all()
     assert first.digest() == 0
+
+
+def test_a_full_set_joins_a_cleared_dot_in_any_order() -> None:
+    """It counted a dot too many, and stayed latched, where it joined the other set second."""
+    full, other = StopSet(), StopSet()
+    for counter in range(ACTIVE_MAX):
+        full.press(StopDot(1, 0, counter))
+    dot = StopDot(2, 0, 1)
+    other.press(dot)
+    other.clear(dot)
+    one, two = StopSet.deserialize(full.serialize()), StopSet.deserialize(other.serialize())
+    one.merge(other)
+    two.merge(full)
+    assert one == two and one.more == two.more == 0

@@ -103,6 +103,7 @@ DEAD = {
     "protocol/address.py": "holders",
     "crdt/clock.py": "retire is_retired merge covers happens_before concurrent_with",
 }
+CALLED = ("straight",)  # of them, by now
 MOVED = {
     "agent/task_book.py": ("task_registry.py",),
     "agent/theta_star.py": ("any_angle_planner.py",),
@@ -179,7 +180,7 @@ def rows() -> Iterator[Row]:
         yield Row(item.what, [lines(old, item.then), *today], note)
     yield Row("aliases of a pair of floats", [_aliases(texts) for texts in every])
     dead = [sum(size for _, _, size in _dead(texts)) for texts in every]
-    yield Row("names without a caller", dead, "left: " + " ".join(n for _, n, _ in _dead(new)))
+    yield Row("names without a caller", dead, _still_there(new))
     shipped = [
         {path: text for path, text in texts.items() if not path.startswith("tools/bench/")}
         for texts in every
@@ -201,6 +202,14 @@ def _dead(texts: Texts) -> Iterator[tuple[str, str, int]]:
                 for name, size in definitions(text):
                     if name in names.split():
                         yield path, name, size
+
+
+def _still_there(texts: Texts) -> str:
+    """Which of the listed names are there, and which of them have callers by now."""
+    names = [name for _, name, _ in _dead(texts)]
+    called = [name for name in names if name in CALLED]
+    told = "left: " + " ".join(name for name in names if name not in CALLED)
+    return f"{told}; with callers by now: {' '.join(called)}" if called else told
 
 
 def main() -> None:

@@ -18,9 +18,10 @@ from rich.console import Console
 from sim.files.strict_json import dumps
 from tools.build.compiled_core import FOLDER, SUFFIX, place
 from tools.common.child_process import PREFIX
+from tools.common.exit_codes import WRONG
 from tools.common.fingerprint import ROOT
 
-WRONG = 1
+FAILED = 1
 LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
@@ -167,8 +168,8 @@ def _translated(mypycify: Callable[..., list[Any]], sources: list[str], folder: 
 
 def compile_core(remove: bool, as_json: bool = False) -> int:
     """The exit code of `headland compile`: compile all groups, or with `remove` delete what was
-    compiled. 1 where mypy or the compiler fails, or is missing. `as_json`: then the lines for people go
-    to standard error."""
+    compiled. 1 where mypy or the compiler fails, 2 where one is missing. `as_json`: then the lines for
+    people go to standard error."""
     console = Console(stderr=as_json)
     if remove:
         there = FOLDER.is_dir()
@@ -188,7 +189,7 @@ def compile_core(remove: bool, as_json: bool = False) -> int:
                 status.update(f"compiling {name} ... {done} of {total or '?'}")
     except CompileError as problem:
         print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return WRONG if isinstance(problem, ToolMissingError) else FAILED
     for other in FOLDER.iterdir():  # of other sources: never found again
         if other != folder:
             shutil.rmtree(other, ignore_errors=True)

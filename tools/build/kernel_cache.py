@@ -7,9 +7,10 @@ from pathlib import Path
 from threading import Timer
 from time import perf_counter
 from types import TracebackType
+from typing import TYPE_CHECKING
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn
+if TYPE_CHECKING:
+    from rich.console import Console  # a robot asks whether there are kernels, and imports no rich
 
 WAIT = "compiling kernels: once on this machine, about 25 s on two idle cores"
 MORE = "compiling more kernels: once on this machine, up to two minutes on two idle cores"
@@ -70,7 +71,15 @@ def told_compiling(tell: Callable[[str], object]) -> Iterator[None]:
 class Compiling:
     """How far compiling is: a bar at a terminal, elsewhere a line for each part that took long."""
 
-    def __init__(self, console: Console) -> None:
+    def __init__(self, console: "Console") -> None:
+        from rich.progress import (
+            BarColumn,
+            MofNCompleteColumn,
+            Progress,
+            TextColumn,
+            TimeElapsedColumn,
+        )
+
         self.console = console
         self._bar = Progress(
             TextColumn("compiling {task.description}"), BarColumn(), MofNCompleteColumn(),

@@ -43,15 +43,27 @@ def find_launch(interface: str, port: int) -> None:
         address_of_launch()
 
 
-def robots_of_launch(interface: str, host: str, port: int) -> list[int]:
-    """Slots of the robots of the newest launch in this folder, where the bus is that launch's."""
-    try:
-        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
-        same = port == 0 or (host == where["host"] and port == where["port"])
-        robots = [int(slot) for slot in where["robots"]]
-    except (ValueError, KeyError, TypeError):  # of them GivenFileError
+def robots_of_launch(interface: str, host: str, port: int, keys: Path | None = None) -> list[int]:
+    """Slots of the robots of a launch, where the bus is that launch's; none where it is another one.
+
+    It is the newest launch in this folder, or the one that made `keys`, a file or its folder. So a
+    person that calls a tool from another folder is told of its dead robots, too.
+    """
+    if interface != "socketcand":
         return []
-    return robots if interface == "socketcand" and same else []
+    beside = []
+    if keys is not None:
+        folder = keys if keys.is_dir() else keys.parent
+        beside.append(folder.absolute().parent / LAUNCH.name)
+    for file in (LAUNCH, *beside):
+        try:
+            where = read_json(file, SETTINGS_BYTES_MAX)
+            named = host == where["host"] and port == where["port"]
+            if named or (port == 0 and file is LAUNCH):
+                return [int(slot) for slot in where["robots"]]
+        except (ValueError, KeyError, TypeError):  # of them GivenFileError
+            continue
+    return []
 
 
 def scenario_of_launch(interface: str, host: str, port: int) -> str | None:

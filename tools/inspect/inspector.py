@@ -78,6 +78,7 @@ class Seen:
     y_m: float = 0.0
     speed_m_s: float = 0.0
     placed: bool = True  # it knows where it is
+    has_place: bool = False  # it has told one
     stopped: bool = False
     left: bool = False
     started: bool = True  # until a heartbeat says that it is not
@@ -231,7 +232,7 @@ class Inspector:
             case Pose():
                 robot.placed = message.placed
                 if message.x_m > NOWHERE_M:
-                    robot.x_m, robot.y_m = message.x_m, message.y_m
+                    robot.x_m, robot.y_m, robot.has_place = message.x_m, message.y_m, True
                 robot.speed_m_s = message.speed_m_s if message.placed else 0.0
                 robot.stopped = message.stopped
                 self._state(t_s, robot, message.state, kind)
@@ -405,8 +406,9 @@ class Inspector:
         return {
             "slot": robot.slot, "address": robot.address, "state": robot.state,
             "silent": self.now_s - robot.last_s > SILENT_S and not robot.left, "left": robot.left,
-            "x_m": round(robot.x_m, 2), "y_m": round(robot.y_m, 2),
-            "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed,
+            "x_m": round(robot.x_m, 2) if robot.has_place else None,
+            "y_m": round(robot.y_m, 2) if robot.has_place else None,
+            "speed_m_s": round(robot.speed_m_s, 2), "placed": robot.placed and robot.has_place,
             "stopped": robot.stopped, "health": round(robot.health, 3),
             "started": robot.started,
             "release_asked": self.now_s - robot.release_asked_s < ASKED_S,

@@ -81,7 +81,9 @@ class FleetCollector(Collector):
             "health_ratio", "What it says of itself; 1: sound.", robots, lambda r: r.health
         )
         yield _by_robot("held", "1: something keeps it from moving.", robots, lambda r: r.held)
-        yield _by_robot("placed", "1: it knows where it is.", robots, lambda r: r.placed)
+        yield _by_robot(
+            "placed", "1: it knows where it is.", robots, lambda r: r.placed and r.has_place
+        )
         yield _by_robot("speed_metres_per_second", "Its speed.", robots, lambda r: r.speed_m_s)
         yield _by_robot(
             "asking", "1: it waits for an operator's answer.", robots, lambda r: r.question > 0

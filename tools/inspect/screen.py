@@ -257,9 +257,9 @@ def _in_order(name: str) -> tuple[str, int]:
 def _fleet_row(robot: dict[str, Any]) -> tuple[str, ...]:
     state = "silent" if robot["silent"] else "left" if robot["left"] else robot["state"]
     shown = sorted(robot["sections"], key=_in_order)
+    place = "" if robot["x_m"] is None else f"{robot['x_m']:.1f}, {robot['y_m']:.1f}"
     return (
-        str(robot["slot"]), Cell.styled(state, LIT.get(state, "dim")),
-        f"{robot['x_m']:.1f}, {robot['y_m']:.1f}", f"{robot['speed_m_s']:.2f}",
+        str(robot["slot"]), Cell.styled(state, LIT.get(state, "dim")), place, f"{robot['speed_m_s']:.2f}",
         " ".join(shown), str(len(robot["peers"])), robot["digest"],
     )  # fmt: skip
 

@@ -29,10 +29,11 @@ from sim.record.topics import (
     schema_of,
 )
 from tools.inspect.inspector import Seen
+from tools.inspect.metrics_address import LOOPBACK
 from tools.livemap.fleet_topics import FleetTopics
 from tools.livemap.foxglove_fixes import FixTopics
 from tools.livemap.foxglove_messages import Maker, channel_of, is_typed, maker_of
-from tools.livemap.foxglove_port import LOOPBACK, PortTaken
+from tools.livemap.foxglove_port import PortTaken
 
 FIX_S = 1.0  # between two fixes of a robot, as most receivers of GNSS tell them
 PATH_S = 1.0  # between two paths of a robot, which have many points and change by what it drives

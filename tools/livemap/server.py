@@ -11,11 +11,12 @@ import contextlib
 import json
 import re
 from hmac import compare_digest
+from math import isfinite
 from pathlib import Path
 from typing import Any
 
 from starlette.applications import Starlette
-from starlette.requests import Request
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import FileResponse, JSONResponse, PlainTextResponse, Response
 from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Receive, Scope, Send
@@ -216,6 +217,8 @@ class MapServer:
             wish = json.loads(await _body(request))
             keyless, start = wish["keyless"] is True, wish.get("start") is True
             return JSONResponse(await self.panel.release(keyless, reset, start or not reset))
+        except ClientDisconnect:  # the page went away in the middle of its request
+            return PlainTextResponse("", 400)
         except BodyTooBig:
             return JSONResponse({"problem": f"more than {BODY_MAX} bytes"}, 413)
         except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
@@ -251,7 +254,9 @@ def _obey(text: str, player: Player, teller: PageUpdates) -> dict[str, Any] | No
             case "play":
                 player.playing = True
             case "speed":
-                player.speed = min(max(float(wish["value"]), 0.01), SPEED_MAX)
+                speed = float(wish["value"])
+                if isfinite(speed):
+                    player.speed = min(max(speed, 0.01), SPEED_MAX)
                 player.follow, player.playing = False, True
             case "seek":
                 player.follow = False

@@ -73,7 +73,7 @@ async def _estop(
     bus = attach(interface, channel, bitrate, host, port)
     try:
         operator = Operator(bus, keyring_of(keys))
-        operator.expect(robots_of_launch(interface, host, port))
+        operator.expect(robots_of_launch(interface, host, port, keys))
         listen_to(bus, operator)
         if watch:
             return await _watch(operator)

@@ -56,7 +56,7 @@ async def _reset(
     bus = attach(interface, channel, bitrate, host, port)
     try:
         operator = Operator(bus, keyring)
-        operator.expect(robots_of_launch(interface, host, port))
+        operator.expect(robots_of_launch(interface, host, port, key))
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
         cleared, _ = operator.shown.named

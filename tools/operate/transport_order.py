@@ -62,7 +62,10 @@ def order(
 
 def _rows(pickup: str | None, dropoff: str | None, file: Path | None) -> list[TaskRow]:
     if file is not None:
-        return read_tasks(file)
+        rows = read_tasks(file)
+        if not rows:
+            raise ScenarioError(f"{file}: no task in it")
+        return rows
     if pickup is None or dropoff is None:
         raise ScenarioError("two places are needed: headland task add 9.5,2.5 1.5,8.5, or --file")
     return [TaskRow(_point(pickup), _point(dropoff))]

@@ -17,6 +17,7 @@ from rich.markup import escape
 from agent.interface.lifecycle import State
 from agent.runtime.end_signals import on_end
 from agent.runtime.gc_tuning import freeze_gc
+from agent.safety.stop_cause import Severity, cause_of
 from protocol.frames.frame import Frame
 from sim.files.candump import CandumpWriter
 from sim.files.log_parts import LAUNCH_LIMIT, PartedLog
@@ -372,6 +373,19 @@ class Launch:
             if slot in self.gone or slot not in known or known[slot].state == stopped
         ]  # fmt: skip
 
+    def _held(self) -> dict[int, list[str]]:
+        """Of each robot whose process runs the causes for which it may not move, by name, as it last
+        told them, worst first."""
+        now_us, told = round(self.inspector.now_s * 1e6), dict[int, list[str]]()
+        for slot in self.processes.keys() - self.gone:
+            seen = self.inspector.robots.get(slot)
+            told[slot] = []
+            for frame in () if seen is None else seen.causes.fresh(now_us):
+                cause = cause_of(frame.cause)
+                if cause is not None and cause.severity is not Severity.SLOW:
+                    told[slot].append(cause.name)
+        return told
+
     def _report(self, elapsed_s: float, finished: bool) -> None:
         assert isinstance(self.setting, FieldSetup)
         field = self.setting.field
@@ -387,7 +401,8 @@ class Launch:
             "coverage": truth.share, "reachable": ground.share, "reached": truth.reached,
             "unreached": [part._asdict() for part in ground.unreached],
             "missed": told_missed(truth.missed, raster.cell_m, field.implement_width_m,
-                                  {slot: track.points for slot, track in tracks.items()}),
+                                  {slot: track.points for slot, track in tracks.items()},
+                                  self._held()),
             "implement_contacts": len(met),
         }  # fmt: skip
         touches = f"{len(self.world.contacts)} contacts, {len(met)} of implements"

@@ -3,26 +3,36 @@
 import asyncio
 import json
 import os
+import shutil
 import sys
 import traceback
 from pathlib import Path
 
 from rich.console import Console
+from shapely.geometry import Point
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.observation import Observation
+from agent.interface.ports import Confirming
 from agent.peer.place_jumps import AGE_MAX_US, JUMP_M, POSITION_ACCURACY_M
-from agent.peer.sense_freshness import blind_way_m
+from agent.peer.sense_freshness import blind_way_m, unusable
 from agent.runtime.declared_values import FleetTable
+from agent.runtime.files.field_error import FieldFileError
+from agent.runtime.files.field_file import read_boundary
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import RobotBody
 from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, keys_of, opened_body, opened_bus
 from agent.runtime.robot_work import work_of
+from tools.build.kernel_cache import WAIT
 from tools.common.findings import Finding, print_findings
-from tools.run.robot_command import BLIND, import_from, is_written, memory, sees
+from tools.run.robot_command import BLIND, import_from, is_written, lacks_kernels, memory, sees
 
 ANSWER_FOR_S = 3.0  # a bus server answers within milliseconds
 FIRST_PLACE_FOR_US = 3 * S  # a body that is open senses within this
+# A memory grows to less than a megabyte. SQLite's log beside it is emptied at four.
+MEMORY_FREE_BYTES = 8 << 20
+UNCONFIRMED = "no frame is confirmed, so a robot that is alone stands for ever (UNHEARD)"
 
 
 def check(file: Path, changes: Changes, as_json: bool) -> int:
@@ -39,8 +49,10 @@ def check(file: Path, changes: Changes, as_json: bool) -> int:
 async def _check(declared: RobotFile, as_json: bool) -> int:
     findings = [
         _file(declared),
+        *_machine(declared),
         _keys(declared),
         _work(declared),
+        *kernels(declared),
         _limits(declared),
         _journal(declared),
         await _bus(declared),
@@ -61,6 +73,14 @@ def _file(declared: RobotFile) -> Finding:
     fleet: FleetTable = declared.fleet
     text = f"robot {declared.robot.slot} of {fleet.robots} in {declared.name!r}, {fleet.drive}"
     return Finding("file", True, text)
+
+
+def _machine(declared: RobotFile) -> list[Finding]:
+    """A word where the file names machines and this one is not among them."""
+    slot = declared.robot.slot
+    if not declared.machine or any(machine.slot == slot for machine in declared.machine):
+        return []
+    return [Finding("slot", None, f"no [[machine]] of slot {slot}: body and bus are the fleet's")]
 
 
 def _keys(declared: RobotFile) -> Finding:
@@ -88,16 +108,27 @@ def _work(declared: RobotFile) -> Finding:
     return Finding("work", None, "none: a member that is stopped like the others")
 
 
-def _limits(declared: RobotFile) -> Finding:
-    """What stops it, and how far it has then driven."""
-    vehicle = declared.fleet.vehicle
+def kernels(declared: RobotFile) -> list[Finding]:
+    """A word where the robot has to compile kernels before it works."""
+    if not lacks_kernels(declared):
+        return []
+    return [Finding("kernels", None, f"{WAIT} (headland compile --kernels)")]
+
+
+def _needed_m(declared: RobotFile) -> float:
+    """The standard deviation of a place with which it drives, metres."""
     try:
         mission = work_of(declared, 0, {}).parts.mission
     except RobotError:
-        mission = None  # said above
-    needed_m = POSITION_ACCURACY_M
-    if mission is not None:
-        needed_m = min(needed_m, mission.position_accuracy_max_m)
+        mission = None  # said with the work
+    if mission is None:
+        return POSITION_ACCURACY_M
+    return min(POSITION_ACCURACY_M, mission.position_accuracy_max_m)
+
+
+def _limits(declared: RobotFile) -> Finding:
+    """What stops it, and how far it has then driven."""
+    vehicle, needed_m = declared.fleet.vehicle, _needed_m(declared)
     text = (
         f"stands without a place for {AGE_MAX_US / S:.2g} s, with one worse than {needed_m:.2g} m, or "
         f"one that jumps {JUMP_M:.2g} m further than wheels drive; from {vehicle.speed_m_s:g} m/s it "
@@ -108,11 +139,18 @@ def _limits(declared: RobotFile) -> Finding:
 
 def _journal(declared: RobotFile) -> Finding:
     path = memory(declared)
+    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
+        return Finding("memory", False, f"no folder {path.parent} that can be written")
+    try:
+        free_bytes = shutil.disk_usage(path.parent).free
+    except OSError as problem:
+        return Finding("memory", False, f"{path.parent}: {problem.strerror}")
+    if free_bytes < MEMORY_FREE_BYTES:
+        needed = f"{free_bytes / 1e6:.1f} MB are free, {MEMORY_FREE_BYTES / 1e6:.1f} MB are needed"
+        return Finding("memory", False, f"the disk of {path.parent} is full: {needed}")
     if is_written(path):
         return Finding("memory", os.access(path, os.W_OK), str(path))
-    if path.parent.is_dir() and os.access(path.parent, os.W_OK):
-        return Finding("memory", None, f"none yet in {path.parent}: --first-boot")
-    return Finding("memory", False, f"no folder {path.parent} that can be written")
+    return Finding("memory", None, f"none yet in {path.parent}: --first-boot")
 
 
 async def _bus(declared: RobotFile) -> Finding:
@@ -121,7 +159,10 @@ async def _bus(declared: RobotFile) -> Finding:
         bus = await opened_bus(declared.bus, declared.robot.slot, answer_for_s=ANSWER_FOR_S)
     except RobotError as problem:
         return Finding("bus", False, str(problem))
+    confirms = isinstance(bus, Confirming) and bus.sent is not None
     bus.close()
+    if declared.fleet.robots == 1 and not confirms:
+        return Finding("bus", None, f"{where}: {UNCONFIRMED}")
     return Finding("bus", True, where)
 
 
@@ -130,7 +171,11 @@ async def _body(declared: RobotFile) -> list[Finding]:
     try:
         body = await opened_body(declared, dry=True)
         try:
-            findings = [Finding("body", True, name), await _place(body), _ranges(declared)]
+            if "body" in declared.model_fields_set:
+                found = Finding("body", True, name)
+            else:
+                found = Finding("body", None, f"{name}: no [body] is declared, so nothing drives")
+            findings = [found, await _place(declared, body), _ranges(declared)]
         finally:
             body.close()
     except RobotError as problem:
@@ -143,18 +188,42 @@ async def _body(declared: RobotFile) -> list[Finding]:
     return findings
 
 
-async def _place(body: RobotBody) -> Finding:
+async def _place(declared: RobotFile, body: RobotBody) -> Finding:
+    """The first place by which it would drive, or what is wrong with the last one."""
     ends_at_us = PeerRunner.now_us() + FIRST_PLACE_FOR_US
-    while (seen := body.sense(PeerRunner.now_us())) is None:
-        if PeerRunner.now_us() > ends_at_us:
-            return Finding("place", False, "nothing is sensed")
+    needed_m = _needed_m(declared)
+    while True:
+        seen = body.sense(PeerRunner.now_us())
+        now_us = PeerRunner.now_us()
+        wrong = "nothing is sensed" if seen is None else unusable(seen, needed_m, now_us)
+        if not wrong or now_us > ends_at_us:
+            break
         await asyncio.sleep(CONTROL_PERIOD_US / S)
-    now_us = PeerRunner.now_us()
+    if seen is None:
+        return Finding("place", False, wrong)
+    wrong = wrong or _outside(declared, seen)
     text = (
         f"{seen.x_m:.2f} m east, {seen.y_m:.2f} m north, accurate to {seen.position_accuracy_m:.3f} m, "
         f"sensed {(now_us - seen.sensed_at_us) / 1000:.0f} ms ago"
     )
-    return Finding("place", True, text)
+    return Finding("place", not wrong, f"{text}: {wrong}" if wrong else text)
+
+
+def _outside(declared: RobotFile, seen: Observation) -> str:
+    """Why a robot at this place cannot begin its work; empty if it can. From beyond a fence it finds
+    no way in, however near it is; beside one it drives off."""
+    if declared.field is None:
+        return ""
+    try:
+        outline = read_boundary(
+            declared.folder / declared.field.file, declared.field.feature
+        ).polygon
+    except FieldFileError:
+        return ""  # said with the work
+    here = Point(seen.x_m, seen.y_m)
+    if outline.contains(here):
+        return ""
+    return f"{outline.distance(here):.1f} m outside its field, where it finds no way in"
 
 
 def _ranges(declared: RobotFile) -> Finding:

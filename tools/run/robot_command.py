@@ -9,9 +9,11 @@ from contextlib import AbstractContextManager, nullcontext
 from pathlib import Path
 
 from agent.runtime.body_plugins import factory_of
+from agent.runtime.ready_kernels import are_ready
 from agent.runtime.robot_body import FactoryError, named
-from agent.runtime.robot_file import Changes, RobotError, RobotFile
+from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
+from tools.build.kernel_cache import WAIT, kernels_kept
 from tools.common.exit_codes import INTERRUPTED
 
 BLIND = (
@@ -19,6 +21,7 @@ BLIND = (
     "fences and members it keeps clear of"
 )
 KEYLESS = "NO KEYS: any device on the bus can stop and release it"
+BEFORE = "it stands meanwhile. `headland compile --kernels` does it before"
 RED, PLAIN = "\x1b[1;31m", "\x1b[0m"  # of a terminal
 
 
@@ -50,6 +53,8 @@ def robot(
         if declared.fleet.keys is None:
             line = f"headland: robot {declared.robot.slot}: {KEYLESS}"
             print(f"{RED}{line}{PLAIN}" if sys.stderr.isatty() else line, file=sys.stderr)
+        if lacks_kernels(declared):
+            print(f"headland: robot {declared.robot.slot}: {WAIT}; {BEFORE}", file=sys.stderr)
         with viewers:
             asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
     except RobotError as problem:
@@ -86,3 +91,9 @@ def sees(declared: RobotFile) -> bool:
     except FactoryError:
         return True  # what is wrong is told when it is opened
     return bool(getattr(made, "has_range_sensors", True))
+
+
+def lacks_kernels(declared: RobotFile) -> bool:
+    """Whether it has to compile kernels before it works: none are ready, and none in the cache."""
+    works = any(getattr(declared, name) is not None for name in WORKS)
+    return works and not are_ready() and kernels_kept() == 0

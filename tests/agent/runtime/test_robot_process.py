@@ -1,5 +1,6 @@
 """Robots run as processes with nothing of the simulator, and a robot file is refused in one line."""
 
+import asyncio
 import json
 import subprocess
 import sys
@@ -9,7 +10,11 @@ from typing import Any
 import can
 import pytest
 
-from agent.runtime.robot_file import RobotError, RobotFile
+from agent.interface.effects import GatedDrive
+from agent.interface.observation import Observation
+from agent.runtime.robot_body import DeclaredMachine, RobotBody
+from agent.runtime.robot_file import AbsentError, RobotError, RobotFile
+from agent.runtime.robot_process import run_robot
 from protocol.name import Name, fleet_name
 from tools.build.warmup import warm
 
@@ -164,3 +169,49 @@ def test_the_name_of_a_robot_is_that_of_its_file() -> None:
     name = Name.unpack(fleet_name("n", 0, told.device.fields).pack())
     assert {field: getattr(name, field) for field in device} == device
     assert (name.identity, name.industry_group) == (plain.identity, 2)
+
+
+class Unplugged(RobotBody):
+    """Its serial adapter is pulled out while the robot runs."""
+
+    def __init__(self, slot: int) -> None:
+        self.asked = 0
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        pass
+
+    async def open(self) -> None:
+        pass
+
+    def sense(self, now_us: int) -> Observation | None:
+        self.asked += 1
+        if self.asked > 3:
+            raise OSError("device disconnected")
+        return Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=now_us)
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        pass
+
+    def close(self) -> None:
+        pass
+
+
+def test_a_driver_that_loses_its_device_ends_a_robot_that_may_be_restarted(tmp_path: Path) -> None:
+    """It ended with the code at which a supervisor does not restart it."""
+    robot = RobotFile.of(
+        {
+            "name": "n", "robot": {"slot": 0, "journal": str(tmp_path)},
+            "fleet": {"robots": 1, "radius_m": 0.3, "speed_m_s": 1.0},
+            "coverage": {"map": "@@@@\n@..@\n@..@\n@@@@", "cell_m": 2.0},
+            "bus": {"interface": "virtual", "channel": "unplugged"},
+            "body": {"factory": f"{__name__}:Unplugged"},
+        },
+        "r.toml", tmp_path,
+    )  # fmt: skip
+
+    async def run() -> None:
+        async with asyncio.timeout(LIMIT_S):
+            await run_robot(robot, asyncio.Event(), first_boot=True)
+
+    with pytest.raises(AbsentError, match="robot 0: a device failed: device disconnected"):
+        asyncio.run(run())

@@ -2,6 +2,7 @@
 
 import itertools
 import random
+from math import cos, pi, sin
 from pathlib import Path
 
 import pytest
@@ -124,4 +125,32 @@ def test_i26_a_tractor_that_backs_out_of_a_crowd_meets_no_fence() -> None:
 def test_m4_a_field_hardly_wider_than_the_implement_is_finished(tmp_path: Path) -> None:
     made = scenario(tmp_path, rectangle(60.0, 60.0), 3, 1, implement_width_m=59.0)
     outcome = FieldRun(FieldSetup(made)).run()
+    assert outcome.success, outcome
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("robots", "seed"), [(12, 3), (24, 1)])
+def test_robots_brake_before_a_round_fence_of_short_edges(
+    robots: int, seed: int, tmp_path: Path
+) -> None:
+    """Braking before each edge undid that before the others, and robots touched the fence."""
+    count, radius_m = 720, 20.0
+    outline = [
+        (radius_m * cos(2 * pi * k / count), radius_m * sin(2 * pi * k / count))
+        for k in range(count)
+    ]
+    outcome = FieldRun(FieldSetup(scenario(tmp_path, outline, robots, seed))).run()
+    assert outcome.success and outcome.contacts == 0, outcome
+
+
+@pytest.mark.slow
+def test_a_ring_whose_tip_has_short_sides_is_finished(tmp_path: Path) -> None:
+    """Each pass over that tip counted as a bar that had swung wrongly, and the run never ended."""
+    outline = Path(__file__).with_name("short_sides.geojson")
+    file = tmp_path / "field.toml"
+    file.write_text(
+        f'name = "short sides"\n[field]\nfile = "{outline}"\nsection_length_m = 60.0\n'
+        '[fleet]\nrobots = 1\nsilence = "continue"\n[run]\nseed = 1\n'
+    )
+    outcome = FieldRun(FieldSetup(load(str(file)))).run()
     assert outcome.success, outcome

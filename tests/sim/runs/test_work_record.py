@@ -3,6 +3,7 @@
 import itertools
 from datetime import UTC, datetime
 from importlib.metadata import version
+from math import cos, sin
 from pathlib import Path
 
 import pytest
@@ -20,6 +21,7 @@ from sim.runs.isoxml_time_log import pack
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, write_geojson
 from sim.runs.work_record import LogPoint, WorkRecord, covered_area, record_of
+from sim.world.coverage_truth import coverage, sample_points
 from sim.world.ground_truth import TrackPoint
 from tests.examples import examples
 from tests.sim.runs.work_isoxml import BadTimeLog, read_work_isoxml, unpack
@@ -62,6 +64,17 @@ def test_what_was_covered_is_what_was_worked() -> None:
     parts = covered_area(field(), tracks(field()))
     area_m2 = sum(part.area for part in parts)
     assert 0.995 * field().polygon.area < area_m2 <= field().polygon.area
+
+
+def test_the_covered_area_has_the_swing_of_the_bar_as_the_judge_counts_it() -> None:
+    """A bar of 4 m that is lowered as the robot slips aside, and then follows a tight bend."""
+    places = [(-50.0, 0.0), (-50.0, 0.06), (-49.0, 0.06)]
+    places += [(-49.0 + 0.4 * sin(k / 10), 0.46 - 0.4 * cos(k / 10)) for k in range(32)]
+    track = [(k * 100_000, *place, True) for k, place in enumerate(places)]
+    raster = sample_points(field().polygon, 4.0, 0.0, 0.1)
+    judged = coverage(raster, {0: track}, 4.0).worked_m2[0]
+    parts = covered_area(field(), {0: track})
+    assert sum(part.area for part in parts) == pytest.approx(judged, rel=0.01)
 
 
 @pytest.mark.parametrize("name", ["TASKDATA", "work.zip", "work.geojson"])

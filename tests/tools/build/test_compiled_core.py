@@ -235,3 +235,13 @@ def test_a_process_that_has_begun_interpreted_goes_on_so(core: Path) -> None:
     assert crdt.digest.__file__.endswith(".py")
     assert not compiled_core.use(core)
     assert not any(isinstance(finder, Finder) for finder in sys.meta_path)
+
+
+def test_a_missing_compiler_is_exit_code_2(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was 1, that of sources which cannot be compiled."""
+    monkeypatch.setattr(compiling, "place", lambda: tmp_path / "core")
+    monkeypatch.setenv("PATH", str(tmp_path))
+    assert compiling.compile_core(remove=False) == 2
+    assert capsys.readouterr().err.startswith("headland: no C compiler")

@@ -1,14 +1,17 @@
 """Programs that stay on a bus whose server ends and comes back."""
 
 import asyncio
+import socket
 import time
 from collections.abc import Callable
+from threading import Thread
 
 import pytest
 
 from protocol.frames.frame import Frame
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_server import Hub
+from tools.common import bus_attach
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, stay_attached
 from tools.inspect import inspection
@@ -100,3 +103,17 @@ def test_a_host_that_is_no_name_is_one_line() -> None:
     """Found: a traceback."""
     with pytest.raises(AttachError, match="cannot open socketcand at"):
         attach("socketcand", CHANNEL, 250_000, "a" * 70, 29536)
+
+
+@pytest.mark.parametrize("closes", [False, True])
+def test_a_server_that_accepts_and_says_nothing_is_told_in_one_line(
+    closes: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """python-can waits for the greeting without a limit, and `headland stop` hung without a word."""
+    monkeypatch.setattr(bus_attach, "REACH_S", 0.2)
+    with socket.create_server(("127.0.0.1", 0)) as server:
+        port = server.getsockname()[1]
+        if closes:
+            Thread(target=lambda: server.accept()[0].close()).start()
+        with pytest.raises(AttachError, match=f"127.0.0.1:{port} "):
+            bus_attach.attach("socketcand", "can0", 250_000, "127.0.0.1", port)

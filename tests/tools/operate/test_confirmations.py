@@ -151,6 +151,22 @@ def test_t14_the_robots_of_a_launch_are_known_from_its_file(
     assert robots_of_launch("socketcan", "127.0.0.1", 0) == []
 
 
+def test_a_press_in_another_folder_knows_the_robots_of_the_launch_whose_keys_it_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It said that all had stopped, of a launch with a dead robot, where it was called elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    keys = tmp_path / "L" / "keys"
+    keys.mkdir(parents=True)
+    (keys / "operator.key").write_text("")
+    where = {"host": "127.0.0.1", "port": 5, "robots": [0, 1, 2]}
+    (tmp_path / "L" / "bus.json").write_text(json.dumps(where))
+    for given in (keys, keys / "operator.key", Path("L/keys")):
+        assert robots_of_launch("socketcand", "127.0.0.1", 5, given) == [0, 1, 2]
+        assert robots_of_launch("socketcand", "127.0.0.1", 6, given) == [], "another bus"
+    assert robots_of_launch("socketcand", "127.0.0.1", 5, None) == []
+
+
 @asynccontextmanager
 async def fleet_and_tool(name: str) -> AsyncIterator[tuple[Cluster, CanBus, Operator]]:
     """Three robots after 11 s, and a tool on its bus that knows them."""

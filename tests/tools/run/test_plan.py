@@ -25,7 +25,7 @@ from agent.field.travel_times import Remainder
 from agent.runtime.files.field_file import plane, read_boundary
 from sim.runs.field_run import FieldRun
 from sim.runs.work_geojson import write_geojson
-from sim.runs.work_plan import EQUAL_RUNS, FLEET_PLAN, left_of, plan_work
+from sim.runs.work_plan import EQUAL_RUNS, FLEET_PLAN, covered_units, left_of, plan_work
 from sim.runs.work_record import record_of
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
@@ -197,6 +197,17 @@ def test_what_is_done_is_not_planned(tmp_path: Path) -> None:
     done = call("small", "--done", tmp_path / "work.geojson", "--json", "--out", tmp_path / "none")
     (said,) = json.loads(done.stdout)["fields"]
     assert said["done"] == said["sections"] and said["ends_at_s"] == 0
+
+
+@pytest.mark.parametrize("drive", ["mecanum", "differential"])
+def test_a_run_that_has_worked_everything_leaves_nothing_to_plan(drive: str) -> None:
+    """At corners, ground is worked by the swing of the bar alone, or nobody can work it."""
+    run = FieldRun(FieldSetup(load("small").changed(3, 1, drive=drive)))
+    outcome = run.run()
+    assert outcome.finished and outcome.reached == 1.0
+    field = run.setting.field
+    units = covered_units(field, record_of(field, run.tracks, True, STARTED))
+    assert left_of(field, run.setting.plan.travel, units) == {}
 
 
 def test_a_begun_section_keeps_its_rest() -> None:

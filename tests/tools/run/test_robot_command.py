@@ -16,7 +16,10 @@ import pytest
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from agent.runtime.robot_file import Changes, RobotFile
 from tests.tools.launching import ENVIRONMENT, ROOT
+from tools.run import robot_check
+from tools.run.robot_command import lacks_kernels
 
 LIMIT_S = 60
 FILE = """
@@ -232,6 +235,112 @@ def test_a_port_that_is_taken_is_said_before_the_robot_starts(folder: Path) -> N
         code, _, err = end(begin(folder, "fleet.toml", "--slot", "0", "--metrics", port))
     assert code == 2 and f"--metrics {port}: Address already in use" in err
     assert list(folder.glob("*.sqlite")) == []
+
+
+FIELD = """{"type": "Feature", "properties": {"name": "yard"}, "geometry": {"type": "Polygon",
+"coordinates": [[[5.0, 52.0], [5.001, 52.0], [5.001, 52.001], [5.0, 52.001], [5.0, 52.0]]]}}"""
+LATE = """
+from agent.runtime.robot_body import StandingBody
+class Late(StandingBody):
+    def __init__(self, slot, late_for_us, accuracy_m=0.0):
+        super().__init__(slot)
+        self.late_for_us, self.accuracy_m = late_for_us, accuracy_m
+    def sense(self, now_us):
+        seen = super().sense(now_us)
+        return seen._replace(
+            sensed_at_us=now_us - self.late_for_us, position_accuracy_m=self.accuracy_m
+        )
+"""
+
+
+def checked(
+    folder: Path, text: str, capsys: pytest.CaptureFixture[str], slot: int = 0
+) -> tuple[int, dict[str, tuple[bool | None, str]]]:
+    """The exit code of the check of a file, and each finding: whether it is well, and its text."""
+    (folder / "checked.toml").write_text(text)
+    code = robot_check.check(folder / "checked.toml", Changes(slot=slot), True)
+    said = json.loads(capsys.readouterr().out)
+    return code, {each["what"]: (each["ok"], each["found"]) for each in said["findings"]}
+
+
+@pytest.mark.parametrize(
+    ("body", "wrong"),
+    [
+        ('plugin = "standing"\noptions = { x_m = 500.0 }', "m outside its field"),
+        ('plugin = "standing"\noptions = { x_m = nan }', "not a number"),
+        ('factory = "late_body:Late"\noptions = { late_for_us = -456000 }', "in the future"),
+        ('factory = "late_body:Late"\noptions = { late_for_us = 456000 }', ": sensed 456 ms ago"),
+        (
+            'factory = "late_body:Late"\noptions = { late_for_us = 0, accuracy_m = 0.4 }',
+            "accurate to 0.40 m, needed",
+        ),
+    ],
+)
+def test_a_place_by_which_the_robot_would_not_drive_is_not_ready(
+    body: str, wrong: str, folder: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """All of them were `ready`."""
+    monkeypatch.setattr(robot_check, "FIRST_PLACE_FOR_US", 0)
+    (folder / "late_body.py").write_text(LATE)
+    (folder / "yard.geojson").write_text(FIELD)
+    text = f'{FILE}[field]\nfile = "yard.geojson"\n[body]\n'
+    code, found = checked(folder, text + body, capsys)
+    assert code == 2 and found["place"][0] is False and wrong in found["place"][1], found
+    code, found = checked(folder, text + 'plugin = "standing"', capsys)
+    assert code == 0 and found["place"][0] is True, found
+
+
+def test_check_notes_what_the_file_leaves_out(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = checked(folder, FILE, capsys)
+    assert code == 0
+    assert found["body"][0] is None and "no [body] is declared" in found["body"][1]
+    assert found["slot"] == (None, "no [[machine]] of slot 0: body and bus are the fleet's")
+    _, found = checked(folder, FILE, capsys, slot=2)
+    assert found["body"] == (True, "standing") and "slot" not in found
+
+
+@pytest.mark.parametrize(("robots", "ok"), [(1, None), (3, True)])
+def test_check_notes_that_a_robot_alone_stands_where_no_frame_is_confirmed(
+    robots: int, ok: bool | None, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    bus = f'interface = "udp_multicast"\nchannel = "239.74.163.{1 + randbelow(250)}"'
+    text = FILE.split("[[machine]]")[0].replace("robots = 3", f"robots = {robots}")
+    code, found = checked(
+        folder, text.replace('interface = "virtual"\nchannel = "try"', bus), capsys
+    )
+    assert code == 0 and found["bus"][0] is ok, found
+    assert ("UNHEARD" in found["bus"][1]) == (robots == 1)
+
+
+def test_check_says_that_the_disk_of_the_memory_is_full(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(robot_check, "MEMORY_FREE_BYTES", 1 << 62)
+    code, found = checked(folder, FILE, capsys)
+    assert code == 2 and found["memory"][0] is False and "is full" in found["memory"][1], found
+
+
+def test_a_robot_says_that_it_has_to_compile_kernels_first(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With an empty cache, on a machine that has none that are ready."""
+    numba = pytest.importorskip("numba", reason="the extra `robot` is not installed")
+    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
+    monkeypatch.setenv("HEADLAND_NUMBA", "1")
+    (folder / "yard.geojson").write_text(FIELD)
+    (folder / "field.toml").write_text(f'{FILE}[field]\nfile = "yard.geojson"\n')
+    (folder / "member.toml").write_text(FILE)
+    changes = Changes(slot=0)
+    works = RobotFile.read(folder / "field.toml", changes)
+    assert lacks_kernels(works)
+    assert not lacks_kernels(RobotFile.read(folder / "member.toml", changes))
+    (note,) = robot_check.kernels(works)
+    assert note.ok is None and "compiling kernels" in note.found
+    (folder / "kernel.nbi").write_bytes(b"")
+    assert not lacks_kernels(works) and robot_check.kernels(works) == []
 
 
 def test_check_states_the_limits_of_this_body(folder: Path) -> None:
