@@ -22,6 +22,8 @@ The contract:
 * `tool_on` lowers the implement. It is raised when the command expires. A body that senses its implement
   says so in `Observation.implement_down`. One that is down for 1 s against the command stops the robot.
 * `sense` and `drive` are called every 50 ms in the thread of the bus, and must not wait.
+* An OSError of `sense` or `drive` says that a device is gone for good. It ends the process with code 75,
+  so that a supervisor starts it again. What comes back by itself is no error: `sense` returns None.
 * `close` stands. A body can be opened again after it.
 
 `headland body-check` tries all of it on a body.
@@ -35,6 +37,7 @@ from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import Vehicle
 from agent.peer.peer import Peer
+from agent.runtime.option_values import number
 
 
 class DeclaredMachine(NamedTuple):
@@ -79,8 +82,10 @@ class StandingBody(RobotBody):
     def __init__(
         self, slot: int, x_m: float = 0.0, y_m: float = 0.0, heading_rad: float = 0.0
     ) -> None:
-        """Metres east and north in the field; the heading counter-clockwise from east."""
-        self.slot, self.pose = slot, (x_m, y_m, heading_rad)
+        """Metres east and north in the field; the heading counter-clockwise from east. Raises
+        ValueError."""
+        self.slot = slot
+        self.pose = (number("x_m", x_m), number("y_m", y_m), number("heading_rad", heading_rad))
 
     def sense(self, now_us: int) -> Observation | None:
         """The place where it stands, sensed now."""

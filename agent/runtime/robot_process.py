@@ -19,7 +19,10 @@ from agent.runtime.ready_kernels import use_ready_kernels
 if __name__ == "__main__":
     use_ready_kernels()  # before anything is imported that has kernels
 
+from agent.interface.effects import GatedDrive
+from agent.interface.observation import Observation
 from agent.interface.ports import Bus
+from agent.peer.peer import Peer
 from agent.runtime.body_plugins import made
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.field_error import FieldFileError
@@ -35,12 +38,53 @@ from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
 from protocol.authentication import Keys
-from protocol.links.bus import open_bus
+from protocol.links.bus import CanBus, open_bus
 from protocol.links.socketcand_link import SocketcandLink
 
 TELL_AFTER_S = 2.0  # a person is told of a wait that is longer
 GOODBYE_S = 0.2  # for the farewell frame to leave
+LOST_LOOK_S = 1.0  # between two looks whether the interface of the bus is gone
 WRONG = RobotError.code  # exit code of an error that a person has to mend; one line says what it is
+
+
+class AttendedBody(RobotBody):
+    """A body whose failures end its robot as an absent device does, so that a supervisor starts it again.
+
+    Each call raises AbsentError for an OSError of the driver."""
+
+    def __init__(self, body: RobotBody, slot: int) -> None:
+        self.body, self.slot = body, slot
+        self._failed = False
+
+    def sense(self, now_us: int) -> Observation | None:
+        """The newest reading of the body."""
+        try:
+            return self.body.sense(now_us)
+        except OSError as problem:
+            raise self._absent("sense", problem) from problem
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        """Let the body obey."""
+        try:
+            self.body.drive(command, now_us)
+        except OSError as problem:
+            raise self._absent("drive", problem) from problem
+
+    async def watch(self, peer: Peer) -> None:
+        """Run what the body runs beside the robot."""
+        await self.body.watch(peer)
+
+    def close(self) -> None:
+        """Let the body stand. After another failure, one of this call says nothing new."""
+        try:
+            self.body.close()
+        except OSError as problem:
+            if not self._failed:
+                raise self._absent("close", problem) from problem
+
+    def _absent(self, call: str, problem: OSError) -> AbsentError:
+        self._failed = True
+        return AbsentError(f"robot {self.slot}: body: {call}: {problem.strerror or problem}")
 
 
 def keys_of(robot: RobotFile) -> Keys | None:
@@ -160,7 +204,7 @@ async def run_robot(
     slot, keys = robot.robot.slot, keys_of(robot)
     journal, recalled = _journal(robot)
     try:
-        body = await opened_body(robot, dry=dry)
+        body = AttendedBody(await opened_body(robot, dry=dry), slot)
         try:
             bus = await _bus_before(end, robot)
             if bus is None:
@@ -183,7 +227,7 @@ async def run_robot(
                 memory = robot.folder / robot.robot.journal
                 kept = ReleaseLog(path_of(memory, slot), slot, key_of(keys, slot))
                 runner = PeerRunner(peer, bus, body, journal, kept.keep)
-                await _take_part(runner, body, end, started)
+                await _take_part(runner, body, bus, end, started)
             finally:
                 bus.close()
         finally:
@@ -192,9 +236,17 @@ async def run_robot(
         journal.close()
 
 
+async def _until_lost(bus: Bus) -> str:
+    """Returns why the interface of a bus does not come back by itself; a supervisor opens it anew."""
+    while not isinstance(bus, CanBus) or bus.lost is None:
+        await asyncio.sleep(LOST_LOOK_S)
+    return bus.lost
+
+
 async def _take_part(
     runner: PeerRunner,
     body: RobotBody,
+    bus: Bus,
     end: asyncio.Event,
     started: Callable[[PeerRunner], None] | None,
 ) -> None:
@@ -204,18 +256,24 @@ async def _take_part(
     running = asyncio.create_task(runner.run())
     watching = asyncio.create_task(body.watch(runner.peer))
     ending = asyncio.create_task(end.wait())
+    losing = asyncio.create_task(_until_lost(bus))
     if started is not None:
         started(runner)
-    await asyncio.wait({running, ending}, return_when=asyncio.FIRST_COMPLETED)
-    if not running.done():
+    await asyncio.wait({running, ending, losing}, return_when=asyncio.FIRST_COMPLETED)
+    if losing.done():
+        running.cancel()
+    elif not running.done():
         await runner.leave()
         await asyncio.sleep(GOODBYE_S)
         running.cancel()
-    for task in (ending, watching):
+    lost = losing.result() if losing.done() else None
+    for task in (ending, watching, losing):
         task.cancel()
     (failure,) = await asyncio.gather(running, return_exceptions=True)
     if isinstance(failure, OSError):  # the body or the bus: it may be there at the next start
         raise AbsentError(f"robot {runner.peer.slot}: a device failed: {failure}") from failure
+    if lost is not None:
+        raise AbsentError(f"robot {runner.peer.slot}: bus: {lost}")
     if isinstance(failure, BaseException) and not isinstance(failure, asyncio.CancelledError):
         raise failure
 

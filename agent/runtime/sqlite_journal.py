@@ -250,6 +250,8 @@ class SqliteJournal:
 
     def _error(self, problem: Exception) -> OSError:
         code = getattr(problem, "sqlite_errorcode", 0) & 0xFF
+        if code == sqlite3.SQLITE_BUSY:  # "database is locked", by its exclusive owner
+            return OSError(f"{self.path}: another process has it open; this robot may already run")
         kind = OSError if code in NOT_TO_BE_HAD else UnreadableError
         return kind(f"{self.path}: {problem}")
 

@@ -15,7 +15,7 @@ from pynmeagps import NMEAReader
 
 class Rover(RobotBody):
     def __init__(self, slot: int, gnss: int = 5001, wheels: int = 5002) -> None:
-        self.receiver = LinePort(f"tcp://127.0.0.1:{gnss}", self.take)
+        self.receiver = LinePort(f"tcp://127.0.0.1:{gnss}", self.take, receives=True)
         self.controller = LinePort(f"tcp://127.0.0.1:{wheels}", lambda line, at_us: None)
         self.clock = ReceiverClock(latency_us=20_000)  # a place takes this long at the shortest
         self.newest: Observation | None = None
@@ -32,10 +32,10 @@ class Rover(RobotBody):
 
     def take(self, line: bytes, at_us: int) -> None:
         said: Any = NMEAReader.parse(line + b"\r\n")
-        if said.msgID == "GGA":
+        if said.msgID == "GGA" and said.quality in (1, 2, 4, 5):  # others are no fix
             t = said.time
             utc_us = (t.hour * 3600 + t.minute * 60 + t.second) * 1_000_000 + t.microsecond
-            self.fixes.take_kind(said.quality, at_us)  # RTK, or metres off, or no fix
+            self.fixes.take_kind(said.quality, at_us)  # RTK, or metres off
             self.fixes.take_place(said.lon, said.lat, self.clock.sensed_at_us(utc_us, at_us))
         elif said.msgID == "GST":
             self.fixes.take_accuracy(max(said.stdLat, said.stdLong), at_us)

@@ -5,11 +5,15 @@ start of a tool. So it is imported with the first bus, and not by a tool that fi
 """
 
 import asyncio
+import logging
 import os
 import socket
 import sys
+import threading
+import time
 from collections import deque
 from collections.abc import Callable
+from errno import ENODEV, ENXIO
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.controller_health import Health, told_by
@@ -27,6 +31,65 @@ UNCONFIRMED_MAX: Final = 512
 # Options of Linux that no module of Python names (linux/in.h, linux/in6.h).
 IP_MULTICAST_ALL: Final = 49
 IPV6_MULTICAST_ALL: Final = 29
+# Errors of an interface that is gone. When its adapter comes back, it is another one, and an open socket
+# stays without. A link that is down (ENETDOWN) comes back by itself.
+GONE: Final = frozenset({ENODEV, ENXIO})
+LOST_S: Final = (
+    3.0  # errors for this long, and no frame: the interface does not come back by itself
+)
+ERROR_GAP_S: Final = 1.0  # errors that are further apart are not the same one
+TELL_EVERY_S: Final = 10.0  # between two lines about errors of reception
+RETRY_S: Final = 0.05  # a thread waits for this long after an error, so that it does not spin
+
+log = logging.getLogger(__name__)
+
+
+class InterfaceErrors:
+    """The errors of an interface: counted, told now and then, and whether it is lost."""
+
+    def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
+        """`clock`: seconds."""
+        self.clock = clock
+        self.count = 0  # of reception
+        self.newest = ""
+        self._run_at_s: float | None = None  # since when there are errors of reception and no frame
+        self._gone_at_s: float | None = None  # since when the interface is gone
+        self._at_s = 0.0  # when the newest error of reception was
+        self._told_at_s: float | None = None
+
+    def received(self) -> None:
+        """A frame came: the interface is there."""
+        self._run_at_s = self._gone_at_s = None
+
+    def add(self, problem: Exception) -> None:
+        """Reception failed."""
+        now_s = self.clock()
+        self.count += 1
+        self.newest = (str(problem).splitlines() or [""])[0] or type(problem).__name__
+        if self._run_at_s is None or now_s - self._at_s > ERROR_GAP_S:
+            self._run_at_s = now_s
+        self._at_s = now_s
+        self.add_code(problem)
+        if self._told_at_s is None or now_s - self._told_at_s >= TELL_EVERY_S:
+            self._told_at_s = now_s
+            log.warning("bus: cannot receive (error %d): %s", self.count, self.newest)
+
+    def add_code(self, problem: Exception) -> None:
+        """Reception or sending failed: its number says whether the interface is gone."""
+        code = getattr(problem, "error_code", None) or getattr(problem, "errno", None)
+        if code in GONE and self._gone_at_s is None:
+            self._gone_at_s = self.clock()
+            self.newest = (str(problem).splitlines() or [""])[0] or os.strerror(int(code))
+
+    @property
+    def lost(self) -> str | None:
+        """Why the interface does not come back by itself; None: it is there, or may come back."""
+        now_s, run_at_s = self.clock(), self._run_at_s
+        if self._gone_at_s is not None and now_s - self._gone_at_s >= LOST_S:
+            return f"the interface is gone: {self.newest}"
+        if run_at_s is not None and self._at_s - run_at_s >= LOST_S:
+            return f"cannot receive: {self.newest}"
+        return None
 
 
 class CanBus:
@@ -46,7 +109,11 @@ class CanBus:
         self.ignored = 0  # error, remote and 11-bit frames
         self.refused = 0  # frames that the driver did not accept
         self._told = Health.ACTIVE  # health as reported by error frames
+        self.errors = InterfaceErrors()
         self._notifier: can.Notifier | None = None
+        self._read: tuple[asyncio.AbstractEventLoop, int] | None = (
+            None  # loop and file that it reads
+        )
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
     def send(self, frame: Frame) -> bool:
@@ -62,8 +129,9 @@ class CanBus:
                     self._unconfirmed.append(frame)
                 self.bus.send(message, timeout=0)
                 taken = True
-            except (self._can.CanError, OSError, ValueError):
+            except (self._can.CanError, OSError, ValueError) as problem:
                 taken = False
+                self.errors.add_code(problem)
                 if self._unconfirmed:
                     self._unconfirmed.pop()
         self.refused += not taken
@@ -110,6 +178,7 @@ class CanBus:
             return
 
         def heard(message: "can.Message") -> None:
+            self.errors.received()
             if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
                 if self._is_own(message):
                     return
@@ -119,14 +188,69 @@ class CanBus:
             if message.is_error_frame:
                 self._told = told_by(message.arbitration_id, bytes(message.data), self._told)
 
-        self._notifier = self._can.Notifier(self.bus, [heard], loop=asyncio.get_running_loop())
+        loop = asyncio.get_running_loop()
+        try:
+            file = self.bus.fileno()
+        except NotImplementedError:
+            file = -1
+        if file < 0:  # read by a thread
+            self._notifier = self._can.Notifier(self.bus, [Passed(heard, self.errors, loop)])
+            return
+
+        def readable() -> None:
+            try:
+                message = self.bus.recv(0)
+            except (self._can.CanError, OSError) as problem:
+                self.errors.add(problem)
+                return
+            if message is not None:
+                heard(message)
+
+        loop.add_reader(file, readable)
+        self._read = loop, file
+
+    @property
+    def lost(self) -> str | None:
+        """Why the interface does not come back by itself: it has to be opened anew. None: it is there,
+        or its link is down and may come up again."""
+        return self.errors.lost
 
     def close(self) -> None:
         """Stop receiving and close the interface; the bus cannot be used afterwards."""
         if self._notifier is not None:
             self._notifier.stop()
             self._notifier = None
+        if self._read is not None:
+            loop, file = self._read
+            loop.remove_reader(file)
+            self._read = None
         self.bus.shutdown()
+
+
+class Passed:
+    """What a thread receives is passed to the loop, and so are its errors. After an error it goes on."""
+
+    def __init__(
+        self,
+        heard: "Callable[[can.Message], None]",
+        errors: InterfaceErrors,
+        loop: asyncio.AbstractEventLoop,
+    ) -> None:
+        self.heard, self.errors, self.loop = heard, errors, loop
+        self._ended = threading.Event()
+
+    def __call__(self, message: "can.Message") -> None:
+        """A frame, in the thread."""
+        self.loop.call_soon_threadsafe(self.heard, message)
+
+    def on_error(self, problem: Exception) -> None:
+        """An error, in the thread: also that the loop has ended, which ends the thread."""
+        self.loop.call_soon_threadsafe(self.errors.add, problem)
+        self._ended.wait(RETRY_S)
+
+    def stop(self) -> None:
+        """End the wait; the notifier calls it."""
+        self._ended.set()
 
 
 def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: Any) -> CanBus:

@@ -11,7 +11,7 @@ is not moved: it has a task controller for that.
 
 import asyncio
 import time
-from math import cos, inf, sin
+from math import cos, sin
 from random import Random
 from typing import Final
 
@@ -24,6 +24,13 @@ from agent.runtime.bodies.bus_fixes import COURSE_SPEED, DIRECTION_SPEED, BusFix
 from agent.runtime.bodies.guidance_commands import GuidanceCommands
 from agent.runtime.bodies.nmea_body import FIRST_S, LATENCY_MS, LOOK_S, in_field
 from agent.runtime.bodies.position_fixes import ReceiverClock
+from agent.runtime.option_values import (
+    LATENCY_MAX_MS,
+    accuracy,
+    antenna,
+    number,
+    origin_or_none,
+)
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from protocol.address import AddressClaim, AddressMessage
 from protocol.frames.codec import decode, encode
@@ -60,10 +67,12 @@ class IsobusBody(RobotBody):
     ) -> None:
         """`interface`, `channel`: of python-can. `steering`, `speed`: whether they are commanded. The
         others are those of the body `nmea`."""
-        self.slot, self.interface, self.channel, self.origin = slot, interface, channel, origin
+        self.slot, self.interface, self.channel = slot, interface, channel
+        self.origin = origin_or_none(origin)
         self.wanted = (steering, speed)
-        self.antenna_m, self.latency_us = (antenna_ahead_m, antenna_left_m), round(latency_ms * MS)
-        self.accuracy_m = inf if accuracy_m is None else accuracy_m
+        self.antenna_m = antenna(antenna_ahead_m, antenna_left_m)
+        self.latency_us = round(number("latency_ms", latency_ms, 0.0, LATENCY_MAX_MS) * MS)
+        self.accuracy_m = accuracy(accuracy_m)
         self.fixes: BusFixes | None = None
         self.guidance: GuidanceCommands | None = None
         self.claim: AddressClaim | None = None
@@ -116,7 +125,11 @@ class IsobusBody(RobotBody):
             await asyncio.sleep(LOOK_S)
 
     def sense(self, now_us: int) -> Observation | None:
-        """The newest place with a heading; with the tractor's speed where the receiver tells none."""
+        """The newest place with a heading; with the tractor's speed where the receiver tells none.
+
+        Raises OSError if the interface of the tractor's bus is gone."""
+        if self._bus is not None and self._bus.lost is not None:
+            raise OSError(f"{self.interface} {self.channel}: {self._bus.lost}")
         return self._newest
 
     def drive(self, command: GatedDrive, now_us: int) -> None:

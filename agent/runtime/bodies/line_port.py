@@ -1,18 +1,36 @@
 """Lines of text from and to a device: serial, TCP or UDP, read by a thread that reconnects.
 
 serial:/dev/ttyUSB0@115200      tcp://10.0.0.5:2947      udp://0.0.0.0:5017
+
+What is written to a device that has stalled waits in a queue, and is obeyed when it is old. So a line is
+not written while an older one waits for longer than a command lives: the newest line wins.
 """
 
 import select
 import socket
+import struct
+import sys
 import threading
 import time
+from collections import deque
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Any, Final, Protocol
+
+from agent.interface.config import ACTUATOR_TTL_US, S
 
 CONNECT_S: Final = 2.0
 AGAIN_S: Final = 0.5  # between two attempts to connect
 LOOK_S: Final = 0.2  # the thread ends within this after `close`
+SILENCE_S: Final = 3.0  # a receiver that said something says something at least once a second
+WAITS_FOR_US: Final = ACTUATOR_TTL_US  # a command that has waited for longer has expired
+STALLED_FOR_US: Final = S  # a device that takes nothing for this long is connected to anew
+SIOCOUTQ: Final = 0x5411  # of Linux (linux/sockios.h): bytes that were sent and not acknowledged
+# A peer that is gone without a word: asked after 1 s of silence, every second, and given up after 3 s.
+PROBES: Final = {
+    "TCP_KEEPIDLE": 1, "TCP_KEEPINTVL": 1, "TCP_KEEPCNT": 3, "TCP_USER_TIMEOUT": 3000,
+}  # fmt: skip
+DISCARD: Final = struct.pack("ii", 1, 0)  # SO_LINGER: closing drops what was not sent
 LINE_MAX: Final = 1024  # bytes; a sentence has 82
 BAUD: Final = 115_200
 Taken = Callable[[bytes, int], None]  # a line without its end, and its arrival, microseconds
@@ -30,13 +48,39 @@ class DeviceStream(Protocol):
         ...
 
 
+class UnsentBytes:
+    """The bytes that were written to one stream and are still on their way."""
+
+    def __init__(self, stream: Any) -> None:
+        """`stream`: a socket or a serial port."""
+        self.stream = stream
+        self._written = 0  # bytes, since the beginning
+        self._waiting: deque[tuple[int, int]] = deque()  # `_written` after a line, and when
+
+    def add(self, count: int, now_us: int) -> None:
+        """So many bytes were written now."""
+        self._written += count
+        self._waiting.append((self._written, now_us))
+
+    def waits_for_us(self, now_us: int) -> int:
+        """Since when the oldest bytes wait, microseconds; 0 if none do."""
+        gone = self._written - _queued(self.stream)
+        while self._waiting and self._waiting[0][0] <= gone:
+            self._waiting.popleft()
+        return now_us - self._waiting[0][1] if self._waiting else 0
+
+
 class LinePort:
     """One device. Lines are taken in a thread of its own."""
 
-    def __init__(self, address: str, taken: Taken) -> None:
-        """Raises ValueError for an address of another form."""
+    def __init__(self, address: str, taken: Taken, receives: bool = False) -> None:
+        """`receives`: the device speaks all the time, so that its silence says that it is gone. Raises
+        ValueError for an address of another form."""
         self.address, self.taken = address, taken
+        self.receives = receives and not address.startswith("udp:")  # which has no connection
         self.dropped = 0  # lines that the device did not take
+        self.overtaken = 0  # of these: lines that would have waited behind older ones
+        self.renewed = 0  # connections that were given up because nothing came or went
         self.overlong = 0  # lines of more than `LINE_MAX`
         self.failed = 0  # lines at which `taken` raised
         self._opens = _opener(address)
@@ -44,6 +88,8 @@ class LinePort:
         self._peer: Any = None  # UDP: who sent last
         self._end = threading.Event()
         self._thread: threading.Thread | None = None
+        self._unsent = UnsentBytes(None)
+        self._stalled: Any = None  # a stream that takes nothing, for the thread to drop
 
     def open(self) -> None:
         """Connect and begin to read. Raises OSError."""
@@ -59,6 +105,16 @@ class LinePort:
     def write(self, line: bytes) -> bool:
         """Send one line with its end. False: the device does not take it now, or is gone."""
         stream = self._stream
+        now_us = time.monotonic_ns() // 1000
+        if self._unsent.stream is not stream:
+            self._unsent = UnsentBytes(stream)
+        waits_for_us = self._unsent.waits_for_us(now_us)
+        if waits_for_us > WAITS_FOR_US:
+            self.dropped += 1
+            self.overtaken += 1
+            if waits_for_us > WAITS_FOR_US + STALLED_FOR_US:
+                self._stalled = stream
+            return False
         try:
             if isinstance(stream, socket.socket):
                 udp = stream.type == socket.SOCK_DGRAM
@@ -70,6 +126,7 @@ class LinePort:
                 count = 0 if stream is None else stream.write(line)
         except (OSError, ValueError):  # a closed serial port
             count = 0
+        self._unsent.add(count, now_us)
         self.dropped += count != len(line)
         return bool(count == len(line))
 
@@ -81,14 +138,19 @@ class LinePort:
             self._thread = None
 
     def _read(self) -> None:
-        rest = b""
+        rest, heard_at_s = b"", 0.0  # 0.0: nothing was heard on this connection
         while not self._end.is_set():
             if self._stream is None:
-                rest = b""
+                rest, heard_at_s = b"", 0.0
                 try:
                     self._stream = self._opens()
                 except OSError:
                     self._end.wait(AGAIN_S)
+                continue
+            silent = self.receives and heard_at_s and time.monotonic() - heard_at_s > SILENCE_S
+            if silent or self._stalled is self._stream:
+                self.renewed += 1
+                self._drop(discard=True)
                 continue
             try:
                 if not select.select([self._stream], [], [], LOOK_S)[0]:
@@ -101,7 +163,7 @@ class LinePort:
             if not chunk:  # it is gone
                 self._drop()
                 continue
-            at_us = time.monotonic_ns() // 1000
+            at_us, heard_at_s = time.monotonic_ns() // 1000, time.monotonic()
             *lines, rest = (rest + chunk).split(b"\n")
             if len(rest) > LINE_MAX:
                 rest, self.overlong = b"", self.overlong + 1
@@ -123,10 +185,32 @@ class LinePort:
             return datagram if datagram.endswith(b"\n") else datagram + b"\n"
         return stream.recv(65_536)
 
-    def _drop(self) -> None:
-        stream, self._stream = self._stream, None
-        if stream is not None:
-            stream.close()
+    def _drop(self, discard: bool = False) -> None:
+        """Close the stream. `discard`: with what still waits to be sent, which is old."""
+        stream, self._stream, self._stalled = self._stream, None, None
+        if stream is None:
+            return
+        if discard:
+            with suppress(OSError, ValueError):
+                if isinstance(stream, socket.socket):
+                    stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, DISCARD)
+                else:
+                    stream.reset_output_buffer()
+        stream.close()
+
+
+def _queued(stream: Any) -> int:
+    """Bytes that a device has not taken, as far as the system says; else 0."""
+    if stream is None:
+        return 0
+    with suppress(OSError, ValueError):  # it cannot say, or is closed, which `write` notices
+        if not isinstance(stream, socket.socket):
+            return int(getattr(stream, "out_waiting", 0))
+        if sys.platform == "linux" and stream.type == socket.SOCK_STREAM:
+            from fcntl import ioctl  # not on every system
+
+            return int(struct.unpack("i", ioctl(stream, SIOCOUTQ, bytes(4)))[0])
+    return 0
 
 
 def _opener(address: str) -> Callable[[], DeviceStream]:
@@ -149,6 +233,10 @@ def _opener(address: str) -> Callable[[], DeviceStream]:
 def _tcp(where: tuple[str, int]) -> socket.socket:
     stream = socket.create_connection(where, CONNECT_S)
     stream.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+    stream.setsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE, 1)
+    for name, value in PROBES.items():
+        if hasattr(socket, name):
+            stream.setsockopt(socket.IPPROTO_TCP, getattr(socket, name), value)
     stream.setblocking(False)
     return stream
 

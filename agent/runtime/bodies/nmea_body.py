@@ -14,7 +14,6 @@ which sentences. The controller takes the sentences of `wheel_sentences.py`.
 import asyncio
 import time
 from collections.abc import Callable
-from math import inf
 from typing import TYPE_CHECKING, Final
 
 from pyproj import Transformer
@@ -28,6 +27,14 @@ from agent.runtime.bodies.line_port import LinePort
 from agent.runtime.bodies.position_fixes import ReceiverClock
 from agent.runtime.bodies.wheel_sentences import NUMBERS, WheelSentence, pack
 from agent.runtime.files.field_file import plane
+from agent.runtime.option_values import (
+    LATENCY_MAX_MS,
+    WHEEL_RADIUS_M,
+    accuracy,
+    antenna,
+    number,
+    origin_or_none,
+)
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus, open_bus
@@ -67,6 +74,11 @@ class BusReceiver:
             raise OSError(f"{self.address}: {reason}") from None
         self._bus.subscribe(self.heard)
 
+    def check(self) -> None:
+        """Raises OSError if the interface is gone and does not come back by itself."""
+        if self._bus is not None and self._bus.lost is not None:
+            raise OSError(f"{self.address}: {self._bus.lost}")
+
     def close(self) -> None:
         """End the reception, so that the interface is free for others."""
         if self._bus is not None:
@@ -93,11 +105,15 @@ class NmeaBody(RobotBody):
         is this far ahead and left of the middle. `latency_ms`: from the time of a place to its arrival.
         `accuracy_m`: of places whose receiver says none; none: they are not believed. `origin`:
         latitude and longitude of (0, 0), if there is no field. Raises ValueError."""
-        self.slot, self.wheel_radius_m, self.origin = slot, wheel_radius_m, origin
-        self.antenna_m, self.latency_us = (antenna_ahead_m, antenna_left_m), round(latency_ms * MS)
-        self.accuracy_m = inf if accuracy_m is None else accuracy_m
+        self.slot, self.origin = slot, origin_or_none(origin)
+        self.wheel_radius_m = number("wheel_radius_m", wheel_radius_m, *WHEEL_RADIUS_M)
+        self.antenna_m = antenna(antenna_ahead_m, antenna_left_m)
+        self.latency_us = round(number("latency_ms", latency_ms, 0.0, LATENCY_MAX_MS) * MS)
+        self.accuracy_m = accuracy(accuracy_m)
         self.gnss = (
-            BusReceiver(gnss, self._heard) if gnss.startswith(BUS) else LinePort(gnss, self._take)
+            BusReceiver(gnss, self._heard)
+            if gnss.startswith(BUS)
+            else LinePort(gnss, self._take, receives=True)
         )
         self.wheels = LinePort(wheels, lambda line, at_us: None)
         self.fixes: NmeaFixes | None = None
@@ -161,7 +177,9 @@ class NmeaBody(RobotBody):
         self._newest = self.fixes.take(line, at_us) or self._newest
 
     def sense(self, now_us: int) -> Observation | None:
-        """The newest place with a heading."""
+        """The newest place with a heading. Raises OSError if the receiver's interface is gone."""
+        if isinstance(self.gnss, BusReceiver):
+            self.gnss.check()
         return self._newest
 
     def drive(self, command: GatedDrive, now_us: int) -> None:

@@ -21,16 +21,27 @@ HEADING_AGE_MAX_US: Final = S // 10  # an older heading is no heading
 VELOCITY_AGE_MAX_US: Final = S // 2
 ACCURACY_AGE_MAX_US: Final = 2 * S  # GST is often sent once a second
 OFFSET_FOR_US: Final = 60 * S  # two clocks of 50 ppm differ by 3 ms more in this time
+STEP_FOR_US: Final = 2 * S  # a step of the receiver's time is believed after this time
+STEADY_US: Final = S // 20  # as much later or earlier do places arrive on a line that is sound
+GAP_MAX_US: Final = S // 2  # after a longer silence, places may be late
 
 
 class ReceiverClock:
-    """The time of a receiver on our clock."""
+    """The time of a receiver on our clock.
+
+    A receiver sets its time back by whole seconds when it learns of leap seconds, and repeats or leaves
+    out one at a leap second. Places then look late. A place cannot become later by more than the time
+    since the one before, so a larger step is one of the time. At midnight a leap second looks like a
+    silence of 1 s. Such a step is the new difference when arrivals have been steady for `STEP_FOR_US`.
+    """
 
     def __init__(self, latency_us: int) -> None:
         """`latency_us`: from the time of a place to its arrival, at the shortest."""
         self.latency_us = latency_us
         self._least_for_us = self._before_for_us = DAY_US  # of this period, and of the one before
         self._period_ends_at_us = -DAY_US
+        self._last: tuple[int, int] | None = None  # difference and arrival of the newest place
+        self._step: tuple[int, int] | None = None  # the least since a step, and when that began
 
     def sensed_at_us(self, utc_at_us: int, arrived_at_us: int) -> int:
         """The time at which a place was true. `utc_at_us`: since midnight."""
@@ -40,11 +51,34 @@ class ReceiverClock:
             self._period_ends_at_us = arrived_at_us + OFFSET_FOR_US
         if _later(self._least_for_us, differ_for_us):
             self._least_for_us = differ_for_us
+        self._follow_steps(differ_for_us, utc_at_us, arrived_at_us)
         least_for_us = self._least_for_us
         if self._before_for_us < DAY_US and _later(least_for_us, self._before_for_us):
             least_for_us = self._before_for_us
         late_for_us = (differ_for_us - least_for_us) % DAY_US
         return arrived_at_us - late_for_us - self.latency_us
+
+    def _follow_steps(self, differ_for_us: int, utc_at_us: int, arrived_at_us: int) -> None:
+        last, self._last = self._last, (differ_for_us, arrived_at_us)
+        if last is None:
+            return
+        gap_for_us = arrived_at_us - last[1]
+        grown_for_us = round(remainder(differ_for_us - last[0], DAY_US))
+        whole_for_us = round(grown_for_us / S) * S
+        whole = whole_for_us > 0 and abs(grown_for_us - whole_for_us) <= STEADY_US
+        if whole and (grown_for_us > gap_for_us + STEADY_US or utc_at_us < S):
+            self._step = differ_for_us, arrived_at_us
+        elif self._step is not None:
+            stepped_for_us, begun_at_us = self._step
+            off_for_us = abs(remainder(differ_for_us - stepped_for_us, DAY_US))
+            if _later(stepped_for_us, differ_for_us):
+                stepped_for_us = differ_for_us
+            self._step = stepped_for_us, begun_at_us
+            if gap_for_us > GAP_MAX_US or off_for_us > STEADY_US:
+                self._step = None
+            elif arrived_at_us - begun_at_us > STEP_FOR_US:
+                self._least_for_us, self._before_for_us = stepped_for_us, DAY_US
+                self._step = None
 
 
 def _later(one_for_us: int, other_for_us: int) -> bool:

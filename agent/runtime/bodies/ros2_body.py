@@ -36,6 +36,7 @@ from agent.motion.wheel_kinematics import (
     differential_body,
     mecanum_body,
 )
+from agent.runtime.option_values import number
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 
 if TYPE_CHECKING:
@@ -84,7 +85,7 @@ class Ros2Body(RobotBody):
         self.goals: NavigateGoals | None = None
         self._odom: tuple[float, float, str] = (0.0, 0.0, "")  # place and frame of the odometry
         self.rays, self.domain = rays, domain
-        self.origin = (x_m, y_m, heading_rad)
+        self.origin = (number("x_m", x_m), number("y_m", y_m), number("heading_rad", heading_rad))
         self.wheels: WheelDrive | None = None
         self.node: Ros2Node | None = None
         self._seen: Observation | None = None  # replaced as a whole, by the thread of the node
@@ -192,9 +193,9 @@ class Ros2Body(RobotBody):
         if not isfinite(last_rad + message.angle_min):
             return
         nearest = [inf] * self.rays
-        for number, range_m in enumerate(message.ranges):
+        for ray, range_m in enumerate(message.ranges):
             if message.range_min <= range_m <= message.range_max:
-                angle = message.angle_min + number * message.angle_increment
+                angle = message.angle_min + ray * message.angle_increment
                 sector = round(angle / (2 * pi) * self.rays) % self.rays
                 nearest[sector] = min(nearest[sector], range_m)
         at_us = time.monotonic_ns() // 1000 - self._age_us(message.header.stamp)

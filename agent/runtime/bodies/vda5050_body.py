@@ -38,6 +38,7 @@ from agent.interface.config import MS, S
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation, VisibleParcel
 from agent.peer.peer import Peer
+from agent.runtime.option_values import number
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.vda5050.broker_link import (
     Broker,
@@ -120,7 +121,8 @@ class Vda5050Body(RobotBody):
             raise BrokerError(
                 "interface, manufacturer and serial are levels of a topic, without + and #"
             )
-        self.slot, self.stale_for_us = slot, round(stale_for_ms * MS)
+        self.slot = slot
+        self.stale_for_us = round(number("stale_for_ms", stale_for_ms, 0.0) * MS)
         self.orders = VehicleOrders(token_hex(3), map, parameters or {})
         self.link = BrokerLink(
             Broker.read(broker), address, self._heard, lambda: None, is_vehicle=False

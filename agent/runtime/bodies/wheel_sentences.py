@@ -14,6 +14,10 @@ The wheels are front left, front right, rear left, rear right of a mecanum body,
 differential one, and the axle of an Ackermann one.
 
 The checksum is that of NMEA 0183. A controller ignores a sentence whose checksum is wrong.
+
+A controller that has stalled finds several sentences in its buffer. It takes the newest complete one and
+discards the backlog: obeyed one after another, old commands would each live again. `LinePort` sends
+nothing while older bytes are unacknowledged, but cannot call back what the controller's system took.
 """
 
 from collections.abc import Iterable

@@ -213,5 +213,5 @@ def test_a_driver_that_loses_its_device_ends_a_robot_that_may_be_restarted(tmp_p
         async with asyncio.timeout(LIMIT_S):
             await run_robot(robot, asyncio.Event(), first_boot=True)
 
-    with pytest.raises(AbsentError, match="robot 0: a device failed: device disconnected"):
+    with pytest.raises(AbsentError, match="robot 0: body: sense: device disconnected"):
         asyncio.run(run())

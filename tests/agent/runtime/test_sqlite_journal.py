@@ -130,7 +130,7 @@ def test_f_a_journal_whose_header_says_read_only_is_put_aside(version: int, tmp_
 def test_a_second_owner_is_refused_and_nothing_is_put_aside(tmp_path: Path) -> None:
     journal = SqliteJournal(tmp_path / "j")
     journal.write([Persist("a", b"1")])
-    with pytest.raises(OSError, match="locked") as refused:
+    with pytest.raises(OSError, match="this robot may already run") as refused:
         SqliteJournal.opened(tmp_path / "j")
     assert not isinstance(refused.value, UnreadableError)
     assert not list(tmp_path.glob("*unreadable*"))

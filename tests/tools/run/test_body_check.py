@@ -8,6 +8,7 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from functools import reduce
 from importlib import import_module
+from importlib.util import module_from_spec, spec_from_file_location
 from math import hypot, nan, pi
 from operator import xor
 from pathlib import Path
@@ -23,6 +24,7 @@ from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.runtime.bodies.isobus_body import IsobusBody
 from agent.runtime.bodies.nmea_body import NmeaBody
+from agent.runtime.bodies.wheel_sentences import checked
 from agent.runtime.robot_body import DeclaredMachine
 from sim.machines.isobus_machine import IsobusMachine
 from sim.machines.nmea_machine import Dimensions, WheeledBody
@@ -124,6 +126,25 @@ def test_a_running_machine_is_told_to_fail(
 
 def test_the_driver_of_the_tutorial_is_short() -> None:
     assert len((EXAMPLE / "rover.py").read_text().splitlines()) <= 60
+
+
+@pytest.mark.parametrize("quality", [0, 6, 7, 8])
+def test_the_driver_of_the_tutorial_takes_no_place_that_is_no_fix(quality: int) -> None:
+    """It passed on places that were estimated, entered by hand, or simulated."""
+    spec = spec_from_file_location("rover", EXAMPLE / "rover.py")
+    assert spec is not None and spec.loader is not None
+    module = module_from_spec(spec)
+    spec.loader.exec_module(module)
+    rover = module.Rover(0)
+    rover.declare(DeclaredMachine(Vehicle(drive=DriveTrain.DIFFERENTIAL), (52.0, 5.0)))
+    for kind, clock in ((4, "120000.00"), (quality, "120000.05")):
+        rover.newest = None
+        for body in (
+            f"GNGGA,{clock},5200.0,N,00500.0,E,{kind},12,0.7,10.0,M,46.0,M,1.0,0001",
+            "GNHDT,90.0,T",
+        ):
+            rover.take(checked(body.encode()).strip(), 1_000_000)
+        assert (rover.newest is None) is (kind != 4)
 
 
 class NewTimes(NmeaBody):

@@ -1,11 +1,14 @@
 """Lines over real sockets: whole lines, a device that goes and comes back, and one that does not read."""
 
+import select
 import socket
+import sys
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
 
 import pytest
 
+from agent.runtime.bodies import line_port
 from agent.runtime.bodies.line_port import LINE_MAX, LinePort
 
 LIMIT_S = 10.0
@@ -156,3 +159,78 @@ def test_hostile_datagrams_cost_themselves_and_no_sentence(opened: Open) -> None
             sender.sendto(datagram, at)
         got = [lines.get(timeout=LIMIT_S) for _ in range(5)]
     assert got == [b"", b"", b"\x00\xff", b"one", b"two"] and port.overlong == 2
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says what is unacknowledged")
+def test_no_command_waits_behind_old_ones_of_a_controller_that_stalls(
+    server: socket.socket, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A controller that stalled obeyed all that had been queued for it, one command after another."""
+    monkeypatch.setattr(line_port, "STALLED_FOR_US", 10**9)
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)  # of what it accepts
+    port, _ = opened(where(server))
+    device, _ = server.accept()
+    while port.write(b"x" * 200):  # until its buffer is full, and more waits in ours
+        pass
+    while not port.overtaken:
+        port.write(b"old\n")
+    before = port.dropped
+    assert not port.write(b"older than the next\n") and port.dropped == before + 1
+    device.settimeout(LIMIT_S)
+    got = b""
+    while not port.write(b"newest\n"):  # it goes on, and reads what had been sent
+        got += device.recv(65_536) if select.select([device], [], [], 0.01)[0] else b""
+    while not got.endswith(b"newest\n"):
+        got += device.recv(65_536)
+    assert b"older than the next" not in got
+    device.close()
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="only Linux says what is unacknowledged")
+def test_a_controller_that_takes_nothing_is_connected_to_anew_without_the_old_commands(
+    server: socket.socket, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(line_port, "STALLED_FOR_US", 0)
+    server.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, 4096)
+    port, _ = opened(where(server))
+    first, _ = server.accept()
+    while port.write(b"x" * 200):
+        pass
+    while not select.select([server], [], [], 0.01)[0]:
+        port.write(b"old\n")
+    second, _ = server.accept()
+    second.settimeout(LIMIT_S)
+    while not port.write(b"new\n"):
+        pass
+    assert second.recv(100) == b"new\n" and port.renewed == 1
+    first.close()
+    second.close()
+
+
+@pytest.mark.parametrize("receives", [True, False])
+def test_a_receiver_that_falls_silent_is_connected_to_anew_and_a_controller_is_not(
+    receives: bool, server: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A receiver that lost its power said no farewell, and its robot waited for it for ever."""
+    monkeypatch.setattr(line_port, "SILENCE_S", 0.01)
+    monkeypatch.setattr(line_port, "LOOK_S", 0.01)
+    lines: SimpleQueue[bytes] = SimpleQueue()
+    port = LinePort(where(server), lambda line, at_us: lines.put(line), receives)
+    port.open()
+    first, _ = server.accept()
+    assert not select.select([server], [], [], 0.1)[0], "it has said nothing yet"
+    first.sendall(b"one\n")
+    assert lines.get(timeout=LIMIT_S) == b"one"
+    assert bool(select.select([server], [], [], LIMIT_S if receives else 0.1)[0]) is receives
+    port.close()
+    first.close()
+
+
+def test_a_peer_that_is_gone_without_a_word_is_noticed_by_the_system(
+    server: socket.socket, opened: Open
+) -> None:
+    port, _ = opened(where(server))
+    stream = port._stream
+    assert stream.getsockopt(socket.SOL_SOCKET, socket.SO_KEEPALIVE)
+    if hasattr(socket, "TCP_USER_TIMEOUT"):
+        assert stream.getsockopt(socket.IPPROTO_TCP, socket.TCP_USER_TIMEOUT) == 3000

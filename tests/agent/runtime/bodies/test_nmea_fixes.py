@@ -116,6 +116,44 @@ def test_what_arrives_late_is_as_old_as_it_is() -> None:
         assert sensed_us == arrived_us - delay_us - LATENCY_US
 
 
+def ages_us(utc_us: list[int], arrived_us: list[int]) -> list[int]:
+    """How old each place is said to be at its arrival, beyond the latency."""
+    clock = ReceiverClock(LATENCY_US)
+    pairs = zip(utc_us, arrived_us, strict=True)
+    return [at_us - LATENCY_US - clock.sensed_at_us(utc % DAY_US, at_us) for utc, at_us in pairs]
+
+
+@pytest.mark.parametrize("back_us", [S, 2 * S, 18 * S])
+def test_a_receiver_that_sets_its_time_back_is_believed_again_within_seconds(back_us: int) -> None:
+    """Its places looked late for one to two minutes, in which the robot stood."""
+    arrived_us = [7 * S + tick * 50_000 + tick % 3 * 4000 for tick in range(400)]
+    utc_us = [40_000 * S + tick * 50_000 - back_us * (tick >= 200) for tick in range(400)]
+    ages = ages_us(utc_us, arrived_us)
+    assert max(ages[:200]) < 10_000, "as before"
+    assert ages[200] >= back_us - 10_000, "not before it is steady"
+    assert max(ages[245:]) < 10_000
+
+
+def test_one_wrong_time_ahead_does_not_make_what_follows_late() -> None:
+    arrived_us = [7 * S + tick * 50_000 for tick in range(400)]
+    utc_us = [40_000 * S + tick * 50_000 + S * (tick == 200) for tick in range(400)]
+    assert not any(ages_us(utc_us, arrived_us)[245:])
+
+
+def test_a_leap_second_at_which_a_receiver_says_no_time_is_a_step() -> None:
+    ticks = [tick for tick in range(400) if not 200 <= tick < 220]
+    arrived_us = [7 * S + tick * 50_000 for tick in ticks]
+    utc_us = [DAY_US - 10 * S + tick * 50_000 - S * (tick >= 220) for tick in ticks]
+    assert not any(ages_us(utc_us, arrived_us)[245:])
+
+
+def test_places_that_are_late_by_a_second_stay_late() -> None:
+    """The line stood for a second and is behind by this second from then on."""
+    arrived_us = [7 * S + tick * 50_000 + S * (tick >= 200) for tick in range(400)]
+    utc_us = [40_000 * S + tick * 50_000 for tick in range(400)]
+    assert ages_us(utc_us, arrived_us)[200:] == [S] * 200
+
+
 @given(st.binary(max_size=100), st.integers(0, 60 * S))
 def test_no_bytes_are_an_exception(line: bytes, at_us: int) -> None:
     taken = fixes()

@@ -1,0 +1,57 @@
+"""Options of bodies that make no sense are refused in one line, where the body is made."""
+
+from math import inf, nan
+from typing import Any
+
+import pytest
+
+pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
+
+from agent.runtime.bodies.isobus_body import IsobusBody
+from agent.runtime.bodies.nmea_body import NmeaBody
+from agent.runtime.bodies.replay_body import ReplayBody
+from agent.runtime.robot_body import StandingBody
+
+PORTS: dict[str, Any] = {"gnss": "tcp://127.0.0.1:1", "wheels": "tcp://127.0.0.1:2"}
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"wheel_radius_m": 0},
+        {"wheel_radius_m": "0.1"},
+        {"wheel_radius_m": -0.1},
+        {"wheel_radius_m": True},
+        {"latency_ms": -20.0},
+        {"latency_ms": inf},
+        {"accuracy_m": "good"},
+        {"accuracy_m": nan},
+        {"antenna_ahead_m": [1.0]},
+        {"origin": [52.0]},
+        {"origin": "52,5"},
+        {"origin": [5.0, 520.0]},
+    ],
+)
+def test_a_number_that_makes_no_sense_is_one_line_and_no_exception_later(
+    options: dict[str, Any],
+) -> None:
+    """A wheel without a radius ended a robot with ZeroDivisionError, and a text with TypeError."""
+    (name,) = options
+    with pytest.raises(ValueError, match=rf"\Aoptions\.{name}: [^\n]+\Z"):
+        NmeaBody(0, **PORTS, **options)
+    if name != "wheel_radius_m":
+        with pytest.raises(ValueError, match=name):
+            IsobusBody(0, "can0", **options)
+
+
+def test_other_bodies_check_their_options_too() -> None:
+    with pytest.raises(ValueError, match="antenna_left_m"):
+        ReplayBody(0, "log", antenna_left_m="1")  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="x_m"):
+        StandingBody(0, x_m="1")  # type: ignore[arg-type]
+
+
+def test_options_that_make_sense_are_taken_as_they_are() -> None:
+    body = NmeaBody(0, **PORTS, wheel_radius_m=1, latency_ms=0, origin=(52.0, 5))
+    assert (body.wheel_radius_m, body.latency_us, body.origin) == (1.0, 0, (52.0, 5.0))
+    assert (body.accuracy_m, body.antenna_m) == (inf, (0.0, 0.0))

@@ -1,0 +1,163 @@
+"""A CAN adapter that is unplugged, and a link that goes down: what a bus says of both."""
+
+import asyncio
+import logging
+import socket
+from collections.abc import Callable
+from errno import EIO, ENETDOWN, ENODEV, ENXIO
+from typing import Any
+
+import can
+import pytest
+
+from protocol.frames.frame import Frame
+from protocol.links.bus import LOST_S, CanBus, InterfaceErrors
+
+FRAME = Frame(0x18FEF100, b"\1")
+LIMIT_S = 10.0
+
+
+class Adapter(can.BusABC):
+    """An interface of python-can whose faults are those of Linux: an error waits until it is received."""
+
+    def __init__(self, by_file: bool) -> None:
+        self.ours, self.theirs = socket.socketpair()
+        self.ours.setblocking(False)
+        self.by_file = by_file
+        self.faults: list[int] = []
+        self.fails_to_send = 0
+        self.channel_info = "adapter"
+        super().__init__("adapter")
+
+    def fileno(self) -> int:
+        if not self.by_file:
+            raise NotImplementedError
+        return self.ours.fileno()
+
+    def happens(self, fault: int = 0) -> None:
+        """A frame, or an error, can be received."""
+        self.faults.append(fault)
+        self.theirs.send(b"x")
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self.ours.settimeout(timeout)
+        try:
+            self.ours.recv(1)
+        except (TimeoutError, BlockingIOError):
+            return None, False
+        if fault := self.faults.pop(0):
+            raise can.CanOperationError("Error receiving", fault)
+        return can.Message(arbitration_id=1, is_extended_id=True), False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        if self.fails_to_send:
+            raise can.CanOperationError("Failed to transmit", self.fails_to_send)
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        self.ours.close()
+        self.theirs.close()
+
+
+class NotedErrors(InterfaceErrors):
+    """Errors that can be waited for."""
+
+    def __init__(self, clock: Callable[[], float], noted: asyncio.Event) -> None:
+        super().__init__(clock)
+        self.noted = noted
+
+    def add(self, problem: Exception) -> None:
+        super().add(problem)
+        self.noted.set()
+
+
+class Trial:
+    """A bus on an adapter, with a clock that is set by hand."""
+
+    def __init__(self, by_file: bool = True) -> None:
+        self.now_s = 0.0
+        self.adapter = Adapter(by_file)
+        self.bus = CanBus(self.adapter)
+        self.noted = asyncio.Event()
+        self.bus.errors = NotedErrors(lambda: self.now_s, self.noted)
+        self.bus.subscribe(lambda frame: self.noted.set())
+
+    async def errs(self, fault: int) -> None:
+        """An error of reception has been noticed."""
+        self.noted.clear()
+        self.adapter.happens(fault)
+        await asyncio.wait_for(self.noted.wait(), LIMIT_S)
+
+    async def hears(self) -> None:
+        """A frame has been heard."""
+        await self.errs(0)
+
+
+def played(play: Callable[[Trial], Any], by_file: bool = True) -> None:
+    async def whole() -> None:
+        trial = Trial(by_file)
+        try:
+            await play(trial)
+        finally:
+            trial.bus.close()
+
+    asyncio.run(whole())
+
+
+@pytest.mark.parametrize("by_file", [True, False])
+def test_an_adapter_that_was_unplugged_is_lost_and_told_in_one_line(
+    by_file: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """Its robot stood for ever beside the adapter that was plugged in again, and printed tracebacks."""
+
+    async def play(trial: Trial) -> None:
+        await trial.hears()
+        for _ in range(5):
+            await trial.errs(ENODEV)
+        assert trial.bus.lost is None, "not yet"
+        trial.now_s += LOST_S
+        assert trial.bus.lost is not None and "gone" in trial.bus.lost
+
+    with caplog.at_level(logging.WARNING):
+        played(play, by_file)
+    assert len(caplog.records) == 1 and "Traceback" not in caplog.text
+
+
+def test_an_adapter_to_which_only_sending_fails_is_lost_too() -> None:
+    async def play(trial: Trial) -> None:
+        trial.adapter.fails_to_send = ENXIO
+        assert not trial.bus.send(FRAME)
+        trial.now_s += LOST_S
+        assert trial.bus.lost is not None
+
+    played(play)
+
+
+@pytest.mark.parametrize("by_file", [True, False])
+def test_a_link_that_goes_down_comes_back_by_itself(by_file: bool) -> None:
+    async def play(trial: Trial) -> None:
+        await trial.errs(ENETDOWN)
+        trial.adapter.fails_to_send = ENETDOWN
+        for _ in range(100):
+            trial.now_s += 1.0
+            assert not trial.bus.send(FRAME) and trial.bus.lost is None
+        trial.adapter.fails_to_send = 0
+        await trial.hears()
+        assert trial.bus.send(FRAME) and trial.bus.lost is None
+
+    played(play, by_file)
+
+
+def test_errors_without_end_are_a_lost_interface_and_errors_between_frames_are_not() -> None:
+    async def play(trial: Trial) -> None:
+        for _ in range(40):
+            trial.now_s += 0.1
+            await trial.errs(EIO)
+            await trial.hears()
+            assert trial.bus.lost is None
+        for _ in range(40):
+            trial.now_s += 0.1
+            await trial.errs(EIO)
+        assert trial.bus.lost is not None and "cannot receive" in trial.bus.lost
+
+    played(play)
