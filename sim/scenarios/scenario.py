@@ -11,6 +11,7 @@ from pydantic import Field, ValidationError
 from agent.interface.config import PEERS_MAX
 from agent.runtime.declared_values import FieldTable, Table, first_error, line_of
 from agent.runtime.declared_values import FleetTable as RobotFleet
+from agent.runtime.files.field_error import NOT_READ
 from agent.runtime.files.given_file import (
     SCENARIO_BYTES_MAX,
     GivenFileError,
@@ -25,7 +26,8 @@ ARENAS, WAREHOUSES = SHIPPED.parent / "arenas", SHIPPED.parent / "warehouses"
 SEED_MAX = 2**63 - 1  # the largest value that every format with a seed can hold
 AT_MAX_S = 1e6  # of a fault: longer than any run
 LINE_MAX = 1000  # characters of a message
-FIELD_FILES = (".geojson", ".json", ".xml", ".zip")  # a field file alone is a scenario of defaults
+# A field file alone is a scenario of defaults. Those that are not read are told so.
+FIELD_FILES = (".geojson", ".json", ".xml", ".zip", *NOT_READ)
 
 
 class ScenarioError(Exception):

@@ -13,15 +13,23 @@ from shapely.geometry import Polygon
 from shapely.validation import explain_validity
 
 from agent.interface.config import EXTENT_MAX_M
-from agent.runtime.files.field_error import FILE_BYTES_MAX, POINTS_MAX, FieldFileError, LonLat
+from agent.runtime.files.field_error import (
+    FILE_BYTES_MAX,
+    NOT_READ,
+    POINTS_MAX,
+    FieldFileError,
+    LonLat,
+)
 from agent.runtime.files.given_file import GivenFileError, read_json
 from agent.runtime.files.isoxml_reader import read_isoxml
 
 TASK_DATA = (".xml", ".zip")
-SURFACES = ("Polygon", "MultiPolygon")
+OUTLINE = "boundary"  # `kind` of the field itself in our own work.geojson and plan.geojson
 GEOJSON_BYTES_MAX = 8 << 20  # 200 fields of 1,000 points
 NAMES_SHOWN = 6  # most names of fields in a message
 NAME_MAX = 200  # characters of a field's name
+# An outline further across is no field: a degree of latitude is 111 km.
+ACROSS_MAX_DEG = 1.0
 
 
 class Boundary(NamedTuple):
@@ -62,6 +70,10 @@ def fields_of(path: Path) -> tuple[dict[str, list[list[LonLat]]], dict[str, Fiel
 
     Raises FieldFileError if the file as a whole cannot be read.
     """
+    if path.suffix.lower() in NOT_READ:
+        raise FieldFileError(
+            f"{path}: {NOT_READ[path.suffix.lower()]} is not read; convert it to GeoJSON"
+        )
     task_data = path.is_dir() or path.suffix.lower() in TASK_DATA
     broken: dict[str, FieldFileError] = {}
     outlines = read_isoxml(path, broken) if task_data else read_geojson(path, broken)
@@ -80,6 +92,8 @@ def read_geojson(
 ) -> dict[str, list[list[LonLat]]]:
     """Name -> rings of (longitude, latitude) in degrees (RFC 7946), the exterior first.
 
+    A name that was there before is followed by the number of its feature. If any
+    polygon is of the `kind` boundary, only such are read: our own records also have what was worked.
     Raises FieldFileError if the file cannot be read. An error of one field is raised as well, or
     put into `broken` by its name.
     """
@@ -90,18 +104,23 @@ def read_geojson(
             raise FieldFileError(f"{path}: a FeatureCollection without a list of features")
     else:
         features = [document]
+    found = [
+        (k, each, _polygons(each.get("geometry", each)))
+        for k, each in enumerate(features)
+        if isinstance(each, dict)
+    ]
+    boundaries = [each for each in found if each[2] and _properties(each[1]).get("kind") == OUTLINE]
     outlines: dict[str, list[list[LonLat]]] = {}
-    for number, feature in enumerate(features):
-        geometry = feature.get("geometry", feature) if isinstance(feature, dict) else None
-        if not isinstance(geometry, dict) or geometry.get("type") not in SURFACES:
-            continue
-        properties = feature.get("properties")
-        said = properties.get("name") if isinstance(properties, dict) else None
-        name = str(said if isinstance(said, str | int) else f"field {number}")[:NAME_MAX]
-        coordinates = geometry.get("coordinates")
-        parts = [coordinates] if geometry["type"] == "Polygon" else coordinates or []
-        for k, rings in enumerate(parts if isinstance(parts, list) else [None]):
-            label = name if not isinstance(parts, list) or len(parts) == 1 else f"{name} {k}"
+    known: set[str] = set()  # what the next one may not be called
+    for number, feature, parts in boundaries or found:
+        said = _properties(feature).get("name")
+        name = str(said)[:NAME_MAX] if isinstance(said, str | int) else ""
+        if not name.strip():
+            name = f"field {number}"
+        while any(label in known for label in _labels(name, len(parts))):
+            name = f"{name} ({number})"
+        for label, rings in zip(_labels(name, len(parts)), parts, strict=True):
+            known.add(label)
             try:
                 outlines[label] = _rings(path, label, rings)
             except FieldFileError as problem:
@@ -109,6 +128,35 @@ def read_geojson(
                     raise
                 broken[label] = problem
     return outlines
+
+
+def _properties(feature: dict[str, Any]) -> dict[str, Any]:
+    properties = feature.get("properties")
+    return properties if isinstance(properties, dict) else {}
+
+
+def _labels(name: str, parts: int) -> list[str]:
+    """The names of the parts of a field."""
+    return [name] if parts == 1 else [f"{name} {k}" for k in range(parts)]
+
+
+def _polygons(geometry: object) -> list[object]:
+    """The coordinates of each polygon of a geometry, unchecked; those of a collection in its order."""
+    found: list[object] = []
+    waiting = [geometry]
+    while waiting:
+        each = waiting.pop()
+        if not isinstance(each, dict):
+            continue
+        coordinates, members = each.get("coordinates"), each.get("geometries")
+        if each.get("type") == "Polygon":
+            found.append(coordinates)
+        elif each.get("type") == "MultiPolygon":
+            several = coordinates or []
+            found += several if isinstance(several, list) else [None]
+        elif each.get("type") == "GeometryCollection" and isinstance(members, list):
+            waiting += reversed(members)
+    return found
 
 
 def load_json(path: Path, bytes_max: int = FILE_BYTES_MAX) -> dict[str, Any]:
@@ -135,7 +183,8 @@ def _rings(path: Path, name: str, rings: object) -> list[list[LonLat]]:
             raise FieldFileError(f"{path}: {name}: a ring of {len(points)} points; it needs 4")
         if not all(-180 <= x <= 180 and -90 <= y <= 90 for x, y in points):
             raise FieldFileError(
-                f"{path}: {name}: a point that is not longitude and latitude in degrees"
+                f"{path}: {name}: a point that is not longitude and latitude in degrees; "
+                "are these metres?"
             )
         result.append(points)
     return result
@@ -155,6 +204,8 @@ def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
     """
     xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
     origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
+    across_deg = max(max(xs) - min(xs), max(ys) - min(ys))
+    advice = "are these metres?" if across_deg > ACROSS_MAX_DEG else "divide it"
     to_metres = Proj(plane(origin))  # made in 0.3 ms; a transformer between two systems takes 10
     outline = []
     for ring in rings:
@@ -162,9 +213,9 @@ def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
         outline.append(list(zip(east, north, strict=True)))
     polygon = Polygon(outline[0], outline[1:])
     if not isfinite(polygon.area):
-        raise FieldFileError(f"{path}: {name}: too far across to be projected; divide it")
+        raise FieldFileError(f"{path}: {name}: too far across to be projected; {advice}")
     if not polygon.is_valid:
         raise FieldFileError(f"{path}: {name}: {explain_validity(polygon)}; repair the outline")
     if max(map(abs, polygon.bounds)) > EXTENT_MAX_M:
-        raise FieldFileError(f"{path}: {name}: larger than {2 * EXTENT_MAX_M:.0f} m; divide it")
+        raise FieldFileError(f"{path}: {name}: larger than {2 * EXTENT_MAX_M:.0f} m; {advice}")
     return Boundary(name, polygon, origin)
