@@ -119,7 +119,8 @@ class ExplorationMission(Mission):
         others = [
             (n.pose.x_m, n.pose.y_m, radius_m) for s, n in view.neighbours.items() if s in view.live
         ]
-        self.chart.observe(here, others)
+        if view.placed:  # else the rays begin at another place than `here`
+            self.chart.observe(here, others)
         self.chart.share_news(here, now_us)
         if self.chart.sync is not None and now_us >= self._merged_at_us + REASSIGN_US:
             self._merged_at_us = now_us

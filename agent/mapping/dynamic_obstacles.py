@@ -89,6 +89,10 @@ class DynamicObstacles:
         self.map.stand(bodies, now_us)
         self.map.take_in(here, known, now_us, told)
 
+    def on_map(self, at: XY) -> bool:
+        """Whether a place (x, y), in metres, is on the map of the building, walls included."""
+        return self._geometry.holds(at)
+
     def avoid(self, at: XY, now_us: int) -> None:
         """Avoid a place for `BELIEVED_S`, because we were held up there and see no obstacle."""
         if self.map is None:

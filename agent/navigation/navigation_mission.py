@@ -98,8 +98,8 @@ class NavigationMission(Mission):
         self.agreement = JointPlanAgreement(slot, floor.lattice, floor.radius_m)
         self.goal: Point | None = None
         self.answer = AgreementReply.GRANT
-        self.bodies = SilentRobots(slot, now_us)
         self.hazards = DynamicObstacles(floor, chart)
+        self.bodies = SilentRobots(slot, now_us, self.hazards.on_map)
         self.replanning = Replanning(self.hazards, speed_m_s, deceleration_m_s2)
         self.next_way = PathLookahead(self.hazards)
         self._near_m = speed_m_s**2 / (2 * deceleration_m_s2) + CLAIM_S * speed_m_s
@@ -208,7 +208,9 @@ class NavigationMission(Mission):
         ):  # without a fleet, the echo of a robot would count as an obstacle
             self._alone_at_us = view.now_us
         if view.now_us - self._alone_at_us > ACQUAINTED_US:
-            self.hazards.observe(here, reach_m, around, view.now_us, dead)
+            # Rays from a place that is not believed would put obstacles where there are none.
+            seen = here if view.placed else here._replace(ranges_m=())
+            self.hazards.observe(seen, reach_m, around, view.now_us, dead)
         # A robot that may not drive makes no way for others: they plan round it.
         stopped = state is State.EMERGENCY_STOP or not view.may_move
         answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer

@@ -7,7 +7,7 @@ bit for bit, and joint plans avoid it. A member that is received is not an obsta
 to be free is announced as free, because a robot may have driven on while it was not received.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 
 from agent.interface.config import MS, S
 from agent.interface.mission import FleetView
@@ -31,8 +31,14 @@ class SilentRobots:
     slot of the bodies that stand now.
     """
 
-    def __init__(self, slot: int, now_us: int) -> None:
-        self.slot = slot
+    def __init__(
+        self, slot: int, now_us: int, on_map: Callable[[Point], bool] = lambda at: True
+    ) -> None:
+        """`slot`: ours. `on_map`: whether (x, y) metres is on the map of the building, which is the
+        same for all robots; other places are counted in `refused`.
+        """
+        self.slot, self._on_map = slot, on_map
+        self.refused = 0  # places beside the map: no body stands there, whoever says so
         self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
         self.known: dict[int, SilentPosition] = {}
         self.dead: dict[int, Point] = {}  # bodies that stand now
@@ -51,16 +57,20 @@ class SilentRobots:
                 stamp = self.clock.read(neighbour.heard_at_us)
                 word = SilentPosition(neighbour.pose.x_m, neighbour.pose.y_m, slot, stamp)
                 # Pack and unpack, so that we store the same rounded numbers that we send.
-                self._join(FALLEN.unpack(FALLEN.pack(word)), now_us)
+                word = FALLEN.unpack(FALLEN.pack(word))
+                if self._sound(word):
+                    self._join(word, now_us)
+                else:
+                    self.refused += 1
         self.dead = {
             slot: (word.x_m, word.y_m)
             for slot, word in sorted(self.known.items())
             if slot not in view.live and self._silent(slot, view) and word.x_m > NOWHERE_M
         }
         for slot, place in list(self.dead.items()):
-            if seen_through(
-                view.here, place, SURE_M
-            ):  # it drove on without being received, or was moved
+            # It drove on without being received, or was moved. Rays from a place that is not believed
+            # tell nothing of it.
+            if view.placed and seen_through(view.here, place, SURE_M):
                 gone = SilentPosition(NOWHERE_M, NOWHERE_M, slot, self.clock.read(now_us))
                 self._join(gone, now_us)
                 self._due_at_us[slot] = now_us
@@ -78,8 +88,15 @@ class SilentRobots:
         """Take in another robot's frame about a silent member; one about us is ignored."""
         if word.slot == self.slot:
             return
+        if not self._sound(word):
+            self.refused += 1
+            return
         self.clock.witness(word.stamp, now_us)
         self._join(word, now_us)
+
+    def _sound(self, word: SilentPosition) -> bool:
+        """Whether its place is on the map, or it says that the member stands nowhere."""
+        return word.x_m <= NOWHERE_M or self._on_map((word.x_m, word.y_m))
 
     def _join(self, word: SilentPosition, now_us: int) -> None:
         known = self.known.get(word.slot)

@@ -87,3 +87,12 @@ def test_i24_an_order_without_headway_is_given_back_and_left_to_others_for_a_whi
     assert request is None or request.section != ORDERS_FIRST
     request = mission.choose(alone._replace(now_us=now_us + SHUNNED_US))
     assert request is not None and request.section == ORDERS_FIRST
+
+
+def test_rays_from_a_place_that_is_not_believed_are_not_drawn(mission: ExplorationMission) -> None:
+    seen = view(0, FieldAllocationCRDT())
+    seen = seen._replace(here=seen.here._replace(ranges_m=(2.0,) * 36))
+    mission.idle(seen._replace(placed=False))
+    assert not mission.chart.own().any()
+    mission.idle(seen)
+    assert mission.chart.own().any()

@@ -4,6 +4,8 @@ from math import hypot
 
 import pytest
 
+from agent.interface.config import S
+from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.interface.observation import Observation
 from agent.mapf.agreement_phase import AgreementPhase
@@ -11,6 +13,7 @@ from agent.mapf.lacam import JointPlan
 from agent.mapping.building import Floor
 from agent.navigation.navigation_mission import FOLLOWED_MAX, NavigationMission
 from crdt import FieldAllocationCRDT, Progress
+from protocol.frames.agreement_frames import SilentPosition
 from sim.scenarios.building_generator import CORRIDOR
 
 FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
@@ -87,3 +90,29 @@ def test_f_lines_that_were_followed_are_forgotten_when_there_are_many() -> None:
     for number in range(FOLLOWED_MAX + 10):
         errands._set_out(((1.0, 0.5), (2.0, 0.5)), "lost", number)
     assert len(errands.followed) == FOLLOWED_MAX and errands.followed[0].t_us == 10
+
+
+@pytest.mark.parametrize("place", [(100.0, 2.0), (-3.0, 2.0)])
+def test_a_silent_member_beside_the_building_is_no_body(place: tuple[float, float]) -> None:
+    """A frame of anybody about a member made all robots look for parcels and plan beside the floor."""
+    errands = NavigationMission(0, {0: [(13.5, 0.5)]}, FLOOR, 1.0, 1.0)
+    errands.on_message(1, SilentPosition(*place, 2, 5), 0)
+    errands.on_control_period(standing((4.0,) * 8), State.IDLE)
+    assert errands.bodies.dead == {} and errands.bodies.refused == 1
+
+
+def test_rays_from_a_place_that_is_not_believed_are_no_obstacles() -> None:
+    """The echoes of walls would be obstacles in free space, for the whole fleet."""
+    near = standing((0.6,) * 8)
+    errands = NavigationMission(0, {0: [(13.5, 0.5)]}, FLOOR, 1.0, 1.0)
+    errands.on_control_period(near._replace(placed=False), State.IDLE)
+    assert errands.hazards.map is None and not errands.hazards.hits
+    errands.on_control_period(near, State.IDLE)
+    assert errands.hazards.hits
+
+
+def standing(ranges_m: tuple[float, ...]) -> FleetView:
+    """A robot in the corridor that has been a member for a minute and senses these ranges."""
+    here = Observation(7.5, 2.5, 0.0, 0.0, 0.0, ranges_m)
+    live = frozenset({0})
+    return FleetView(0, 60 * S, here, FieldAllocationCRDT(0), Progress({}), live, {}, {})

@@ -12,7 +12,7 @@ from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import seen_through
 from agent.navigation.silent_robots import DEAD_US, SURE_M, SilentRobots
 from crdt import FieldAllocationCRDT, Progress
-from protocol.frames.agreement_frames import FALLEN
+from protocol.frames.agreement_frames import FALLEN, SilentPosition
 from protocol.frames.fleet_frames import NOWHERE_M, Pose
 
 BEAT_US = 50 * MS
@@ -97,3 +97,37 @@ def test_a_body_that_is_there_is_not_seen_through() -> None:
         if beside:
             assert not seen_through(HERE._replace(ranges_m=tuple(ranges)), (1.5, 0.2), SURE_M)
     assert not seen_through(here, (2.5, 0.0), SURE_M)  # too far off to be sure
+
+
+def test_a_place_beside_the_map_is_nobodys_place() -> None:
+    """The last beat in the name of a silent member may be anybody's, and so may a frame about it."""
+    bodies = SilentRobots(0, 0, lambda at: 0 <= at[0] < 10)
+    bodies.observe(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(100.0, 4.0, 10 * S)}))
+    bodies.on_message(SilentPosition(-5.0, 4.0, 3, 7), 20 * S)
+    assert bodies.refused == 2
+    assert not bodies.known and not list(bodies.outgoing(True, 60 * S)), "it is not told on"
+    bodies.on_message(SilentPosition(5.0, 4.0, 3, 7), 20 * S)
+    bodies.observe(view(0, 21 * S, {0}, {}, {}))
+    assert bodies.dead == {3: (5.0, 4.0)}
+    bodies.on_message(SilentPosition(100.0, 4.0, 3, 9), 21 * S)
+    bodies.observe(view(0, 22 * S, {0}, {}, {}))
+    assert bodies.dead == {3: (5.0, 4.0)}, "a later lie does not hide it"
+    bodies.on_message(SilentPosition(NOWHERE_M, NOWHERE_M, 3, 9), 22 * S)
+    bodies.observe(view(0, 23 * S, {0}, {}, {}))
+    assert not bodies.dead, "that it has gone is no place beside the map"
+
+
+def test_from_a_place_that_is_not_believed_no_body_is_seen_through() -> None:
+    bodies = SilentRobots(0, 0)
+    seen = view(
+        0,
+        20 * S,
+        {0},
+        {2: 10 * S},
+        {2: beat(1.0, 0.3, 10 * S)},
+        HERE._replace(ranges_m=(inf,) * 36),
+    )
+    bodies.observe(seen._replace(placed=False))
+    assert 2 in bodies.dead
+    bodies.observe(seen)
+    assert bodies.dead == {}
