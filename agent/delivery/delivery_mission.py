@@ -267,8 +267,15 @@ class DeliveryMission(NavigationMission):
         order = self.dispatch.book.tasks.get(section)
         return order is not None and order.withdrawn and self._load != section
 
+    def _unknown(self, section: int) -> bool:
+        """Whether there is nothing to drive to: no order with this number, or no bay.
+
+        Our durable claim may outlive the order, which is refused if its cells are no places.
+        """
+        return not self.house.bays if section >= TASKS_MAX else section not in self.dispatch.book
+
     def approach(self, section: int, view: FleetView) -> MotionRequest:
-        if self._taken_back(section):
+        if self._taken_back(section) or self._unknown(section):
             return MotionRequest(0.0, 0.0)
         self._go(self._goal(section, view))
         return self._drive(view)[0]
@@ -291,6 +298,8 @@ class DeliveryMission(NavigationMission):
             self.begin(held[0], view)
         section = self.section
         assert section is not None
+        if self._unknown(section):
+            return self._given_up(section, view, "no such task or bay")
         if section < TASKS_MAX and self._delivered(section, view):
             self._through()
             return MotionRequest(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)

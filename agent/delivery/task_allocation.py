@@ -81,7 +81,7 @@ class TaskAllocation:
         number.
         """
         self.slot, self.house = slot, house
-        self.book = TaskRegistry(slot, {**house.tasks, **recalled}, now_us, house.known)
+        self.book = TaskRegistry(slot, house.tasks, now_us, house.known, recalled)
         self.round = PlanNegotiation(slot, seed)
         self.itinerary: list[int] = []  # tasks that we intend to begin, not those begun
         self.telling = ItineraryBroadcast(now_us)

@@ -19,6 +19,7 @@ AGAIN_US = 400 * MS  # an order received within this time is not repeated
 KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record: pickup, dropoff
 # The pickup of an order that was taken back. No floor has this cell, and the greatest wins the join.
 WITHDRAWN = 0xFFFF
+NO_TASKS: Mapping[int, "TransportTask"] = {}
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
 
@@ -80,13 +81,21 @@ class TaskRegistry:
         tasks: Mapping[int, TransportTask],
         now_us: int,
         on_floor: Callable[[TransportTask], bool] = lambda order: True,
+        recalled: Mapping[int, TransportTask] = NO_TASKS,
     ) -> None:
         """`slot`: ours. `tasks`: those that every robot was given before the start, by number.
         `on_floor`: whether both cells of an order are places of the building, which is the same for all
-        robots; other orders are counted in `refused`."""
+        robots; other orders are counted in `refused`. `recalled`: tasks received before a restart;
+        one that is refused does not hide the task that was given.
+        """
         self._on_floor = on_floor
         self.refused = 0  # orders with cells that are no places
-        self.tasks = {task: order for task, order in tasks.items() if self._is_sound(order)}
+        self.tasks: dict[int, TransportTask] = {}
+        for task, order in (*tasks.items(), *recalled.items()):
+            if self._is_sound(order):
+                self.tasks[task] = order
+            else:
+                self.refused += 1
         self._asked_at_us: dict[
             int, int
         ] = {}  # bucket -> when we last told that we lack some of it
@@ -94,7 +103,7 @@ class TaskRegistry:
         self.added = 0  # change counter, so that cached results can detect changes
         self._due: dict[int, int] = {}  # task to send again, and from when
         self._heard_at_us: dict[int, int] = {}
-        self._slot, self._bucket = slot, slot
+        self._slot, self._turn = slot, slot
         # So that robots do not send in the same beat.
         self._digest_at_us = now_us + DIGEST_US + slot * 37 * MS
 
@@ -177,7 +186,9 @@ class TaskRegistry:
             yield TaskBookDigest(bucket, check, bits)
         if now_us >= self._digest_at_us:
             self._digest_at_us = now_us + DIGEST_US
-            buckets = max(self.tasks, default=0) // BUCKET_TASKS + 1
-            self._bucket = (self._bucket + 1) % buckets
-            bits, check = self._digest(self._bucket)
-            yield TaskBookDigest(self._bucket, check, bits)
+            # Empty buckets are left out. One order with a high number would delay all others.
+            buckets = sorted({task // BUCKET_TASKS for task in self.tasks}) or [0]
+            self._turn = (self._turn + 1) % len(buckets)
+            bucket = buckets[self._turn]
+            bits, check = self._digest(bucket)
+            yield TaskBookDigest(bucket, check, bits)

@@ -393,12 +393,12 @@ class Cluster:
 
     @property
     def replicas_equal(self) -> bool:
-        """Whether registers and progress are equal byte for byte."""
-        states = {
-            (robot.peer.allocation.serialize(), robot.peer.progress.serialize())
-            for robot in self.running
-        }
-        return len(states) <= 1
+        """Whether what robots share is equal byte for byte."""
+        return len({self.replica_of(robot) for robot in self.running}) <= 1
+
+    def replica_of(self, robot: Robot) -> tuple[bytes, ...]:
+        """What a robot shares with the others, in bytes: registers and progress."""
+        return robot.peer.allocation.serialize(), robot.peer.progress.serialize()
 
     async def close(self) -> None:
         """Close a fleet that runs on an asyncio loop."""

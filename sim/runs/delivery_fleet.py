@@ -37,6 +37,11 @@ class DeliveryFleet(Cluster):
         robot.runner.body = CarrierBody(robot.runner.body, slot, self.truth, self.host.now_us)
         return robot
 
+    def replica_of(self, robot: Robot) -> tuple[bytes, ...]:
+        """Registers and progress, and the orders that the robot knows."""
+        orders = sorted(self.missions[robot.slot].dispatch.book.tasks.items())
+        return *super().replica_of(robot), repr(orders).encode()
+
     @property
     def finished(self) -> bool:
         return self.depot.delivered and all(

@@ -1,12 +1,18 @@
 """Orders and claims that a building does not have; each of them ended a robot."""
 
-from agent.delivery.task_registry import AGAIN_US, TASKS_MAX, TaskRegistry, TransportTask
+import pytest
+
+from agent.delivery.cost_matrix import Carrier
+from agent.delivery.delivery_mission import DeliveryMission
+from agent.delivery.task_registry import AGAIN_US, TASKS_MAX, TaskRegistry, TransportTask, record
 from agent.delivery.warehouse import SECTIONS_END
 from agent.interface.config import MS, S
+from agent.interface.lifecycle import State
 from agent.peer.work_admission import Admission
-from crdt import Phase
+from crdt import FieldAllocationCRDT, Phase
 from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 from protocol.frames.work_frames import TaskClaim
+from tests.agent.delivery.test_delivery_mission import house, view
 
 CELLS = 100  # of the building of these tests
 
@@ -59,3 +65,41 @@ def test_a_claim_of_a_bay_that_the_building_does_not_have_is_refused() -> None:
         admission = Admission(sections, frozenset({0, 1}), 0)
         assert admission.admits(bay, 0) is admitted
         assert admission.admits(bay._replace(section=5), 0)
+
+
+def test_an_order_without_a_place_does_not_hide_the_task_that_was_given() -> None:
+    """An older robot stored it. The parcel aboard went nowhere, since its task was not known."""
+    given = {7: TransportTask(1, 2)}
+    book = TaskRegistry(
+        0, given, 0, on_floor, {7: TransportTask(50_000, 3), 8: TransportTask(4, 5)}
+    )
+    assert book.tasks == {**given, 8: TransportTask(4, 5)} and book.refused == 1
+
+
+def test_one_high_number_does_not_delay_all_other_orders() -> None:
+    """Digests went round all numbers up to the highest, one a second: 512 s with this one."""
+    order = TransportTask(1, 2)
+    known = TaskRegistry(0, {0: order, TASKS_MAX - 1: order}, 0)
+    late = TaskRegistry(1, {}, 0)
+    for now_us in range(0, 5 * S, 50 * MS):
+        for book, other in ((known, late), (late, known)):
+            for said in list(book.outgoing(now_us)):
+                other.on_message(said, now_us)
+    assert late.tasks == known.tasks
+
+
+@pytest.mark.parametrize("section", [9, TASKS_MAX])
+def test_a_section_without_an_order_or_a_bay_is_given_up(section: int) -> None:
+    """A durable claim may outlive an order that is refused. The mission raised an exception."""
+    recalled = dict([record(9, TransportTask(50_000, 1))])
+    mission = DeliveryMission(
+        0, house(Carrier(1.0, 0.0), []), (0.5, 0.5), 1.0, 1.6, 0, 1, recalled=recalled
+    )
+    allocation = FieldAllocationCRDT()
+    allocation.claim(section, 0)
+    allocation.start(section, 0)
+    seen = view(10 * S)._replace(allocation=allocation)
+    mission.on_control_period(seen, State.WORKING)
+    assert not mission.approach(section, seen).given_up
+    assert mission.work(seen).given_up
+    assert mission.stops == []

@@ -9,6 +9,7 @@ from agent.claims.standing_owners import STANDS_US
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_allocation import round_tasks_max
 from agent.delivery.task_outcome import TaskPhase, outcome_of
+from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import ADDRESS_FIRST, S
 from agent.interface.effects import Effect, Trace
@@ -544,3 +545,19 @@ def test_t13_in_a_fleet_with_keys_only_proven_orders_are_believed() -> None:
     outcome, _ = play(given, watch)
     assert known and not any(known)
     assert outcome.delivered == 2, "the parcel of the stranger lies there, and nobody fetches it"
+
+
+def test_replicas_of_robots_that_know_other_orders_are_not_equal() -> None:
+    """A run in which a robot never learned an order said that all replicas are equal."""
+    run, equal = DeliveryRun(DeliverySetup(scenario(2, random_tasks=1))), list[bool]()
+
+    def watch(fleet: DeliveryFleet) -> None:
+        equal.append(fleet.replicas_equal)
+        fleet.missions[0].dispatch.book.tasks[40] = TransportTask(0, 11)
+        equal.append(fleet.replicas_equal)
+        del fleet.missions[0].dispatch.book.tasks[40]
+        run.ended = True
+
+    run.watch = watch
+    run.run()
+    assert equal[:2] == [True, False]
