@@ -63,9 +63,13 @@ class DurableRecords(Part):
             self.incarnation = lot
         self.operations = self._number(OPERATIONS, U32, 0)
         raw = recalled.get(ELECTION, b"")
-        # At the last term we may vote a second time in it. That a forged vote uses the terms up must
-        # not end robots.
-        self.term = min(VOTE.unpack(raw)[0] + 1, TERM_MAX) if len(raw) == VOTE.size else 0
+        self.term = 0
+        self.voted: int | None = None  # for whom, in this term
+        if len(raw) == VOTE.size:
+            term, candidate = VOTE.unpack(raw)
+            self.term = min(term + 1, TERM_MAX)
+            if term == TERM_MAX:  # there is no later one: our vote in it stays
+                self.voted = candidate
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """Make the incarnation durable before the first frame that could reveal it."""

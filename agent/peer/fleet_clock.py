@@ -9,6 +9,7 @@ Robots answer one after the other, and those that receive a valid answer keep si
 """
 
 from collections.abc import Mapping
+from heapq import nsmallest
 from typing import Any, Final
 
 from agent.interface.config import MS, PEERS_MAX, S
@@ -46,7 +47,14 @@ ANSWER_US, ANSWER_STEP_US = 2 * MS, 5 * MS  # two frames, and one that blocks th
 ANSWER_SPACING_US: Final = 8 * MS  # the largest fleet learns the time in a second
 assert ANSWER_US + PEERS_MAX * ANSWER_STEP_US < ALONE_US, "the last slot answers in time"
 ANSWERERS: Final = 6  # members that answer, the lowest slots first
-QUESTIONS_MAX: Final = 128
+QUESTIONS_MAX: Final = (
+    128  # that wait: one of each robot and tool, as when a whole fleet is switched on
+)
+# Questions that one answer is compared with, which costs a tag each. The lowest slots are answered first.
+COMPARED_MAX: Final = 8
+COMPARED_FOR_US: Final = 1 * S
+# Answers compared with questions of others in that time. Robots that answer in turn give half as many.
+COMPARED_ANSWERS_MAX: Final = 2 * (COMPARED_FOR_US // ANSWER_SPACING_US)
 
 
 class FleetClock(Part):
@@ -66,6 +74,7 @@ class FleetClock(Part):
         self._turn_for_us = ANSWER_US  # we leave the answer to lower slots for so long
         self._last = False  # our last question before we start the time is asked
         self._pending: dict[TimeQuestion, int] = {}  # question of another device -> when we answer
+        self._compared, self._compared_from_at_us = 0, -COMPARED_FOR_US
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
@@ -125,6 +134,19 @@ class FleetClock(Part):
         halves = self.answers.halves(question, self.time.at(now_us))
         return [Send(half) for half in halves]
 
+    def _comparable(self, m: FleetTimeTold, now_us: int) -> list[TimeQuestion]:
+        """The questions of others that an answer is compared with: few, and none for a flood of answers.
+
+        What is not compared costs one answer more on the bus, and no robot its time."""
+        if m.part != TAG or not self._pending:
+            return []
+        if now_us - self._compared_from_at_us >= COMPARED_FOR_US:
+            self._compared, self._compared_from_at_us = 0, now_us
+        if self._compared >= COMPARED_ANSWERS_MAX:
+            return []
+        self._compared += 1
+        return nsmallest(COMPARED_MAX, self._pending)
+
     def _ask(self, now_us: int) -> TimeQuestion:
         assert self.keys is not None
         self._asked, self._asked_at_us = self._asked + 1, now_us
@@ -164,6 +186,8 @@ class FleetClock(Part):
         if rank >= ANSWERERS:
             return NOTHING
         self._turn_for_us = ANSWER_US + (rank or self.slot) * ANSWER_STEP_US
+        for older in [q for q in self._pending if q.asker == m.asker and q != m]:
+            del self._pending[older]  # it takes only an answer to its newest question
         self._pending[m] = ctx.now_us + self._turn_for_us
         if len(self._pending) > QUESTIONS_MAX:
             del self._pending[next(iter(self._pending))]
@@ -176,7 +200,7 @@ class FleetClock(Part):
         if m.part == TAG:  # one answer at a time on the bus: all others wait their turn again
             turn_at_us = now_us + self._turn_for_us
             self._pending = {q: max(at_us, turn_at_us) for q, at_us in self._pending.items()}
-        for question in list(self._pending):  # another robot has answered as we would
+        for question in self._comparable(m, now_us):  # another robot has answered as we would
             ticks = self.answers.hear(header.source, m, question)
             if ticks is None or not self.time.possible(ticks):
                 continue

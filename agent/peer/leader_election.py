@@ -17,6 +17,9 @@ from protocol.frames.fleet_frames import LeaderElectionVote
 
 OPERATOR_GATEWAY = 1  # election of the robot that answers operators: `agent/peer/fleet_summary.py`
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
+# Terms by which one frame moves ours: a fleet without a leader uses up fewer in two hours, and one forged
+# frame must not use up all. Who is further behind gets there with a few frames.
+TERMS_AHEAD_MAX = 1000
 SETTLE_US = 1 * S  # the live view must be unchanged for this long before a vote
 # Between two votes of one peer while terms have no leader.
 SPACING_US, SPACING_US_MAX = (500 * MS, 8 * S)
@@ -36,15 +39,25 @@ class Election:
     """One peer's view of one election."""
 
     def __init__(
-        self, election: int, slot: int, name_hash: int, term: int = 0, forgot: bool = False
+        self,
+        election: int,
+        slot: int,
+        name_hash: int,
+        term: int = 0,
+        forgot: bool = False,
+        voted: int | None = None,
     ) -> None:
-        """`forgot`: we may have voted before a restart that lost the memory.
+        """`forgot`: we may have voted before a restart that lost the memory. `voted`: whom we voted for
+        in this term before the restart.
 
-        The terms of these votes are unknown, but not later than the terms of the other members."""
+        The terms of forgotten votes are unknown, but not later than the terms of the other members."""
         self.election, self.slot, self.name_hash = election, slot, name_hash
         self.term = term  # the highest term seen
         self._patience = PATIENCE if forgot else 0  # above 0: it must not vote yet
+        self._lags = False  # it forgot, and its term is not yet later than the one that it was told
         self.votes: dict[int, int] = {}  # voter -> candidate, in this term
+        if voted is not None:
+            self.votes[slot] = voted
         self.leader: Leader | None = None
         self._live: frozenset[int] = frozenset({slot})
         self._call_at_us: int | None = None
@@ -113,7 +126,7 @@ class Election:
     def fence(self, term: int, now_us: int) -> None:
         """That term existed before we joined, so ours must be later."""
         if (term >= self.term and self.leader is None) or term > self.term:
-            self._open(term + 1)
+            self._open(self._reached(term + 1))
             self.see(now_us)
 
     # ---------------------------------------------------------------- what
@@ -138,14 +151,19 @@ class Election:
         The answer is needed for a member that restarted before its silence was noticed: no view
         changes, so it would keep its first term for good."""
         if self._patience:
-            self.term = min(max(self.term, vote.term + 1), TERM_MAX)
+            wanted = max(self.term, vote.term + 1)
+            self.term = self._reached(wanted)
+            self._lags = self.term < min(wanted, TERM_MAX)
             return None
         if vote.term < self.term:
             return self._vote(live) if self.slot in self.votes else None  # fenced
         answer = None
         if vote.term > self.term:
-            self._open(vote.term)
-        self.votes.setdefault(voter, vote.candidate)
+            wanted = vote.term + self._lags
+            self._open(self._reached(wanted))
+            self._lags &= self.term < min(wanted, TERM_MAX)
+        if vote.term == self.term:
+            self.votes.setdefault(voter, vote.candidate)
         if self.slot not in self.votes:
             answer = self._vote(live)
         self._count(live)
@@ -168,6 +186,10 @@ class Election:
     def _own(self) -> LeaderElectionVote:
         candidate = self.votes[self.slot]
         return LeaderElectionVote(self.election, self.term, candidate, 0, self.name_hash)
+
+    def _reached(self, wanted: int) -> int:
+        """The term that we open when a frame tells us of the term `wanted`."""
+        return min(wanted, self.term + TERMS_AHEAD_MAX, TERM_MAX)
 
     def _open(self, term: int) -> None:
         self.term, self.votes, self.leader = min(term, TERM_MAX), {}, None

@@ -133,7 +133,12 @@ class PeerParts:
         self.reports = MemberReports(slot, self.clock)
         self.votes = LeaderVotes(
             Election(
-                OPERATOR_GATEWAY, slot, identity.name.hash16, self.records.term, self.records.lost
+                OPERATOR_GATEWAY,
+                slot,
+                identity.name.hash16,
+                self.records.term,
+                self.records.lost,
+                self.records.voted,
             )
         )
         self.letters = PgnResponder(

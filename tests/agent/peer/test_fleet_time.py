@@ -3,6 +3,7 @@
 import pytest
 
 from agent.interface.config import MS, S
+from agent.peer.fleet_clock import COMPARED_ANSWERS_MAX, COMPARED_MAX
 from agent.peer.inputs import Received
 from protocol.authentication import Keys
 from protocol.frame_proofs import (
@@ -162,3 +163,30 @@ def test_a_robot_that_knows_no_time_at_the_switch_asks_for_it() -> None:
     switch(rig, 2)
     rig.run_for(5 * S)
     assert one_fleet(rig) and max(ticks_of(rig)) - min(ticks_of(rig)) <= 1
+
+
+def test_forged_answers_and_questions_cost_few_tags(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Each answer was compared with each of 128 questions; a flood of both kept a computer busy."""
+    rig = KeyedRig(1)
+    peer, tags = rig.peers[0], 0
+    real = ProofKeys.time_tag
+
+    def counted(keys: ProofKeys, question: TimeQuestion, ticks: int) -> int | None:
+        nonlocal tags
+        tags += 1
+        return real(keys, question, ticks)
+
+    somebody(rig)
+    for asker in range(108):
+        for nonce in range(3):
+            rig.tell(0, Received(encode(TimeQuestion(asker, nonce), ELSEWHERE)))
+    pending = peer.named.fleet_clock._pending
+    assert len({question.asker for question in pending}) == len(pending) > COMPARED_MAX
+    monkeypatch.setattr(ProofKeys, "time_tag", counted)
+    for value in range(2 * COMPARED_ANSWERS_MAX):
+        for part in (0, 1):
+            rig.tell(0, Received(encode(FleetTimeTold(part, 1000 + value), ELSEWHERE)))
+    questions = COMPARED_MAX * COMPARED_ANSWERS_MAX
+    assert COMPARED_MAX < tags <= questions + 2 * COMPARED_ANSWERS_MAX, (
+        "and one for its own question"
+    )

@@ -10,6 +10,7 @@ from agent.peer.leader_election import (
     SETTLE_US,
     SPACING_US,
     TERM_MAX,
+    TERMS_AHEAD_MAX,
     Election,
 )
 from protocol.frames.fleet_frames import LeaderElectionVote
@@ -103,3 +104,58 @@ def test_a_forged_vote_with_the_last_term_ends_no_robot_at_its_next_start() -> N
     election.tick(frozenset({0, 1}), 10 * S)
     vote = election.speak(10 * S)
     assert vote is not None and DurableRecords.vote(vote.term, vote.candidate)
+
+
+def test_one_forged_vote_does_not_use_the_terms_up() -> None:
+    election = Election(1, 0, 0, term=7)
+    election.call(BOTH)
+    answer = election.receive(1, _vote(TERM_MAX, 1), BOTH)
+    assert election.term == 7 + TERMS_AHEAD_MAX
+    assert answer == _vote(7 + TERMS_AHEAD_MAX, 0) and 1 not in election.votes, (
+        "it counts in its own term"
+    )
+    election.fence(TERM_MAX, 0)
+    assert election.term == 7 + 2 * TERMS_AHEAD_MAX
+
+
+def test_a_robot_that_joins_late_gets_to_a_term_that_is_far_ahead() -> None:
+    term = 5 * TERMS_AHEAD_MAX + 3
+    stayed, late = Election(1, 0, 0, term=term), Election(1, 1, 0)
+    stayed.call(BOTH)
+    said = late.call(BOTH)
+    for _ in range(6):
+        assert said is not None
+        answer = stayed.receive(1, said, BOTH)
+        assert answer is not None
+        said = late.receive(0, answer, BOTH)
+    assert late.term == stayed.term == term
+    assert said is not None
+    stayed.receive(1, said, BOTH)
+    assert late.leader == stayed.leader == (term, 0)
+
+
+def test_a_robot_without_memory_does_not_vote_in_a_far_term_of_before() -> None:
+    """It reaches that term by steps, and may have voted in it."""
+    term = 2 * TERMS_AHEAD_MAX + 3
+    back = Election(1, 1, 0, forgot=True)
+    back.receive(0, _vote(term, 0), BOTH)
+    back._patience = 0
+    said = list[LeaderElectionVote | None]()
+    for _ in range(4):
+        said.append(back.receive(0, _vote(term, 0), BOTH))
+    assert [vote.term for vote in said if vote is not None][-1] == back.term == term + 1
+    assert all(vote is None or vote.term != term for vote in said)
+
+
+def test_after_a_restart_in_the_last_term_a_robot_keeps_its_vote() -> None:
+    records = DurableRecords(
+        dict([DurableRecords.vote(TERM_MAX, 1)]), first_boot=False, rng=Random(1)
+    )
+    back = Election(1, 2, 0, records.term, voted=records.voted)
+    assert back.call(frozenset({0, 1, 2})) == _vote(TERM_MAX, 1), (
+        "and not for robot 0, the lowest one"
+    )
+    before = DurableRecords(
+        dict([DurableRecords.vote(TERM_MAX - 1, 1)]), first_boot=False, rng=Random(1)
+    )
+    assert before.term == TERM_MAX and before.voted is None
