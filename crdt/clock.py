@@ -70,6 +70,21 @@ class VectorClock:
         if 0 < ahead < modulus // 2 or (known == 0 and low):
             self._counts[replica] = known + ahead
 
+    def settle(self, replica: int, low: int) -> None:
+        """Learn a counter from the replica itself, of which the low 16 bits travelled: the nearest value.
+
+        It may be below ours. Fewer bits that somebody else told can have moved ours too far.
+        """
+        assert 0 <= low < 1 << 16
+        known = self._counts.get(replica, 0)
+        ahead = (low - known) % (1 << 16)
+        back = (1 << 16) - ahead
+        count = known - back if back < ahead and back <= known else known + ahead
+        if count:
+            self._counts[replica] = count
+        else:
+            self._counts.pop(replica, None)
+
     def merge(self, other: "VectorClock") -> None:
         """Join in place: the maximum of each component."""
         counts = self._counts

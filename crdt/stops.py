@@ -120,8 +120,10 @@ class DotSet(Generic[D]):
         return dot in self._cleared
 
     def merge(self, other: "DotSet[D]") -> None:
-        """Join a whole replica: the union of the pressed and of the cleared dots."""
-        for dot in other._cleared:  # first, so that a full set has no dot too many in between
+        """Join a whole replica: the union of the pressed and of the cleared dots.
+
+        It clears first. At the limit a press would else find no room that a clearance makes."""
+        for dot in other._cleared:
             self.clear(dot)
         for dot in other._pressed:
             self.press(dot)

@@ -49,6 +49,10 @@ class DevicePool(NamedTuple):
         """The elements with a value that can be asked for or set. `ddi`: number of ISO 11783-11."""
         return sorted(element for element, each in self.properties if each == ddi)
 
+    def describes(self, key: tuple[int, int]) -> bool:
+        """Whether a value (element, DDI) stands in it."""
+        return key in self.properties or key in self.triggers or key in self.fixed
+
     def sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[BoomSection]:
         """Its sections from left to right, where their places and widths are known.
 

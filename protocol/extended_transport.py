@@ -275,8 +275,9 @@ class ExtendedTransport:
         if session is None or session.pgn != m.pgn:
             self.counts["unexpected DPO"] += 1
             return []
+        if session.offset < 0:  # one that is said again gains no time
+            session.due_at_us = now_us + T1_US
         session.offset = int.from_bytes(m.body[1:4], "little")
-        session.due_at_us = now_us + T1_US
         return []
 
     def _data(
@@ -287,8 +288,10 @@ class ExtendedTransport:
             self.counts["unexpected data"] += 1
             return [], None
         number = session.offset + m.sequence
-        session.due_at_us = now_us + T1_US
-        if number == session.expected:
+        if (
+            number == session.expected
+        ):  # others gain no time: a sender could hold the session for ever
+            session.due_at_us = now_us + T1_US
             session.data += m.body
             session.retries = 0
         if session.expected > session.packets:

@@ -49,6 +49,7 @@ STATUS_PERIOD_US: Final = 2 * S  # between two status messages
 CLIENT_SILENT_US: Final = 6 * S  # a client that says nothing for so long is gone
 CLIENTS_MAX: Final = 16  # implements on one bus; a tractor has two or three
 POOL_BYTES_MAX: Final = 1 << 16  # of one description
+STORED_MAX: Final = 16  # descriptions kept, of devices that are here and of those that have gone
 BOOMS, SECTIONS, CHANNELS = 4, 96, 1
 TOTALS_ACTIVE: Final = 1  # bit of the status: a task is being worked on
 RENAME, RENAMED = 0xC1, 0xD1
@@ -142,7 +143,7 @@ class TaskServer:
     def __init__(self, now_us: int, version: int = VERSION_4) -> None:
         self.version = version
         self.clients: dict[int, ImplementSession] = {}  # by source address
-        self.stored: dict[int, DevicePool] = {}  # by NAME; kept when a client goes
+        self.stored: dict[int, DevicePool] = {}  # by NAME; kept when a client goes, the newest last
         self.counts: Counter[str] = Counter()  # sessions, and what was refused, by kind
         self._status_at_us = now_us
 
@@ -199,7 +200,10 @@ class TaskServer:
             return self._describe(client, data)
         if command == VALUE:
             key, (number,) = _key(data), unpack("<i", data[4:8])
-            client.values[key] = number
+            if client.pool is not None and client.pool.describes(key):
+                client.values[key] = number
+            else:
+                self.counts["value that is not described"] += 1
             return [ValueTold(source, key, number)]
         if command not in (CLIENT_TASK, ACKNOWLEDGE):
             self.counts["no command of a client"] += 1
@@ -272,7 +276,11 @@ class TaskServer:
         if pool is None or len(data) > POOL_BYTES_MAX:
             self.counts["unreadable description"] += 1
             return bytes((POOL_TAKEN, REFUSED)) + len(data).to_bytes(4, "little")
+        self.stored.pop(client.name, None)
         client.pool = self.stored[client.name] = pool
+        client.values.clear()
+        if len(self.stored) > STORED_MAX:  # who comes back is asked for its description again
+            del self.stored[next(iter(self.stored))]
         client.machine.fire(ClientEvent.TAKEN)
         return bytes((POOL_TAKEN, 0)) + len(data).to_bytes(4, "little")
 

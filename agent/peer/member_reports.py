@@ -37,7 +37,7 @@ class MemberReports(Part):
 
     def heard(self, slot: int, m: Heartbeat) -> None:
         """A member's heartbeat."""
-        self.clock.witness(slot, m.operations)
+        self.clock.settle(slot, m.operations)
         self.healths[slot] = m.health
         if not (m.held or m.stopped) and slot in self.standstills:
             self.standstills[slot].moves()

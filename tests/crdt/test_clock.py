@@ -55,3 +55,19 @@ def test_a_stale_witness_changes_nothing(known: int, behind: int) -> None:
     clock = VectorClock({1: known})
     clock.witness(1, (known - min(behind, known)) & 0xFFFF)
     assert clock[1] == known
+
+
+def test_a_replica_itself_corrects_what_an_old_slice_moved_too_far() -> None:
+    clock = VectorClock({1: 1000})
+    clock.witness(1, 870 & 0xFF, bits=8)
+    assert clock[1] == 1126
+    clock.settle(1, 1001)
+    assert clock[1] == 1001
+
+
+@given(st.integers(0, 1 << 20), st.integers(-20_000, 20_000))
+def test_settle_takes_the_nearest_value(known: int, moved: int) -> None:
+    count = max(known + moved, 0)
+    clock = VectorClock({1: known})
+    clock.settle(1, count & 0xFFFF)
+    assert clock[1] == count and (1 in list(clock)) == (count > 0)

@@ -143,15 +143,17 @@ def test_t10_the_digest_is_that_of_what_is_held() -> None:
     assert first.digest() == 0
 
 
-def test_a_full_set_joins_a_cleared_dot_in_any_order() -> None:
-    """It counted a dot too many, and stayed latched, where it joined the other set second."""
+def test_replicas_at_the_limit_merge_to_the_same_in_both_directions() -> None:
     full, other = StopSet(), StopSet()
-    for counter in range(ACTIVE_MAX):
-        full.press(StopDot(1, 0, counter))
-    dot = StopDot(2, 0, 1)
-    other.press(dot)
-    other.clear(dot)
+    for dot in many(ACTIVE_MAX):
+        full.press(dot)
+    other.press(StopDot(0x7F, 1, 1))
+    other.clear(StopDot(0x7F, 1, 1))
+    for dot in many(4):  # it makes room in the full one
+        other.clear(dot)
+    for k in range(4):
+        other.press(StopDot(0x7F, 2, k))
     one, two = StopSet.deserialize(full.serialize()), StopSet.deserialize(other.serialize())
     one.merge(other)
     two.merge(full)
-    assert one == two and one.more == two.more == 0
+    assert one == two and one.active == two.active and not one.more and not two.more

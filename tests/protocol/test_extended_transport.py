@@ -102,3 +102,17 @@ def test_any_bytes_raise_nothing_and_open_few_sessions() -> None:
         one.on_message(source, message, now_us)
         one.on_tick(now_us)
     assert len(LongSendingState) == 3
+
+
+@pytest.mark.parametrize("packets", [False, True])
+def test_a_sender_that_repeats_itself_holds_no_session(packets: bool) -> None:
+    """Each repetition renewed the time, so that four such senders closed it to all others."""
+    one, now_us = ExtendedTransport(), 0
+    one.on_message(B, ExtendedTransportManagement(20, (2000).to_bytes(4, "little"), PGN), now_us)
+    for step in range(200):
+        now_us = step * 100 * MS
+        one.on_message(B, ExtendedTransportManagement(22, b"\x10\x00\x00\x00", PGN), now_us)
+        if packets:
+            one.on_message(B, ExtendedTransportData(3, bytes(7)), now_us)
+        one.on_tick(now_us)
+    assert one.due_at_us is None and one.counts["timeout"] == 1

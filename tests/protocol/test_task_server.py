@@ -1,12 +1,14 @@
 """Sessions of implements with our task controller, byte by byte as ISO 11783-10 has them."""
 
 from random import Random
+from struct import pack
 
 import pytest
 
 from protocol.device_pool import read_pool
 from protocol.task_server import (
     CLIENTS_MAX,
+    STORED_MAX,
     ClientActivated,
     ClientLost,
     ServerMessage,
@@ -122,3 +124,23 @@ def test_any_bytes_raise_nothing() -> None:
         if step % 100 == 0:
             server.on_timer(step * 1000)
     assert len(server.clients) <= CLIENTS_MAX
+
+
+def test_values_that_are_not_described_are_told_and_not_kept() -> None:
+    server, _ = logged_in(CONDENSED_MAKER)
+    client = server.clients[SOURCE]
+    assert client.pool is not None
+    key = next(iter(client.pool.properties))
+    for element, ddi in [key, *((4000, ddi) for ddi in range(2000))]:
+        data = pack("<BBHi", 0x3 | (element & 0xF) << 4, element >> 4, ddi, 5)
+        assert tell(server, data) == [ValueTold(SOURCE, (element, ddi), 5)]
+    assert client.values == {key: 5}
+    assert server.counts["value that is not described"] == 2000
+
+
+def test_descriptions_of_few_devices_are_kept() -> None:
+    server, pool = TaskServer(0), Sprayer(CONDENSED_MAKER, 1).pool()
+    for name in range(3 * STORED_MAX):
+        server.on_message(SOURCE, name, TASK, 0)
+        server.on_message(SOURCE, name, b"\x61" + pool, 0)
+    assert list(server.stored) == list(range(2 * STORED_MAX, 3 * STORED_MAX))
