@@ -6,7 +6,8 @@ first to tell, and which units this robot has covered itself.
 
 **What is void at a revocation.** What the revoked member said, what it is the owner of, and *hearsay*:
 what a member that is on the bus now may have heard from it, because a frame was lost here or this robot
-was off. A claim that its owner told is no hearsay. Units always may be: a frame with units does not say
+was off. A claim that its owner told is no hearsay. What others said in our own name, and we did not, is
+void whenever it was said. Units always may be: a frame with units does not say
 which robot covered them. Nothing true is lost by that. Every robot keeps its own words, and what robots
 told that are not on the bus any more. All tell that again (`Synchronizer.void`). No robot tells a lie
 again: those that heard it from the thief have taken it out.
@@ -153,6 +154,10 @@ class Vouchers:
         return found
 
     def _is_void(self, said: Vouched, sender: int, void: Revocation) -> bool:
+        # We never tell what others said in our name, so a lie that we alone heard would stay here alone.
+        # Our own words are vouched for by us, and robots that believe the lie tell it to us again.
+        if owner_of(said.value) == self.slot != sender and not self.forgot:
+            return True
         if void.compromised_at_us is not None and said.at_us < void.compromised_at_us:
             return False
         owner = owner_of(said.value)

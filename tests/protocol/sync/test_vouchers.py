@@ -136,6 +136,36 @@ def test_a_robot_tells_nothing_in_its_own_name_that_it_has_not_said() -> None:
     assert ours.may_tell(heard.entry)
 
 
+def test_a_lie_in_our_name_that_we_alone_heard_does_not_stay_here_alone() -> None:
+    """It was said before the stated point, so it stayed; and it was never told, so replicas differed."""
+    ours = replica()
+    assert ours.vouchers is not None
+    key = ours.allocation.claim(1, US)
+    assert key is not None
+    ours.changed_here(1, None, 0, 5)
+    ours.on_message(
+        StateSyncResponse(1, *ours.allocation.entry(1)), 1, 8
+    )  # our word, told back to us
+    digest = ours.digest
+    for section, phase in ((0, DONE), (1, DONE), (2, STARTED)):
+        ours.on_message(StateSyncResponse(section, 3, phase, 0, 9, US), THIEF, 10)
+    ours.void(void(compromised_at_us=20))
+    assert ours.digest == digest and ours.allocation.key(1) == key
+    ours.on_message(
+        StateSyncResponse(2, 3, STARTED, 0, 9, US), 1, 30
+    )  # from a robot that believes it
+    assert ours.allocation.phase_of(2) is Phase.STARTED, "so that both have the same"
+
+
+def test_a_robot_that_lost_its_memory_keeps_what_was_said_in_its_name() -> None:
+    ours = replica()
+    assert ours.vouchers is not None
+    ours.vouchers.forgot = True
+    ours.on_message(StateSyncResponse(0, 0, STARTED, 0, 9, US), 1, 10)
+    ours.void(void(compromised_at_us=20))
+    assert ours.allocation.phase_of(0) is Phase.STARTED
+
+
 def test_a_robot_that_lost_its_memory_tells_what_it_is_told_in_its_own_name() -> None:
     """Found by `headland chaos --profile protocol+forger --seeds 13510048`: the robot that had told it
     restarted and forgot it, and the other one never told it to anybody."""
