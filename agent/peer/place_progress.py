@@ -6,6 +6,13 @@ a jump, and stays where it is. What shows this is a longer way: the wheels are t
 `NOWHERE_WAY_M`, and the place has gained less than `FOLLOWS` of that, is near where it was, and went
 back more than once.
 
+The place of a body that is stuck leads nowhere, too: its wheels spin or are blocked, and the noise of
+its receiver moves the place by some millimetres. All places in this way are within `FOLLOWS` of it, and
+none need have gone back. The place of a body with exchanged antennas leads elsewhere: it drives
+`FOLLOWS_BACK` of the way at least, and gains nothing. A person who pushes a machine looks like both. So
+the robot stands for `SETTLES_US` and tries again. If it fails again before its place has led on, it
+stands until an operator starts it.
+
 A body is expected to drive as fast as it says, in the direction of the command, and no faster than that.
 If it points there, it is expected to speed up, too, whatever it says.
 """
@@ -56,6 +63,7 @@ class _Nowhere(NamedTuple):
     y_m: float
     east: float
     north: float
+    fell: bool  # again and again, so it is wrong; else the body does not go where it is told
 
 
 class PlaceProgress:
@@ -69,6 +77,7 @@ class PlaceProgress:
         self._fell: _Kept | None = None  # before the place went back first, in the last way
         self._velocity_m_s = (0.0, 0.0)  # of the body, if it is slow to follow its commands
         self._hung: _Nowhere | None = None
+        self._tried = False  # again, and has not led on since
         self._moved_at_us = 0
         # How the body may have moved at most since the place fell back, if the newest place is a jump: a
         # receiver that answers again says where the body has driven meanwhile.
@@ -76,6 +85,10 @@ class PlaceProgress:
 
     def forget(self) -> None:
         """Begin again: the next place is right, or nothing is known of how the body came there."""
+        self._tried = False
+        self._look_again()
+
+    def _look_again(self) -> None:
         self._before = self._hung = None
         self._velocity_m_s = (0.0, 0.0)
         self._begin_again()
@@ -89,12 +102,17 @@ class PlaceProgress:
         """Whether the place leads nowhere."""
         return self._hung is not None
 
+    @property
+    def is_right(self) -> bool:
+        """Whether the place led nowhere because the body does not go where it is told."""
+        return self._hung is not None and not self._hung.fell
+
     def unseen(self, speed_m_s: float) -> Unseen:
         """How the body may have moved at most since the oldest kept place, and drives now."""
         return Unseen(self._now.way_m - self._kept[0].way_m, speed_m_s)
 
     def is_back(self, here: Observation) -> bool:
-        """Whether the place is past the one that led nowhere. Then look again.
+        """Whether the place is past the one that led nowhere, or the robot tries again. Then look again.
 
         While the body brakes, its wheels still move the place, and a filter needs time to fall back. So
         the body has to stand for `SETTLES_US`.
@@ -105,9 +123,13 @@ class PlaceProgress:
             self._moved_at_us = here.sensed_at_us
             return False
         past_m = (here.x_m - hung.x_m) * hung.east + (here.y_m - hung.y_m) * hung.north
-        if past_m <= JUMP_M or here.sensed_at_us - self._moved_at_us < SETTLES_US:
+        if here.sensed_at_us - self._moved_at_us < SETTLES_US:
             return False
-        self.forget()
+        if past_m <= JUMP_M:
+            if hung.fell or self._tried:
+                return False
+            self._tried = True
+        self._look_again()
         return True
 
     def look(
@@ -165,17 +187,23 @@ class PlaceProgress:
         while len(kept) > 1 and _between_m(kept[1], self._now) >= nowhere_m:
             kept.popleft()
         expected_m, gained_m = _since(kept[0], self._now)
-        if expected_m < nowhere_m or gained_m >= FOLLOWS * expected_m:
+        if expected_m < nowhere_m:
+            return ""
+        if gained_m >= FOLLOWS * expected_m:
+            self._tried = self._tried and gained_m < FOLLOWS_BACK * expected_m
             return ""
         oldest = kept[0]
         gone_m = hypot(self._now.gone_x_m - oldest.gone_x_m, self._now.gone_y_m - oldest.gone_y_m)
-        if self._now.falls - oldest.falls < FALLS or gone_m > JUMP_M:
+        falls_back = self._now.falls - oldest.falls >= FALLS and gone_m <= JUMP_M
+        stuck = self._farthest_m() <= FOLLOWS * expected_m
+        if not falls_back and not stuck and gone_m < FOLLOWS_BACK * expected_m:
             return ""
         self._hung = _Nowhere(
             here.x_m,
             here.y_m,
             (self._now.expected_x_m - oldest.expected_x_m) / expected_m,
             (self._now.expected_y_m - oldest.expected_y_m) / expected_m,
+            falls_back,
         )
         self._moved_at_us = here.sensed_at_us
         return f"told to drive {expected_m:.2f} m, gained {gained_m:.2f} m"
@@ -185,6 +213,14 @@ class PlaceProgress:
         goes_on = gained_m - min(sensed_m, 0.0) >= -expected_m / 2
         falls, self._goes_on = self._goes_on and not goes_on, goes_on
         return falls
+
+    def _farthest_m(self) -> float:
+        """How far the place was from the oldest kept one at most."""
+        oldest = self._kept[0]
+        return max(
+            hypot(kept.gone_x_m - oldest.gone_x_m, kept.gone_y_m - oldest.gone_y_m)
+            for kept in (*self._kept, self._now)
+        )
 
     def _turned_back(self, drive: Drive) -> bool:
         """Whether the command is against the way that was expected."""

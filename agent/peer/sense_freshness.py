@@ -241,7 +241,8 @@ class Senses(Part):
             self._compared_at_us = self._sensed_at_us
         if frozen or self._changed:
             effects += self.safety.hold_while(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)
-        if not (safety.holds(StopCause.PLACE_FROZEN) and not self._changed):
+        frozen_yet = safety.holds(StopCause.PLACE_FROZEN) and not self._changed
+        if not frozen_yet or self.progress.is_right:
             effects += self._believe(now_us, bool(old))
         elif self.here is not None and not old:
             self.jumps.stays(self.here)

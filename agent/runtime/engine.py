@@ -188,8 +188,11 @@ class FleetCoordinationEngine:
         """
         if self._runner is None:
             return
-        await self._runner.leave()
-        await asyncio.sleep(0)
+        if (
+            not self.failure
+        ):  # an engine that has ended says no farewell: its bus may be what failed
+            await self._runner.leave()
+            await asyncio.sleep(0)
         await self._cancel()
 
     async def _cancel(self) -> None:

@@ -501,6 +501,68 @@ def test_a_frozen_place_that_drifts_slowly_is_frozen(drift_m_s: float) -> None:
     assert robot.x_m - hung_x_m <= SPEED_M_S * 0.2
 
 
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("noise_m", [0.0, 0.004, 0.01, 0.02])
+def test_a_body_that_is_stuck_is_noticed_beside_the_noise_of_its_receiver(
+    noise_m: float, seed: int
+) -> None:
+    """The noise moves the place in every period, which is no movement of the body."""
+    robot, rng = driving(), Random(seed)
+    robot.spoilt = lambda o: o._replace(
+        x_m=o.x_m + rng.gauss(0.0, noise_m),
+        y_m=rng.gauss(0.0, noise_m),
+        position_accuracy_m=max(noise_m, 0.004),
+    )
+    robot.periods(100)
+    assert not robot.held, "noise alone holds no robot"
+    stuck_x_m = robot.x_m
+    for most_us in (2 * S, 4 * S):  # from full speed, and from standstill after an operator's start
+        told_for_us = 0  # in two tries
+        for _ in range(600):
+            robot.period()
+            robot.x_m, robot.v_m_s = stuck_x_m, 0.0
+            told_for_us += CONTROL_PERIOD_US if robot.told != HALT else 0
+        assert told_for_us <= most_us and robot.held == {StopCause.PLACE_FROZEN}
+        robot.peer.step(Start(), robot.now_us)
+    robot.periods(200)
+    assert not robot.held and robot.x_m - stuck_x_m > 5.0, "it is free, and drives on"
+
+
+@pytest.mark.parametrize("off_degrees", [180.0, 120.0, -90.0])
+def test_a_body_with_exchanged_antennas_does_not_drive_away(off_degrees: float) -> None:
+    """It says that it points east and drives where it really points. It drove until it left the field."""
+    robot, off_rad, y_m = driving(), radians(off_degrees), 0.0
+    began_x_m, told_for_us, farthest_m = robot.x_m, 0, 0.0
+
+    def turned(seen: Observation) -> Observation:
+        vx_m_s, vy_m_s = robot.v_m_s * np.cos(off_rad), robot.v_m_s * np.sin(off_rad)
+        return seen._replace(y_m=y_m, vx_m_s=vx_m_s, vy_m_s=vy_m_s)
+
+    robot.v_m_s, robot.told, robot.spoilt = 0.0, HALT, turned
+    for _ in range(600):
+        before_m = robot.x_m
+        robot.period()
+        step_m = robot.x_m - before_m
+        robot.x_m, y_m = before_m + step_m * np.cos(off_rad), y_m + step_m * np.sin(off_rad)
+        farthest_m = max(farthest_m, hypot(robot.x_m - began_x_m, y_m))
+        told_for_us += CONTROL_PERIOD_US if robot.told != HALT else 0
+    assert robot.held == {StopCause.PLACE_FROZEN}
+    assert told_for_us <= 4 * S and farthest_m < 4.0, "two tries, with the ways of braking"
+
+
+@pytest.mark.parametrize("share", [-1.0, 0.0])
+def test_a_robot_that_was_pushed_or_kept_back_once_goes_on_by_itself(share: float) -> None:
+    robot = driving()
+    began_x_m = robot.x_m
+    for _ in range(30):
+        before_m = robot.x_m
+        robot.period()
+        robot.x_m = before_m + share * abs(robot.x_m - before_m) + 0.006 * (robot.now_us // MS % 2)
+    assert robot.x_m - began_x_m < 0.5
+    robot.periods(200)
+    assert not robot.held and robot.x_m - began_x_m > 5.0
+
+
 LATE_FOR_S, STEP_US = 0.02, 5 * MS  # of a receiver; of the integrator below
 
 

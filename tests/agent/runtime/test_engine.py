@@ -397,4 +397,11 @@ def test_an_engine_that_has_failed_lets_no_machine_drive() -> None:
         assert "the adapter is gone" in engine.stands[0]
         assert "the adapter is gone" in told[-1]["why"]
 
+        async def gone() -> None:
+            raise RuntimeError("the adapter is gone")
+
+        runner.leave = gone  # type: ignore[method-assign]
+        await engine.stop()
+        assert not engine.failure and engine.speed_limit_m_s == 0.0
+
     play(2, story)

@@ -242,13 +242,15 @@ FIELD = """{"type": "Feature", "properties": {"name": "yard"}, "geometry": {"typ
 LATE = """
 from agent.runtime.robot_body import StandingBody
 class Late(StandingBody):
-    def __init__(self, slot, late_for_us, accuracy_m=0.0):
+    def __init__(self, slot, late_for_us=0, accuracy_m=0.0, none=False):
         super().__init__(slot)
+        self.none = none
         self.late_for_us, self.accuracy_m = late_for_us, accuracy_m
     def sense(self, now_us):
         seen = super().sense(now_us)
         return seen._replace(
-            sensed_at_us=now_us - self.late_for_us, position_accuracy_m=self.accuracy_m
+            sensed_at_us=now_us - self.late_for_us, position_accuracy_m=self.accuracy_m,
+            x_m=float("nan") if self.none else seen.x_m,
         )
 """
 
@@ -267,7 +269,7 @@ def checked(
     ("body", "wrong"),
     [
         ('plugin = "standing"\noptions = { x_m = 500.0 }', "m outside its field"),
-        ('plugin = "standing"\noptions = { x_m = nan }', "not a number"),
+        ('factory = "late_body:Late"\noptions = { none = true }', "not a number"),
         ('factory = "late_body:Late"\noptions = { late_for_us = -456000 }', "in the future"),
         ('factory = "late_body:Late"\noptions = { late_for_us = 456000 }', ": sensed 456 ms ago"),
         (
