@@ -1,12 +1,18 @@
 """Folders of runs: one for each run, `runs/NAME-N`, and links to the newest.
 
 `runs/latest` is the newest run of any kind, `runs/launch` the newest launch. A folder that a person names
-with `--out` is emptied of what an earlier run wrote, so that no folder holds parts of two runs.
+with `--out` is emptied of what an earlier run wrote, so that no folder holds parts of two runs. A run
+and a launch hold the same lock on their folder while they write into it.
 """
 
 import os
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
+from typing import IO
+
+from agent.runtime.files.file_lock import lock as take_lock
 
 RUNS = Path("runs")
 LATEST, LAUNCH = "latest", "launch"
@@ -17,6 +23,9 @@ WRITTEN = (
     "maps.png", "maps.gif", "fleet.md", "robot_*.png", "scene.json",
 )  # fmt: skip
 QUEUE = "queue.json"  # in the folder of a launch: goals of `headland say` that wait for a robot
+LOCK = (
+    "lock"  # stays in the folder: deleting it would let two processes hold two files of this name
+)
 MARK = "scene.json"  # every run writes it first; a folder without it holds other files
 NAME_MAX = 64  # longest part of a scenario's name in a folder's name, characters
 
@@ -25,26 +34,48 @@ class FolderError(Exception):
     """One line for the person."""
 
 
-def folder_for(out: Path | None, name: str) -> Path:
-    """The empty folder of a run: `out`, or a new one that is named after the scenario.
+@contextmanager
+def folder_for(out: Path | None, name: str) -> Iterator[Path]:
+    """The empty folder of a run, held until the end of `with`: `out`, or a new one that is named after
+    the scenario.
 
-    Raises FolderError where `out` is a file or holds a fleet that is not done, OSError where it cannot
-    be used.
+    Raises FolderError where `out` is a file, holds a fleet that is not done or is held by another run
+    or launch, OSError where it cannot be used.
     """
-    if out is None:
-        folder = numbered(RUNS, name)
-        link(RUNS / LATEST, folder)
-        return folder
+    folder = numbered(RUNS, name) if out is None else _named(out)
+    with locked(folder / LOCK, folder):
+        if out is None:
+            link(RUNS / LATEST, folder)
+        elif any(folder.glob("robot*.sqlite")):
+            raise FolderError(
+                f"{folder} holds the journals of a launch; choose another folder with --out"
+            )
+        elif (folder / MARK).is_file():
+            for written in WRITTEN:
+                for path in folder.glob(written):
+                    path.unlink()
+        yield folder
+
+
+def _named(out: Path) -> Path:
+    """The folder that a person names, made if it is not there."""
     if out.exists() and not out.is_dir():
         raise FolderError(f"--out {out}: is a file; name a folder, or one that is to be made")
     out.mkdir(parents=True, exist_ok=True)
-    if any(out.glob("robot*.sqlite")):
-        raise FolderError(f"{out} holds the journals of a launch; choose another folder with --out")
-    if (out / MARK).is_file():
-        for name in WRITTEN:
-            for path in out.glob(name):
-                path.unlink()
     return out
+
+
+def locked(path: Path, folder: Path) -> IO[str]:
+    """The lock of a folder, held until the file is closed or the process has ended.
+
+    Raises FolderError where another process holds it, OSError where the file cannot be written."""
+    lock = path.open("w")
+    if not take_lock(lock, wait=False):
+        lock.close()
+        raise FolderError(
+            f"another run or launch writes into {folder}: end it, or choose another folder with --out"
+        )
+    return lock
 
 
 def numbered(parent: Path, name: str) -> Path:

@@ -1,5 +1,6 @@
 """`headland coverage`: plan how robots cover a grid map together, and replay a plan in the terminal."""
 
+from contextlib import nullcontext
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -134,6 +135,7 @@ def drive(
     """
     from sim.files.grid_map import GridFileError
     from sim.scenarios.scenario import ScenarioError
+    from tools.common.run_folder import FolderError, folder_for
 
     with told_loading():
         from tools.run.coverage_drive import driven, faults_of, setting_of
@@ -144,8 +146,9 @@ def drive(
         faults = faults_of(die or [], join or [], split or [], len(instance.starts))
         setting = setting_of(instance, seed, faults, loss, silence, turn_cost)
         left = unreached(instance.walls, instance.starts)
-        raise SystemExit(driven(setting, out, json, left, reachable_only or map is None))
-    except (GridFileError, ScenarioError, OSError) as error:
+        with nullcontext() if out is None else folder_for(out, instance.name) as folder:
+            raise SystemExit(driven(setting, folder, json, left, reachable_only or map is None))
+    except (GridFileError, ScenarioError, FolderError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         raise SystemExit(2) from None
 
@@ -164,7 +167,8 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
         instance = instance_of(map, robots, seed)
         setting = setting_of(instance, seed, (), 0.0, "continue", 0.0)
         left = unreached(instance.walls, instance.starts)
-        return driven(setting, folder_for(out, instance.name), as_json, left, False)
+        with folder_for(out, instance.name) as folder:
+            return driven(setting, folder, as_json, left, False)
     except (GridFileError, ScenarioError, FolderError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
         return 2

@@ -12,17 +12,18 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
-from agent.runtime.files.file_lock import lock as take_lock
 from sim.scenarios.field_setup import FieldSetup
 from tools.common.run_folder import (
     LATEST,
     LAUNCH,
+    LOCK,
     QUEUE,
     RUNS,
     WRITTEN,
     FolderError,
     folders,
     link,
+    locked,
     numbered,
 )
 from tools.run.launch_setup import AnySetting
@@ -68,12 +69,12 @@ def fleet_folder(
     try:
         if out is None:
             RUNS.mkdir(parents=True, exist_ok=True)
-            locks.append(_locked(RUNS / ".launch.lock", RUNS / LAUNCH))
+            locks.append(locked(RUNS / ".launch.lock", RUNS / LAUNCH))
             folder, said = _of_name(setting.scenario.name, identity, fresh)
         else:
             out.mkdir(parents=True, exist_ok=True)
             folder, said = out, ""
-        locks.append(_locked(folder / "lock", folder))
+        locks.append(locked(folder / LOCK, folder))
         until_left(folder, told)
         known = _known(folder)
         same = known is not None and known["fleet"] == identity
@@ -117,16 +118,6 @@ def _of_name(name: str, identity: str, fresh: bool) -> tuple[Path, str]:
                 return newest, ""
             said = f"{newest} holds another fleet of {name}, not done: this one is new"
     return numbered(RUNS, name), said
-
-
-def _locked(path: Path, folder: Path) -> IO[str]:
-    lock = path.open("w")
-    if not take_lock(lock, wait=False):
-        lock.close()
-        raise FolderError(
-            f"another launch is running in {folder}: end it, or choose another folder with --out"
-        )
-    return lock
 
 
 def _known(folder: Path) -> dict[str, Any] | None:

@@ -6,6 +6,7 @@ Each mission is a small subclass of `MissionCommand`. It says how its outcome is
 import sys
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 from shlex import quote
 from time import perf_counter
@@ -81,6 +82,15 @@ def run_mission(
     `make` may raise ScenarioError. `page_port`: of a map that shows the run, and at a terminal stays
     after its end. `film`: also film.gif, what `headland export --film` makes.
     """
+    with ExitStack() as held:
+        return _run_mission(held, make, out, as_json, logs, page_port, film)
+
+
+def _run_mission(
+    held: ExitStack, make: Callable[[], MissionCommand[Any]], out: Path | None, as_json: bool,
+    logs: Sequence[Path], page_port: int | None, film: bool,
+) -> int:  # fmt: skip
+    """`held`: what ends with the run, as the lock of its folder."""
     console = Console(stderr=as_json, quiet=Verbosity.quiet)
     shown = None
     try:
@@ -89,7 +99,7 @@ def run_mission(
         name = setting.scenario.name
         for log in logs:
             open_log(log).close()  # so that a wrong argument is reported before the run
-        folder = folder_for(out, name)
+        folder = held.enter_context(folder_for(out, name))
         if page_port is not None:
             shown = MapThread(Recording(), setting.field.name, page_port)
         recording = shown.server.recording if shown is not None else Recording() if film else None
@@ -124,6 +134,7 @@ def run_mission(
         console.print(next_commands(folder, command.follow_up), highlight=False, markup=False)
     if shown is not None and sys.stdout.isatty():  # without a person it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")
+        held.close()  # all is written, and another run may have the folder
         shown.join()
     return command.exit_code(outcome)
 

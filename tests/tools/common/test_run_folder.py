@@ -1,13 +1,20 @@
 """One folder a run: no folder holds parts of two runs, and export gives away one run's work only."""
 
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import load
 from tests.tools.cli.test_commands import headland
 from tools.common.run_folder import FolderError, folder_for, folders, link, numbered
 from tools.run.export import export
+from tools.run.fleet_folder import fleet_folder
+
+ROOT = Path(__file__).parents[3]
 
 
 @pytest.fixture
@@ -51,15 +58,54 @@ def test_b3_a_folder_that_is_named_is_emptied_of_runs_only(folder: Path) -> None
     mine = folder / "mine"
     mine.mkdir()
     (mine / "report.json").write_text("of somebody")
-    assert folder_for(mine, "x") == mine
+    with folder_for(mine, "x") as held:
+        assert held == mine
     assert (mine / "report.json").exists(), "no run has been here"
     (mine / "scene.json").write_text("{}")
     (mine / "notes.txt").write_text("mine")
-    folder_for(mine, "x")
-    assert {p.name for p in mine.iterdir()} == {"notes.txt"}
+    with folder_for(mine, "x"):
+        assert {p.name for p in mine.iterdir()} == {"notes.txt", "lock"}
     (mine / "robot0.sqlite").write_text("")
-    with pytest.raises(FolderError):
-        folder_for(mine, "x")
+    with pytest.raises(FolderError, match="journals"), folder_for(mine, "x"):
+        pass
+
+
+HOLDS = """
+import sys
+from pathlib import Path
+from tools.common.run_folder import folder_for
+with folder_for(Path(sys.argv[1]), "x") as folder:
+    (folder / "scene.json").write_text("{}")
+    (folder / "can.log").write_text("of the first")
+    print("held", flush=True)
+    sys.stdin.read()
+"""
+
+
+def test_a_second_run_in_a_folder_is_refused_and_leaves_its_files(tmp_path: Path) -> None:
+    """Both wrote one can.log, and the second deleted what the first had written."""
+    mine = tmp_path / "mine"
+    with subprocess.Popen(
+        [sys.executable, "-c", HOLDS, str(mine)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, cwd=ROOT
+    ) as first:  # fmt: skip
+        assert first.stdin is not None and first.stdout is not None
+        assert first.stdout.readline() == b"held\n"
+        second = headland("run", "small", "-o", str(mine), folder=tmp_path)
+        assert (mine / "can.log").read_text() == "of the first"
+        with pytest.raises(FolderError, match="another run or launch"):
+            fleet_folder(mine, FieldSetup(load("small")), fresh=False)
+        first.stdin.close()
+    why = f"another run or launch writes into {mine}: end it, or choose another folder with --out"
+    assert second.returncode == 2 and second.stderr == f"headland: {why}\n"
+    with folder_for(mine, "x"):
+        assert not (mine / "can.log").exists()
+
+
+def test_a_folder_is_free_after_a_run_that_failed(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="broken"), folder_for(tmp_path, "x"):
+        raise ValueError("broken")
+    with folder_for(tmp_path, "x"):
+        pass
 
 
 def test_b3_numbers_go_up_and_links_follow(folder: Path) -> None:

@@ -84,7 +84,7 @@ def test_kill_stop_release_and_leave_no_orphans(tmp_path: Path) -> None:
         pids = await robots_up(launch, 3)
         try:
             again, text = await call(tmp_path, "launch", "small")
-            assert again == 2 and "another launch" in text and text.count("\n") == 1
+            assert again == 2 and "another run or launch" in text and text.count("\n") == 1
             await orders(tmp_path)
             await hangs(tmp_path, pids[1])
             await hangs(tmp_path, launch.pid)
