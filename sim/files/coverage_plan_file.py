@@ -16,6 +16,7 @@ import numpy as np
 
 from agent.runtime.files.given_file import PLAN_BYTES_MAX, GivenFileError, parse_json, read_text
 from sim.files.grid_map import CELLS_MAX, Cell, GridFileError, Walls, check_starts
+from sim.files.whole_file import write_whole
 
 STEPS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of each action
 
@@ -60,7 +61,7 @@ class Plan:
 def write_plan(path: Path, plan: Plan) -> None:
     """Write the plan as JSON with a line end, and create missing folders. Raises OSError."""
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(plan.to_json() + "\n", encoding="utf-8")
+    write_whole(path, plan.to_json() + "\n")
 
 
 def _integers(value: Any) -> bool:

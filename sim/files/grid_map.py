@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.runtime.files.given_file import GivenFileError, parse_json, read_text
+from sim.files.whole_file import write_whole
 
 Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]  # (rows, columns), True for cells that no robot can enter
@@ -154,10 +155,10 @@ def read_instance(path: Path) -> Instance:
 def write_instance(path: Path, instance: Instance) -> list[Path]:
     """`path` ends in .map or .mcpp; an .mcpp gets its map beside it."""
     map_path = path.with_suffix(".map")
-    map_path.write_text(map_text(instance.walls), encoding="utf-8")
+    write_whole(map_path, map_text(instance.walls))
     if path.suffix != ".mcpp":
         return [map_path]
-    path.write_text(mcpp_text(path.stem, instance.starts), encoding="utf-8")
+    write_whole(path, mcpp_text(path.stem, instance.starts))
     return [map_path, path]
 
 

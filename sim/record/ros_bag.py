@@ -238,7 +238,8 @@ def check_package() -> None:
 
 
 def write_bag(recording: Recording, folder: Path, storage: Storage) -> Counter[str]:
-    """Write a new folder; returns the number of messages by topic. Raises BagError.
+    """Write a new folder; returns the number of messages by topic. Raises BagError and
+    OSError.
 
     What is interrupted leaves no folder of that name.
     """
@@ -258,8 +259,6 @@ def write_bag(recording: Recording, folder: Path, storage: Storage) -> Counter[s
             bag = BagWriter(writer, get_typestore(Stores.ROS2_JAZZY))
             bag.write(recording)
         _rename(part, folder)
-    except OSError as problem:
-        raise BagError(f"{folder}: {problem.strerror or problem}") from None
     finally:
         shutil.rmtree(part, ignore_errors=True)
     return bag.counts

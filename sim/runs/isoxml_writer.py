@@ -22,6 +22,7 @@ from agent.runtime.files.field_error import FieldFileError, LonLat
 from agent.runtime.files.isoxml_reader import NAME
 from protocol.device_description import WIDTH, WORK_STATE
 from protocol.name import fleet_name
+from sim.files.whole_file import whole_file, write_whole
 from sim.runs.isoxml_time_log import header, pack
 from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord, area_m2
 
@@ -38,14 +39,14 @@ def write_isoxml(record: WorkRecord, out: Path) -> None:
         files[f"TLG{number:05d}.xml"] = header(f"DET-{robot + 1}").encode()
         files[f"TLG{number:05d}.bin"] = pack(log, record.started)
     if out.suffix.lower() == ".zip":
-        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as archive:
+        with whole_file(out) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in files.items():
                 # At the top level, the only place where `isoxml` looks.
                 archive.writestr(name, content)
         return
     out.mkdir(parents=True, exist_ok=True)
-    for name, content in files.items():
-        (out / name).write_bytes(content)
+    for name, content in reversed(files.items()):  # what names the others comes last
+        write_whole(out / name, content)
 
 
 def task_file(out: Path, contents: Callable[[], dict[str, Any]]) -> bytes:

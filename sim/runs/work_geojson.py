@@ -7,6 +7,7 @@ from typing import Any
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
+from sim.files.whole_file import write_whole
 from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
 
@@ -34,7 +35,7 @@ def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> Non
     document: dict[str, Any] = {"type": "FeatureCollection", "features": features}
     if run is not None:
         document["run"] = run
-    path.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(document, ensure_ascii=False) + "\n")
 
 
 def feature(kind_of: str, coordinates: Any, **properties: Any) -> dict[str, Any]:

@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 from agent.runtime.files.isoxml_reader import NAME
 from agent.runtime.files.printable_text import printable
 from protocol.name import fleet_name
+from sim.files.whole_file import whole_file, write_whole
 from sim.runs.isoxml_writer import device, guidance_pattern, polygon_of, task_file
 from sim.runs.work_geojson import feature
 from sim.runs.work_plan import PlannedSection, RobotPlan, WorkPlan
@@ -36,7 +37,7 @@ def write_plan_geojson(plans: Sequence[WorkPlan], path: Path) -> None:
     """Write the plans of all fields as one FeatureCollection (RFC 7946)."""
     features = [each for plan in plans for each in _features(plan)]
     document = {"type": "FeatureCollection", "features": features}
-    path.write_text(json.dumps(document, ensure_ascii=False) + "\n", encoding="utf-8")
+    write_whole(path, json.dumps(document, ensure_ascii=False) + "\n")
 
 
 def _features(plan: WorkPlan) -> Iterator[dict[str, Any]]:
@@ -82,7 +83,8 @@ def write_plan_kml(plans: Sequence[WorkPlan], path: Path) -> None:
         _field_folder(document, plan)
     tree = ElementTree.ElementTree(root)
     ElementTree.indent(tree)
-    tree.write(path, encoding="utf-8", xml_declaration=True)
+    with whole_file(path) as part:
+        tree.write(part, encoding="utf-8", xml_declaration=True)
 
 
 def _field_folder(document: ElementTree.Element, plan: WorkPlan) -> None:
@@ -144,7 +146,7 @@ def write_plan_isoxml(plans: Sequence[WorkPlan], folder: Path) -> None:
     """
     content = task_file(folder, lambda: _contents(plans))
     folder.mkdir(parents=True, exist_ok=True)
-    (folder / NAME).write_bytes(content)
+    write_whole(folder / NAME, content)
 
 
 def _contents(plans: Sequence[WorkPlan]) -> dict[str, Any]:

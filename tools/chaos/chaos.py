@@ -22,12 +22,13 @@ from sim.chaos.planted_bugs import MUTANTS
 from sim.chaos.shrink import shrink
 from sim.chaos.verdict import RULES, Verdict, judge
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.scenarios.scenario import ScenarioError, load
 from sim.scenarios.toml_writer import to_toml
 from tools.chaos.campaign import ClusterError, room, workers
 from tools.chaos.chaos_report import ReportError, report
 from tools.chaos.planted_bug_hunt import hunt_all
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, code_of
 from tools.common.fingerprint import ROBOTS, fingerprint
 from tools.common.gc_collector import patient
 
@@ -55,7 +56,7 @@ def chaos(
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return code_of(problem)
     jobs = jobs or os.cpu_count() or 1
     freeze_gc()  # and the workers inherit it
     if mutants:
@@ -93,10 +94,7 @@ def chaos(
 
 
 def _write(out: Path, told: dict[str, Any]) -> None:
-    """Whole or not at all."""
-    written = out / "chaos.json.new"
-    written.write_text(dumps(told, indent=1) + "\n")
-    written.replace(out / "chaos.json")
+    write_whole(out / "chaos.json", dumps(told, indent=1) + "\n")
 
 
 def _in_a_row(verdicts: list[Verdict], first: int) -> list[Verdict]:
@@ -135,7 +133,7 @@ def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
         return WRONG
     kept = golden_path(path)
     if golden and verdict.ok:
-        kept.write_text(played)
+        write_whole(kept, played)
     elif kept.exists() and (changed := difference(kept.read_text(), played, kept.name)):
         print(f"{changed}\nheadland: played differently than {kept} says", file=sys.stderr)
     if as_json:
@@ -238,7 +236,7 @@ def _reproduce(console: Console, verdict: Verdict, profile: str, out: Path) -> s
         draw(verdict.seed, profile), lambda s: any(b.rule == rule for b in judge(s).broken)
     )
     path = out / f"{profile}-{verdict.seed}-{rule}.toml"
-    path.write_text(f"# breaks {rule}: {verdict.broken[0].what}\n{to_toml(small)}")
+    write_whole(path, f"# breaks {rule}: {verdict.broken[0].what}\n{to_toml(small)}")
     faults = len(small.fault)
     console.print(
         f"{faults} faults with the mending, {small.fleet.robots} robots ({runs} runs): {path}"

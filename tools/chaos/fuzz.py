@@ -21,8 +21,9 @@ from rich.console import Console
 
 from sim.chaos.fuzz_targets import TARGETS, seeds
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from tools.common.child_process import module_command
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, code_of
 
 FAILED = 1
 CORPUS = Path(__file__).parents[2] / "tests" / "fuzz" / "corpus"
@@ -66,7 +67,7 @@ def fuzz(
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return code_of(problem)
     rows: list[Fuzzed] = []
     for name in names or TARGETS:
         with console.status(f"{name}: {runs} runs with {engine}"):
@@ -81,7 +82,7 @@ def fuzz(
             if not row.ok:
                 console.print(f"  {row.why}: headland fuzz {row.target} --input {row.crash}")
     results = {"seed": seed, "fuzzed": [row._asdict() for row in rows]}
-    (out / "fuzz.json").write_text(dumps(results, indent=1) + "\n")
+    write_whole(out / "fuzz.json", dumps(results, indent=1) + "\n")
     if not as_json:
         console.print(f"{sum(row.executions for row in rows)} executions with {engine}")
     return FAILED if any(not row.ok for row in rows) else 0

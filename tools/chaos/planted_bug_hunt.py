@@ -20,6 +20,7 @@ from sim.chaos.fault_profiles import draw
 from sim.chaos.planted_bugs import MUTANTS, planted
 from sim.chaos.verdict import judge
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from tools.common.fingerprint import fingerprint
 
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
@@ -82,7 +83,7 @@ def hunt_all(
                 rows[row["mutant"]] = row
                 _tell(console, row, as_json)
             results = {"code": fingerprint(), "budget_s": MUTANT_CPU_S, "mutants": [*rows.values()]}
-            path.write_text(dumps(results, indent=1) + "\n")
+            write_whole(path, dumps(results, indent=1) + "\n")
     return list(rows.values())
 
 

@@ -20,6 +20,7 @@ from tools.cli.defined_frames import (
     nodes_of,
     signals_of_groups,
 )
+from tools.common.exit_codes import code_of
 from tools.common.extras import needed
 
 EXTENDED = 1 << 31  # how DBC files mark a 29-bit identifier
@@ -31,8 +32,8 @@ UNWRITTEN = (".xml", ".cdd", ".xls", ".xlsx", ".ldf")
 
 
 def dbc(out: Path | None, addresses: str | None = None, as_json: bool = False) -> int:
-    """Print the DBC, or write it to `out`. The exit code is 2 if that cannot be written. `as_json`: an
-    object with the number of frames, and the file or its text."""
+    """Print the DBC, or write it to `out`. The exit code is 2 or 75 if that cannot be written. `as_json`:
+    an object with the number of frames, and the file or its text."""
     try:
         if out is not None and out.suffix.lower() in UNWRITTEN:
             print(f"headland: {out}: write .dbc, .arxml, .kcd or .sym", file=sys.stderr)
@@ -53,7 +54,9 @@ def dbc(out: Path | None, addresses: str | None = None, as_json: bool = False) -
             return 0
         if suffix in CONVERTED:
             text = _converted(text, suffix)
-        out.write_text(text, encoding="utf-8")
+        from sim.files.whole_file import write_whole  # not before it is needed: a quick start
+
+        write_whole(out, text)
     except AddressesError as problem:
         print(f"headland: --addresses: {problem}", file=sys.stderr)
         return 2
@@ -66,7 +69,7 @@ def dbc(out: Path | None, addresses: str | None = None, as_json: bool = False) -
     except OSError as problem:
         where = "standard output" if out is None else out
         print(f"headland: {where}: cannot be written: {problem.strerror}", file=sys.stderr)
-        return 2
+        return code_of(problem)
     if as_json:
         _print_json({"frames": len(GROUPS), "file": str(out)})
     else:

@@ -23,7 +23,7 @@ from tools.cli.panels import (
     show_version,
 )
 from tools.common.compiled_caches import guard
-from tools.common.exit_codes import INTERRUPTED, WRONG
+from tools.common.exit_codes import INTERRUPTED, WRONG, code_of
 from tools.common.gc_collector import GC_YOUNG
 from tools.common.options import (
     PORT_MAX,
@@ -485,7 +485,7 @@ def mapf(
         raise SystemExit(measured(map, scenario, counts, seed, loss, crash, out, picture, json))
     except (GridFileError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(2) from None
+        raise SystemExit(code_of(error)) from None
 
 
 app.add_typer(bus_commands.app)

@@ -1,13 +1,12 @@
 """`headland keys`: make, rotate and show the key files of a fleet. Secrets are never printed."""
 
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
 
 import typer
 
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, code_of, wrong
 from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port, Timeout
 
 FLEET_FILE, PANEL_FILE, OPERATOR_FILE = "fleet.json", "panel.json", "operator.json"
@@ -44,7 +43,7 @@ def new(
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         write(fleet, operator, fresh(), device, range(robots))
     except OSError as problem:
-        _wrong(f"{folder}: {problem.strerror}")
+        _wrong(f"{folder}: {problem.strerror}", code_of(problem))
     _tell([fleet, panel, operator, *(robot_path(folder, slot) for slot in range(robots))], json)
 
 
@@ -100,7 +99,7 @@ def rotate(
     except KeyFileError as problem:
         _wrong(str(problem))
     except OSError as problem:
-        _wrong(f"{folder}: {problem.strerror}")
+        _wrong(f"{folder}: {problem.strerror}", code_of(problem))
     if not json:
         print(
             f"the keys {old.ids['fleet']} are no longer used; restart the robots with the new file"
@@ -198,7 +197,7 @@ def operator(
     except KeyFileError as problem:
         _wrong(str(problem))
     except OSError as problem:
-        _wrong(f"{folder}: {problem.strerror}")
+        _wrong(f"{folder}: {problem.strerror}", code_of(problem))
     _tell([path], json)
 
 
@@ -231,7 +230,7 @@ def log_command(
     except (GivenFileError, KeyFileError) as problem:
         _wrong(str(problem))
     except OSError as problem:
-        _wrong(f"{folder}: {problem.strerror}")
+        _wrong(f"{folder}: {problem.strerror}", code_of(problem))
     releases = sorted(
         (r for one in found.logs for r in one.releases), key=lambda r: r.released_at_s
     )
@@ -306,6 +305,5 @@ def _tell(paths: Sequence[Path], as_json: bool) -> None:
         print(dumps(files))
 
 
-def _wrong(message: str) -> NoReturn:
-    print(f"headland: {message}", file=sys.stderr)
-    raise SystemExit(WRONG)
+def _wrong(message: str, code: int = WRONG) -> NoReturn:
+    raise SystemExit(wrong(message, code))

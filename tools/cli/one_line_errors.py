@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from io import TextIOWrapper
 
 from tools.common import extras
-from tools.common.exit_codes import INTERRUPTED, WRONG
+from tools.common.exit_codes import INTERRUPTED, WRONG, code_of
 from tools.common.verbosity import Verbosity
 
 
@@ -36,7 +36,7 @@ def one_line_errors() -> Iterator[None]:
         name = "" if problem.filename is None else f"{problem.filename}: "
         print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
         _drop_output()
-        raise SystemExit(WRONG) from None
+        raise SystemExit(code_of(problem)) from None
 
 
 def _open_streams() -> None:

@@ -4,7 +4,6 @@ Nothing here loads what runs need, which would take most of the time.
 """
 
 import re
-import shutil
 import sys
 from pathlib import Path
 
@@ -13,9 +12,10 @@ from rich.markup import escape
 
 from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, read_text
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.scenarios.scenario import SHIPPED, ScenarioError
 from sim.scenarios.scenario_kind import Kind, all_shipped, named
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, code_of
 
 FILE_KEY = re.compile(r'^(?:file|map|tasks) = "([^"\n]+)"', re.M)
 
@@ -53,7 +53,7 @@ def _about(path: Path) -> str:
 
 
 def new(file: Path, like: str, as_json: bool) -> int:
-    """The exit code of `headland new`: 2 where nothing was written."""
+    """The exit code of `headland new`: 2 or 75 where nothing was written."""
     ships = all_shipped()
     try:
         if like not in ships:
@@ -71,16 +71,21 @@ def new(file: Path, like: str, as_json: bool) -> int:
             if path.exists():
                 raise ScenarioError(f"{path} is there already: choose another name")
         file.parent.mkdir(parents=True, exist_ok=True)
-        file.write_text(text, encoding="utf-8")
-        for name in beside:
-            shutil.copyfile(source.parent / name, file.parent / name)
+        try:
+            for name in beside:
+                write_whole(file.parent / name, (source.parent / name).read_bytes())
+            write_whole(file, text)
+        except BaseException:
+            for path in written:
+                path.unlink(missing_ok=True)  # none was there before
+            raise
     except ScenarioError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
     except OSError as problem:
         why = f"cannot be written: {problem.strerror}; choose another folder"
         print(f"headland: {file}: {why}", file=sys.stderr)
-        return WRONG
+        return code_of(problem)
     if as_json:
         print(dumps({"written": [str(path) for path in written], "like": like}))
     else:

@@ -1,13 +1,22 @@
 """Exit codes that all commands share; `docs/use/command_line.md` says what each code means."""
 
 import sys
+from errno import EDQUOT, EIO, ENOSPC
 from typing import Final
 
 WRONG: Final = 2  # nothing was done: a wrong word, file or value, or a missing package
+TRY_AGAIN: Final = 75  # EX_TEMPFAIL of sysexits.h: the same command may succeed later
+NO_ROOM: Final = (ENOSPC, EDQUOT, EIO)  # of a disk that is full or does not answer
 INTERRUPTED: Final = 130  # ended by Ctrl-C; shells have 128 and the number of the signal
 
 
-def wrong(problem: object) -> int:
+def wrong(problem: object, code: int = WRONG) -> int:
     """Print what is wrong as one line; returns the exit code."""
     print(f"headland: {problem}", file=sys.stderr)
-    return WRONG
+    return code
+
+
+def code_of(problem: Exception) -> int:
+    """The exit code of what ended a command: 75 where a disk takes no more data, else 2."""
+    full = isinstance(problem, OSError) and problem.errno in NO_ROOM
+    return TRY_AGAIN if full else WRONG

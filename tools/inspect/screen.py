@@ -17,6 +17,7 @@ from textual.binding import Binding, BindingType
 from textual.containers import Horizontal, Vertical
 from textual.widgets import Footer, Sparkline, Static
 
+from sim.files.whole_file import write_whole
 from tools.inspect.inspector import NO_KEYS, Inspector, Seen
 from tools.inspect.lifecycle_picture import LIT, picture
 from tools.inspect.table_widget import Cell, Rows
@@ -241,7 +242,7 @@ def draw(screen: InspectScreen, path: Path, size: tuple[int, int] = (150, 42)) -
 
     def finish() -> None:
         drawn = screen.export_screenshot(title=screen.TITLE)
-        path.write_text(FONT_FACE.sub("", drawn), encoding="utf-8")  # nothing from elsewhere
+        write_whole(path, FONT_FACE.sub("", drawn))  # nothing from elsewhere
         screen.exit()
 
     screen.run_when_ready = when_fed

@@ -15,6 +15,7 @@ from pydantic import BaseModel, ConfigDict, Field, TypeAdapter, ValidationError
 
 from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_bytes
+from sim.files.whole_file import write_whole
 from tools.language.intent import Metres, Slot
 
 QUEUE_MAX = 100  # more goals than a person can keep in mind
@@ -117,7 +118,4 @@ class GoalQueue:
             yield take_lock(lock, wait)
 
     def _write(self, goals: list[Queued]) -> None:
-        """Whole or not at all."""
-        new = self.path.with_name(self.path.name + ".new")
-        new.write_bytes(_LIST.dump_json(goals))
-        new.replace(self.path)
+        write_whole(self.path, _LIST.dump_json(goals))

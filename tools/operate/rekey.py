@@ -14,7 +14,7 @@ from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError, robots_of_launch
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, code_of
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL
@@ -110,7 +110,7 @@ def rekey(
         return WRONG
     except OSError as problem:
         print(f"headland: {place}: {problem.strerror}", file=sys.stderr)
-        return WRONG
+        return code_of(problem)
 
 
 async def _rekey(

@@ -6,13 +6,15 @@ numpy and matplotlib are imported behind the start of the second process, which 
 import csv
 import sys
 from collections.abc import Sequence
+from io import StringIO
 from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.record.mcap_log import McapMissing
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, code_of
 from tools.common.gc_collector import uncollected
 from tools.inspect.log_frames import SourceError
 from tools.report.planned_aside import planned_aside
@@ -42,7 +44,7 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
     except OSError as problem:
         print(f"headland: {problem.filename or out}: {problem.strerror}; choose another place with -o",
               file=sys.stderr)  # fmt: skip
-        return WRONG
+        return code_of(problem)
     without = [chapter.name for chapter in found if chapter.missing]
     if as_json:
         names = [chapter.name for chapter in found if not chapter.missing]
@@ -86,11 +88,12 @@ def write(out: Path, evidence: "RunEvidence", found: "Sequence[Chapter]") -> Non
     folder.mkdir(parents=True, exist_ok=True)
     for chapter in found:
         if chapter.picture is not None:
-            (folder / f"{chapter.name}.svg").write_bytes(chapter.picture.svg)
+            write_whole(folder / f"{chapter.name}.svg", chapter.picture.svg)
         if chapter.values is not None:
-            with (folder / f"{chapter.name}.csv").open("w", newline="", encoding="utf-8") as file:
-                writer = csv.writer(file, lineterminator="\n")
-                writer.writerow(chapter.values[0])
-                writer.writerows(chapter.values[1])
+            table = StringIO()
+            writer = csv.writer(table, lineterminator="\n")
+            writer.writerow(chapter.values[0])
+            writer.writerows(chapter.values[1])
+            write_whole(folder / f"{chapter.name}.csv", table.getvalue())
     told = page(evidence.name, evidence.figures, found, quote(folder.name), evidence.about)
-    out.write_text(told, encoding="utf-8")
+    write_whole(out, told)

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tools.common.exit_codes import code_of
 from tools.common.options import Json, Silence
 from tools.common.told_wait import told_loading
 
@@ -68,7 +69,7 @@ def solve(
         )
     except (GridFileError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(2) from None
+        raise SystemExit(code_of(error)) from None
 
 
 @app.command()
@@ -150,7 +151,7 @@ def drive(
             raise SystemExit(driven(setting, folder, json, left, reachable_only or map is None))
     except (GridFileError, ScenarioError, FolderError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(2) from None
+        raise SystemExit(code_of(error)) from None
 
 
 def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: bool) -> int:
@@ -171,7 +172,7 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
             return driven(setting, folder, as_json, left, False)
     except (GridFileError, ScenarioError, FolderError, OSError) as error:
         typer.echo(f"headland: {error}", err=True)
-        return 2
+        return code_of(error)
 
 
 def instance_of(map: Path, robots: int, seed: int) -> "Instance":

@@ -11,6 +11,7 @@ from agent.coverage.team import TURN_COST_MAX
 from agent.interface.config import PEERS_MAX
 from sim.files.grid_map import GridFileError, Instance
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.runs.coverage_run import CoverageOutcome, CoverageRun
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
@@ -111,7 +112,7 @@ def driven(
             recorder.close()
     report = {**outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left}
     if out is not None:
-        (out / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
+        write_whole(out / "report.json", dumps(report, indent=1) + "\n")
     if as_json:
         print(dumps(report))
     else:

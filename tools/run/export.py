@@ -15,6 +15,7 @@ from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
+from tools.common.exit_codes import code_of
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 from tools.report.run_data import REPORT
@@ -29,19 +30,22 @@ def export(
     storage: Storage = "mcap", film: Path | None = None, as_json: bool = False,
 ) -> int:  # fmt: skip
     """Write the work of a run as task data, GeoJSON, a ROS 2 bag, a film, or several of them. The exit
-    code is 2 where the folder has none, or nothing can be written; a FieldFileError becomes a line.
+    code is 2 where the folder has none, 2 or 75 where nothing can be written. A FieldFileError becomes
+    a line.
 
     `as_json`: an object with the path of each, instead of lines."""
     if isoxml is None and geojson is None and bag is None and film is None:
         print("headland: export: name --isoxml, --geojson, --bag or --film", file=sys.stderr)
         return 2
     say: Say = (lambda line: None) if as_json else print
-    if bag is not None and _bag(folder, bag, storage, say):
-        return 2
-    if film is not None and _film(folder, film, say):
-        return 2
-    if (isoxml is not None or geojson is not None) and _work(folder, isoxml, geojson, say):
-        return 2
+    if bag is not None and (code := _bag(folder, bag, storage, say)):
+        return code
+    if film is not None and (code := _film(folder, film, say)):
+        return code
+    if (isoxml is not None or geojson is not None) and (
+        code := _work(folder, isoxml, geojson, say)
+    ):
+        return code
     if as_json:
         written = {"isoxml": isoxml, "geojson": geojson, "bag": bag, "film": film}
         print(dumps({form: str(path) for form, path in written.items() if path is not None}))
@@ -68,7 +72,7 @@ def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> 
         return 2
     except OSError as problem:
         print(f"headland: {problem.filename}: {problem.strerror}", file=sys.stderr)
-        return 2
+        return code_of(problem)
     return 0
 
 
@@ -80,9 +84,12 @@ def _bag(folder: Path, bag: Path, storage: Storage, say: Say) -> int:
         if not log.exists():
             raise BagError(f"{folder}: no {MCAP}; headland run and headland launch leave one")
         counts = write_bag(read_recording(log), bag, storage)
-    except (BagError, McapMissing, ValueError, OSError) as problem:
+    except (BagError, McapMissing, ValueError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return 2
+    except OSError as problem:
+        print(f"headland: {bag}: {problem.strerror or problem}", file=sys.stderr)
+        return code_of(problem)
     say(f"{bag}: ROS 2 bag, {counts.total()} messages in {len(counts)} topics")
     return 0
 
@@ -102,8 +109,8 @@ def _film(folder: Path, film: Path, say: Say) -> int:
         print(f"headland: {problem}", file=sys.stderr)
         return 2
     except OSError as problem:
-        print(f"headland: {film}: {problem.strerror}", file=sys.stderr)
-        return 2
+        print(f"headland: {film}: {problem.strerror or problem}", file=sys.stderr)
+        return code_of(problem)
     size_kb = film.stat().st_size // 1000
     say(f"{film}: {count} pictures, {FILM_S:.0f} s, {size_kb} kB")
     return 0

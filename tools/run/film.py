@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from crdt.progress import BLOCK_UNITS
 from sim.files.palette import ROBOTS
+from sim.files.whole_file import whole_file
 from sim.record.recording import Recording
 from tools.inspect.inspector import SILENT_S
 from tools.livemap.event_notes import NotedEvent
@@ -88,13 +89,15 @@ def write_film(
     duration_ms = round(1000 / PICTURES_S)
     shared: dict[str, Any] = {"save_all": True, "duration": duration_ms, "loop": 0}
     if out.suffix.lower() == ".webp":
-        pictures[0].save(
-            out, append_images=pictures[1:], quality=60, method=4, minimize_size=True, **shared
-        )
+        with whole_file(out) as part:
+            pictures[0].save(
+                part, append_images=pictures[1:], quality=60, method=4, minimize_size=True, **shared
+            )
         return count
     small = _palette(pictures)
     plain = [each.quantize(palette=small, dither=Image.Dither.NONE) for each in pictures]
-    plain[0].save(out, append_images=plain[1:], optimize=False, **shared)
+    with whole_file(out) as part:
+        plain[0].save(part, append_images=plain[1:], optimize=False, **shared)
     return count
 
 

@@ -12,6 +12,7 @@ from hashlib import blake2b
 from pathlib import Path
 from typing import IO, Any, NamedTuple
 
+from sim.files.whole_file import write_whole
 from sim.scenarios.field_setup import FieldSetup
 from tools.common.run_folder import (
     LATEST,
@@ -134,9 +135,7 @@ def _over(known: dict[str, Any] | None) -> bool:
 
 
 def _write(folder: Path, identity: str, over: bool) -> None:
-    new = folder / f"{FLEET}.new"
-    new.write_text(json.dumps({"fleet": identity, "over": over}) + "\n", encoding="utf-8")
-    new.replace(folder / FLEET)
+    write_whole(folder / FLEET, json.dumps({"fleet": identity, "over": over}) + "\n")
 
 
 def _put_away(folder: Path, journals: bool) -> int:

@@ -23,6 +23,7 @@ from sim.files.candump import CandumpWriter
 from sim.files.log_parts import LAUNCH_LIMIT, PartedLog
 from sim.files.recording_end import Ending
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.remote_body import BodyServer
 from sim.record.scene_builder import scene_of
@@ -151,8 +152,8 @@ class Launch:
                 self.viewers.feed.intend(loop.time(), intent)
 
         bodies.relay.keep = intend
-        (self.out / "bus.json").write_text(dumps(where))
-        (self.out / "places.toml").write_text(self._places())
+        write_whole(self.out / "bus.json", dumps(where))
+        write_whole(self.out / "places.toml", self._places())
         self.console.print(
             f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
             f"({viewer_command(HOST, bus.port)})"

@@ -13,7 +13,7 @@ from sim.scenarios.scenario import ScenarioError
 from tools.build.kernel_cache import Compiling, told_compiling
 from tools.build.warmup import warm
 from tools.common.bus_address import AttachError
-from tools.common.exit_codes import wrong
+from tools.common.exit_codes import code_of, wrong
 from tools.common.launch_keys import fleet_keys
 from tools.common.run_folder import FolderError
 from tools.inspect.metrics_address import MetricsError, metrics_address
@@ -89,7 +89,7 @@ def launch(
     ) as problem:
         return wrong(str(problem))
     except OSError as problem:
-        return wrong(f"--out: {problem}")
+        return wrong(f"--out: {problem}", code_of(problem))
     if fleet.said:
         console.print(escape(fleet.said))
     # Here once, and not in every robot at the same time.
@@ -111,7 +111,7 @@ def launch(
             return wrong(f"--hub {hub_port}: {problem}")
         return wrong(f"--port {port}: {problem}; choose another or 0 for any free one")
     except OSError as problem:
-        return wrong(f"--out: {problem}")
+        return wrong(f"--out: {problem}", code_of(problem))
     finally:
         for lock in fleet.locks:
             lock.close()

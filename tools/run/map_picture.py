@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sim.files.palette import colour_of, rgb_of
+from sim.files.whole_file import whole_file
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from tools.run.plain_text import plain_text
 
@@ -69,7 +70,8 @@ def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) ->
         f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", fontsize=11
     )
     figure.tight_layout()
-    figure.savefig(out)
+    with whole_file(out) as part:
+        figure.savefig(part)
 
 
 def film(survey: ExplorationRun, out: Path) -> None:
@@ -92,4 +94,5 @@ def film(survey: ExplorationRun, out: Path) -> None:
                           markersize=5)  # fmt: skip
 
     movie = FuncAnimation(figure, draw, frames=len(survey.films))
-    movie.save(out, writer=PillowWriter(fps=1000 // FRAME_MS))
+    with whole_file(out) as part:
+        movie.save(part, writer=PillowWriter(fps=1000 // FRAME_MS))

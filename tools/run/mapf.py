@@ -14,6 +14,7 @@ from sim.files.grid_map import GridFileError, Walls, map_text, read_map
 from sim.files.mapf_paths import path_text
 from sim.files.mapf_scenario import MapfInstance, drawn_scenario, read_scenario
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.runs.mapf_run import MapfOutcome, MapfRun
 from sim.scenarios.coverage_setup import STEP_S
 from sim.scenarios.mapf_setup import MapfSetup
@@ -121,7 +122,7 @@ def reports(
             outcome = run.run()
         verdict = judged(run, outcome, mapf.walls)
         if out is not None and not outcome.conflict:
-            out.write_text(path_file(run, outcome), encoding="utf-8")
+            write_whole(out, path_file(run, outcome))
         if picture is not None and not outcome.conflict:
             _draw(picture, run, outcome, mapf)
         yield {

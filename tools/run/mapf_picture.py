@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.files.whole_file import whole_file
 from tools.run.plain_text import plain_text
 
 Cell = tuple[int, int]  # row, column
@@ -36,4 +37,5 @@ def draw_ways(
                   markeredgewidth=0.4)  # fmt: skip
     axes.set_title(title)
     axes.set_axis_off()
-    figure.savefig(path)
+    with whole_file(path) as part:
+        figure.savefig(part)

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from rich.console import Console
 
 from agent.interface.config import S
+from sim.files.whole_file import whole_file, write_whole
 from sim.fleet.scheduler import Script
 from sim.fleet.simulated_fleet import Cluster
 from sim.record.recorder_script import watch
@@ -53,12 +54,13 @@ class Picture:
         """
         path = Path(path)
         if path.suffix == ".svg":
-            path.write_bytes(self.svg)
+            write_whole(path, self.svg)
         elif self._plot is None:
             raise ValueError(f"{path}: this picture is an .svg")
         else:
             figure = self._plot().figure
-            figure.savefig(path)
+            with whole_file(path if path.suffix else path.with_suffix(".png")) as part:
+                figure.savefig(part)
             figure.clear()
 
 

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from agent.mapping.building import Floor
+from sim.files.whole_file import whole_file
 from sim.runs.navigation_run import NavigationOutcome, NavigationRun
 
 
@@ -39,7 +40,8 @@ def _draw(outing: NavigationRun, outcome: NavigationOutcome, slot: int, folder: 
     axes.legend(loc="upper right", fontsize=8)
     figure.tight_layout()
     out = folder / f"robot_{slot}.png"
-    figure.savefig(out)
+    with whole_file(out) as part:
+        figure.savefig(part)
     return out
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from agent.field.field_map import Field
 from sim.files.palette import colour_of
+from sim.files.whole_file import whole_file
 from tools.run.plain_text import plain_text
 
 Cells = NDArray[np.float64]
@@ -90,7 +91,8 @@ def draw_field(
     axes.set_title(title)
     axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)  # it covers no track
     figure.tight_layout()
-    figure.savefig(out)
+    with whole_file(out) as part:
+        figure.savefig(part)
 
 
 def _size_in(field: Field) -> tuple[float, float]:

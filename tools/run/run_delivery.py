@@ -9,6 +9,7 @@ from agent.runtime.end_signals import on_end
 from sim.can.socketcand_server import Hub
 from sim.files.palette import colour_of
 from sim.files.strict_json import dumps
+from sim.files.whole_file import whole_file, write_whole
 from sim.fleet.virtual_clock import WallLoop
 from sim.runs.delivery_fleet import DeliveryFleet
 from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
@@ -147,7 +148,7 @@ class LiveDeliveryCommand(DeliveryCommand):
             "host": HOST, "port": hub.port, "channel": CHANNEL, **identity(),
             "scenario": absolute(self.scenario),
         }  # fmt: skip
-        (out / BUS).write_text(dumps(where))
+        write_whole(out / BUS, dumps(where))
         RUNS.mkdir(parents=True, exist_ok=True)
         link(RUNS / LAUNCH, out)
         console.print(f"bus: socketcand {HOST}:{hub.port} channel {CHANNEL}")
@@ -179,4 +180,5 @@ def draw_warehouse(
     if len(run.tracks) <= 10:
         axes.legend(loc="upper right", fontsize=7)
     figure.tight_layout()
-    figure.savefig(out)
+    with whole_file(out) as part:
+        figure.savefig(part)

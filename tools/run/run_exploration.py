@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sim.files.whole_file import write_whole
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from sim.scenarios.exploration_scenario import load_arena
 from tools.common.result_table import Fact
@@ -39,7 +40,7 @@ class ExplorationCommand(MissionCommand[ExplorationRun]):
 
     def draw(self, outcome: ExplorationOutcome, folder: Path, log_hash: str) -> list[str]:
         reports = [f"at {now_s:.1f} s\n\n{text}" for now_s, text in self.run.reports]
-        (folder / "fleet.md").write_text("\n".join(reports), encoding="utf-8")
+        write_whole(folder / "fleet.md", "\n".join(reports))
         draw_maps(self.run, outcome, folder / "maps.png")
         if self.animate:
             film(self.run, folder / "maps.gif")

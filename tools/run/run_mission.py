@@ -19,11 +19,12 @@ from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 from agent.exploration.exploration_task import FleetFullError
 from sim.files.can_log import open_log
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.record.recording import Recording
 from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
 from tools.build.kernel_cache import WAIT, kernels_kept, told_compiling
-from tools.common.exit_codes import wrong
+from tools.common.exit_codes import code_of, wrong
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.verbosity import Verbosity
@@ -107,7 +108,7 @@ def _run_mission(
     except (ScenarioError, ServerError, FolderError) as problem:
         return wrong(problem)
     except (OSError, ValueError) as problem:
-        return wrong(f"{'--out or --log' if logs else '--out'}: {problem}")
+        return wrong(f"{'--out or --log' if logs else '--out'}: {problem}", code_of(problem))
     if shown is not None:
         console.print(f"map: {shown.url}")
     if kernels_kept() == 0:
@@ -121,7 +122,7 @@ def _run_mission(
     finally:
         recorder.close()
     report = {**outcome.to_dict(), "log_hash": recorder.log_hash, **command.report(outcome)}
-    (folder / "report.json").write_text(dumps(report, indent=1) + "\n", encoding="utf-8")
+    write_whole(folder / "report.json", dumps(report, indent=1) + "\n")
     drawn = command.draw(outcome, folder, recorder.log_hash)
     if film and recording is not None:
         drawn.append(_filmed(console, recording, folder))

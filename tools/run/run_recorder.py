@@ -9,6 +9,7 @@ from protocol.frames.frame import Frame
 from sim.files.log_parts import Limit, PartedLog
 from sim.files.recording_end import Ending, say
 from sim.files.strict_json import dumps
+from sim.files.whole_file import write_whole
 from sim.fleet.simulated_fleet import Cluster
 from sim.record.mcap_log import MCAP, McapLog, McapMissing
 from sim.record.recorder_script import RecordingSink, watch
@@ -34,7 +35,7 @@ class RunRecorder:
         the clock that `write` is given. `told`: one line where the disk takes no more. `limit`: of the
         size of the MCAP; None: there is none. Raises OSError, here and nowhere else."""
         self.scene = scene_of(setting)
-        (out / FILE).write_text(dumps(self.scene) + "\n", encoding="utf-8")
+        write_whole(out / FILE, dumps(self.scene) + "\n")
         self.digest = FramesDigest()
         self.recording = recording
         self._heard: list[tuple[int, Frame | dict[str, Any]]] = []

@@ -1,5 +1,6 @@
 """A film of a run, read back by Pillow."""
 
+import errno
 from pathlib import Path
 
 import pytest
@@ -54,6 +55,23 @@ def pixel(picture: Image.Image, x: float, y: float) -> tuple[int, int, int]:
 def near(found: tuple[int, int, int], colour: str) -> bool:
     wanted = [int(colour[k : k + 2], 16) for k in (1, 3, 5)]
     return max(abs(a - b) for a, b in zip(found, wanted, strict=True)) < 24
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp"])
+def test_a_full_disk_leaves_the_film_that_was_there(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    def save(picture: Image.Image, place: Path, **words: object) -> None:
+        place.write_bytes(b"half of")
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    out = tmp_path / f"film{suffix}"
+    out.write_bytes(b"an earlier film")
+    monkeypatch.setattr(Image.Image, "save", save)
+    with pytest.raises(OSError, match="No space") as told:
+        write_film(recording(SCENE), out, 0.2)
+    assert told.value.filename == str(out)
+    assert list(tmp_path.iterdir()) == [out] and out.read_bytes() == b"an earlier film"
 
 
 @pytest.mark.parametrize("suffix", [".gif", ".webp"])

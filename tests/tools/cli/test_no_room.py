@@ -1,0 +1,67 @@
+"""A disk that is full in the middle of a file: one line, exit code 75, and no half of a file."""
+
+import errno
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+from typer.testing import CliRunner
+
+from tests.tools.cli.test_commands import headland
+from tools.cli.headland import app
+from tools.common.exit_codes import code_of
+
+PATH_WRITE = Path.write_bytes
+
+
+@pytest.fixture
+def full(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Says at which suffix the disk is full; a part of the file is written before."""
+
+    def at(suffix: str) -> None:
+        def write(path: Path, data: Any) -> int:
+            if path.suffix != suffix:
+                return PATH_WRITE(path, data)
+            PATH_WRITE(path, data[:10])
+            raise OSError(errno.ENOSPC, "No space left on device", str(path))
+
+        monkeypatch.setattr(Path, "write_bytes", write)
+
+    return at
+
+
+@pytest.mark.parametrize(
+    ("suffix", "words"),
+    [
+        (".dbc", ["dbc", "all.dbc"]),
+        (".toml", ["new", "mine.toml"]),
+        (".toml", ["new", "mine.toml", "--like", "warehouse"]),  # with a file beside it
+        (".json", ["coverage", "solve", "--H", "4", "--W", "4", "--robots", "1", "-o", "plan.json"]),
+        (".map", ["coverage", "solve", "--robots", "1", "--export", "a.map"]),
+    ],
+)  # fmt: skip
+def test_a_full_disk_leaves_no_half_of_a_file(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, full: Callable[[str], None],
+    suffix: str, words: list[str],
+) -> None:  # fmt: skip
+    monkeypatch.chdir(tmp_path)
+    full(suffix)
+    told = CliRunner().invoke(app, words)
+    assert told.exit_code == 75 and told.stderr.count("\n") == 1, told.output
+    assert "No space left on device" in told.stderr and ".headland-" not in told.stderr
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
+def test_a_device_that_is_full_is_told_with_75(tmp_path: Path) -> None:
+    told = headland("dbc", "/dev/full", folder=tmp_path)
+    assert told.returncode == 75 and told.stderr.count("\n") == 1
+    assert "/dev/full: cannot be written: No space left on device" in told.stderr
+
+
+def test_a_place_that_cannot_be_written_stays_a_wrong_word(tmp_path: Path) -> None:
+    told = headland("dbc", str(tmp_path / "none" / "all.dbc"), folder=tmp_path)
+    assert told.returncode == 2 and told.stderr.count("\n") == 1
+    assert code_of(PermissionError(errno.EACCES, "no")) == code_of(ValueError("no")) == 2
+    assert code_of(OSError(errno.EDQUOT, "over quota")) == 75
