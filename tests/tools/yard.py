@@ -34,7 +34,7 @@ class Told(NamedTuple):
     """What `task add --json` said, how the run ended after Ctrl-C, and its report."""
 
     code: int
-    lines: list[Any]
+    known: list[Any]
     ended: int | None
     report: dict[str, Any]
 
@@ -71,7 +71,6 @@ def play(
                 await process.wait()
         report = json.loads((folder / "out" / "report.json").read_text())
         print(report)
-        lines = [json.loads(line) for line in text.splitlines()]
-        return Told(code, lines, process.returncode, report)
+        return Told(code, json.loads(text), process.returncode, report)
 
     return asyncio.run(story())

@@ -26,7 +26,7 @@ from sim.files.whole_file import write_whole
 from sim.scenarios.scenario import ScenarioError, load
 from sim.scenarios.toml_writer import to_toml
 from tools.chaos.campaign import ClusterError, room, workers
-from tools.chaos.chaos_report import ReportError, report
+from tools.chaos.chaos_report import ReportError, figures, report
 from tools.chaos.planted_bug_hunt import hunt_all
 from tools.common.exit_codes import WRONG, code_of
 from tools.common.fingerprint import ROBOTS, fingerprint
@@ -109,11 +109,11 @@ def _played(verdicts: list[Verdict]) -> tuple[int, int]:
     return min(seeds, default=0), max(seeds, default=-1) + 1
 
 
-def tell_report(folder: Path) -> int:
+def tell_report(folder: Path, as_json: bool = False) -> int:
     """Print the report of a folder of results; the exit code is 2 where these contradict each
     other."""
     try:
-        print(report(folder), end="")
+        print(dumps(figures(folder)) + "\n" if as_json else report(folder), end="")
     except ReportError as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG

@@ -40,6 +40,30 @@ def report(folder: Path) -> str:
     return "\n\n".join(parts) + "\n"
 
 
+def figures(folder: Path) -> dict[str, Any]:
+    """What the report says, as plain values. Raises ReportError."""
+    results = list(_results(folder))
+    campaigns, kept = _judged(results)
+    told = [{"profile": c["profile"], **b} for c in campaigns for b in c["broken"]]
+    faults: Counter[str] = Counter()
+    for c in campaigns:
+        faults.update(c["faults"])
+    keys = ("profile", "seeds", "runs", "robot_hours", "cpu_s", "failed", "code", "hash")
+    rows = [row for _, result in results for row in result.get("fuzzed", [])]
+    return {
+        "campaigns": [{key: c[key] for key in keys} for c in campaigns],
+        "robot_hours": round(sum(c["robot_hours"] for c in campaigns), 2),
+        "runs": sum(c["runs"] for c in campaigns), "faults": dict(faults.most_common()),
+        "broken": [b for b in told if (b["profile"], b["seed"]) not in kept],
+        "false_alarms": [b for b in told if (b["profile"], b["seed"]) in kept],
+        "planted_bugs": [
+            {**row, "code": result["code"]}
+            for _, result in results if "mutants" in result for row in result["mutants"]
+        ],
+        "fuzzed": [row._asdict() for row in _targets(rows)],
+    }  # fmt: skip
+
+
 def is_keyed(profile: str) -> bool:
     """Whether the fleets of a profile have keys, and there is an attacker on the bus."""
     return profile in KEYED or profile.endswith(ATTACKED)
@@ -228,18 +252,32 @@ def _missed(row: Result) -> str:
     return "**not found**" if row["runs"] else "not hunted"
 
 
-def _fuzzed(fuzzed: list[Result]) -> Iterable[str]:
+class FuzzedTarget(NamedTuple):
+    """What all results of a folder say of one decoder."""
+
+    target: str
+    executions: int
+    cpu_s: float
+    broken: int  # promises
+
+
+def _targets(fuzzed: list[Result]) -> list[FuzzedTarget]:
+    """The most executions first."""
     runs, cpu_s, crashes = Counter[str](), Counter[str](), Counter[str]()
     for row in fuzzed:
         runs[row["target"]] += row["executions"]
         cpu_s[row["target"]] += row["cpu_s"]
         crashes[row["target"]] += bool(row["crash"])
-    total = sum(runs.values())
-    verdict = "reached" if total >= RUNS_WANTED and not sum(crashes.values()) else "**missed**"
+    return [FuzzedTarget(t, n, round(cpu_s[t], 1), crashes[t]) for t, n in runs.most_common()]
+
+
+def _fuzzed(fuzzed: list[Result]) -> Iterable[str]:
+    found = _targets(fuzzed)
+    total, broken = sum(t.executions for t in found), sum(t.broken for t in found)
+    verdict = "reached" if total >= RUNS_WANTED and not broken else "**missed**"
     yield "## Decoders"
-    broken = sum(crashes.values())
     yield f"{total} executions (wanted: {RUNS_WANTED}, {verdict}); {broken} broken promises."
-    rows = [(t, n, f"{cpu_s[t]:.0f}", crashes[t]) for t, n in runs.most_common()]
+    rows = [(t.target, t.executions, f"{t.cpu_s:.0f}", t.broken) for t in found]
     yield _table(("target", "executions", "CPU s", "broken"), rows)
 
 

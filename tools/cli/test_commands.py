@@ -45,7 +45,7 @@ def chaos(
     ] = False,
     report: Annotated[
         Path | None,
-        typer.Option(help="Print a report, in Markdown, of the results in this folder."),
+        typer.Option(help="Print a report of the results in this folder, in Markdown or JSON."),
     ] = None,
     cluster: Cluster = "",
     json: Json = False,
@@ -64,7 +64,7 @@ def chaos(
         from tools.chaos.chaos import judge_file, tell_report
 
     if report is not None:
-        raise SystemExit(tell_report(report))
+        raise SystemExit(tell_report(report, json))
     if scenario is not None:
         raise SystemExit(judge_file(scenario, json, golden))
     raise SystemExit(

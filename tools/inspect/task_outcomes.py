@@ -117,8 +117,11 @@ def list_tasks(house: Warehouse | None, where: Attached, as_json: bool) -> int:
             found = asyncio.run(story())
     except AttachError as problem:
         return wrong(problem)
-    for each in found:
-        print(dumps(each.to_dict(house)) if as_json else _line(each))
+    if as_json:
+        print(dumps([each.to_dict(house) for each in found]))
+    else:
+        for each in found:
+            print(_line(each))
     return 0
 
 

@@ -53,10 +53,12 @@ def order(
     except (ScenarioError, AttachError, KeyFileError) as problem:
         print(f"headland: {problem}", file=sys.stderr)
         return WRONG
-    for number, sure in known.items():
-        line = {"task": number, "known": sure}
-        plain = f"task {number}: " + ("known to the fleet" if sure else "no robot has confirmed it")
-        print(dumps(line) if as_json else plain)
+    if as_json:
+        print(dumps([{"task": number, "known": sure} for number, sure in known.items()]))
+    else:
+        for number, sure in known.items():
+            told = "known to the fleet" if sure else "no robot has confirmed it"
+            print(f"task {number}: {told}")
     return 0 if all(known.values()) else REFUSED
 
 

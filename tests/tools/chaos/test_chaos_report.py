@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 from rich.console import Console
+from typer.testing import CliRunner
 
 from sim.chaos.fault_profiles import FORGER, PROFILES, with_faults
 from sim.chaos.scenario_judge import RUNNER_LOG
@@ -16,9 +17,10 @@ from sim.scenarios.protocol_setup import drill
 from sim.scenarios.scenario import DiskFull
 from tools.chaos import chaos as campaign
 from tools.chaos.chaos import chaos
-from tools.chaos.chaos_report import KEYED, ReportError, is_keyed, judged_hours, report
+from tools.chaos.chaos_report import KEYED, ReportError, figures, is_keyed, judged_hours, report
 from tools.chaos.fuzz import fuzz
 from tools.chaos.planted_bug_hunt import RESULTS, hunt_all
+from tools.cli.headland import app
 from tools.cli.test_commands import PROFILES as PROFILE_NAMES
 
 DOCS = Path(__file__).parents[3] / "docs" / "measured"
@@ -57,6 +59,32 @@ def test_parts_of_a_campaign_in_one_file_are_one_row(tmp_path: Path) -> None:
     assert "| all | 0 to 19 | 20 | 3.0 | 2.00 | 0 | c | 2 parts, each with its own |" in text
     assert "| all | 30 to 39 | 10 | 1.5 | 1.00 | 0 | c | h |" in text
     assert "| bus | 0 to 9 |" in text and "| crash | 8 |" in text
+
+
+def test_the_report_as_json_is_one_document_with_the_same_figures(
+    tmp_path: Path,
+) -> None:
+    """It printed Markdown."""
+    where = {"t_s": 1.0, "rule": "S1", "what": "moved"}
+    campaign: dict[str, Any] = {
+        "profile": "all", "seeds": [0, 10], "robot_hours": 1.5, "runs": 10, "cpu_s": 3600.0,
+        "failed": [4], "broken": [{"seed": 4, **where}], "code": "c", "robots": "r",
+        "hash": "h", "faults": {"crash": 2},
+    }  # fmt: skip
+    fuzzed = [{"target": "frame", "executions": n, "cpu_s": 0.25, "crash": ""} for n in (50, 70)]
+    (tmp_path / "a.json").write_text(json.dumps([campaign, {"fuzzed": fuzzed}]))
+    assert CliRunner().invoke(app, ["chaos", "--report", str(tmp_path)]).exit_code == 0
+    done = CliRunner().invoke(app, ["chaos", "--report", str(tmp_path), "--json"])
+    told = json.loads(done.stdout)
+    assert done.exit_code == 0 and done.stdout.count("\n") == 1
+    assert told["broken"] == [{"profile": "all", "seed": 4, **where}] and not told["false_alarms"]
+    assert (told["robot_hours"], told["runs"], told["faults"]) == (1.5, 10, {"crash": 2})
+    assert told["fuzzed"] == [{"target": "frame", "executions": 120, "cpu_s": 0.5, "broken": 0}]
+
+
+def test_the_committed_results_are_json_too() -> None:
+    told = figures(DOCS / "chaos_runs")
+    assert f"{told['robot_hours']:.1f} robot-hours judged" in report(DOCS / "chaos_runs")
 
 
 def test_hours_are_not_counted_twice(tmp_path: Path) -> None:

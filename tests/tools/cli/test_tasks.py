@@ -3,19 +3,23 @@
 import asyncio
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from sim.scenarios.delivery_scenario import TaskRow, read_tasks
 from sim.scenarios.scenario import ScenarioError
 from tests.tools.launching import call
-from tests.tools.yard import CSV, KNOWN, play
+from tests.tools.yard import CSV, KNOWN, SCENARIO, play
+from tools.inspect import task_outcomes
+from tools.inspect.task_outcomes import TaskListener, list_tasks
+from tools.operate import transport_order
 
 
 @pytest.mark.slow
 def test_tasks_that_are_added_while_running_are_known_and_carried(tmp_path: Path) -> None:
     told = play(tmp_path, "run", "yard.toml", "--live")
-    assert (told.code, told.lines) == (0, KNOWN)
+    assert (told.code, told.known) == (0, KNOWN)
     assert told.report["delivered"] == told.report["tasks"] == 2
     assert told.report["success"]
 
@@ -53,3 +57,39 @@ def test_what_is_wrong_with_a_file_is_said_by_line(
 def test_a_place_without_floor_is_refused_in_one_line(tmp_path: Path) -> None:
     code, text = asyncio.run(call(tmp_path, "task", "add", "99,1", "1,1"))
     assert (code, text.count("\n")) == (2, 1) and "no floor" in text
+
+
+@pytest.mark.parametrize("known", [{}, {4: True}, {4: True, 5: False}])
+def test_orders_are_one_document(
+    tmp_path: Path, known: dict[int, bool], monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Of several orders it was one for each."""
+
+    async def ordered(*_: Any) -> dict[int, bool]:
+        return known
+
+    (tmp_path / "yard.toml").write_text(SCENARIO)
+    monkeypatch.setattr(transport_order, "_order", ordered)
+    bus = ("virtual", "one document", 250_000, "", 0)
+    house = str(tmp_path / "yard.toml")
+    code = transport_order.order("1.5,0.5", "3.5,2.5", None, house, bus, True)
+    told = capsys.readouterr().out
+    assert json.loads(told) == [{"task": task, "known": sure} for task, sure in known.items()]
+    assert code == (0 if all(known.values()) else 1)
+
+
+@pytest.mark.parametrize("known", [(), (0,), (0, 3)])
+def test_the_list_of_tasks_is_one_document(
+    known: tuple[int, ...], monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    class Heard(TaskListener):
+        """A fleet that knows these tasks and has told no order."""
+
+        async def learn(self) -> None:
+            self.known.update(known)
+
+    monkeypatch.setattr(task_outcomes, "TaskListener", Heard)
+    assert list_tasks(None, ("virtual", "one list", 250_000, "", 0), True) == 0
+    told = json.loads(capsys.readouterr().out)
+    assert [row["task"] for row in told] == list(known)

@@ -21,7 +21,7 @@ async def kill_one(launch: Process) -> None:
 @pytest.mark.slow
 def test_a_launched_warehouse_takes_orders_and_outlives_a_robot(tmp_path: Path) -> None:
     told = play(tmp_path, "launch", "yard.toml", before=kill_one)
-    assert (told.code, told.lines, told.ended) == (0, KNOWN, 130)
+    assert (told.code, told.known, told.ended) == (0, KNOWN, 130)
     report = told.report
     assert report["delivered"] == report["tasks"] == 2 and report["known_to_all"]
     assert report["contacts"] == 0 and not any(report["flaws"].values())
