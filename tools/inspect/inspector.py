@@ -331,11 +331,12 @@ class Inspector:
         for step in self.causality.chain(section):
             yield step.to_dict()
 
-    def to_dict(self) -> dict[str, Any]:
-        """Everything as plain values for JSON."""
+    def to_dict(self, zero_s: float = 0.0) -> dict[str, Any]:
+        """Everything as plain values for JSON. `zero_s`: from when on its times count, on the clock that
+        `hear` is given."""
         span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
         return {
-            "robots": [self._robot_dict(self.robots[slot]) for slot in sorted(self.robots)],
+            "robots": [self._robot_dict(self.robots[slot], zero_s) for slot in sorted(self.robots)],
             "sections": {
                 f"S{section}": {
                     "phase": self.allocation.phase_of(section).name,
@@ -401,7 +402,7 @@ class Inspector:
             said.insert(0, f"SILENT: {StopCause.MEMBER_SILENT.value.do}")
         return said
 
-    def _robot_dict(self, robot: Seen) -> dict[str, Any]:
+    def _robot_dict(self, robot: Seen, zero_s: float = 0.0) -> dict[str, Any]:
         peers = sorted(s for s in robot.clock if s != robot.slot)
         return {
             "slot": robot.slot, "address": robot.address, "state": robot.state,
@@ -420,7 +421,7 @@ class Inspector:
             "sections": [f"S{s}" for s in self.allocation.assigned_sections(robot.slot)],
             **self._delivering(robot),
             "transitions": [
-                {"t_s": round(t.t_s, 3), "from": t.source, "to": t.target, "by": t.heard_by}
+                {"t_s": round(t.t_s - zero_s, 3), "from": t.source, "to": t.target, "by": t.heard_by}
                 for t in robot.transitions
             ],
         }  # fmt: skip

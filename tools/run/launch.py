@@ -97,6 +97,8 @@ class Launch:
         self.latched: list[int] = []  # robots that a person has to look at before they move
         self.unkept = False  # the truth of the world could not be written
         self.memory: WorldMemory
+        # Of the world's clock on that of the loop, which counts from when the machine was switched on.
+        self.zero_at_us = 0
         self.world_began_us = 0  # time at which the world continues after an earlier launch
         self.difference = ""  # how reports of robots differ from the truth; empty: they do not
 
@@ -135,8 +137,8 @@ class Launch:
             await bus.start([keep, self._heard])
         except OSError as problem:
             raise BusError(problem.strerror or str(problem)) from None
-        zero_at_us = round(loop.time() * 1e6) - memory.now_us
-        bodies = BodyServer(self.world, zero_at_us)
+        self.zero_at_us = round(loop.time() * 1e6) - memory.now_us
+        bodies = BodyServer(self.world, self.zero_at_us)
         path = await bodies.start()
         where = {
             "host": HOST, "port": bus.port, "channel": CHANNEL, **identity(),
@@ -423,10 +425,10 @@ class Launch:
             "silence_policy": self.setting.scenario.fleet.silence,
             "authenticated": self.setting.keys is not None, "difference": self.difference,
             "launches": self.fleet.launches, "latched": self.latched,
-            "log_hash": self.log_hash, **self.inspector.to_dict(),
+            "log_hash": self.log_hash, **self.inspector.to_dict(self.zero_at_us / 1e6),
         }  # fmt: skip
         written = Ending("report.json", self._untold)
-        written((self.out / "report.json").write_text, dumps(report, indent=1) + "\n")
+        written(write_whole, self.out / "report.json", dumps(report, indent=1) + "\n")
         if written.why:
             self.console.print(f"report.json is not written: {written.why}")
         how = "finished" if finished else "not finished"

@@ -1,0 +1,35 @@
+"""What a launch writes of itself when it has ended."""
+
+import json
+from pathlib import Path
+
+from rich.console import Console
+
+from agent.interface.lifecycle import State
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Member, Pose
+from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.scenario import load
+from sim.world.ground_truth import Contact
+from tools.run.fleet_folder import fleet_folder
+from tools.run.launch import Launch
+
+BOOTED_S = 86_400.0  # the loop's clock, when the launch begins
+
+
+def test_times_in_the_report_count_from_the_start_of_the_launch(tmp_path: Path) -> None:
+    """Of a machine that had run for a day, the first transition was at 86,402 s."""
+    setting = FieldSetup(load("small").changed(robots=2))
+    fleet = fleet_folder(tmp_path, setting, False)
+    launch = Launch(setting, "small", fleet, Console(quiet=True), None)
+    launch.zero_at_us = round(BOOTED_S * 1e6)
+    launch.world.contacts.append(Contact(4_000_000, 0, None, 0.1, "fence", 1.0, 2.0))
+    working = Pose(1.0, 2.0, 0.0, 1.0, State.WORKING.value, False, 255)
+    launch.inspector.hear(BOOTED_S + 1.0, encode(Member(0, 1, 0), 0x80))
+    launch.inspector.hear(BOOTED_S + 2.5, encode(working, 0x80))
+    launch._report(9.0, False)
+    for lock in fleet.locks:
+        lock.close()
+    told = json.loads((tmp_path / "report.json").read_text())
+    assert [step["t_s"] for step in told["robots"][0]["transitions"]] == [2.5]
+    assert [touch["t_s"] for touch in told["touched"]] == [4.0]
