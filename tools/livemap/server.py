@@ -136,12 +136,12 @@ class MapServer:
     async def _page(self, socket: WebSocket) -> None:
         offered = socket.scope["subprotocols"]
         named = PROTOCOL if PROTOCOL in offered else None
-        if self.pages >= PAGES_MAX:
-            await socket.close(TOO_MANY)
-            return
-        await socket.accept(named)
+        await socket.accept(named)  # only after the handshake does a page see why it is closed
         if not any(self._is_token(word) for word in offered):
-            await socket.close(NO_TOKEN)  # after the handshake: only then does a page see the code
+            await socket.close(NO_TOKEN)
+            return
+        if self.pages >= PAGES_MAX:
+            await socket.close(TOO_MANY, f"{PAGES_MAX} other pages of this map are open")
             return
         self.pages += 1
         player = Player(self.index, self.follow, self.speed)

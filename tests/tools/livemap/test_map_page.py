@@ -11,6 +11,7 @@ import socket
 import subprocess
 import sys
 from collections.abc import Callable, Iterator
+from contextlib import ExitStack, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -20,6 +21,7 @@ pytest.importorskip("httpx", reason="the extra `operator` is not installed")
 
 import httpx
 from websockets.exceptions import ConnectionClosed
+from websockets.frames import Close
 from websockets.sync.client import connect
 
 from agent.runtime.files import key_file
@@ -44,6 +46,7 @@ from tools.inspect.inspector import Inspector
 from tools.livemap.command import MapThread
 from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import Index, Player
+from tools.livemap.server import PAGES_MAX
 from tools.operate.operator_device import Operator
 
 if TYPE_CHECKING:
@@ -540,6 +543,50 @@ def covered(page: "Chrome") -> list[Any]:
     return found
 
 
+def test_a_page_beyond_the_limit_is_told_why() -> None:
+    """It was refused before the handshake, which a browser cannot tell from a server that is gone."""
+    address, token = parts(MapThread(Recording(), "the test", 0).url)
+    where, words = address.replace("http", "ws") + "ws", ["headland", token]
+    with ExitStack() as pages:
+        for _ in range(PAGES_MAX):
+            page = pages.enter_context(connect(where, subprotocols=words))  # type: ignore[arg-type]
+            page.recv(timeout=WAIT_S)
+        refused = closed(address, words)
+        assert (refused.code, refused.reason) == (1013, "16 other pages of this map are open")
+        assert closes(address, ["headland", "another"]) == 4401, (
+            "who lacks the token learns no more"
+        )
+    assert eventually(lambda: looks(where, words))
+
+
+def looks(where: str, words: list[str]) -> bool:
+    """Whether a page gets its picture."""
+    with connect(where, subprotocols=words) as page, suppress(ConnectionClosed):  # type: ignore[arg-type]
+        page.recv(timeout=WAIT_S)
+        return True
+    return False
+
+
+def eventually(condition: Callable[[], bool]) -> bool:
+    """The server notices a page that has gone when it next reads its socket."""
+    return any(condition() for _ in range(100))
+
+
+@needs_browser
+def test_a_page_beyond_the_limit_says_so_and_goes_on_when_another_is_closed() -> None:
+    shown = MapThread(Recording(), "the test", 0)
+    shown.server.pages = PAGES_MAX
+    with browser() as page:
+        page.get(shown.url)
+        why = "document.getElementById('old-why').textContent"
+        until(page, f"{why} === '16 other pages of this map are open: close one of them. "
+              "STOP works all the same.'", WAIT_S)  # fmt: skip
+        assert page.find_element("id", "stop").is_displayed()
+        shown.server.pages = 0
+        until(page, "document.getElementById('link').textContent === 'connected'", WAIT_S)
+        until(page, "document.getElementById('old').hidden", WAIT_S)
+
+
 def hidden_buttons(page: "Chrome") -> list[str]:
     """Buttons that are shown, and that a finger on their middle would not press."""
     found: list[str] = page.execute_script(
@@ -553,11 +600,16 @@ def hidden_buttons(page: "Chrome") -> list[str]:
 
 def closes(address: str, protocols: list[str]) -> int:
     """With which code the socket is closed."""
+    return closed(address, protocols).code
+
+
+def closed(address: str, protocols: list[str]) -> Close:
+    """How the server closes the socket."""
     with connect(address.replace("http", "ws") + "ws", subprotocols=protocols) as told:  # type: ignore[arg-type]
-        with pytest.raises(ConnectionClosed) as closed:
+        with pytest.raises(ConnectionClosed) as ended:
             told.recv(timeout=WAIT_S)
-        assert closed.value.rcvd is not None
-        return closed.value.rcvd.code
+        assert ended.value.rcvd is not None
+        return ended.value.rcvd
 
 
 class own_map:

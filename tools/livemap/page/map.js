@@ -6,10 +6,10 @@ import { $, Side, clock } from "./side.js";
 const SPEEDS = [0.5, 1, 2, 10, 30, 100], TEXT_MS = 200, AGAIN_MS = 1000, ASK_MS = 500;
 const OLD_S = 2; // twice what makes a robot silent: then nothing here is a picture of now
 const STEP_S = 5, ZOOM = 1.4; // of one key or button
-const NO_TOKEN = 4401; // close code of the map's server
+const NO_TOKEN = 4401, TOO_MANY = 1013; // close codes of the map's server
 const field = new Field($("field")), side = new Side(choose, (section) => ask({ do: "why", section }));
 let socket = null, told = null, dirty = true, live = false, releases = false, events = [], scrubbing = false;
-let heard = 0, drawn = 0, heardAt = performance.now(), textAt = 0, askedAt = 0, denied = false;
+let heard = 0, drawn = 0, heardAt = performance.now(), textAt = 0, askedAt = 0, denied = false, full = "";
 // What a test may look at.
 window.headland = { pictures: 0, told: 0, state: () => told, field };
 
@@ -25,11 +25,12 @@ function takeToken() {
 
 function connect() {
   socket = new WebSocket(`ws://${location.host}/ws`, token ? ["headland", token] : ["headland"]);
-  socket.onclose = ({ code }) => {
+  socket.onclose = ({ code, reason }) => {
     denied = code === NO_TOKEN;
+    full = code === TOO_MANY ? reason : "";
     link(null);
-    if (denied) { $("hand").hidden = false; $("reset").hidden = $("start").hidden = true; } // a stop needs no token
-    else setTimeout(connect, AGAIN_MS);
+    if (denied || full) { $("hand").hidden = false; $("reset").hidden = $("start").hidden = true; } // a stop needs no picture
+    if (!denied) setTimeout(connect, AGAIN_MS);
   };
   socket.onmessage = (message) => { link("connected"); hear(JSON.parse(message.data)); };
 }
@@ -62,7 +63,7 @@ function hear(message) {
 }
 
 function begin({ title, scene, live: isLive, releases: mayRelease, colours }) {
-  live = isLive; releases = mayRelease; denied = false;
+  live = isLive; releases = mayRelease; denied = false; full = "";
   told = null;
   side.showEvents(events = [], () => {});
   heard = drawn = 0;
@@ -111,14 +112,15 @@ function picture(now) {
 // How old the picture is: by its own clock, the server's last word, and the last frame of the bus.
 function showAge(now) {
   const unheard = (now - heardAt) / 1000, quiet = live && told ? told.quiet + unheard : unheard;
-  const old = denied || unheard > OLD_S || (live && told !== null && quiet > OLD_S);
+  const old = denied || full !== "" || unheard > OLD_S || (live && told !== null && quiet > OLD_S);
   const behind = live && told && !told.follow;
   if (old !== document.body.classList.contains("old")) { document.body.classList.toggle("old", old); dirty = true; }
   side.old = old;
   $("old").hidden = !old;
-  $("old-age").textContent = denied ? "NO PICTURE" : live && told ? `PICTURE IS ${Math.floor(quiet)} s OLD` : "NO CONNECTION";
+  $("old-age").textContent = denied || full ? "NO PICTURE" : live && told ? `PICTURE IS ${Math.floor(quiet)} s OLD` : "NO CONNECTION";
   $("old-why").textContent = denied
     ? "This address lacks its token: open the whole address that the map printed." + (live || !told ? " STOP works without it." : "")
+    : full ? `${full}: close one of them.` + (live || !told ? " STOP works all the same." : "")
     : unheard > OLD_S ? "The map's server does not answer. Robots may be moving." : "Nothing is heard on the bus. Robots may be moving.";
   $("paused").hidden = !behind || old;
   if (behind) $("paused-age").textContent = clock(told.until - told.t);
@@ -333,7 +335,7 @@ function step(seconds) { if (told) ask({ do: "seek", t: told.t + seconds }); }
 addEventListener("keydown", (event) => {
   if (event.key === "Escape") { // whatever has the focus
     if (event.repeat) return;
-    if (live || denied) stop(); else for (const id of ["release", "help"]) $(id).close();
+    if (live || denied || full) stop(); else for (const id of ["release", "help"]) $(id).close();
     return;
   }
   if (event.ctrlKey || event.altKey || event.metaKey) return;
