@@ -5,15 +5,31 @@ The server of prometheus-client has no limits: each connection that says nothing
 
 import socket
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any, Final
 from wsgiref.simple_server import WSGIRequestHandler, WSGIServer, make_server
+
+from tools.common.loopback_host import asked_here, is_loopback
 
 SCRAPES_MAX: Final = 8  # connections at once; Prometheus keeps one
 SCRAPE_S: Final = 10.0  # from connection to answer: Prometheus gives up after as long
 LINE_BYTES_MAX: Final = 65_536  # of a request line or header, as http.server has it; 100 headers
 
 App = Callable[..., Any]
+
+
+def only_here(app: App) -> App:
+    """The same, but what another site's page asks for is refused."""
+
+    def checked(environ: dict[str, Any], start: Callable[..., Any]) -> Iterable[bytes]:
+        named = {key: environ.get(f"HTTP_{key}") for key in ("HOST", "ORIGIN")}
+        hosts, origins = ([] if value is None else [value] for value in named.values())
+        if asked_here(hosts, origins):
+            return app(environ, start)  # type: ignore[no-any-return]
+        start("403 Forbidden", [("content-type", "text/plain")])
+        return [b"not from here\n"]
+
+    return checked
 
 
 class _Handler(WSGIRequestHandler):
@@ -61,8 +77,10 @@ class ScrapeServer:
     """A server that runs in a thread from the start. Raises OSError where the port is taken."""
 
     def __init__(self, host: str, port: int, app: App) -> None:
-        """`port`: 0 for any free one."""
-        self._server = make_server(host, port, app, _Server, _Handler)
+        """`port`: 0 for any free one. A host that others reach is asked for by names that nobody knows
+        here; on loopback, requests by other names are refused."""
+        served = only_here(app) if is_loopback(host) else app
+        self._server = make_server(host, port, served, _Server, _Handler)
         self.server_port = self._server.server_port
         self._thread = threading.Thread(target=self._server.serve_forever, daemon=True)
         self._thread.start()

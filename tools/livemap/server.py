@@ -9,7 +9,6 @@ page's own origin. It must work from a page that has lost its token, and a wrong
 import asyncio
 import contextlib
 import json
-import re
 from hmac import compare_digest
 from math import isfinite
 from pathlib import Path
@@ -24,6 +23,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from sim.files.palette import ROBOTS
 from sim.record.recording import Recording
+from tools.common.loopback_host import asked_here
 from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import SPEED_MAX, Index, Player
 from tools.livemap.stop_panel import Panel, PanelError
@@ -36,8 +36,6 @@ AHEAD_MAX = 3  # most pictures sent and not yet drawn: a slow page gets fewer, n
 PAGES_MAX = 16
 MESSAGE_MAX = 4096  # bytes of one message of a page's socket
 BODY_MAX = 64 * 1024  # bytes of a POST; the page sends less than 100
-# Any port: ssh may forward another.
-HOST = re.compile(r"(127\.0\.0\.1|localhost|\[::1\])(:[0-9]{1,5})?")
 PROTOCOL = "headland"  # of the socket; the page offers it with its token as a second one
 NO_TOKEN, TOO_MANY, TOO_BIG = 4401, 1013, 1009  # close codes; 4000 to 4999 are for applications
 NOT_A_REQUEST = "not a request of the map's page"
@@ -69,9 +67,7 @@ class OnlyHere:
         if scope["type"] not in ("http", "websocket"):
             await self.app(scope, receive, send)
             return
-        hosts, origins = _headers(scope, b"host"), _headers(scope, b"origin")
-        known = len(hosts) == 1 and HOST.fullmatch(hosts[0]) is not None
-        if not known or any(origin != f"http://{hosts[0]}" for origin in origins):
+        if not asked_here(_headers(scope, b"host"), _headers(scope, b"origin")):
             if scope["type"] == "websocket":
                 await send({"type": "websocket.close", "code": 1008})
             else:

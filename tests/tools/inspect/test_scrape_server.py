@@ -2,7 +2,8 @@
 
 import socket
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
+from contextlib import closing, suppress
+from http.client import HTTPConnection
 from typing import Any
 from urllib.request import urlopen
 
@@ -82,3 +83,45 @@ def test_a_client_that_says_too_much_is_closed(server: ScrapeServer, said: bytes
     assert ended(client)
     assert scraped(server) == b"figures"
     client.close()
+
+
+def answered(server: ScrapeServer, *headers: tuple[str, str]) -> tuple[int, bytes]:
+    """The status and body for a request with these headers alone."""
+    client = HTTPConnection("127.0.0.1", server.server_port, timeout=WAIT_S)
+    client.putrequest("GET", "/metrics", skip_host=True)
+    for name, value in headers:
+        client.putheader(name, value)
+    client.endheaders()
+    answer = client.getresponse()
+    with closing(client):
+        return answer.status, answer.read()
+
+
+def test_figures_are_not_for_pages_of_other_sites(server: ScrapeServer) -> None:
+    """A name that leads to this machine (DNS rebinding) got the figures."""
+    port = server.server_port
+    own = ("127.0.0.1", f"127.0.0.1:{port}", f"localhost:{port}", "localhost:80", f"[::1]:{port}")
+    for host in own:
+        assert answered(server, ("Host", host)) == (200, b"figures"), host
+        assert answered(server, ("Host", host), ("Origin", f"http://{host}"))[0] == 200
+    for host in (
+        "evil.example",
+        f"evil.example:{port}",
+        "localhost.evil.example",
+        "127.0.0.1.nip.io",
+    ):
+        assert answered(server, ("Host", host)) == (403, b"not from here\n"), host
+    here = ("Host", f"localhost:{port}")
+    assert answered(server, here, ("Origin", "http://evil.example"))[0] == 403
+    assert answered(server, here, ("Host", "evil.example"))[0] == 403
+    assert answered(server)[0] == 403
+
+
+def test_a_host_that_is_named_answers_whoever_reaches_it() -> None:
+    """Prometheus elsewhere may know the machine by any name."""
+    made = ScrapeServer("0.0.0.0", 0, app)
+    try:
+        assert answered(made, ("Host", "tractor.example:9464")) == (200, b"figures")
+    finally:
+        made.shutdown()
+        made.server_close()
