@@ -4,8 +4,10 @@ It is read before anything is imported that a bus needs: a tool that finds no la
 """
 
 from pathlib import Path
+from typing import Any
 
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
+from tools.common.file_owner import is_own
 from tools.common.process_identity import lives
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
@@ -17,11 +19,36 @@ class AttachError(Exception):
     """One line for the person: what is wrong and what to do."""
 
 
+def said_by(launch: Path) -> Any:
+    """What a launch has written in this file of where its bus is.
+
+    Raises GivenFileError, and AttachError where another user may have written it: a stop would go to a
+    bus of that user's choice.
+    """
+    where = read_json(launch, SETTINGS_BYTES_MAX)
+    if not is_own(launch):
+        port = where.get("port") if isinstance(where, dict) else None
+        named = f" --port {port}" if isinstance(port, int) else ""
+        raise AttachError(
+            f"the launch in {launch.parent} is another user's, or others may write its {launch.name}: "
+            f"name its bus if you trust it:{named or ' --host and --port'}"
+        )
+    return where
+
+
+def _believed(launch: Path) -> Any:
+    """The same, where it is only a hint. Raises ValueError."""
+    try:
+        return said_by(launch)
+    except AttachError as problem:
+        raise ValueError(str(problem)) from None
+
+
 def address_of_launch() -> tuple[str, int, str]:
     """Host, port and channel of the newest launch in this folder. Raises AttachError if there is
-    none, or if it has ended."""
+    none, if it has ended, or if it is another user's."""
     try:
-        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
+        where = said_by(LAUNCH)
         host, port, channel = str(where["host"]), int(where["port"]), str(where["channel"])
         pid, since = int(where["pid"]), str(where.get("started", ""))
     except (GivenFileError, TypeError, ValueError, KeyError, AttributeError):
@@ -57,7 +84,7 @@ def robots_of_launch(interface: str, host: str, port: int, keys: Path | None = N
         beside.append(folder.absolute().parent / LAUNCH.name)
     for file in (LAUNCH, *beside):
         try:
-            where = read_json(file, SETTINGS_BYTES_MAX)
+            where = _believed(file)
             named = host == where["host"] and port == where["port"]
             if named or (port == 0 and file is LAUNCH):
                 return [int(slot) for slot in where["robots"]]
@@ -69,7 +96,7 @@ def robots_of_launch(interface: str, host: str, port: int, keys: Path | None = N
 def scenario_of_launch(interface: str, host: str, port: int) -> str | None:
     """The scenario of the newest launch in this folder, as a tool here can load it; None: another bus."""
     try:
-        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
+        where = _believed(LAUNCH)
         same = port == 0 or (host == where["host"] and port == where["port"])
         scenario = str(where["scenario"])
     except (ValueError, KeyError, TypeError):  # of them GivenFileError
@@ -80,7 +107,7 @@ def scenario_of_launch(interface: str, host: str, port: int) -> str | None:
 def folder_of_launch(interface: str, host: str, port: int) -> Path | None:
     """The folder of the newest launch here, where the bus is that launch's; None: another bus."""
     try:
-        where = read_json(LAUNCH, SETTINGS_BYTES_MAX)
+        where = _believed(LAUNCH)
         same = port == 0 or (host == where["host"] and port == where["port"])
         folder = Path(str(where["folder"]))
     except (ValueError, KeyError, TypeError):  # of them GivenFileError

@@ -6,7 +6,6 @@ and nobody else can open that folder. All other people hold no key of that fleet
 """
 
 import contextlib
-import os
 import stat
 from errno import ELOOP
 from pathlib import Path
@@ -15,10 +14,9 @@ from typing import Any
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
 from agent.runtime.files.key_file import DEVICE, FLEET, NAMES, OPERATOR, fresh, write
 from tools.common.bus_address import LAUNCH
+from tools.common.file_owner import is_own, is_private
 
 KEYS = "keys"  # the folder in that of a fleet, and its name in bus.json
-# Windows has no numbers of users, and modes there say nothing: no file is then private.
-USER = os.getuid() if hasattr(os, "getuid") else -1
 
 
 def fleet_keys(folder: Path, goes_on: bool, robots: int = 0) -> Path:
@@ -40,15 +38,6 @@ def fleet_keys(folder: Path, goes_on: bool, robots: int = 0) -> Path:
     return keys
 
 
-def is_private(path: Path, user: int | None = None) -> bool:
-    """Whether a file or folder is this user's, and nobody else may read or write it."""
-    try:
-        found = path.stat()
-    except OSError:
-        return False
-    return found.st_uid == (USER if user is None else user) and not found.st_mode & 0o077
-
-
 def keys_in(launch: Path, where: dict[str, Any]) -> Path | None:
     """The folder of keys that a running launch names; None where it has none, or not for this user.
 
@@ -58,8 +47,7 @@ def keys_in(launch: Path, where: dict[str, Any]) -> Path | None:
     if not isinstance(named, str):
         return None
     with contextlib.suppress(OSError):
-        said = launch.stat()
-        ours = said.st_uid == USER and not said.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+        ours = is_own(launch) and not launch.stat().st_mode & stat.S_IWGRP
         if ours and is_private(Path(named)):
             return Path(named)
     return None

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from agent.runtime.files.given_file import (
     REPORT_BYTES_MAX,
-    SETTINGS_BYTES_MAX,
     GivenFileError,
     read_json,
 )
@@ -28,7 +27,7 @@ from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
 from sim.record.scene import Scene, in_folder
-from tools.common.bus_address import LAUNCH, AttachError
+from tools.common.bus_address import LAUNCH, AttachError, said_by
 from tools.common.bus_attach import stay_attached
 from tools.common.exit_codes import WRONG
 from tools.common.launch_keys import KEYS, keys_in
@@ -275,12 +274,12 @@ def _scene_beside(source: Path) -> Scene | None:
 
 def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any] | None:
     """Where the bus of a running launch is: the one in that folder, or the newest. Its keys are in it
-    only if this user may have them."""
+    only if this user may have them. Raises AttachError for another user's."""
     if interface != "socketcand" or port != 0:
         return None
     path = LAUNCH if source is None else source / LAUNCH.name
     try:
-        where: dict[str, Any] = dict(read_json(path, SETTINGS_BYTES_MAX))
+        where: dict[str, Any] = dict(said_by(path))
         where[KEYS] = keys_in(path, where)
         return where
     except (GivenFileError, TypeError, ValueError):

@@ -11,7 +11,6 @@ from agent.delivery.warehouse import Warehouse
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.given_file import (
     REPORT_BYTES_MAX,
-    SETTINGS_BYTES_MAX,
     GivenFileError,
     read_json,
 )
@@ -22,7 +21,7 @@ from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, in_folder
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_address import LAUNCH, Attached, AttachError, scenario_of_launch
+from tools.common.bus_address import LAUNCH, Attached, AttachError, said_by, scenario_of_launch
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import WRONG
@@ -115,8 +114,8 @@ async def _joined(namespace: str, domain: int | None, zenoh: str | None) -> Grap
 def _launch() -> dict[str, Any]:
     """Of the newest launch; empty if there is none, or it is another user's."""
     try:
-        return dict(read_json(LAUNCH, SETTINGS_BYTES_MAX))
-    except (GivenFileError, TypeError, ValueError):
+        return dict(said_by(LAUNCH))
+    except (AttachError, GivenFileError, TypeError, ValueError):
         return {}
 
 

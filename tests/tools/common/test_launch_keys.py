@@ -7,8 +7,9 @@ from pathlib import Path
 import pytest
 
 from agent.runtime.files.key_file import FLEET, OPERATOR, read
-from tools.common import launch_keys
-from tools.common.launch_keys import KEYS, fleet_keys, is_private, keys_in, own_keys
+from tools.common import file_owner
+from tools.common.file_owner import is_private
+from tools.common.launch_keys import KEYS, fleet_keys, keys_in, own_keys
 
 
 def test_a_fleet_that_goes_on_keeps_its_keys_and_a_new_one_gets_others(tmp_path: Path) -> None:
@@ -48,7 +49,7 @@ def test_only_the_user_of_a_launch_takes_its_keys(
     launch.chmod(0o666)
     assert keys_in(launch, where) is None, "others could have named the folder"
     launch.chmod(0o644)
-    monkeypatch.setattr(launch_keys, "USER", 12345)
+    monkeypatch.setattr(file_owner, "USER", 12345)
     assert keys_in(launch, where) is None, "another user's launch"
 
 
