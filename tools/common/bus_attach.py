@@ -3,6 +3,8 @@
 import asyncio
 import logging
 import socket
+from collections.abc import Iterator
+from contextlib import contextmanager
 from random import Random
 
 from protocol.links.bus import CanBus, open_bus
@@ -10,6 +12,7 @@ from protocol.links.socketcand_link import ANSWER_S, SocketcandLink
 from tools.common.bus_address import AttachError, address_of_launch
 
 GREETING = b"< hi >"  # of a socketcand server, before anything else
+SILENT = "does not answer: a server that hangs, or no socketcand server"
 REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
 # What python-can logs when an interface cannot be opened, it also raises: one line is enough.
 logging.getLogger("can").addHandler(logging.NullHandler())
@@ -52,11 +55,26 @@ def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> 
         options = {"host": host, "port": port}
         _reach(host, port, greets=True)
     try:
-        return open_bus(interface, channel, bitrate, **options)
+        with _answers_within(REACH_S if interface == "socketcand" else None):
+            return open_bus(interface, channel, bitrate, **options)
+    except TimeoutError:
+        raise AttachError(f"{host}:{port} {SILENT}") from None
     except Exception as problem:  # python-can interfaces raise what they like
         where = f"{host}:{port}" if interface == "socketcand" else channel
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         raise AttachError(f"cannot open {interface} at {where}: {reason}") from None
+
+
+@contextmanager
+def _answers_within(limit_s: float | None) -> Iterator[None]:
+    """python-can waits without a limit for the answers of a socketcand server, and for its reading, and
+    has no option for that. A socket that is made meanwhile keeps the limit. None: there is none."""
+    before_s = socket.getdefaulttimeout()
+    socket.setdefaulttimeout(limit_s)
+    try:
+        yield
+    finally:
+        socket.setdefaulttimeout(before_s)
 
 
 def _reach(host: str, port: int, greets: bool = False) -> None:
@@ -71,9 +89,7 @@ def _reach(host: str, port: int, greets: bool = False) -> None:
                     f"{host}:{port} is no socketcand server: it closed the connection"
                 )
     except TimeoutError:
-        raise AttachError(
-            f"{host}:{port} does not answer: a server that hangs, or no socketcand server"
-        ) from None
+        raise AttachError(f"{host}:{port} {SILENT}") from None
     except (OSError, OverflowError, UnicodeError) as problem:
         raise AttachError(
             f"cannot open socketcand at {host}:{port}: {problem}; is a launch running there?"

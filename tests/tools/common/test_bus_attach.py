@@ -2,8 +2,12 @@
 
 import asyncio
 import socket
+import subprocess
+import sys
 import time
 from collections.abc import Callable
+from contextlib import suppress
+from pathlib import Path
 from threading import Thread
 
 import pytest
@@ -17,6 +21,7 @@ from tools.common.bus_attach import attach, stay_attached
 from tools.inspect import inspection
 from tools.inspect.inspector import Inspector
 
+ROOT = Path(__file__).parents[3]
 CHANNEL, LIMIT_S, LOOK_S, CPU_MAX = "can0", 20.0, 0.5, 0.5
 BEAT = Frame(0x18FF1080, bytes(range(8)))
 
@@ -117,3 +122,75 @@ def test_a_server_that_accepts_and_says_nothing_is_told_in_one_line(
             Thread(target=lambda: server.accept()[0].close()).start()
         with pytest.raises(AttachError, match=f"127.0.0.1:{port} "):
             bus_attach.attach("socketcand", "can0", 250_000, "127.0.0.1", port)
+
+
+class Hanging:
+    """A server that answers each client with these words, one for each that it hears, and then hangs."""
+
+    def __init__(self, *words: bytes) -> None:
+        self.words, self.server = words, socket.create_server(("127.0.0.1", 0))
+        self.port, self.taken = self.server.getsockname()[1], list[socket.socket]()
+
+    def __enter__(self) -> "Hanging":
+        Thread(target=self.serve, daemon=True).start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        for each in (self.server, *self.taken):
+            each.close()
+
+    def serve(self) -> None:
+        with suppress(OSError):  # closed
+            while True:
+                self.taken.append(self.server.accept()[0])
+                Thread(target=self.answer, args=(self.taken[-1],), daemon=True).start()
+
+    def answer(self, client: socket.socket) -> None:
+        with suppress(OSError):
+            for word in self.words:
+                client.sendall(word)
+                client.recv(256)
+
+
+COMMANDS = (["stop", "--timeout", "2"], ["release", "--timeout", "2"], ["reset", "--timeout", "2"],
+            ["inspect", "--seconds", "2"])  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("words", "said", "fails"),
+    [
+        ((b"< hi >",), "does not answer: a server that hangs", 2),
+        ((b"< hi >", b"< ok >"), "does not answer: a server that hangs", 2),
+        ((b"< hi >", b"< ok >", b"< ok >"), "", 1),  # a bus on which nobody is
+    ],
+)
+def test_commands_end_where_a_hub_greets_and_then_hangs(
+    words: tuple[bytes, ...], said: str, fails: int
+) -> None:
+    """They waited for its next word without a limit."""
+    with Hanging(*words) as hub:
+        begun = [
+            subprocess.Popen(
+                [sys.executable, "-m", "tools.cli.headland", *command, "--port", str(hub.port)],
+                stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT,
+            )
+            for command in COMMANDS
+        ]  # fmt: skip
+        try:
+            for command, process in zip(COMMANDS, begun, strict=True):
+                _, errors = process.communicate(timeout=LIMIT_S)
+                looks = command[0] == "inspect" and not said  # a quiet bus is no fault to look at
+                assert process.returncode == (0 if looks else fails), (command, errors)
+                assert said in errors and errors.count("\n") <= 1 and "Traceback" not in errors
+        finally:
+            for process in begun:
+                process.kill()
+                process.wait()
+
+
+def test_the_limit_of_an_attachment_ends_with_it() -> None:
+    with Hanging(b"< hi >") as hub, pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bus_attach, "REACH_S", 0.2)
+        with pytest.raises(AttachError, match="does not answer"):
+            attach("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
+    assert socket.getdefaulttimeout() is None
