@@ -138,6 +138,22 @@ def test_requests_that_make_no_sense_are_passed_over(text: str) -> None:
     assert _obey(text, player, PageUpdates(player)) is None
 
 
+def test_ctrl_c_ends_the_map_as_any_command(tmp_path: Path) -> None:
+    """The web server takes the signal for itself, and has to pass it on."""
+    log = tmp_path / "a.log"
+    log.write_text("(0.000000) can0 18FF1080#0000000000000000\n")
+    words = ("-m", "tools.cli.headland", "map", str(log), "--page-port", "0")
+    with subprocess.Popen(
+        [sys.executable, *words], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, cwd=ROOT
+    ) as shown:  # fmt: skip
+        assert shown.stdout is not None
+        url = shown.stdout.readline().split()[1]
+        assert httpx.get(url, timeout=WAIT_S).status_code == 200, "it serves"
+        shown.send_signal(signal.SIGINT)
+        _, errors = shown.communicate(timeout=WAIT_S)
+    assert (shown.returncode, errors) == (130, "")
+
+
 def test_what_a_person_can_get_wrong_is_one_line(
     run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
