@@ -107,7 +107,7 @@ feature = "NM_Oxted_NullMeridian_Hole"
 [fleet]
 robots = {ROBOTS}
 radius_m = 0.8
-speed_m_s = 0.6
+speed_m_s = 0.3
 silence = "continue"
 """
 
