@@ -11,7 +11,7 @@ from math import copysign, hypot, inf, sqrt
 from typing import Final
 
 from agent.claims.claim_headway import NO_HEADWAY, Headway
-from agent.field.bar_swing import BarSwing
+from agent.field.bar_swing import COURSE_M, BarSwing
 from agent.field.displacement_detector import DisplacementDetector
 from agent.field.field_map import Field, Section
 from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
@@ -97,6 +97,8 @@ class FieldMission(Mission):
         self.tilt_max = max(sqrt(1.0 - reach * reach), TILT_MIN)
         # How far back on the leg the left and the right end of the lowered bar have been.
         self.ends_begun_m = inf, inf
+        self.course_begun_m = inf, inf  # the same by its last move of `COURSE_M`
+        self.course_from: Point | None = None  # where that move began
         self.ends_reached_m = 0.0, 0.0  # how far they have come while they passed the end of a unit
         self.swing = BarSwing([])
         self.lifted = False  # the implement was up since the last check
@@ -353,6 +355,7 @@ class FieldMission(Mission):
                 self.tracker = PathTracker(points, self.speed_m_s, self.deceleration_m_s2)
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
                 self.ends_begun_m, self.ends_reached_m = (inf, inf), (0.0, 0.0)
+                self.course_begun_m, self.course_from = (inf, inf), None
                 self.swing = BarSwing(points)
             self._line.locate(here.x_m, here.y_m)
             covered += self._passed(view)
@@ -445,9 +448,31 @@ class FieldMission(Mission):
                 return
         elif abs(self.tracker.off_m) > ALIGNED_M:
             return
-        along_m, ahead_m = self._along_m(here), self.half_m * (tilt or 0.0)
-        left_m, right_m = self.ends_begun_m
-        self.ends_begun_m = min(left_m, along_m - ahead_m), min(right_m, along_m + ahead_m)
+        self.ends_begun_m = self._nearer(self.ends_begun_m, self._along_m(here), tilt or 0.0)
+
+    def _observe_course(self, here: Observation) -> None:
+        """Note how far back the ends of the bar were at its last move of `COURSE_M`, which it follows.
+
+        A robot that begins to drive has no such move behind it, and may drift aside within the first.
+        """
+        ux, uy = self._line.direction
+        place = here.x_m, here.y_m
+        from_x_m, from_y_m = self.course_from or place
+        dx_m, dy_m = place[0] - from_x_m, place[1] - from_y_m
+        way_m = hypot(dx_m, dy_m)
+        if way_m < COURSE_M:
+            self.course_from = from_x_m, from_y_m
+            return
+        self.course_from = place
+        tilt = copysign(1.0, dx_m * ux + dy_m * uy) * (dy_m * ux - dx_m * uy) / way_m
+        if abs(tilt) <= self.tilt_max:
+            began_m = self._along_m(here) - (dx_m * ux + dy_m * uy)
+            self.course_begun_m = self._nearer(self.course_begun_m, began_m, tilt)
+
+    def _nearer(self, ends_m: Point, along_m: float, tilt: float) -> Point:
+        """Where on the leg the ends of the bar are, or `ends_m` if that is further back."""
+        ahead_m = self.half_m * tilt
+        return min(ends_m[0], along_m - ahead_m), min(ends_m[1], along_m + ahead_m)
 
     def _go_astray(self, view: FleetView) -> None:
         """Replan the rest of the work from our current position."""
@@ -463,12 +488,15 @@ class FieldMission(Mission):
         self.up = self.lifted
         if self.lifted:  # it is lowered here; the part without work may reach into the next unit
             self.lifted, self.lifted_to_m = False, self.tracker.along_m
-            self.ends_begun_m = inf, inf
+            self.ends_begun_m = self.course_begun_m = inf, inf
+            self.course_from = None
             self.swing.restart()
             if self.unit == 0 and self.tracker.along_m <= LEAD_M:
                 self.worst_m = 0.0  # the implement was up before the unit only
         if self._on_lead_in or max(self.ends_begun_m) == inf:
             self._observe_bar(view.here)
+        if self.turns_on_the_spot and (self._on_lead_in or max(self.course_begun_m) == inf):
+            self._observe_course(view.here)
         if self.turns_on_the_spot:
             self.swing.observe(self._line.piece, self._line.along_m, view.here.x_m, view.here.y_m)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
@@ -514,7 +542,8 @@ class FieldMission(Mission):
         """Whether the implement was down before this place; at a corner, before the turn."""
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
-        if self.turns_on_the_spot and max(self.ends_begun_m) > begun_m + LATE_M:
+        late_m = max(*self.ends_begun_m, *self.course_begun_m) - begun_m
+        if self.turns_on_the_spot and late_m > LATE_M:
             return False
         return self.lifted_to_m <= begun_m
 

