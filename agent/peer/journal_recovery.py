@@ -21,8 +21,9 @@ from agent.peer.durable_records import (
     VOTE,
 )
 from agent.peer.key_renewal import FLEET_KEYS, RECORD
+from agent.peer.operator_directive import DIRECTIVE_KEY, SENT, WORKS
 from agent.peer.range_freshness import SCANNED, SCANS_KEY
-from agent.peer.sense_freshness import BELIEVED, DOUBTED, PLACE_KEY
+from agent.peer.sense_freshness import BELIEVED, DOUBTED, FROZEN_RECORD, PLACE_KEY
 from agent.safety.stop_controller import (
     COUNTER_KEY,
     FAR_KEY,
@@ -67,8 +68,9 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     COUNTER_KEY: _size(*COUNTER_BYTES),
     FLEET_KEYS: _size(RECORD.size),
     HOLD_KEY: lambda raw: raw in (FREE, HELD, LATCHED),
-    PLACE_KEY: lambda raw: raw in (BELIEVED, DOUBTED),
+    PLACE_KEY: lambda raw: len(raw) == FROZEN_RECORD.size or raw in (BELIEVED, bytes((DOUBTED,))),
     SCANS_KEY: lambda raw: raw == SCANNED,
+    DIRECTIVE_KEY: lambda raw: raw in (WORKS, SENT),
 }
 _FAMILIES: Mapping[
     str, tuple[tuple[int, ...], tuple[int, ...]]

@@ -1,7 +1,8 @@
 """An operator's orders to this robot: what to do instead of its work, or about an obstacle.
 
 GO_HOME and SET_GOAL: the robot releases its work, drives to where it was switched on or to the given
-place, and stays there until START, CONTINUE or REPLAN. STOP: it releases its work and stands still
+place, and stays there until START, CONTINUE or REPLAN. After a restart meanwhile it stands until a start:
+somebody sent it there for a reason. STOP: it releases its work and stands still
 until START. WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstacle_stop.py`).
 """
 
@@ -10,11 +11,20 @@ from math import hypot
 from typing import Any
 
 from agent.interface.config import S
-from agent.interface.effects import HALT, Effect, Send, Trace
+from agent.interface.effects import HALT, Effect, Persist, Send, Trace
 from agent.interface.mission import STILL, FleetView, Mission, MotionRequest
 from agent.peer import inputs, notices
 from agent.peer.obstacle_hold import ObstacleHold
-from agent.peer.part import NOTHING, DirectListener, Handler, Header, Outputs, Part, StepContext
+from agent.peer.part import (
+    NOTHING,
+    DirectListener,
+    Handler,
+    Header,
+    Listener,
+    Outputs,
+    Part,
+    StepContext,
+)
 from agent.peer.sense_freshness import Senses
 from agent.safety.stop_controller import StopController
 from protocol.frames.operator_frames import OperatorGoal, OperatorReport, ReportKind, goal_check
@@ -30,6 +40,7 @@ DIRECTED = (
     Command.GO_HOME,
     Command.SET_GOAL,
 )
+DIRECTIVE_KEY, WORKS, SENT = "directive", b"\0", b"\1"  # durable: whether it is sent to a place
 THERE_M = 0.5  # within this distance of the goal it has arrived
 GOAL_LIFE_US = 2 * S  # coordinates wait this long for the order that uses them
 
@@ -44,7 +55,11 @@ class OperatorDirective(Part):
         senses: Senses,
         mission: Mission | None,
         obstacle: ObstacleHold,
+        recalled: Mapping[str, bytes],
     ) -> None:
+        """`recalled`: durable memory as it was before the start; the key is `DIRECTIVE_KEY`."""
+        self._remembered = recalled.get(DIRECTIVE_KEY) == SENT
+        safety.held = safety.held or self._remembered
         self.slot, self.safety, self.mission, self.obstacle = slot, safety, mission, obstacle
         self.senses = senses
         self.home: Point | None = None  # the first place that was believed since power-up
@@ -57,6 +72,10 @@ class OperatorDirective(Part):
         return {OperatorCommand: self._command, OperatorGoal: self._name}
 
     @property
+    def listens(self) -> Mapping[type[Any], Listener]:
+        return {notices.WasStarted: self._started}
+
+    @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
         return {notices.ControlDue: self._period}
 
@@ -65,6 +84,16 @@ class OperatorDirective(Part):
         if self.home is None and here is not None:
             self.home = here.x_m, here.y_m
         return NOTHING
+
+    def _started(self, ctx: StepContext, notice: notices.WasStarted) -> Outputs:
+        return self._remember(self.goal is not None)
+
+    def _remember(self, sent: bool) -> list[Effect]:
+        """Make durable whether it is sent to a place."""
+        if sent is self._remembered:
+            return []
+        self._remembered = sent
+        return [Persist(DIRECTIVE_KEY, SENT if sent else WORKS)]
 
     # ---------------------------------------------------------------- received
 
@@ -131,6 +160,7 @@ class OperatorDirective(Part):
             return [self._report(ReportKind.REFUSED, goal or (0.0, 0.0))]
         self.goal, self.arrived = goal, False
         return [
+            *self._remember(True),
             notices.WorkGivenBack(),
             *self.obstacle.go_round(f"an operator's {command.name}", now_us),
             self._report(ReportKind.UNDER_WAY, goal),
@@ -151,7 +181,11 @@ class OperatorDirective(Part):
         if self.goal is None:
             return []
         was, self.goal = self.goal, None
-        return [self._report(ReportKind.WORKING, was), Trace("directive", "", "OVER", "", why)]
+        return [
+            *self._remember(False),
+            self._report(ReportKind.WORKING, was),
+            Trace("directive", "", "OVER", "", why),
+        ]
 
     def wish(self, view: FleetView) -> tuple[MotionRequest, Outputs]:
         """The motion towards the goal, and the report of the arrival."""

@@ -171,7 +171,9 @@ class PeerParts:
         self.views = FleetViews(
             self.senses, self.allocation, self.progress, self.membership, self.obstacle, self.safety
         )
-        self.directive = OperatorDirective(slot, self.safety, self.senses, mission, self.obstacle)
+        self.directive = OperatorDirective(
+            slot, self.safety, self.senses, mission, self.obstacle, recalled
+        )
         self.mission_messages = MissionMessages(mission)
         self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
         self.progress_told.with_heartbeats = bool(self.proven.kinds)

@@ -56,7 +56,7 @@ class _Kept(NamedTuple):
     falls: int  # how often the place began to go back
 
 
-class _Nowhere(NamedTuple):
+class Nowhere(NamedTuple):
     """A place that led nowhere, and the direction in which the body was told to drive, a unit vector."""
 
     x_m: float
@@ -76,7 +76,7 @@ class PlaceProgress:
         self._goes_on = True  # in the direction of the command
         self._fell: _Kept | None = None  # before the place went back first, in the last way
         self._velocity_m_s = (0.0, 0.0)  # of the body, if it is slow to follow its commands
-        self._hung: _Nowhere | None = None
+        self.hung: Nowhere | None = None  # where the place leads nowhere at present
         self._tried = False  # again, and has not led on since
         self._moved_at_us = 0
         # How the body may have moved at most since the place fell back, if the newest place is a jump: a
@@ -88,8 +88,12 @@ class PlaceProgress:
         self._tried = False
         self._look_again()
 
+    def recall(self, hung: Nowhere) -> None:
+        """The place led nowhere before a restart, and nobody has started the robot since."""
+        self.hung, self._tried = hung, True
+
     def _look_again(self) -> None:
-        self._before = self._hung = None
+        self._before = self.hung = None
         self._velocity_m_s = (0.0, 0.0)
         self._begin_again()
 
@@ -100,12 +104,12 @@ class PlaceProgress:
     @property
     def hangs(self) -> bool:
         """Whether the place leads nowhere."""
-        return self._hung is not None
+        return self.hung is not None
 
     @property
     def is_right(self) -> bool:
         """Whether the place led nowhere because the body does not go where it is told."""
-        return self._hung is not None and not self._hung.fell
+        return self.hung is not None and not self.hung.fell
 
     def unseen(self, speed_m_s: float) -> Unseen:
         """How the body may have moved at most since the oldest kept place, and drives now."""
@@ -117,7 +121,7 @@ class PlaceProgress:
         While the body brakes, its wheels still move the place, and a filter needs time to fall back. So
         the body has to stand for `SETTLES_US`.
         """
-        hung = self._hung
+        hung = self.hung
         assert hung is not None
         if hypot(here.vx_m_s, here.vy_m_s) > STANDS_M_S:
             self._moved_at_us = here.sensed_at_us
@@ -198,7 +202,7 @@ class PlaceProgress:
         stuck = self._farthest_m() <= FOLLOWS * expected_m
         if not falls_back and not stuck and gone_m < FOLLOWS_BACK * expected_m:
             return ""
-        self._hung = _Nowhere(
+        self.hung = Nowhere(
             here.x_m,
             here.y_m,
             (self._now.expected_x_m - oldest.expected_x_m) / expected_m,

@@ -18,6 +18,7 @@ back for `STEADY_US`, or when an operator says by a start of this robot that the
 
 from collections.abc import Mapping
 from math import atan2, cos, degrees, hypot, isfinite, pi, radians, remainder, sin
+from struct import Struct
 from typing import Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
@@ -38,7 +39,7 @@ from agent.peer.place_jumps import (
     PlaceJumps,
     Unseen,
 )
-from agent.peer.place_progress import PlaceProgress
+from agent.peer.place_progress import Nowhere, PlaceProgress
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S
@@ -57,7 +58,11 @@ TURNS_SHARE: Final = 0.5
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 # Where the most counts, wheels may have as much more.
 ACCELERATION_SHARE: Final = 0.5
-PLACE_KEY, BELIEVED, DOUBTED = "place", b"\0", b"\1"  # durable: whether the place has jumped
+# Durable: whether the place has jumped, is frozen and led nowhere, a sum of these. If it is frozen, the
+# place follows, (x, y) in millimetres, and the course to where it led nowhere, in milliradians.
+PLACE_KEY, BELIEVED = "place", b"\0"
+DOUBTED, FROZEN, LED_NOWHERE = 1, 2, 4
+FROZEN_RECORD: Final = Struct("<Biih")
 NOTHING_RECALLED: Final[Mapping[str, bytes]] = {}
 NOT_ON_MAP: Final = "further from the origin than frames can say, or not a number"
 NO_VELOCITY: Final = "its velocity is more than frames can say, or not a number"
@@ -136,8 +141,15 @@ class Senses(Part):
         self._turn_anchor_rad = self._expected_rad = 0.0
         self._turn_frozen = False  # PLACE_FROZEN was noticed by the heading
         self._unseen = NOTHING_UNSEEN  # before the last change of the place
-        # As remembered: a restart is no reason to believe a place that had jumped.
-        self._doubts = recalled.get(PLACE_KEY) == DOUBTED
+        # A restart is no reason to believe a place that had jumped or stood still.
+        record = recalled.get(PLACE_KEY, BELIEVED)
+        self._remembered, self._doubts = record[0], bool(record[0] & DOUBTED)
+        self._was_frozen: Nowhere | None = None  # before the restart, and nobody has started it
+        if len(record) == FROZEN_RECORD.size:
+            _, x_mm, y_mm, course_mrad = FROZEN_RECORD.unpack(record)
+            course_rad = course_mrad / 1000
+            at_m = x_mm / 1000, y_mm / 1000
+            self._was_frozen = Nowhere(*at_m, cos(course_rad), sin(course_rad), True)
         self.jumps = PlaceJumps(self._doubts)
         self.progress = PlaceProgress()
         self._lost_at_us = 0  # when the place was last wrong
@@ -209,11 +221,27 @@ class Senses(Part):
         self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
         self._periods, self._turn_frozen = 0, False
         self.progress.forget()
-        if not notice.named:
-            return NOTHING
-        self.jumps.forget()
-        doubted, self._doubts = self._doubts, False
-        return [Persist(PLACE_KEY, BELIEVED)] if doubted else NOTHING
+        self._was_frozen = None
+        if notice.named:
+            self.jumps.forget()
+            self._doubts = False
+        return self._remember()
+
+    def _remember(self) -> list[Effect]:
+        """Make durable what a restart must not make good, if it has changed."""
+        now = DOUBTED * self._doubts + LED_NOWHERE * self.progress.hangs
+        now += FROZEN * self.safety.holds(StopCause.PLACE_FROZEN)
+        if now == self._remembered:
+            return []
+        self._remembered, anchor, hung = now, self._anchor, self.progress.hung
+        if not now & FROZEN or anchor is None:
+            return [Persist(PLACE_KEY, bytes((now & DOUBTED,)))]
+        x_m, y_m = (anchor.x_m, anchor.y_m) if hung is None else (hung.x_m, hung.y_m)
+        course_rad = 0.0 if hung is None else atan2(hung.north, hung.east)
+        record = FROZEN_RECORD.pack(
+            now, round(x_m * 1000), round(y_m * 1000), round(course_rad * 1000)
+        )
+        return [Persist(PLACE_KEY, record)]
 
     def _period(self, notice: notices.ControlDue, now_us: int) -> Outputs:
         return self.look(now_us)
@@ -229,6 +257,14 @@ class Senses(Part):
         safety = self.safety
         steady = safety.holds(StopCause.SENSES_OLD) and now_us - self._late_at_us < STEADY_US
         effects = self.safety.hold_while(StopCause.SENSES_OLD, bool(old) or steady, old, now_us)
+        if self._was_frozen is not None and self.here is not None:
+            was, self._was_frozen = self._was_frozen, None
+            why = "as before the restart"
+            effects += self.safety.hold_while(StopCause.PLACE_FROZEN, True, why, now_us)
+            self._anchor = self.here._replace(x_m=was.x_m, y_m=was.y_m)
+            self._anchor_at_us = now_us
+            if self._remembered & LED_NOWHERE:
+                self.progress.recall(was)
         self._changed = False
         frozen = ""
         if (
@@ -250,7 +286,7 @@ class Senses(Part):
         self.current = not (old or doubted)
         if self.current:
             self.known = self.here
-        return effects
+        return effects + self._remember()
 
     def _believe(self, now_us: int, old: bool) -> list[Effect]:
         """Believe the newest place, or find it lost."""
@@ -264,10 +300,7 @@ class Senses(Part):
             return []
         back = not wrong and now_us - self._lost_at_us >= STEADY_US
         effects = self.safety.hold_while(StopCause.PLACE_LOST, not back, wrong, now_us)
-        doubts = not back and (self._doubts or self.jumps.lost)
-        if doubts is not self._doubts:
-            self._doubts = doubts
-            effects.append(Persist(PLACE_KEY, DOUBTED if doubts else BELIEVED))
+        self._doubts = not back and (self._doubts or self.jumps.lost)
         return effects
 
     def _unfit(self, here: Observation) -> str:

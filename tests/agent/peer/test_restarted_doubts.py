@@ -12,11 +12,14 @@ from agent.interface.identity import SilencePolicy
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.inputs import BusState, Sensed, Start, Timer
+from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.safety.stop_cause import StopCause
 from protocol.controller_health import Health
-from tests.agent.lone_peer import Eager
+from protocol.frames.safety_frames import Command, OperatorCommand
+from tests.agent.lone_peer import Eager, introduce_tools
+
+OPERATOR = 250
 
 FENCES = np.array([
     [-99.0, -99.0, 99.0, -99.0], [99.0, -99.0, 99.0, 99.0],
@@ -114,6 +117,67 @@ def test_a_jump_that_is_over_is_no_doubt_after_a_restart() -> None:
     assert machine.until(9 * S, off_by(0.0)) > 1.0, "it goes on by itself"
     machine.boot()
     assert machine.until(13 * S, off_by(0.0)) > 1.0
+
+
+def hung_at(at_m: float, saws_m: float = 0.0) -> Sense:
+    """A receiver that repeats one place with new times; `saws_m`: wheels are counted in between."""
+
+    def sense(now_us: int, way_m: float, told: Drive) -> Observation:
+        on_m = (way_m - at_m) % saws_m if saws_m else 0.0
+        return Observation(
+            at_m - 90.0 + on_m, 0.0, 0.0, told.vx_m_s, 0.0, (), sensed_at_us=now_us,
+            position_accuracy_m=0.02,
+        )  # fmt: skip
+
+    return sense
+
+
+@pytest.mark.parametrize("saws_m", [0.0, 0.25])
+def test_a_place_that_is_frozen_moves_no_robot_after_each_restart(saws_m: float) -> None:
+    """Each restart drove a metre on the same frozen place. A supervisor restarts for ever."""
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    hung = hung_at(machine.way_m, saws_m)
+    machine.until(8 * S, hung)
+    assert machine.held == {StopCause.PLACE_FROZEN}
+    for _ in range(3):
+        machine.boot()
+        assert machine.until(machine.now_us + 5 * S, hung) == 0.0
+        assert StopCause.PLACE_FROZEN in machine.held
+    assert machine.until(machine.now_us + 5 * S, off_by(0.0)) > 1.0, "the true place is another one"
+    machine.boot()
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0, "and it is remembered"
+
+
+def test_a_robot_whose_place_was_frozen_is_started_after_a_restart() -> None:
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    machine.until(8 * S, hung_at(machine.way_m))
+    machine.boot()
+    machine.perform(machine.peer.step(Start(named=False), machine.now_us))
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0
+    machine.boot()
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0
+
+
+@pytest.mark.parametrize("command", [Command.GO_HOME, Command.CONTINUE])
+def test_a_robot_that_was_sent_home_does_not_go_to_work_after_a_restart(command: Command) -> None:
+    """Somebody who works at a robot that was sent home may switch it off and on."""
+    machine = Machine()
+    introduce_tools(machine.peer, OPERATOR)
+    machine.until(3 * S, off_by(0.0))
+    for sent in (Command.GO_HOME, command):
+        order = Heard(OPERATOR, OperatorCommand(sent, 0, OPERATOR, 0))
+        machine.perform(machine.peer.step(order, machine.now_us))
+        machine.until(machine.now_us + 1 * S, off_by(0.0))
+    for _ in range(2):
+        machine.boot()
+        drove_m = machine.until(machine.now_us + 3 * S, off_by(0.0))
+        assert (drove_m == 0.0) == (command is Command.GO_HOME)
+    machine.perform(machine.peer.step(Start(named=False), machine.now_us))
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0
+    machine.boot()
+    assert machine.until(machine.now_us + 3 * S, off_by(0.0)) > 1.0, "and it is remembered"
 
 
 def test_a_scanner_that_died_is_missed_after_a_restart() -> None:
