@@ -22,7 +22,7 @@ FIRST, LAST = 128, 235  # self-configurable addresses of industry group 2
 AT_ONCE_FIRST, AT_ONCE_LAST = 248, 253
 # Time for such a claim to leave: more urgent frames would overtake it in our transmit queue.
 SAID_US = 20 * MS
-CONTENTION_US = 250 * MS
+ADDRESS_CONTENTION_US = 250 * MS  # ISO 11783-5; a lower NAME may object this long
 DELAY_STEP_US = 600  # RTxD = rand(0..255) * 0.6 ms
 DEFENCES_MAX = 5  # per second; otherwise two devices with one NAME would answer each other forever
 # From "cannot claim" to the next try. It doubles, and each device adds a random part of a second.
@@ -215,7 +215,7 @@ class AddressClaim:
             return []
         self._commanded_at_us = now_us
         self.candidate = address
-        return self._contend(CONTENTION_US, now_us)
+        return self._contend(ADDRESS_CONTENTION_US, now_us)
 
     def violated(self, now_us: int) -> list[AddressMessage]:
         """Another device uses our address: two parts of a bus were joined, and in neither part did
@@ -247,7 +247,7 @@ class AddressClaim:
         if holder < self.number or (self._modest_for_us is not None and holder != self.number):
             return self._move(now_us)
         at_once = AT_ONCE_FIRST <= self.candidate <= AT_ONCE_LAST
-        wait_for_us = SAID_US if at_once else CONTENTION_US
+        wait_for_us = SAID_US if at_once else ADDRESS_CONTENTION_US
         return self._contend(wait_for_us, now_us)
 
     def _contend(self, wait_for_us: int, now_us: int) -> list[AddressMessage]:
@@ -273,7 +273,7 @@ class AddressClaim:
                 address = FIRST + (min(self.candidate, LAST + 1) - FIRST - step) % width
             if self.names.get(address) is None:
                 self.candidate = address
-                return self._contend(CONTENTION_US, now_us)
+                return self._contend(ADDRESS_CONTENTION_US, now_us)
         self._machine.fire(ClaimEvent.EXHAUSTED)
         self._next_at_us = None
         if self._modest_for_us is None:

@@ -11,7 +11,7 @@ that holds the fleet's secrets can make both tags. Robots hold them; gateways an
 backbone do not.
 """
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from crdt.stops import RemoteStopDot
 from protocol.authentication import KEY_SIZE, Keys
@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from cryptography.hazmat.primitives.cmac import CMAC
 
 HELD_INFO = b"headland stops held"
+QUESTION_BITS: Final = 48  # of the nonce in a question about held stops
 
 
 def held_key(operators: bytes) -> bytes:
@@ -63,12 +64,12 @@ class HeldTags:
             self._held = _mac(keys.operator, HELD_INFO)
 
     def sign(self, held: StopsHeld, question: int) -> StopsHeld:
-        """The frame with its tag, which answers `question`: the 48-bit nonce of the challenge.
+        """The frame with its tag, which answers `question`: the nonce of the challenge.
         Raises ValueError if the operator's secret is not held here."""
         if self._held is None:
             raise ValueError("the secret for this tag is not held here")
         running = self._held.copy()
-        running.update(question.to_bytes(6, "little") + STOPS_HELD.pack(held)[:-3])
+        running.update(question.to_bytes(QUESTION_BITS // 8, "little") + STOPS_HELD.pack(held)[:-3])
         return held._replace(tag=int.from_bytes(running.finalize()[:3], "little"))
 
 

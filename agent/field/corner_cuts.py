@@ -21,6 +21,7 @@ from shapely.geometry import LineString, Point
 from shapely.geometry.base import BaseGeometry
 
 from agent.field.field_map import XY, Polyline
+from agent.motion.path_tracker import turn_at
 from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
 
 BEND_RAD = 0.3  # a smaller corner is rounded, within half the usual tolerance
@@ -61,7 +62,7 @@ def cut_at_corners(
         pieces[-1].append(ring[k])
         if k + 1 == len(ring):
             break
-        turn_rad = _turn(ring[k - 1], ring[k], ring[k + 1])
+        turn_rad = turn_at(ring[k - 1], ring[k], ring[k + 1])
         run_m += hypot(ring[k][0] - ring[k - 1][0], ring[k][1] - ring[k - 1][1])
         if run_m > WINDOW_M:
             turned_rad, run_m = 0.0, 0.0
@@ -76,7 +77,7 @@ def cut_at_corners(
             turned_rad = run_m = 0.0
     bend_m = max(turn_radius_m * SPARE, reach_m / 2)
     for before, after in pairwise(pieces):
-        turn_rad = _turn(before[-2], before[-1], after[1])
+        turn_rad = turn_at(before[-2], before[-1], after[1])
         ends = _ends(before, after[::-1], turn_rad, reach_m, bend_m, free, asked)
         before[:], after[:] = ends[0], ends[1][::-1]
     result = []
@@ -142,7 +143,7 @@ def _swung_out(a: XY, b: XY, c: XY, reach_m: float, room: BaseGeometry | None) -
     """Three points instead of the corner b of a, b, c, for a body that turns on the spot; none if it has
     no room for them.
     """
-    turn_rad = _turn(a, b, c)
+    turn_rad = turn_at(a, b, c)
     into, onward = atan2(b[1] - a[1], b[0] - a[0]), atan2(c[1] - b[1], c[0] - b[0])
     side_m = min(hypot(b[0] - a[0], b[1] - a[1]), hypot(c[0] - b[0], c[1] - b[1]))
     way_m = min(max(BEND_HALF_M, OUT_SHARE * reach_m), SIDE_SHARE * side_m)
@@ -203,11 +204,6 @@ def _bend(a: XY, course: float, straight_m: float, bend_m: float, turn_in_rad: f
 
 def _tail_m(bend_m: float, turn_in_rad: float) -> float:
     return max(0.0, RUN_M - bend_m * turn_in_rad)
-
-
-def _turn(a: XY, b: XY, c: XY) -> float:
-    turn_rad = atan2(c[1] - b[1], c[0] - b[0]) - atan2(b[1] - a[1], b[0] - a[0])
-    return (turn_rad + pi) % (2 * pi) - pi
 
 
 def _beyond(a: XY, b: XY, reach_m: float, free: BaseGeometry) -> tuple[XY, bool]:

@@ -7,7 +7,7 @@ and never further from the line than the overlap allows. What was missed is work
 
 from collections.abc import Iterable, Mapping, Sequence
 from functools import partial
-from math import copysign, hypot, inf, sqrt
+from math import copysign, dist, hypot, inf, sqrt
 from typing import Final
 
 from agent.claims.claim_headway import NO_HEADWAY, Headway
@@ -204,7 +204,7 @@ class FieldMission(Mission):
             return STILL
         if spot != before or self.tracker is None:
             here = (view.here.x_m, view.here.y_m)
-            if _distance(here, spot) <= self.tolerance_m:
+            if dist(here, spot) <= self.tolerance_m:
                 return STILL
             self.legs, self.tracker = [WorkLeg(self.blockage.path(here, spot, view))], None
         return self._drive(view)[0]
@@ -391,7 +391,7 @@ class FieldMission(Mission):
         if line.gap_m > AIM_M and self.turns_on_the_spot and not self.leg.units:
             place = here.x_m, here.y_m
             corner = line.next_corner
-            if _distance(place, corner) > AIM_LEAST_M and self.blockage.way.straight(place, corner):
+            if dist(place, corner) > AIM_LEAST_M and self.blockage.way.straight(place, corner):
                 return line.towards_corner(*place)
         moving = (here.vx_m_s, here.vy_m_s) if steers else None
         vx_m_s, vy_m_s = line.velocity(here.x_m, here.y_m, moving)
@@ -575,9 +575,9 @@ class FieldMission(Mission):
         legs: list[WorkLeg] = []
         for leg in stretches:
             first, last = leg.points[0], leg.points[-1]
-            if _distance(at, last) + 1e-6 < _distance(at, first):
+            if dist(at, last) + 1e-6 < dist(at, first):
                 leg = WorkLeg(leg.points[::-1], leg.units[::-1])
-            if _distance(at, leg.points[0]) > self.tolerance_m:
+            if dist(at, leg.points[0]) > self.tolerance_m:
                 legs.append(WorkLeg(self.blockage.path(at, leg.points[0], view)))
             legs.append(leg)
             at = leg.points[-1]
@@ -592,7 +592,7 @@ class FieldMission(Mission):
         entry = self.choosing.entry(section.id, view.progress.covered(section.id))
         if entry is not None:
             return entry == 1
-        return _distance(at, stretches[-1].points[-1]) < _distance(at, stretches[0].points[0])
+        return dist(at, stretches[-1].points[-1]) < dist(at, stretches[0].points[0])
 
     def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
         """The stretches left to work; `last`: include those that come last."""
@@ -617,7 +617,3 @@ def _covering(
     vx_m_s, vy_m_s, turn_rad_s, tool_on, *_ = wish
     held = (tuple(covered), finished, wish.given_up, near_end, wish.hold, wish.parcel_action)
     return _wish(MotionRequest, (vx_m_s, vy_m_s, turn_rad_s, tool_on, *held))
-
-
-def _distance(a: Point, b: Point) -> float:
-    return hypot(a[0] - b[0], a[1] - b[1])

@@ -11,7 +11,7 @@ It leaves the line by half the overlap at most, the tolerance of driving.
 
 import itertools
 from collections.abc import Iterator, Sequence
-from math import atan2, dist, hypot, pi, radians
+from math import dist, hypot, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,6 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from agent.field.field_map import XY, Polyline
+from agent.motion.path_tracker import turn_at
 
 CORNER_RAD: Final = 0.05  # a sharper one keeps half a width from where pieces meet, if it can
 BENT_RAD: Final = 1e-3  # a smaller turn is none
@@ -97,7 +98,7 @@ def _turns(ring: LineString) -> _Turns:
     points = [(x_m, y_m) for x_m, y_m in places.tolist()]
     found, along = _Turns([], []), 0.0
     for k, (a, b) in enumerate(itertools.pairwise(points)):
-        turn_rad = abs(_turn(points[k - 1] if k else points[-2], a, b))
+        turn_rad = abs(turn_at(points[k - 1] if k else points[-2], a, b))
         if turn_rad > CORNER_RAD:
             found.corners.append(along)
         if turn_rad > BENT_RAD:
@@ -172,7 +173,7 @@ def _join(way: Sequence[XY], beyond: XY, slack_m: float) -> tuple[XY, int]:
     for k, (here, ahead) in enumerate(itertools.pairwise([*way, beyond])):
         side_m = dist(here, ahead)
         on = [*way, beyond][k + 2] if k + 2 < len(way) + 1 else None
-        gentle = on is not None and abs(_turn(here, ahead, on)) <= ARC_RAD
+        gentle = on is not None and abs(turn_at(here, ahead, on)) <= ARC_RAD
         share = min(1.0, (JOIN_M - run_m) / side_m)
         if not gentle:
             share = min(share, 0.5)
@@ -236,7 +237,7 @@ def _turned_back(points: Sequence[XY], first: int, tip_m: float) -> int | None:
         run_m += dist(points[last - 1], points[last]) if last > first else 0.0
         if run_m > tip_m:
             return None
-        turned_rad += _turn(points[last - 1], points[last], points[(last + 1) % count])
+        turned_rad += turn_at(points[last - 1], points[last], points[(last + 1) % count])
         if abs(turned_rad) > TIP_RAD:
             return last
     return None
@@ -250,7 +251,7 @@ def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY
     else:  # it goes on as it came, after a whole turn
         ux, uy = into
     turned_rad = sum(
-        _turn(a, b, c) for a, b, c in zip((before, *tip), tip, (*tip[1:], after), strict=False)
+        turn_at(a, b, c) for a, b, c in zip((before, *tip), tip, (*tip[1:], after), strict=False)
     )
     nx, ny = (-uy, ux) if turned_rad > 0.0 else (uy, -ux)
     on_m = max(x * ux + y * uy for x, y in tip)
@@ -265,8 +266,3 @@ def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY
 def _unit(a: Sequence[float], b: Sequence[float]) -> XY:
     length = hypot(b[0] - a[0], b[1] - a[1])
     return (b[0] - a[0]) / length, (b[1] - a[1]) / length
-
-
-def _turn(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
-    turn_rad = atan2(c[1] - b[1], c[0] - b[0]) - atan2(b[1] - a[1], b[0] - a[0])
-    return (turn_rad + pi) % (2 * pi) - pi

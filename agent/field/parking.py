@@ -12,7 +12,7 @@ driving order.
 
 import itertools
 from collections.abc import Iterable, Sequence
-from math import hypot
+from math import dist, hypot
 from typing import Final
 
 import numpy as np
@@ -207,11 +207,11 @@ class Parking:
                 if not left:
                     continue
                 first, last = left[0][0], left[-1][-1]
-                if _distance(at, last) < _distance(at, first):
+                if dist(at, last) < dist(at, first):
                     left = [line[::-1] for line in reversed(left)]
                 for line in left:
                     for x_m, y_m in _samples([(at, line[0]), line]).tolist():
-                        so_far_m += _distance(at, (x_m, y_m))
+                        so_far_m += dist(at, (x_m, y_m))
                         at = x_m, y_m
                         found.append((x_m, y_m, so_far_m / self.speed_m_s))
                 if so_far_m > LATE_S * self.speed_m_s:
@@ -258,10 +258,6 @@ def _samples(lines: Iterable[Sequence[Point]]) -> NDArray[np.float64]:
             ]
         found.append(line[-1])
     return np.array(found, dtype=np.float64).reshape(-1, 2)
-
-
-def _distance(a: Point, b: Point) -> float:
-    return hypot(a[0] - b[0], a[1] - b[1])
 
 
 def _gap_m(at: Point, points: NDArray[np.float64]) -> float:

@@ -7,7 +7,7 @@ sections were left to another robot and not taken.
 
 from collections.abc import Mapping, Sequence
 from functools import partial
-from math import cos, hypot, sin
+from math import cos, dist, hypot, sin
 from typing import Final
 
 from agent.claims.standing_owners import STANDS, StandingOwners
@@ -163,7 +163,7 @@ class SectionChooser:
         overdue = {section for (section, _), at_us in due_at_us.items() if at_us <= view.now_us}
         late = [job for job in free if job.section in overdue]
         here = view.here.x_m, view.here.y_m
-        return sorted(late, key=lambda job: min(_apart_m(at, here) for at in job.ends))
+        return sorted(late, key=lambda job: min(dist(at, here) for at in job.ends))
 
     def _freed(self, slot: int, view: FleetView, travel: TravelTimes) -> FreedRobot:
         """Where and when another robot will have worked what it holds."""
@@ -178,7 +178,7 @@ class SectionChooser:
                 ends, work_for_ms = self.field.section(number).ends, int(travel.work_for_ms[number])
             else:
                 ends, work_for_ms = rest.ends, rest.work_for_ms
-                ways_for_ms = [1000 * _apart_m(at, end) / self.speed_m_s for end in ends]
+                ways_for_ms = [1000 * dist(at, end) / self.speed_m_s for end in ends]
             backwards = ways_for_ms[1] < ways_for_ms[0]
             at = ends[0] if backwards else ends[1]
             ready_at_ms += round(min(ways_for_ms)) + work_for_ms
@@ -281,7 +281,3 @@ class SectionChooser:
 
 def _units_done(view: FleetView, sections: Sequence[int]) -> int:
     return sum(view.progress.covered(section) for section in sections)
-
-
-def _apart_m(a: Point, b: Point) -> float:
-    return hypot(a[0] - b[0], a[1] - b[1])

@@ -5,7 +5,7 @@ turning circle: next comes the stretch with the shortest Dubins path to it (Dubi
 nearer than two turning radii is taken only after others, if there are others.
 """
 
-from math import cos, hypot, pi, sin
+from math import cos, dist, hypot, pi, sin
 
 from agent.field.corner_cuts import PAST_END_M
 from agent.field.field_map import Field, Section
@@ -26,7 +26,6 @@ from agent.motion.tractor_tracker import (
     SteeringLimits,
     TractorTracker,
     bend_speed_m_s,
-    distance_m,
     heading_of,
     smooth_way,
 )
@@ -212,7 +211,7 @@ class TractorMission(FieldMission):
                 return False
             self.leg = WorkLeg((here[:2], first))
             self.headway.again()  # the remaining distance did not include the turn
-            joins_m_s = JOIN_M_S if distance_m(first, second) > BENT_M else JOIN_BENT_M_S
+            joins_m_s = JOIN_M_S if dist(first, second) > BENT_M else JOIN_BENT_M_S
             stands = only_approach or pieces[-1].length_m < 0.0
             way, end_m_s = sampled(here, pieces), 0.0 if stands else joins_m_s
         manner = AT_WORK if self.leg.units else self.on_the_way

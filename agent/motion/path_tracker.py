@@ -6,6 +6,7 @@ whether a unit counts as worked, so the correction is stiff.
 """
 
 import itertools
+from collections.abc import Sequence
 from math import atan2, hypot, pi, sin, sqrt
 from typing import Final, Protocol
 
@@ -183,7 +184,7 @@ class PathTracker:
         speeds = [self.speed_m_s] * count
         speeds[-1] = 0.0
         for k in range(1, count - 1):
-            turn_rad = abs(self._turn(k - 1))
+            turn_rad = abs(turn_at(*self.points[k - 1 : k + 2]))
             swing_m_s = sqrt(2.0 * self.deceleration_m_s2 * SWING_M)
             if turn_rad < 1e-3:
                 continue
@@ -197,11 +198,6 @@ class PathTracker:
             speeds[k] = min(speeds[k], reach_m_s)
         return speeds
 
-    def _turn(self, piece: int) -> float:
-        (ax, ay), (bx, by), (cx, cy) = self.points[piece : piece + 3]
-        turn_rad = atan2(cy - by, cx - bx) - atan2(by - ay, bx - ax)
-        return (turn_rad + pi) % (2 * pi) - pi
-
     def _towards(self, x_m: float, y_m: float, target: Point) -> Point:
         dx_m, dy_m = target[0] - x_m, target[1] - y_m
         distance_m = hypot(dx_m, dy_m)
@@ -210,3 +206,9 @@ class PathTracker:
         speed_m_s = min(self.speed_m_s, sqrt(2.0 * self.deceleration_m_s2 * distance_m))
         speed_m_s = min(max(speed_m_s, CREEP_M_S), distance_m / 0.05)
         return dx_m / distance_m * speed_m_s, dy_m / distance_m * speed_m_s
+
+
+def turn_at(a: Sequence[float], b: Sequence[float], c: Sequence[float]) -> float:
+    """How far a way from a over b to c turns at b: radians, positive to the left, -pi to pi."""
+    turn_rad = atan2(c[1] - b[1], c[0] - b[0]) - atan2(b[1] - a[1], b[0] - a[0])
+    return (turn_rad + pi) % (2 * pi) - pi

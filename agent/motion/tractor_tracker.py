@@ -275,8 +275,3 @@ def bend_speed_m_s(speed_m_s: float, radius_m: float) -> float:
 def heading_of(a: tuple[float, float], b: tuple[float, float]) -> float:
     """Direction from a to b, radians counter-clockwise from east."""
     return atan2(b[1] - a[1], b[0] - a[0])
-
-
-def distance_m(a: tuple[float, float], b: tuple[float, float]) -> float:
-    """Straight distance between two points."""
-    return hypot(b[0] - a[0], b[1] - a[1])

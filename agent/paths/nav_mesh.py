@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from functools import cached_property
 from heapq import heappop, heappush
 from itertools import pairwise
-from math import ceil, hypot, inf
+from math import ceil, dist, hypot, inf
 from typing import Any
 
 import numpy as np
@@ -178,7 +178,7 @@ class Mesh:
     def metres(self, a: Point, b: Point) -> float:
         """The length of the way between two points, by A*; inf where there is none."""
         found = self._astar(a, b)
-        return inf if found is None else sum(_gap(*leg) for leg in pairwise(found))
+        return inf if found is None else sum(dist(*leg) for leg in pairwise(found))
 
     def way(self, a: Point, b: Point) -> list[Point] | None:
         """The way that `metres` measures, pulled taut: places of a polyline, both ends included;
@@ -248,10 +248,6 @@ class Mesh:
             found.append((x_m, y_m))
             node = before[node]
         return [*found, a][::-1]
-
-
-def _gap(a: Point, b: Point) -> float:
-    return hypot(b[0] - a[0], b[1] - a[1])
 
 
 def rectangles(blocked: NDArray[np.bool_]) -> tuple[list[Box], NDArray[np.int32]]:

@@ -33,6 +33,7 @@ from protocol.extended_transport import (
     ExtendedTransport,
     refused,
 )
+from protocol.fleet_tags import QUESTION_BITS
 from protocol.frames.fleet_frames import NOWHERE_M
 from protocol.frames.identifier import NULL_ADDRESS
 from protocol.frames.network_frames import ExtendedTransportData, ExtendedTransportManagement
@@ -64,7 +65,6 @@ PAUSED_US: Final = 250 * MS  # shorter than the silence after which others elect
 DOUBTS_US: Final = 1500 * MS  # until a later term is heard, if there is one
 # Between two pictures that differ: each takes 280 frames, so that they take 0.5 % of the bus.
 PICTURE_US: Final = 30 * S
-QUESTION_BITS: Final = 48
 RELEASE_GAP_US: Final = 100 * MS  # between the steps of a release
 ASK_FOR_US: Final = 120 * S  # time for a person with a key to come and look
 ASK_EVERY_US: Final = 500 * MS  # `headland release` listens for 0.7 s before it begins

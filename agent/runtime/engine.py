@@ -51,6 +51,7 @@ from agent.safety.stop_cause import Severity, about, sentence
 from agent.safety.stop_controller import CREEP_M_S
 from crdt import FieldAllocationCRDT
 from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
+from protocol.fleet_tags import QUESTION_BITS
 from protocol.frames.fleet_frames import NOWHERE_M, Pose
 from protocol.frames.safety_frames import Reason
 from protocol.links.bus import CanBus
@@ -60,7 +61,6 @@ log = logging.getLogger(__name__)
 
 CLEAR_TIMEOUT_S = 5.0  # two robots of a quiet bus need 0.5 s
 CLEAR_STEP_S = 0.15  # robots answer a question about held stops at most every 0.1 s
-QUESTION_BITS = 48  # of the nonce in a question about held stops
 JOIN_TIMEOUT_S = 5.0  # address claim 0.4 s, a first sync 2 s; beyond it something is wrong
 
 

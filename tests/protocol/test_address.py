@@ -6,8 +6,8 @@ from random import Random
 import pytest
 
 from protocol.address import (
+    ADDRESS_CONTENTION_US,
     CLAIM_TABLE,
-    CONTENTION_US,
     DEFENCES_MAX,
     FIRST,
     LAST,
@@ -161,9 +161,9 @@ def test_who_is_in_a_hurry_claims_at_once() -> None:
     assert machine.due_at_us and machine.due_at_us > 0
     machine.hurry(0)
     assert machine.due_at_us == 0
-    bus.run(CONTENTION_US)
+    bus.run(ADDRESS_CONTENTION_US)
     assert machine.address == 140
-    machine.hurry(CONTENTION_US)
+    machine.hurry(ADDRESS_CONTENTION_US)
     assert machine.address == 140
 
 

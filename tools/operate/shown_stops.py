@@ -11,11 +11,10 @@ from secrets import randbits
 
 from crdt.stops import RemoteStopDot, RemoteStopSet, StopDot, StopSet, held_digest
 from protocol.authentication import Keyring
-from protocol.fleet_tags import HeldTags
+from protocol.fleet_tags import QUESTION_BITS, HeldTags
 from protocol.frames.safety_frames import EmergencyStop, StopsHeld
 
 NAMED_MAX = 64  # resets by name; more are cleared in sum. With tags, twice each, 0.1 s of bus
-QUESTION_BITS = 48
 HEARD_MAX = 4096  # names that are kept; a device that sends more of them floods the bus
 
 
