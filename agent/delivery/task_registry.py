@@ -96,9 +96,8 @@ class TaskRegistry:
                 self.tasks[task] = order
             else:
                 self.refused += 1
-        self._asked_at_us: dict[
-            int, int
-        ] = {}  # bucket -> when we last told that we lack some of it
+        # When we last told that we lack some of a bucket.
+        self._asked_at_us: dict[int, int] = {}
         self._lacking: dict[int, None] = {}  # buckets to tell, because others know more
         self.added = 0  # change counter, so that cached results can detect changes
         self._due: dict[int, int] = {}  # task to send again, and from when
