@@ -97,12 +97,6 @@ OF_CAUSE: Final[Mapping[StopCause, tuple[float, HealthSource]]] = {
     StopCause.IMPLEMENT_DOWN: (FAILED, HealthSource.MACHINE),
     StopCause.LATE_TICK: (DEGRADED, HealthSource.COMPUTER),
 }
-NOT_OF_ITSELF: Final = frozenset({
-    StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT,
-    StopCause.BACKBONE_LOST, StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH,
-    StopCause.DUPLICATE_ID, StopCause.UNAUTHENTICATED_STOP, StopCause.SPENT_STOP,
-    StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT, StopCause.WORK_OFF,
-})  # fmt: skip
 
 
 def readings(known: Known) -> list[Reading]:

@@ -104,20 +104,6 @@ def load_task_data(path: Path) -> Any:
             archive.close()
 
 
-def read_part(path: Path, name: str) -> bytes | None:
-    """The contents of a file beside the task data, from the same folder or zip; None if it does not
-    exist.
-
-    Raises FieldFileError if it cannot be read.
-    """
-    archive, read = _reader(path)
-    try:
-        return read(name)
-    finally:
-        if archive is not None:
-            archive.close()
-
-
 def _reader(path: Path) -> tuple[zipfile.ZipFile | None, Read]:
     """A function that reads a file by its name, ignoring case: from a folder or from a zip."""
     if path.suffix.lower() == ".zip":
@@ -261,9 +247,8 @@ def _exteriors(path: Path, name: str, polygon: Any) -> Iterator[Polygon]:
         kind = code(line.type)
         if kind == INTERIOR:
             holes.append(_ring(path, name, line.points))
-        elif (
-            kind == EXTERIOR or len(polygon.line_strings) == 1
-        ):  # some terminals write another kind
+        elif kind == EXTERIOR or len(polygon.line_strings) == 1:
+            # Some terminals write another kind.
             shells.append(_ring(path, name, line.points))
     if not shells:
         raise FieldFileError(f"{path}: {name}: a boundary without an outline")

@@ -67,7 +67,6 @@ class Rig:
         self.fix_at_us = self.control_at_us = 0
         self.goal_m_s = self.told_m_s = (0.0, 0.0)
         self.leg_ends_at_us = 0
-        self.last_move_at_us = 0  # told to the wheels
 
     def step(self) -> None:
         self.now_us += STEP_US

@@ -18,7 +18,6 @@ from agent.peer.self_health import (
     FAILED,
     FINE,
     HOLDS,
-    NOT_OF_ITSELF,
     OF_BUS,
     OF_CAUSE,
     POOR,
@@ -38,6 +37,14 @@ from protocol.name import fleet_name
 from tests.agent.lone_peer import introduce, peer_in, turn
 from tools.inspect.inspector import Inspector
 from tools.inspect.robot_table import show
+
+# Causes that come from people, other robots or the field.
+NOT_OF_ITSELF = frozenset({
+    StopCause.NOT_STARTED, StopCause.OBSTACLE_AHEAD, StopCause.CREEP, StopCause.MEMBER_SILENT,
+    StopCause.BACKBONE_LOST, StopCause.BACKBONE_CREEP, StopCause.CONFIG_MISMATCH,
+    StopCause.DUPLICATE_ID, StopCause.UNAUTHENTICATED_STOP, StopCause.SPENT_STOP,
+    StopCause.IMPLEMENTS_STOP, StopCause.STOP_DOT, StopCause.WORK_OFF,
+})  # fmt: skip
 
 WELL = Known(1.0, 1.0, Health.ACTIVE, (), 0, True)
 

@@ -3,9 +3,10 @@
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
+from zipfile import ZipFile
 
 from agent.runtime.files.field_error import FieldFileError, LonLat
-from agent.runtime.files.isoxml_reader import code, load_task_data, position, read_part
+from agent.runtime.files.isoxml_reader import code, load_task_data, position
 from sim.runs.isoxml_time_log import DAY_MS, DEGREE, EPOCH, FIXED, MILLISECOND, VALUE
 from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
@@ -39,13 +40,23 @@ def read_work_isoxml(path: Path) -> WorkRecord:
 
 
 def _log(path: Path, name: Any, started: Any) -> tuple[LogPoint, ...]:
-    records = read_part(path, f"{name}.BIN")
+    records = _beside(path, f"{name}.BIN")
     if records is None:
         raise FieldFileError(f"{path}: no {name}.BIN there")
     try:
         return unpack(records, started)
     except BadTimeLog as problem:
         raise FieldFileError(f"{path}: {name}.BIN: {problem}") from None
+
+
+def _beside(path: Path, name: str) -> bytes | None:
+    """A file beside the task data, in the same folder or zip; None if it does not exist."""
+    if path.suffix == ".zip":
+        with ZipFile(path) as archive:
+            parts = {Path(part).name.upper(): archive.read(part) for part in archive.namelist()}
+    else:
+        parts = {part.name.upper(): part.read_bytes() for part in path.iterdir()}
+    return parts.get(name.upper())
 
 
 def _places(path: Path, points: list[Any]) -> tuple[LonLat, ...]:

@@ -67,16 +67,6 @@ def test_a_released_robot_may_move() -> None:
     assert {v.slots for v in checker.violations} == {(1,)}
 
 
-def drive_line(world: World, slot: int, x_m: float, y_m: float, begin_us: int) -> None:
-    world.body(slot).teleport(0.0, y_m)
-    t_us = begin_us
-    while world.body(slot).position[0] < x_m:
-        world.body(slot).drive(Drive(2.0, 0.0, 0.0, True), t_us)
-        t_us += 50_000
-        world.advance(t_us)
-    world.advance(t_us + 3_000_000)
-
-
 def test_two_robots_in_one_section_at_once_are_found() -> None:
     sections = {7: [[(5.0, 2.0), (25.0, 2.0)]], 8: [[(5.0, 6.0), (25.0, 6.0)]]}
     for other_y, expected in ((2.0, {(0, 1)}), (6.0, set())):

@@ -16,7 +16,7 @@ from tools.bench.vda5050.counterparts import PACKAGE, node_folder
 
 AGAINST = f"{PACKAGE}, mosquitto, official schemas of 2.1"
 ORDERS, ORDERS_QUICK = 50, 4
-VEHICLES, VEHICLES_QUICK = 20, 2
+VEHICLES = 20
 
 
 def figures(quick: bool) -> Iterator[Figure]:
