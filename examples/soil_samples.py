@@ -122,19 +122,19 @@ class SoilSetting(FieldSetup):
 
 def sample(robots: int = 3, seed: int = 1, limit_s: float = 300.0) -> tuple[float, Cluster]:
     """Until every replica knows that every post is done; seconds, and the cluster as it was then."""
-    swarm = EventLoop()
-    cluster = Cluster(SoilSetting(load("small").changed(robots, seed)), "soil", None, swarm)
+    event_loop = EventLoop()
+    cluster = Cluster(SoilSetting(load("small").changed(robots, seed)), "soil", None, event_loop)
 
     def play() -> Script[float]:
         cluster.boot_all()
-        while not cluster.finished and swarm.now_us() < limit_s * S:
-            yield swarm.now_us() + S // 2
+        while not cluster.finished and event_loop.now_us() < limit_s * S:
+            yield event_loop.now_us() + S // 2
             cluster.check()
-        cluster.world.advance(swarm.now_us())
-        return swarm.now_us() / S
+        cluster.world.advance(event_loop.now_us())
+        return event_loop.now_us() / S
 
     try:
-        return swarm.run(play()), cluster
+        return event_loop.run(play()), cluster
     finally:
         cluster.end()
 

@@ -93,31 +93,31 @@ class Trial:
     """A fleet at work, a device that floods its bus, and people that press meanwhile."""
 
     def __init__(self, flood: Flood) -> None:
-        self.flood, self.swarm = flood, EventLoop()
+        self.flood, self.event_loop = flood, EventLoop()
         scenario = load(FLEETS[flood.robots]).changed(flood.robots, flood.seed, faults=())
         fleet = scenario.fleet.model_copy(update={"silence": flood.policy})
         scenario = scenario.with_engine("contact_free")
         setting = FieldSetup(scenario.model_copy(update={"fleet": fleet}))
-        self.cluster = Cluster(setting, f"flood {id(self)}", host=self.swarm)
+        self.cluster = Cluster(setting, f"flood {id(self)}", host=self.event_loop)
         self.cluster.stops.bound_for_us = beat_of(flood.robots).silence_for_us + REACTION_US
 
     def run(self) -> FloodResult:
         """Play the trial to its end."""
         self.cluster.boot_all()
         try:
-            return self.swarm.run(self._story())
+            return self.event_loop.run(self._story())
         finally:
             self.cluster.end()
 
     def _story(self) -> Script[FloodResult]:
         flood, world = self.flood, self.cluster.world
         yield from self._until(self._at_work, round(WORK_MAX_S * S))
-        yield self.swarm.now_us() + round(WORK_S * S)
+        yield self.event_loop.now_us() + round(WORK_S * S)
         at_us = self._now_us()
         before = {slot: body.position for slot, body in world.robots.items()}
         bus = FieldBus(self.cluster.channel)
         bus.subscribe(lambda frame: None)
-        press = self.swarm.spawn(self._press(at_us))
+        press = self.event_loop.spawn(self._press(at_us))
         yield from self._send(bus, at_us + round(flood.for_s * S))
         end_at_us = self._now_us()
         moved_m = max(
@@ -135,7 +135,7 @@ class Trial:
         if flood.presses:
             yield self._now_us() + AFTER_US
             begin_at_us = self._now_us()
-        reset = self.swarm.spawn(self._reset()) if flood.presses else None
+        reset = self.event_loop.spawn(self._reset()) if flood.presses else None
         limit_for_us = max(1, begin_at_us + 2 * RECOVER_US - self._now_us())
         fleet_for_us = yield from self._until(self._works, limit_for_us)
         if reset is not None:
@@ -187,7 +187,7 @@ class Trial:
         return float(self._now_us() - begun_at_us)
 
     def _now_us(self) -> int:
-        now_us = self.swarm.now_us()
+        now_us = self.event_loop.now_us()
         self.cluster.world.advance(now_us)
         return now_us
 

@@ -40,7 +40,7 @@ class ScheduledCall:
 class SimulatedRunner(BatchedRunner):
     """A runner that takes its turns from this event loop."""
 
-    swarm: "EventLoop"
+    event_loop: "EventLoop"
     _over = False
     _nudged = False
     _base_at_us = 0
@@ -59,7 +59,7 @@ class SimulatedRunner(BatchedRunner):
     def drift(self, ppm: float) -> None:
         """From now on this robot's clock runs faster by this many parts per million."""
         self._catch_up()
-        self._base_at_us, self._rate_set_at_us = self.local_now_us(), self.swarm.now_us()
+        self._base_at_us, self._rate_set_at_us = self.local_now_us(), self.event_loop.now_us()
         self._rate = 1.0 + ppm * 1e-6
         self._nudge()
 
@@ -68,13 +68,13 @@ class SimulatedRunner(BatchedRunner):
         self._catch_up()
         self._base_at_us, self._rate_set_at_us = (
             self.local_now_us() + round(jump_for_s * 1e6),
-            self.swarm.now_us(),
+            self.event_loop.now_us(),
         )
         self._nudge()
 
     def local_now_us(self) -> int:
         """The time on this robot's clock."""
-        return self._shown_at(self.swarm.reached_at_us)
+        return self._shown_at(self.event_loop.reached_at_us)
 
     def _shown_at(self, t_us: int) -> int:
         if self._rate == 1.0:
@@ -98,12 +98,12 @@ class SimulatedRunner(BatchedRunner):
     def _arm(self) -> None:
         self._armed_at_us = self.peer.due_at_us
         self._listening = True
-        self._timer = self.swarm.at(self._at(self._armed_at_us), self._nudge)
+        self._timer = self.event_loop.at(self._at(self._armed_at_us), self._nudge)
 
     def _nudge(self) -> None:
         if self._listening and not self._nudged:
             self._nudged = True
-            self.swarm.soon(self._woken)
+            self.event_loop.soon(self._woken)
 
     def _woken(self) -> None:
         self._timer.cancel()
@@ -113,10 +113,10 @@ class SimulatedRunner(BatchedRunner):
             raise self._failure
         if self._freeze_ends_at_us:
             wake_at_us = self._at(self._freeze_ends_at_us)
-            if wake_at_us <= self.swarm.now_us():
-                self.swarm.soon(self._thawed)
+            if wake_at_us <= self.event_loop.now_us():
+                self.event_loop.soon(self._thawed)
             else:
-                self.swarm.at(wake_at_us, lambda: self.swarm.soon(self._thawed))
+                self.event_loop.at(wake_at_us, lambda: self.event_loop.soon(self._thawed))
             return
         self._turn_over()
 
@@ -158,23 +158,23 @@ class RunnerHandle:
 class ScriptHandle:
     """A script that is running; its result is in `value`."""
 
-    def __init__(self, swarm: "EventLoop", script: Script[Any]) -> None:
-        self.swarm, self.script = swarm, script
+    def __init__(self, event_loop: "EventLoop", script: Script[Any]) -> None:
+        self.event_loop, self.script = event_loop, script
         self.value: Any = None
         self._done = False
-        swarm.soon(self._step)
+        event_loop.soon(self._step)
 
     def _step(self) -> None:
         if self._done:
             return
         try:
             wake_at_us = next(self.script)
-            while wake_at_us <= self.swarm.now_us():
+            while wake_at_us <= self.event_loop.now_us():
                 wake_at_us = next(self.script)
         except StopIteration as end:
             self._done, self.value = True, end.value
             return
-        self.swarm.at(wake_at_us, lambda: self.swarm.soon(self._step))
+        self.event_loop.at(wake_at_us, lambda: self.event_loop.soon(self._step))
 
     def cancel(self) -> None:
         """Close the script where it waits."""
@@ -220,7 +220,7 @@ class EventLoop:
         """A runner of a peer, from the arguments of `PeerRunner`, which takes its time from this
         loop."""
         runner = SimulatedRunner(*parts)
-        runner.swarm, runner.clock = self, runner.local_now_us
+        runner.event_loop, runner.clock = self, runner.local_now_us
         return runner
 
     def start(self, runner: PeerRunner) -> RunnerHandle:

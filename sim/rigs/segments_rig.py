@@ -74,8 +74,8 @@ class SegmentFleet:
         """`geometry`: of the map that all segments make, if they make one. `gateways_with_keys`: of a
         fleet with keys; without, they carry stops and resets alone."""
         self.segments, self.robots, self.seed = range(1, segments + 1), robots, seed
-        self.swarm = EventLoop()
-        self.backbone = SimulatedBackbone(self.swarm, seed)
+        self.event_loop = EventLoop()
+        self.backbone = SimulatedBackbone(self.event_loop, seed)
         self.rng = Random(f"{seed}/segments")
         self.keys, self.policy, self.geometry = keys, policy, geometry
         self.gateway_keys = None if keys is None else Keys(keys.master, None)
@@ -95,7 +95,7 @@ class SegmentFleet:
 
     def _segment(self, number: int, candidates: int) -> None:
         channel = self.channel(number)
-        wire = segment(channel, seed=f"{self.seed}/{number}", clock=self.swarm)
+        wire = segment(channel, seed=f"{self.seed}/{number}", clock=self.event_loop)
         wire.taps.append(self._tap(number))
         self.wires[number] = wire
         for slot in range(self.robots):
@@ -137,26 +137,26 @@ class SegmentFleet:
             if type(effect) is Drive and not (effect.vx_m_s or effect.vy_m_s or effect.turn_rad_s):
                 self.halted_at_us[place] = now_us
 
-        runner = self.swarm.make_runner(peer, CanBus(bus), None, None, watch)
-        self.swarm.start(runner)
+        runner = self.event_loop.make_runner(peer, CanBus(bus), None, None, watch)
+        self.event_loop.start(runner)
         self.runners[place] = runner
 
     def add_gateway(self, number: int) -> GatewayRunner:
         """Switch another gateway on in the segment with this number."""
         boot = self.rng.getrandbits(32)
         name = Name(boot & 0x1FFFFF, function=GATEWAY_FUNCTION, arbitrary_address=0)
-        swarm, chart = self.swarm, None
+        event_loop, chart = self.event_loop, None
         if self.geometry is not None:
-            chart = MapRelay(number, self.geometry, MergeOrder.DECAYED, swarm.now_us())
+            chart = MapRelay(number, self.geometry, MergeOrder.DECAYED, event_loop.now_us())
         runner = GatewayRunner(
-            Gateway(self.areas[number], name, boot, swarm.now_us(), chart, self.gateway_keys),
+            Gateway(self.areas[number], name, boot, event_loop.now_us(), chart, self.gateway_keys),
             CanBus(can.Bus(interface="fieldbus", channel=self.channel(number))),
             self.backbone.attach(number),
-            swarm.now_us,
-            swarm.at,
+            event_loop.now_us,
+            event_loop.at,
         )
         self.gateways[number].append(runner)
-        swarm.soon(runner.start)
+        event_loop.soon(runner.start)
         return runner
 
     # ---------------------------------------------------------------- acting
@@ -180,16 +180,20 @@ class SegmentFleet:
 
     def run(self, duration_us: int, until: Callable[[], bool] | None = None) -> bool:
         """Let time pass; with `until`, stop when the condition holds (checked every 10 ms)."""
-        end_at_us = self.swarm.now_us() + duration_us
+        end_at_us = self.event_loop.now_us() + duration_us
 
         def script() -> Script[bool]:
-            while self.swarm.now_us() < end_at_us:
+            while self.event_loop.now_us() < end_at_us:
                 if until is not None and until():
                     return True
-                yield end_at_us if until is None else min(self.swarm.now_us() + 10_000, end_at_us)
+                yield (
+                    end_at_us
+                    if until is None
+                    else min(self.event_loop.now_us() + 10_000, end_at_us)
+                )
             return until is None or until()
 
-        return self.swarm.run(script())
+        return self.event_loop.run(script())
 
     def finish(self, number: int, slot: int, section: int, units: int = 3) -> None:
         """An operation as by a fast robot: claim, start, cover, done."""
@@ -197,16 +201,16 @@ class SegmentFleet:
         runner.operate(ClaimSection(section, 3))
 
         def work() -> Script[None]:
-            due_at_us = self.swarm.now_us() + 5_000_000
+            due_at_us = self.event_loop.now_us() + 5_000_000
             while runner.peer.claims.current != section:
-                if self.swarm.now_us() >= due_at_us:
+                if self.event_loop.now_us() >= due_at_us:
                     return
-                yield self.swarm.now_us() + 50_000
+                yield self.event_loop.now_us() + 50_000
             runner.operate(Cover(section, tuple(range(units))))
-            yield self.swarm.now_us() + 100_000
+            yield self.event_loop.now_us() + 100_000
             runner.operate(Finish(section))
 
-        self.swarm.spawn(work())
+        self.event_loop.spawn(work())
 
     def end(self) -> None:
         """Close all buses and forget their channels. The fleet cannot be used afterwards."""
@@ -223,7 +227,7 @@ class SegmentFleet:
     @property
     def share(self) -> dict[int, tuple[float, float]]:
         """The load of each wire since `count_from_here`: (all frames, those of gateways)."""
-        span_for_us = self.swarm.now_us() - self._window_at_us
+        span_for_us = self.event_loop.now_us() - self._window_at_us
         bits = {k: (self.bits[k], self.bridged[k]) for k in self.segments}
         return {
             k: (a * BIT_US / span_for_us, b * BIT_US / span_for_us) for k, (a, b) in bits.items()
@@ -233,7 +237,7 @@ class SegmentFleet:
 
     def count_from_here(self) -> None:
         """Begin the counts of bits on the buses again, from now on."""
-        self._window_at_us = self.swarm.now_us()
+        self._window_at_us = self.event_loop.now_us()
         self.bits.clear()
         self.bridged.clear()
 
@@ -244,7 +248,7 @@ class SegmentFleet:
         others = len(self.segments) - 1
         return all(runner.peer.joining.joined for runner in self.runners.values()) and all(
             (lead := self.leader(k)) is not None
-            and len(lead.gateway.reach.reached(self.swarm.now_us())) == others
+            and len(lead.gateway.reach.reached(self.event_loop.now_us())) == others
             for k in self.segments
         )
 

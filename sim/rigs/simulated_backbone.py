@@ -17,8 +17,8 @@ URGENT = (BackboneKind.STOPS, BackboneKind.RESETS)
 class SimulatedBackbone:
     """Carries messages between gateways in virtual time, with the faults that are set."""
 
-    def __init__(self, swarm: EventLoop, seed: int | str) -> None:
-        self.swarm = swarm
+    def __init__(self, event_loop: EventLoop, seed: int | str) -> None:
+        self.event_loop = event_loop
         self.nodes: list[BackboneNode] = []
         self.deaf: set[tuple[int, int]] = set()  # (from segment, to segment): nothing arrives
         self.loss = self.duplicate = 0.0
@@ -59,10 +59,10 @@ class SimulatedBackbone:
         return rate > 0.0 and self._rng.random() < rate
 
     def _deliver(self, sender: "BackboneNode", node: "BackboneNode", message: Publish) -> None:
-        at_us = self.swarm.now_us() + self._rng.randint(*DELAY_US)
+        at_us = self.event_loop.now_us() + self._rng.randint(*DELAY_US)
         lane = id(sender), message.kind in URGENT
         at_us = node.last_at_us[lane] = max(at_us, node.last_at_us.get(lane, 0))
-        self.swarm.at(at_us, lambda: node.hear(message.data))
+        self.event_loop.at(at_us, lambda: node.hear(message.data))
 
 
 class BackboneNode:

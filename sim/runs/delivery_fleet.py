@@ -20,10 +20,10 @@ class DeliveryFleet(Cluster):
     ) -> None:
         super().__init__(setting, channel, record, host)
         self.place = setting
-        self.depot = WarehouseFloor(setting, self.world, host.now_us, self.is_up, self.propose)
-        self.truth, self.desk = self.depot.truth, self.depot.desk
+        self.floor = WarehouseFloor(setting, self.world, host.now_us, self.is_up, self.propose)
+        self.truth, self.desk = self.floor.truth, self.floor.desk
         self.missions: dict[int, DeliveryMission] = {}
-        self.segment.taps.append(self.depot.hear)
+        self.segment.taps.append(self.floor.hear)
 
     def parts(self, slot: int, now_us: int, recalled: Mapping[str, bytes]) -> MissionParts:
         parts = super().parts(slot, now_us, recalled)
@@ -44,7 +44,7 @@ class DeliveryFleet(Cluster):
 
     @property
     def finished(self) -> bool:
-        return self.depot.delivered and all(
+        return self.floor.delivered and all(
             robot.peer.allocation.phase_of(task) is Phase.DONE
             for robot in self.running
             for task in self.truth.dropoff

@@ -84,8 +84,8 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
         return DeliveryFleet(self.setting, channel, record, host)
 
     def scripts(self, cluster: DeliveryFleet, faults: Script[None]) -> list[Handle]:
-        cluster.host.spawn(cluster.depot.calls())  # these never end
-        events = cluster.depot.events()
+        cluster.host.spawn(cluster.floor.calls())  # these never end
+        events = cluster.floor.events()
         return super().scripts(cluster, faults) + [cluster.host.spawn(event) for event in events]
 
     def look(self, cluster: DeliveryFleet) -> None:

@@ -19,15 +19,15 @@ PGN_PF = {kind: GROUP_OF[kind].pgn >> 8 for kind in (Request, AddressClaimed)}
 @pytest.mark.parametrize(("robots", "seed"), [(6, 1), (40, 2)])
 def test_boot_is_a_few_frames_a_robot(robots: int, seed: int) -> None:
     async def main() -> tuple[bool, dict[int, int], set[object]]:
-        squad = ProtocolFleet(robots, seed)
+        fleet = ProtocolFleet(robots, seed)
         try:
-            working = await squad.until_working(20.0)
+            working = await fleet.until_working(20.0)
             await elapse(4.0)
-            assert not any(s.peer.safety.holds(StopCause.UNHEARD) for s in squad.runners)
-            leaders: set[object] = {s.peer.named.votes.election.leader for s in squad.runners}
-            return working, dict(squad.segment.wire.by_group), leaders
+            assert not any(s.peer.safety.holds(StopCause.UNHEARD) for s in fleet.runners)
+            leaders: set[object] = {s.peer.named.votes.election.leader for s in fleet.runners}
+            return working, dict(fleet.segment.wire.by_group), leaders
         finally:
-            await squad.close()
+            await fleet.close()
 
     working, by_group, leaders = run_virtual(main())
     assert working, f"seed {seed}"

@@ -64,9 +64,9 @@ def _drill(robots: int, seed: int, cpu_s: float) -> tuple[float, float, int]:
     from sim.fleet.simulated_fleet import Cluster
     from sim.scenarios.protocol_setup import ProtocolSetup, drill
 
-    swarm, setting = EventLoop(), ProtocolSetup(drill(robots, seed))
+    event_loop, setting = EventLoop(), ProtocolSetup(drill(robots, seed))
     witness = EffectObserver(robots)
-    cluster = Cluster(setting, f"speed {robots}/{seed}", witness, swarm)
+    cluster = Cluster(setting, f"speed {robots}/{seed}", witness, event_loop)
     checker = setting.parade.checker()
     spent: list[float] = []
 
@@ -74,15 +74,15 @@ def _drill(robots: int, seed: int, cpu_s: float) -> tuple[float, float, int]:
         cluster.boot_all()
         yield round(SETTLED_S * 1e6)
         begun_s = time.process_time()
-        while swarm.now_us() < WORKS_S * 1e6 and time.process_time() - begun_s < cpu_s:
-            yield swarm.now_us() + SLICE_US
+        while event_loop.now_us() < WORKS_S * 1e6 and time.process_time() - begun_s < cpu_s:
+            yield event_loop.now_us() + SLICE_US
         spent.append(time.process_time() - begun_s)
 
-    swarm.run(main())
+    event_loop.run(main())
     frames = cluster.segment.wire.frames
     cluster.end()
     assert not checker.violations and not witness.broken
-    return swarm.now_us() / 1e6 - SETTLED_S, spent[0], frames
+    return event_loop.now_us() / 1e6 - SETTLED_S, spent[0], frames
 
 
 if __name__ == "__main__":

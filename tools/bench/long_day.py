@@ -41,9 +41,8 @@ WARM_UP_S: Final = (
 # In a day. A season may cost a robot 100 MB; one file a day that is never closed is too many.
 MEMORY_MB, JOURNAL_MB, FILES = 1.0 * ROBOTS, 1.0 * ROBOTS, 0
 WAL: Final = "-wal"
-WAL_MAX_MB: Final = (
-    4.2 * ROBOTS
-)  # sqlite writes its log back at 1,000 pages of 4 KiB, and uses it again
+# SQLite writes its log back at 1,000 pages of 4 KiB, and uses it again.
+WAL_MAX_MB: Final = 4.2 * ROBOTS
 LINEAR: Final = 0.5  # of the larger slope: what those of the two halves may differ by
 
 
@@ -82,9 +81,9 @@ def samples(
                 TimedMission(self.parade, slot, unit_for_us=unit_for_us), PassThroughMotion()
             )
 
-    swarm, setting = EventLoop(), LongWork(drill(ROBOTS, seed))
+    event_loop, setting = EventLoop(), LongWork(drill(ROBOTS, seed))
     observer = EffectObserver(ROBOTS)
-    cluster = Cluster(setting, f"day {seed}", observer, swarm)
+    cluster = Cluster(setting, f"day {seed}", observer, event_loop)
     journals = [SqliteJournal.opened(folder / f"robot{slot}.sqlite")[0] for slot in range(ROBOTS)]
     cluster.journals.update(enumerate(journals))
     checker = setting.parade.checker()
@@ -106,7 +105,7 @@ def samples(
 
     try:
         with patient():
-            swarm.run(main())
+            event_loop.run(main())
             cluster.end()
     finally:
         for journal in journals:

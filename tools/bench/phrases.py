@@ -250,8 +250,8 @@ def _speaking(robots: int, seed: int) -> Iterator[Figure]:
 
 async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
     """Milliseconds to the last zero command; robots that confirmed; robots that answered alike."""
-    squad, loop = ProtocolFleet(robots, seed), asyncio.get_running_loop()
-    bus = CanBus(FieldBus(squad.channel))
+    fleet, loop = ProtocolFleet(robots, seed), asyncio.get_running_loop()
+    bus = CanBus(FieldBus(fleet.channel))
     places = Places({})
 
     async def words(phrase: str) -> tuple[tuple[AnyIntent, ...] | Question, bool]:
@@ -265,7 +265,7 @@ async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
             bus, None, places, GoalQueue(Path(folder) / "queue.json"), words, no
         )
         try:
-            assert await squad.until_working()
+            assert await fleet.until_working()
             answers = []
             for slot in range(robots):
                 speaker.by = str(slot)
@@ -275,12 +275,12 @@ async def _spoken(robots: int, seed: int) -> tuple[float, int, int]:
             begun_us = round(loop.time() * 1e6)
             told = await speaker.say("stop")
             assert told.stopped is not None
-            last_us = max(body.moved_until_us(ACTUATOR_TTL_US) for body in squad.bodies)
+            last_us = max(body.moved_until_us(ACTUATOR_TTL_US) for body in fleet.bodies)
             alike = max(map(answers.count, answers), default=0)
             return (last_us - begun_us) / 1e3, len(told.stopped), alike
         finally:
             bus.close()
-            await squad.close()
+            await fleet.close()
 
 
 def _why(seed: int) -> Iterator[Figure]:
@@ -353,14 +353,14 @@ def _screen(robots: int, seed: int) -> Iterator[Figure]:
 
 
 async def _heard(robots: int, seed: int) -> list[tuple[int, Frame]]:
-    squad, frames = ProtocolFleet(robots, seed), list[tuple[int, Frame]]()
-    squad.segment.taps.append(lambda t_us, frame: frames.append((t_us, frame)))
+    fleet, frames = ProtocolFleet(robots, seed), list[tuple[int, Frame]]()
+    fleet.segment.taps.append(lambda t_us, frame: frames.append((t_us, frame)))
     try:
-        await squad.until_working()
+        await fleet.until_working()
         await elapse(20.0)
         return frames
     finally:
-        await squad.close()
+        await fleet.close()
 
 
 async def _shown(frames: Sequence[tuple[int, Frame]]) -> tuple[float, int]:

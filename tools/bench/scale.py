@@ -98,14 +98,14 @@ def order(
     before, begun_s = _resident(), time.process_time()
     fleet = SegmentFleet(segments, robots, seed)
     assert fleet.run(LIMIT_US, lambda: fleet.joined), "segments that never met"
-    booted_us = fleet.swarm.now_us()
+    booted_us = fleet.event_loop.now_us()
     fleet.run(settle_us)
     fleet.count_from_here()
     _load(fleet, Random(f"{seed}/load"), span_us)
     shares = list(fleet.share.values())
     fleet.halted_at_us.clear()
     presser = fleet.runners[1, 0]
-    pressed_us = fleet.swarm.now_us()
+    pressed_us = fleet.event_loop.now_us()
     presser.operate(Press(Reason.PERSON_IN_FIELD))
     everybody = len(fleet.runners)
     heard = fleet.run(S, lambda: len(fleet.halted_at_us) == everybody)
@@ -116,7 +116,7 @@ def order(
         "peers": everybody, "bus": max(a for a, _ in shares),
         "bridged": max(b for _, b in shares), "memory_kb": grown / everybody / 1024,
         "joined_s": booted_us / S, "stopped_ms": stopped_us / 1e3,
-        "backbone_kb_s": fleet.backbone.bytes / segments / (fleet.swarm.now_us() / S) / 1024,
+        "backbone_kb_s": fleet.backbone.bytes / segments / (fleet.event_loop.now_us() / S) / 1024,
         "cpu_s": time.process_time() - begun_s,
     }  # fmt: skip
     fleet.end()
@@ -125,15 +125,15 @@ def order(
 
 def _load(fleet: SegmentFleet, rng: Random, span_us: int) -> None:
     """Every robot works a section now and then, of those of its area, borders included."""
-    end_us = fleet.swarm.now_us() + span_us
+    end_us = fleet.event_loop.now_us() + span_us
     free = {k: list(range(fleet.areas[k].home)) for k in fleet.segments}
     step_us = OPERATION_US // fleet.robots
-    while fleet.swarm.now_us() < end_us:
+    while fleet.event_loop.now_us() < end_us:
         for number in fleet.segments:
             if free[number]:
                 section = free[number].pop(rng.randrange(len(free[number])))
                 fleet.finish(number, rng.randrange(fleet.robots), section)
-        fleet.run(min(step_us, end_us - fleet.swarm.now_us()))
+        fleet.run(min(step_us, end_us - fleet.event_loop.now_us()))
 
 
 def _resident() -> int:
@@ -183,9 +183,9 @@ def heal(operations: int, seed: int) -> Iterator[Figure]:
     fleet.run(3 * S)
     done = {k: _done(fleet, k) for k in (1, 2)}
     fleet.backbone.heal()
-    healed_us = fleet.swarm.now_us()
+    healed_us = fleet.event_loop.now_us()
     fleet.run(LIMIT_US, lambda: fleet.borders_equal)
-    took_s = (fleet.swarm.now_us() - healed_us) / S
+    took_s = (fleet.event_loop.now_us() - healed_us) / S
     fleet.run(S)
     lost = sum(len(done[k] - _done(fleet, k)) for k in (1, 2))
     there = sum(

@@ -99,29 +99,29 @@ def silence(robots: int, rounds: int, seed: int) -> Figure:
 
 async def _silence(robots: int, kind: str, seed: str) -> int:
     """Microseconds from the event until no robot's command to move is in force."""
-    rng, squad = Random(seed), ProtocolFleet(robots, hash_free(seed))
+    rng, fleet = Random(seed), ProtocolFleet(robots, hash_free(seed))
     try:
-        assert await squad.until_working(), "a drill that does not begin shows nothing"
+        assert await fleet.until_working(), "a drill that does not begin shows nothing"
         await asyncio.sleep(rng.uniform(0.5, 1.5))
         loop = asyncio.get_running_loop()
         at_us, victim = round(loop.time() * 1e6), rng.randrange(robots)
-        runner = squad.runners[victim]
-        nodes = [squad.node_of(slot) for slot in range(robots)]
+        runner = fleet.runners[victim]
+        nodes = [fleet.node_of(slot) for slot in range(robots)]
         match kind:
             case "cut":
                 half = set(rng.sample(nodes, robots // 2))
-                squad.segment.wire.partition(half, set(nodes) - half)
+                fleet.segment.wire.partition(half, set(nodes) - half)
             case "kill":
-                squad.tasks[victim].cancel()
+                fleet.tasks[victim].cancel()
                 runner.bus.close()
             case "freeze":
                 runner.freeze(3.0)
             case "bus-off":
-                squad.segment.wire.bus_off(nodes[victim], at_us + 3 * S)
+                fleet.segment.wire.bus_off(nodes[victim], at_us + 3 * S)
         await asyncio.sleep(2 * beat_of(robots).silence_for_us / S)
-        return max(body.moved_until_us(ACTUATOR_TTL_US) for body in squad.bodies) - at_us
+        return max(body.moved_until_us(ACTUATOR_TTL_US) for body in fleet.bodies) - at_us
     finally:
-        await squad.close()
+        await fleet.close()
 
 
 def hash_free(text: str) -> int:

@@ -62,15 +62,15 @@ def load(robots: int, target: float, seed: int, seconds: float) -> Figure:
 
 
 async def _load(robots: int, seed: int, seconds: float) -> tuple[float, bool]:
-    squad = ProtocolFleet(robots, seed)
+    fleet = ProtocolFleet(robots, seed)
     try:
-        working = await squad.until_working()
-        before_us = squad.segment.wire.worst_for_us
+        working = await fleet.until_working()
+        before_us = fleet.segment.wire.worst_for_us
         await asyncio.sleep(seconds)
-        working &= all(s.peer.state.name in ("WORKING", "IDLE") for s in squad.runners)
-        return (squad.segment.wire.worst_for_us - before_us) / (seconds * 1e6), working
+        working &= all(s.peer.state.name in ("WORKING", "IDLE") for s in fleet.runners)
+        return (fleet.segment.wire.worst_for_us - before_us) / (seconds * 1e6), working
     finally:
-        await squad.close()
+        await fleet.close()
 
 
 # -------------------------------------------------------------------- deliveries

@@ -36,7 +36,7 @@ class _Desk:
 class HaulLaunch(Launch):
     """A launch whose world has parcels and chargers, and which takes orders until a person ends it."""
 
-    depot: WarehouseFloor
+    floor: WarehouseFloor
     endless = True
 
     def _furnish(self, bodies: BodyServer, bus: LaunchBus) -> list["asyncio.Task[None]"]:
@@ -51,15 +51,15 @@ class HaulLaunch(Launch):
 
         bus.taps.append(lambda t_us, frame: desk.hear(loop.time(), frame))
         if self.world_began_us:
-            self.depot.recall(self.world_began_us)
-        self.depot.now_us, self.depot.say = bodies.now_us, say
-        bus.taps.append(lambda t_us, frame: self.depot.hear(bodies.now_us(), frame))
+            self.floor.recall(self.world_began_us)
+        self.floor.now_us, self.floor.say = bodies.now_us, say
+        bus.taps.append(lambda t_us, frame: self.floor.hear(bodies.now_us(), frame))
         carriers = {
-            slot: CarrierBody(self.world.body(slot), slot, self.depot.truth, bodies.now_us)
+            slot: CarrierBody(self.world.body(slot), slot, self.floor.truth, bodies.now_us)
             for slot in self.world.robots
         }
         bodies.body = carriers.__getitem__
-        scripts = [self.depot.calls(), *self.depot.events()]
+        scripts = [self.floor.calls(), *self.floor.events()]
         return [asyncio.create_task(follow(script, bodies.zero_at_us)) for script in scripts]
 
     def _proofs(self) -> FileProofs | None:
@@ -80,8 +80,8 @@ class HaulLaunch(Launch):
         def unsaid(message: Message) -> None:
             """Nobody orders before the bus is there."""
 
-        self.depot = WarehouseFloor(self.setting, self.world, lambda: 0, self._is_up, unsaid)
-        return self.depot.truth
+        self.floor = WarehouseFloor(self.setting, self.world, lambda: 0, self._is_up, unsaid)
+        return self.floor.truth
 
     def _is_up(self, slot: int) -> bool:
         process = self.processes.get(slot)
@@ -90,13 +90,13 @@ class HaulLaunch(Launch):
     @property
     def flawed(self) -> bool:
         """Whether a parcel was mishandled, a battery ran empty, or a body touched something."""
-        truth = self.depot.truth
+        truth = self.floor.truth
         return bool(self.world.contacts or truth.empty or any(truth.flaws.values()))
 
     def _progress(self) -> tuple[int, int, str]:
         """Parcels, as they lie; those of the scenario that have not come yet count as well."""
-        truth = self.depot.truth
-        to_do = max(len(truth.dropoff), len(self.depot.setting.rows))
+        truth = self.floor.truth
+        to_do = max(len(truth.dropoff), len(self.floor.setting.rows))
         return len(truth.delivered_at_us), to_do, "parcels"
 
     def _places(self) -> str:
@@ -105,7 +105,7 @@ class HaulLaunch(Launch):
         return Places.write({**bays, **self.setting.scenario.places}, {})
 
     def _report(self, elapsed_s: float, finished: bool) -> None:
-        truth, allocation = self.depot.truth, self.inspector.allocation
+        truth, allocation = self.floor.truth, self.inspector.allocation
         known = all(allocation.phase_of(task) is Phase.DONE for task in truth.dropoff)
         charges = sum(
             section >= TASKS_MAX and allocation.phase_of(section) is Phase.DONE

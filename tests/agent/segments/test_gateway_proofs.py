@@ -215,7 +215,7 @@ def test_a_gateway_with_the_keys_of_before_a_rotation_is_not_believed(fleet: Seg
     for number in fleet.segments:
         for runner in fleet.gateways[number]:
             assert runner.gateway.proofs is not None
-            runner.gateway.proofs.rekey(OTHER, fleet.swarm.now_us())
+            runner.gateway.proofs.rekey(OTHER, fleet.event_loop.now_us())
     far = work_of(fleet, 2)
     fleet.finish(1, 0, LENT)
     fleet.run(10 * S)
@@ -224,5 +224,5 @@ def test_a_gateway_with_the_keys_of_before_a_rotation_is_not_believed(fleet: Seg
     for number in fleet.segments:  # its file is read again
         for runner in fleet.gateways[number]:
             assert runner.gateway.proofs is not None
-            runner.gateway.proofs.rekey(Keys(KEYS.master, None), fleet.swarm.now_us())
+            runner.gateway.proofs.rekey(Keys(KEYS.master, None), fleet.event_loop.now_us())
     assert fleet.run(15 * S, lambda: all_know_done(fleet, LENT)), f"seed {SEED}"

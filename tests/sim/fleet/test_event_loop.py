@@ -39,13 +39,13 @@ TROUBLE: list[Fault] = [
 LIMIT_S = 68.0
 
 
-def play(robots: int, seed: int, faults: list[Fault], swarm: bool) -> FieldOutcome:
+def play(robots: int, seed: int, faults: list[Fault], event_loop: bool) -> FieldOutcome:
     """Until all that goes wrong has gone wrong, and is over for a while."""
     plain = load("small").changed(robots, seed)
     run = plain.run.model_copy(update={"time_limit_s": LIMIT_S})
     scenario = plain.model_copy(update={"fault": faults, "run": run})
     expedition = FieldRun(FieldSetup(scenario))
-    return expedition.run() if swarm else run_virtual(expedition.live())
+    return expedition.run() if event_loop else run_virtual(expedition.live())
 
 
 @pytest.mark.slow
@@ -59,18 +59,18 @@ def test_both_loops_give_the_same_trace_hash(robots: int, seed: int, faults: lis
 
 
 def test_timers_of_one_instant_fire_in_the_order_they_were_set() -> None:
-    swarm, seen = EventLoop(), list[str]()
+    event_loop, seen = EventLoop(), list[str]()
 
     def main() -> Script[int]:
-        swarm.at(5, lambda: seen.append("first"))
-        swarm.at(5, lambda: seen.append("second"))
-        cancelled = swarm.at(4, lambda: seen.append("never"))
+        event_loop.at(5, lambda: seen.append("first"))
+        event_loop.at(5, lambda: seen.append("second"))
+        cancelled = event_loop.at(4, lambda: seen.append("never"))
         cancelled.cancel()
-        swarm.at(3, lambda: swarm.soon(lambda: seen.append("soon")))
+        event_loop.at(3, lambda: event_loop.soon(lambda: seen.append("soon")))
         yield 10
-        return swarm.now_us()
+        return event_loop.now_us()
 
-    assert swarm.run(main()) == 10
+    assert event_loop.run(main()) == 10
     assert seen == ["soon", "first", "second"]
 
 
@@ -86,14 +86,14 @@ def test_a_clock_that_runs_fast_reaches_every_deadline() -> None:
 
 def test_a_run_in_which_time_stands_still_ends() -> None:
     """Who asks to be woken and does not do what it was woken for."""
-    swarm = EventLoop()
+    event_loop = EventLoop()
 
     def again() -> None:
-        swarm.at(swarm.now_us(), again)
+        event_loop.at(event_loop.now_us(), again)
 
     def main() -> Script[None]:
-        swarm.at(5, again)
+        event_loop.at(5, again)
         yield 10
 
     with pytest.raises(AssertionError, match="time stands still at 5 us"):
-        swarm.run(main())
+        event_loop.run(main())

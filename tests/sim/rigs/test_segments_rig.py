@@ -1,4 +1,4 @@
-"""Several segments in one swarm: stops, cuts, gateways that die, borders, forged messages."""
+"""Several segments in one event loop: stops, cuts, gateways that die, borders, forged messages."""
 
 from collections.abc import Iterator
 from random import Random
@@ -51,10 +51,10 @@ def all_latched(fleet: SegmentFleet, *numbers: int) -> bool:
 
 
 def test_a_stop_pressed_anywhere_stops_everyone_everywhere(fleet: SegmentFleet) -> None:
-    at_us = fleet.swarm.now_us()
+    at_us = fleet.event_loop.now_us()
     press(fleet, 2)
     assert fleet.run(60_000, lambda: all_latched(fleet)), f"seed {SEED}"
-    assert fleet.swarm.now_us() - at_us <= 60_000
+    assert fleet.event_loop.now_us() - at_us <= 60_000
     fleet.count_from_here()
     fleet.run(3 * S)
     assert max(ours for _, ours in fleet.share.values()) < 0.05, "no echo goes round"
@@ -79,7 +79,7 @@ def test_an_operator_clears_what_was_pressed_elsewhere(fleet: SegmentFleet) -> N
     assert fleet.run(S, lambda: all_latched(fleet))
     bus = CanBus(can.Bus(interface="fieldbus", channel=fleet.channel(3)))
     operator = Operator(bus, None)
-    bus.subscribe(lambda frame: operator.hear(fleet.swarm.now_us() / 1e6, frame))
+    bus.subscribe(lambda frame: operator.hear(fleet.event_loop.now_us() / 1e6, frame))
     operator.ask_stops()
     assert fleet.run(S, lambda: bool(operator.shown.far)), f"seed {SEED}"
     for far in operator.shown.far:
@@ -121,7 +121,7 @@ def test_a_link_that_carries_one_way_is_known_and_still_carries_stops(fleet: Seg
     fleet.run(4 * S)
     leader = fleet.leader(1)
     assert leader is not None
-    now_us = fleet.swarm.now_us()
+    now_us = fleet.event_loop.now_us()
     assert set(leader.gateway.reach.heard(now_us)) == {2, 3}
     assert leader.gateway.reach.reached(now_us) == []
     assert all(remote_segments_of(peer).alone for peer in fleet.peers(1)), f"seed {SEED}"
@@ -199,7 +199,7 @@ def test_duplicates_and_loss_on_the_backbone_change_nothing(fleet: SegmentFleet)
     for k in range(5):
         fleet.finish(1, k % 3, 35 + k)
     fleet.count_from_here()
-    assert fleet.run(15 * S, lambda: fleet.borders_equal and fleet.swarm.now_us() > 12 * S)
+    assert fleet.run(15 * S, lambda: fleet.borders_equal and fleet.event_loop.now_us() > 12 * S)
     assert max(ours for _, ours in fleet.share.values()) < 0.10, f"seed {SEED}"
     press(fleet, 2)
     assert fleet.run(5 * S, lambda: all_latched(fleet))
@@ -327,8 +327,8 @@ def clear_here(fleet: SegmentFleet, dot: tuple[int, int, int, int], number: int)
 
 def hold_button(fleet: SegmentFleet, bus: CanBus, for_us: int) -> None:
     """A press, said each 10 ms."""
-    end_us = fleet.swarm.now_us() + for_us
-    while fleet.swarm.now_us() < end_us:
+    end_us = fleet.event_loop.now_us() + for_us
+    while fleet.event_loop.now_us() < end_us:
         bus.send(encode(EmergencyStop(*PANEL_DOT, Reason.PERSON_IN_FIELD), PANEL, 255))
         fleet.run(10_000)
 

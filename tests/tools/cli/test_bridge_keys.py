@@ -59,10 +59,10 @@ def test_a_gateway_with_new_keys_does_not_bring_back_what_a_revoked_robot_said()
     fleet.runners[1, thief].operate(Leave())
     fleet.run(S)
     for peer in others:  # what they do at the switch
-        peer.named.state_sync.sync.void(thief, None, fleet.swarm.now_us())
-        peer.membership.revoke(thief, fleet.swarm.now_us())
+        peer.named.state_sync.sync.void(thief, None, fleet.event_loop.now_us())
+        peer.membership.revoke(thief, fleet.event_loop.now_us())
     for runner in fleet.gateways[1]:
-        runner.gateway.rekey(Keys(keys.master, None), fleet.swarm.now_us())
+        runner.gateway.rekey(Keys(keys.master, None), fleet.event_loop.now_us())
     fleet.run(2 * S)
     fleet.runners[1, 0].operate(ClaimSection(section, 3))
     fleet.run(3 * S)

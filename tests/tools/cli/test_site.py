@@ -150,20 +150,20 @@ def test_the_mission_of_the_page_is_done(seed: int) -> None:
 
 def test_a_dead_robot_s_post_is_taken_over() -> None:
     example = runpy.run_path(str(ROOT / "examples" / "soil_samples.py"))
-    cluster_type, swarm_type = example["Cluster"], example["EventLoop"]
-    swarm = swarm_type()
+    cluster_type, event_loop_type = example["Cluster"], example["EventLoop"]
+    event_loop = event_loop_type()
     setting = example["SoilSetting"](example["load"]("small").changed(3, 1))
-    cluster = cluster_type(setting, "soil, a death", None, swarm)
+    cluster = cluster_type(setting, "soil, a death", None, event_loop)
 
     def play() -> Script[None]:
         cluster.boot_all()
         yield 4 * S
         cluster.kill(1)
-        while not cluster.finished and swarm.now_us() < 300 * S:
-            yield swarm.now_us() + S
+        while not cluster.finished and event_loop.now_us() < 300 * S:
+            yield event_loop.now_us() + S
             cluster.check()
 
-    swarm.run(play())
+    event_loop.run(play())
     cluster.end()
     allocation = cluster.robots[0].peer.allocation
     phases = [allocation.phase_of(k) for k in range(len(setting.posts))]

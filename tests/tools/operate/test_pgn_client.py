@@ -17,13 +17,13 @@ from tools.operate.pgn_client import ARRIVED_MAX, PgnClient
 
 def test_a_robot_tells_its_name_and_its_newest_traces() -> None:
     async def main() -> tuple[str | None, str | None, str | None]:
-        squad = ProtocolFleet(3, 1)
-        bus = CanBus(FieldBus(squad.channel))
+        fleet = ProtocolFleet(3, 1)
+        bus = CanBus(FieldBus(fleet.channel))
         asker, loop = PgnClient(bus), asyncio.get_running_loop()
         bus.subscribe(lambda frame: asker.hear(loop.time(), frame))
         try:
-            await squad.until_working()
-            address = squad.runners[1].peer.address
+            await fleet.until_working()
+            address = fleet.runners[1].peer.address
             assert address is not None
             name = await asker.ask(COMPONENT_PGN, address, 5.0)
             traces = await asker.ask(LOG_PGN, address, 5.0)
@@ -31,7 +31,7 @@ def test_a_robot_tells_its_name_and_its_newest_traces() -> None:
             return name, traces, nobody
         finally:
             bus.close()
-            await squad.close()
+            await fleet.close()
 
     name, traces, nobody = run_virtual(main())
     assert name is not None and name.startswith("Headland*peer*") and "robot 1" in name
