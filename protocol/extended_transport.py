@@ -288,9 +288,8 @@ class ExtendedTransport:
             self.counts["unexpected data"] += 1
             return [], None
         number = session.offset + m.sequence
-        if (
-            number == session.expected
-        ):  # others gain no time: a sender could hold the session for ever
+        if number == session.expected:
+            # Others gain no time: a sender could hold the session for ever.
             session.due_at_us = now_us + T1_US
             session.data += m.body
             session.retries = 0

@@ -30,9 +30,8 @@ from protocol.units import MS, S
 
 MAINTENANCE_US: Final = 1 * S  # between two working set maintenance messages
 TERMINAL_SILENT_US: Final = 3 * S  # without a status the terminal is gone
-TERMINAL_ANSWER_US: Final = (
-    1500 * MS
-)  # for one answer; the standard's T2 of the transport is 1,250 ms
+# For one answer; the standard's T2 of the transport is 1,250 ms.
+TERMINAL_ANSWER_US: Final = 1500 * MS
 TERMINAL_UPLOAD_US: Final = 10 * S  # until the end of a pool is answered
 CHANGE_GAP_US: Final = 150 * MS  # between two changes: a text takes eight frames
 PROBE_US: Final = 800 * MS  # a number is said again: a terminal that was restarted does not answer

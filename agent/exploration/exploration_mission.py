@@ -294,9 +294,8 @@ class ExplorationMission(Mission):
         self._choose_at_us = 0
 
     def begin(self, section: int, view: FleetView) -> None:
-        if (
-            self.task is None or self.task.section != section
-        ):  # the section was kept over a restart or a stop
+        if self.task is None or self.task.section != section:
+            # The section was kept over a restart or a stop.
             self._resume(section, view)
         assert self.task is not None
         self.task = self.task._replace(status=Status.ACTIVE)

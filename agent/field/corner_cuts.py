@@ -152,9 +152,8 @@ def _swung_out(a: XY, b: XY, c: XY, reach_m: float, room: BaseGeometry | None) -
     before = b[0] - way_m * cos(into), b[1] - way_m * sin(into)
     after = b[0] + way_m * cos(onward), b[1] + way_m * sin(onward)
     aside = into + turn_rad / 2 - copysign(pi / 2, turn_rad)  # away from the inside of the corner
-    out_m = (
-        BEND_HALF_M / 2 * sin(abs(turn_rad) / 2) + PAST_M
-    )  # rounding takes the first summand off
+    # Rounding takes the first summand off.
+    out_m = BEND_HALF_M / 2 * sin(abs(turn_rad) / 2) + PAST_M
     out = b[0] + out_m * cos(aside), b[1] + out_m * sin(aside)
     way = smooth_way([a, before, out, after, c], BEND_HALF_M)
     return [before, out, after] if room.contains(LineString(way[:, :2])) else []

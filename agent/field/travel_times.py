@@ -61,9 +61,8 @@ class TravelTimes:
         self.speed_m_s, self.corners = speed_m_s, tuple(corners)
         self.acceleration_m_s2, self.deceleration_m_s2 = acceleration_m_s2, deceleration_m_s2
         self._leads: dict[Point, Whole] = {}  # of the newest places (`lead_for_ms`)
-        self.plans: dict[
-            bytes, Solution
-        ] = {}  # of the newest problems (`agent/field/fleet_plan.py`)
+        # Of the newest problems (`agent/field/fleet_plan.py`).
+        self.plans: dict[bytes, Solution] = {}
         # What follows from these, once it was needed. Not `cached_property`: a compiled one computes
         # its value at each look.
         self._kept_ends: Floats | None = None

@@ -19,9 +19,8 @@ assert PEERS_MAX <= OPERATOR_SLOT_FIRST
 ACTUATOR_TTL_US: Final = 100 * MS  # a drive command is void after two missed control periods
 CONTROL_PERIOD_US: Final = 50 * MS  # sense, decide, drive
 assert ACTUATOR_TTL_US >= 2 * CONTROL_PERIOD_US
-IMPLEMENT_FOLLOWS_US: Final = (
-    300 * MS
-)  # after a command a sound implement is down, and is sensed so
+# After a command a sound implement is down, and is sensed so.
+IMPLEMENT_FOLLOWS_US: Final = 300 * MS
 # Of a scan of range sensors: five missed ones of 10 Hz. The slowest common sensors make five a second.
 # A robot at 2.5 m/s drives 1.25 m meanwhile, half of what it looks ahead.
 SCAN_AGE_MAX_US: Final = 500 * MS

@@ -203,9 +203,8 @@ class NavigationMission(Mission):
         }
         around = list(self._around.values())
         reach_m = self.replanning.horizon_m + self.floor.radius_m
-        if (
-            state is State.DISCONNECTED
-        ):  # without a fleet, the echo of a robot would count as an obstacle
+        if state is State.DISCONNECTED:
+            # Without a fleet, the echo of a robot would count as an obstacle.
             self._alone_at_us = view.now_us
         if view.now_us - self._alone_at_us > ACQUAINTED_US:
             # Rays from a place that is not believed would put obstacles where there are none.

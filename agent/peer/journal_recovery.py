@@ -72,9 +72,8 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     SCANS_KEY: lambda raw: raw == SCANNED,
     DIRECTIVE_KEY: lambda raw: raw in (WORKS, SENT),
 }
-_FAMILIES: Mapping[
-    str, tuple[tuple[int, ...], tuple[int, ...]]
-] = {  # greatest numbers in the key; bytes
+# Greatest numbers in the key; bytes.
+_FAMILIES: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {
     REGISTER: ((SECTION_MAX,), (U64.size,)),
     PROGRESS: ((SECTION_MAX, BLOCK_MAX), (U64.size, BLOCK.size)),
     MAP: ((PATCH_MAX,), (PATCH_BYTES,)),

@@ -34,16 +34,14 @@ class SenderLimits:
     """Counts what each robot says, and names those that say too much."""
 
     def __init__(self, now_us: int) -> None:
-        self.found: Counter[tuple[int, str]] = (
-            Counter()
-        )  # slot and matter -> how often it was too much
+        # Slot and matter -> how often it was too much.
+        self.found: Counter[tuple[int, str]] = Counter()
         self._counts_at_us = now_us + LEARNING_US
         self._units: dict[int, tuple[float, int]] = {}  # slot -> units left, at what time
         self._stops: dict[int, tuple[float, int]] = {}
         self._foreign: dict[int, tuple[float, int]] = {}
-        self._appeared_at_us: dict[
-            int, int
-        ] = {}  # members that came onto the bus in the last minute
+        # Members that came onto the bus in the last minute.
+        self._appeared_at_us: dict[int, int] = {}
         self._told_at_us: dict[tuple[int, str], int] = {}
 
     def learn(self, now_us: int) -> None:

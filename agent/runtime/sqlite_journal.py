@@ -290,9 +290,8 @@ def _parts_of(path: Path) -> Iterator[Path]:
         journals.append(aside)
         number += 1
     for journal in journals:
-        if (
-            journal is path or not journal.is_symlink()
-        ):  # behind a link may be a file of something else
+        if journal is path or not journal.is_symlink():
+            # Behind a link may be a file of something else.
             yield from (journal.with_name(journal.name + suffix) for suffix in SUFFIXES)
 
 

@@ -100,9 +100,8 @@ class Gateway:
         self.counts: Counter[str] = Counter()
         self._limit = TokenBucket(SHARE, BURST_US, now_us)
         self._slot_of: dict[int, int] = {}  # address -> slot, from MEMBER frames
-        self._name_at: dict[
-            int, int
-        ] = {}  # address -> the NAME that claimed it, in a fleet with keys
+        # Address -> the NAME that claimed it, in a fleet with keys.
+        self._name_at: dict[int, int] = {}
         self._heard_at_us: dict[int, int] = {}  # slot -> last sign of life
         self._live: frozenset[int] = frozenset()
         self._look_at_us = self._flush_at_us = self._summary_at_us = self._rotate_at_us = now_us
@@ -180,9 +179,8 @@ class Gateway:
         if isinstance(message, AddressClaimed):
             self.origins.claimed(source, message.name)
             if self.proofs is not None and self._name_at.get(source) != message.name:
-                self._name_at[source] = (
-                    message.name
-                )  # another device: its slot is to be proven again
+                # Another device: its slot is to be proven again.
+                self._name_at[source] = message.name
                 self._slot_of.pop(source, None)
                 self.proofs.checker.forget(source)
             return ()

@@ -45,9 +45,8 @@ class EffectObserver(Recorder):
             message = effect.message
             generation = self.words.speakers[slot].generation
             self.words.said(slot, now_us, message)
-            if (
-                self.words.speakers[slot].generation > generation
-            ):  # what it heard of a thief is void
+            if self.words.speakers[slot].generation > generation:
+                # What it heard of a thief is void.
                 self.told[slot] = [m for m in self.told[slot] if not isinstance(m, WORK)]
             if isinstance(message, Pose):
                 self.released.discard(slot)

@@ -214,9 +214,8 @@ def draw(seed: int, profile: str = "all") -> Scenario:
     if kind.mission == "field":
         faults += sensor_faults(seed, profile, robots, span, faults)
     thefts = [f for f in faults if isinstance(f, kinds.Forger) and f.position == "inside"]
-    if (
-        thefts
-    ):  # a robot is stolen once: later ones do nothing, and no frame is lost at the revocation
+    if thefts:
+        # A robot is stolen once: later ones do nothing, and no frame is lost at the revocation.
         first = min(thefts, key=lambda theft: theft.at_s)
         faults += before_revocation(Random(f"{seed}/theft/{profile}"), first, robots)
     if attacked:

@@ -71,9 +71,8 @@ class StopMonitor:
         self.cleared_at_us = 0  # when an operator last cleared stops
         self._unsaid: set[int] = set()  # presses of robots that had no address to send them from
         self._unsent: set[int] = set()  # presses whose stop frame has not been on the wire
-        self._first_press: dict[
-            int, int
-        ] = {}  # pressed robot -> the press that its last ones repeat
+        # Pressed robot -> the press that its last ones repeat.
+        self._first_press: dict[int, int] = {}
 
     @property
     def violations(self) -> list[Violation]:

@@ -52,13 +52,11 @@ def play(
             port = await said(process, r"socketcand \S+:(\d+)")
             if before is not None:
                 await before(process)
-            scenario = (
-                ("--scenario", "yard.toml") if words[0] == "launch" else ()
-            )  # `--out` is not the newest launch
+            # `--out` is not the newest launch.
+            scenario = ("--scenario", "yard.toml") if words[0] == "launch" else ()
             add = ("task", "add", "--file", "more.csv", *scenario, "--json")
-            own = (
-                ("--keys", "out/keys") if words[0] == "launch" else ()
-            )  # `--out` is not the newest launch
+            # `--out` is not the newest launch.
+            own = ("--keys", "out/keys") if words[0] == "launch" else ()
             code, text = await call(folder, *add, *own, "--port", port)
             print(text)
             await delivered(int(port), 2)

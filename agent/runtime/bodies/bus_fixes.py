@@ -36,9 +36,8 @@ class FastPackets:
     """Puts together the fast packets of NMEA 2000 from one sender, one PGN at a time."""
 
     def __init__(self) -> None:
-        self._parts: dict[
-            int, tuple[int, int, bytearray]
-        ] = {}  # PGN: counter, length, bytes so far
+        # PGN: counter, length, bytes so far.
+        self._parts: dict[int, tuple[int, int, bytearray]] = {}
         self._next: dict[int, int] = {}  # PGN: number of the next frame
 
     def take(self, pgn: int, data: bytes) -> bytes | None:

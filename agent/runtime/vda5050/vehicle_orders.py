@@ -149,9 +149,8 @@ class VehicleOrders:
         self.parameters = [ActionParameter(key=k, value=v) for k, v in parameters.items()]
         self.vehicle: Vehicle | None = None  # as the fleet declares it
         self.load = NOTHING_ABOARD
-        self.dropped: dict[
-            int, tuple[float, float]
-        ] = {}  # parcels that we have put down, and where
+        # Parcels that we have put down, and where.
+        self.dropped: dict[int, tuple[float, float]] = {}
         self.machine = StateMachine("order of a vehicle", ORDER_TABLE, OrderPhase.FREE)
         self._sent: _Sent | None = None
         self._count = 0

@@ -50,9 +50,8 @@ MESSAGE = struct.Struct("<BIQ")  # opcode, subscription, nanoseconds
 BEAT = Heartbeat(0, State.WORKING, False, False, True, False, 1.0, 1, 1)
 # Frames of a full bus in eight seconds: no more than the feed keeps, however little the SDK could send.
 LINES = 15_000
-LINE = (
-    "x" * 400
-)  # all of them are more than the buffers of a socket and the SDK's own 1024 messages
+# All of them are more than the buffers of a socket and the SDK's own 1024 messages.
+LINE = "x" * 400
 PRESSED = EmergencyStop(0, 1, 5, Reason.OPERATOR_INTERVENTION)
 TRANSFORM, SCENE = "foxglove.FrameTransforms", "foxglove.SceneUpdate"
 
