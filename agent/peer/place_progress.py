@@ -7,8 +7,8 @@ a jump, and stays where it is. What shows this is a longer way: the wheels are t
 back more than once.
 
 The place of a body that is stuck leads nowhere, too: its wheels spin or are blocked, and the noise of
-its receiver moves the place by some millimetres. All places in this way are within `FOLLOWS` of it, and
-none need have gone back. The place of a body with exchanged antennas leads elsewhere: it drives
+its receiver moves the place to and fro by some millimetres. All places in this way are within `FOLLOWS`
+of it. The place of a body with exchanged antennas leads elsewhere: it drives
 `FOLLOWS_BACK` of the way at least, and gains nothing. A person who pushes a machine looks like both. So
 the robot stands for `SETTLES_US` and tries again. If it fails again before its place has led on, it
 stands until an operator starts it.
@@ -38,6 +38,9 @@ assert JUMP_M <= (FOLLOWS_BACK - FOLLOWS) * NOWHERE_WAY_M
 # A person who pushes a machine pushes it away, or back once. A place that falls back by less than a jump
 # does so twice in this way, or nearly so, and stays within a jump.
 FALLS: Final = 2
+# The way of a place that only its noise moves, to and fro, in greatest distances from where it began. A
+# receiver that hangs repeats one place, or drifts; `agent/peer/sense_freshness.py` finds these.
+WANDERS: Final = 3.0
 STEP_M: Final = 0.02  # of the expected way, between two places that are kept
 SETTLES_US: Final = 1 * S  # five fixes of a slow receiver
 # Between the command and the heading. A differential drive that is off by more drives slowly
@@ -53,6 +56,7 @@ class _Kept(NamedTuple):
     expected_x_m: float  # at least, as the wheels were told to drive
     expected_y_m: float
     way_m: float  # at most
+    wandered_m: float  # of the place, to and fro
     falls: int  # how often the place began to go back
 
 
@@ -63,7 +67,8 @@ class Nowhere(NamedTuple):
     y_m: float
     east: float
     north: float
-    fell: bool  # again and again, so it is wrong; else the body does not go where it is told
+    fell: bool  # again and again, so it is wrong
+    elsewhere: bool  # it is right, and the body does not drive where it is told
 
 
 class PlaceProgress:
@@ -72,7 +77,7 @@ class PlaceProgress:
     def __init__(self) -> None:
         self._before: Observation | None = None
         self._kept: deque[_Kept] = deque()  # oldest first: the last `NOWHERE_WAY_M`
-        self._now = _Kept(0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._now = _Kept(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
         self._goes_on = True  # in the direction of the command
         self._fell: _Kept | None = None  # before the place went back first, in the last way
         self._velocity_m_s = (0.0, 0.0)  # of the body, if it is slow to follow its commands
@@ -108,8 +113,8 @@ class PlaceProgress:
 
     @property
     def is_right(self) -> bool:
-        """Whether the place led nowhere because the body does not go where it is told."""
-        return self.hung is not None and not self.hung.fell
+        """Whether the place led elsewhere, so that its changes are those of the body."""
+        return self.hung is not None and self.hung.elsewhere
 
     def unseen(self, speed_m_s: float) -> Unseen:
         """How the body may have moved at most since the oldest kept place, and drives now."""
@@ -178,6 +183,7 @@ class PlaceProgress:
             now.gone_x_m + dx_m, now.gone_y_m + dy_m,
             now.expected_x_m + share * drive.vx_m_s, now.expected_y_m + share * drive.vy_m_s,
             now.way_m + FASTER * told_m_s * passed_for_s,
+            now.wandered_m + hypot(dx_m, dy_m),
             now.falls + self._falls(step_m, gained_m, sensed_m),
         )  # fmt: skip
         far = self._fell is not None and _between_m(self._fell, self._now) > NOWHERE_WAY_M
@@ -199,8 +205,8 @@ class PlaceProgress:
         oldest = kept[0]
         gone_m = hypot(self._now.gone_x_m - oldest.gone_x_m, self._now.gone_y_m - oldest.gone_y_m)
         falls_back = self._now.falls - oldest.falls >= FALLS and gone_m <= JUMP_M
-        stuck = self._farthest_m() <= FOLLOWS * expected_m
-        if not falls_back and not stuck and gone_m < FOLLOWS_BACK * expected_m:
+        elsewhere = gone_m >= FOLLOWS_BACK * expected_m
+        if not falls_back and not elsewhere and not self._is_stuck(expected_m):
             return ""
         self.hung = Nowhere(
             here.x_m,
@@ -208,6 +214,7 @@ class PlaceProgress:
             (self._now.expected_x_m - oldest.expected_x_m) / expected_m,
             (self._now.expected_y_m - oldest.expected_y_m) / expected_m,
             falls_back,
+            elsewhere and not falls_back,
         )
         self._moved_at_us = here.sensed_at_us
         return f"told to drive {expected_m:.2f} m, gained {gained_m:.2f} m"
@@ -218,13 +225,15 @@ class PlaceProgress:
         falls, self._goes_on = self._goes_on and not goes_on, goes_on
         return falls
 
-    def _farthest_m(self) -> float:
-        """How far the place was from the oldest kept one at most."""
+    def _is_stuck(self, expected_m: float) -> bool:
+        """Whether the place wanders to and fro, as one of an exact receiver that stands."""
         oldest = self._kept[0]
-        return max(
+        farthest_m = max(
             hypot(kept.gone_x_m - oldest.gone_x_m, kept.gone_y_m - oldest.gone_y_m)
             for kept in (*self._kept, self._now)
         )
+        wandered_m = self._now.wandered_m - oldest.wandered_m
+        return farthest_m <= FOLLOWS * expected_m and wandered_m > WANDERS * farthest_m
 
     def _turned_back(self, drive: Drive) -> bool:
         """Whether the command is against the way that was expected."""

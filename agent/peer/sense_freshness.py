@@ -149,7 +149,7 @@ class Senses(Part):
             _, x_mm, y_mm, course_mrad = FROZEN_RECORD.unpack(record)
             course_rad = course_mrad / 1000
             at_m = x_mm / 1000, y_mm / 1000
-            self._was_frozen = Nowhere(*at_m, cos(course_rad), sin(course_rad), True)
+            self._was_frozen = Nowhere(*at_m, cos(course_rad), sin(course_rad), True, False)
         self.jumps = PlaceJumps(self._doubts)
         self.progress = PlaceProgress()
         self._lost_at_us = 0  # when the place was last wrong
