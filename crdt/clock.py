@@ -73,7 +73,7 @@ class VectorClock:
     def settle(self, replica: int, low: int) -> None:
         """Learn a counter from the replica itself, of which the low 16 bits travelled: the nearest value.
 
-        It may be below ours. Fewer bits that somebody else told can have moved ours too far.
+        It may be below ours. Fewer bits that another replica told can have moved ours too far.
         """
         assert 0 <= low < 1 << 16
         known = self._counts.get(replica, 0)

@@ -279,7 +279,7 @@ class TaskServer:
         self.stored.pop(client.name, None)
         client.pool = self.stored[client.name] = pool
         client.values.clear()
-        if len(self.stored) > STORED_MAX:  # who comes back is asked for its description again
+        if len(self.stored) > STORED_MAX:  # a device that comes back is asked again
             del self.stored[next(iter(self.stored))]
         client.machine.fire(ClientEvent.TAKEN)
         return bytes((POOL_TAKEN, 0)) + len(data).to_bytes(4, "little")

@@ -38,7 +38,7 @@ IDLE_CHARGE = 0.5  # an idle robot charges below this
 HOME_US = 5 * S  # a robot idle for this long makes room
 # A robot within reach that gets no nearer by this much for this long handles the parcel from there.
 STALLED_US, NEARER_M = 1 * S, 0.05
-# A robot that a stop cause holds for longer takes no tasks; somebody who passes is gone.
+# A robot that a stop cause holds for longer takes no tasks. A person passes sooner.
 HELD_US = 10 * S
 MISSING_US = 3 * S  # after this time at a place without a parcel, the parcel counts as missing
 SHUN_US = 30 * S  # how long a dead bay, or a task whose parcel is not found, is left alone

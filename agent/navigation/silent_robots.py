@@ -38,7 +38,7 @@ class SilentRobots:
         same for all robots; other places are counted in `refused`.
         """
         self.slot, self._on_map = slot, on_map
-        self.refused = 0  # places beside the map: no body stands there, whoever says so
+        self.refused = 0  # places beside the map, where no body can stand
         self.clock = HybridClock(now_us, TICK_US, STAMP_MAX)
         self.known: dict[int, SilentPosition] = {}
         self.dead: dict[int, Point] = {}  # bodies that stand now

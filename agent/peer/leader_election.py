@@ -18,7 +18,7 @@ from protocol.frames.fleet_frames import LeaderElectionVote
 OPERATOR_GATEWAY = 1  # election of the robot that answers operators: `agent/peer/fleet_summary.py`
 TERM_MAX = 0xFFFF  # u16 on the wire; at one term a second it lasts 18 hours without a restart
 # Terms by which one frame moves ours: a fleet without a leader uses up fewer in two hours, and one forged
-# frame must not use up all. Who is further behind gets there with a few frames.
+# frame must not use up all. A robot that is further behind needs a few frames.
 TERMS_AHEAD_MAX = 1000
 SETTLE_US = 1 * S  # the live view must be unchanged for this long before a vote
 # Between two votes of one peer while terms have no leader.

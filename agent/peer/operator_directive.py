@@ -2,7 +2,7 @@
 
 GO_HOME and SET_GOAL: the robot releases its work, drives to where it was switched on or to the given
 place, and stays there until START, CONTINUE or REPLAN. After a restart meanwhile it stands until a start:
-somebody sent it there for a reason. STOP: it releases its work and stands still
+an operator sent it there for a reason. STOP: it releases its work and stands still
 until START. WAIT, CONTINUE and REPLAN answer its question (`agent/motion/obstacle_stop.py`).
 """
 

@@ -237,7 +237,7 @@ async def run_robot(
 
 
 async def _until_lost(bus: Bus) -> str:
-    """Returns why the interface of a bus does not come back by itself; a supervisor opens it anew."""
+    """Returns why the interface of a bus does not come back by itself; a supervisor reopens it."""
     while not isinstance(bus, CanBus) or bus.lost is None:
         await asyncio.sleep(LOST_LOOK_S)
     return bus.lost

@@ -211,7 +211,7 @@ class CanBus:
 
     @property
     def lost(self) -> str | None:
-        """Why the interface does not come back by itself: it has to be opened anew. None: it is there,
+        """Why the interface does not come back by itself: it has to be reopened. None: it is there,
         or its link is down and may come up again."""
         return self.errors.lost
 

@@ -77,7 +77,7 @@ class ScrapeServer:
     """A server that runs in a thread from the start. Raises OSError where the port is taken."""
 
     def __init__(self, host: str, port: int, app: App) -> None:
-        """`port`: 0 for any free one. A host that others reach is asked for by names that nobody knows
+        """`port`: 0 for any free one. A host that others reach is asked for by names that we do not know
         here; on loopback, requests by other names are refused."""
         served = only_here(app) if is_loopback(host) else app
         self._server = make_server(host, port, served, _Server, _Handler)

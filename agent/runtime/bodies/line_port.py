@@ -24,7 +24,7 @@ AGAIN_S: Final = 0.5  # between two attempts to connect
 LOOK_S: Final = 0.2  # the thread ends within this after `close`
 SILENCE_S: Final = 3.0  # a receiver that said something says something at least once a second
 WAITS_FOR_US: Final = ACTUATOR_TTL_US  # a command that has waited for longer has expired
-STALLED_FOR_US: Final = S  # a device that takes nothing for this long is connected to anew
+STALLED_FOR_US: Final = S  # a device that takes nothing for this long is reconnected
 SIOCOUTQ: Final = 0x5411  # of Linux (linux/sockios.h): bytes that were sent and not acknowledged
 # A peer that is gone without a word: asked after 1 s of silence, every second, and given up after 3 s.
 PROBES: Final = {

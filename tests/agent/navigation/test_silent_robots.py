@@ -99,7 +99,7 @@ def test_a_body_that_is_there_is_not_seen_through() -> None:
     assert not seen_through(here, (2.5, 0.0), SURE_M)  # too far off to be sure
 
 
-def test_a_place_beside_the_map_is_nobodys_place() -> None:
+def test_a_place_beside_the_map_is_refused() -> None:
     """The last beat in the name of a silent member may be anybody's, and so may a frame about it."""
     bodies = SilentRobots(0, 0, lambda at: 0 <= at[0] < 10)
     bodies.observe(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(100.0, 4.0, 10 * S)}))

@@ -1,4 +1,4 @@
-"""Where a launch says that its bus is, and who may say so."""
+"""Where a launch says that its bus is, and whose file is believed."""
 
 import json
 import os

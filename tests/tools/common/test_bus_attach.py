@@ -161,7 +161,7 @@ COMMANDS = (["stop", "--timeout", "2"], ["release", "--timeout", "2"], ["reset",
     [
         ((b"< hi >",), "does not answer: a server that hangs", 2),
         ((b"< hi >", b"< ok >"), "does not answer: a server that hangs", 2),
-        ((b"< hi >", b"< ok >", b"< ok >"), "", 1),  # a bus on which nobody is
+        ((b"< hi >", b"< ok >", b"< ok >"), "", 1),  # a bus without devices
     ],
 )
 def test_commands_end_where_a_hub_greets_and_then_hangs(

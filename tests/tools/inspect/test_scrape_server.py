@@ -117,7 +117,7 @@ def test_figures_are_not_for_pages_of_other_sites(server: ScrapeServer) -> None:
     assert answered(server)[0] == 403
 
 
-def test_a_host_that_is_named_answers_whoever_reaches_it() -> None:
+def test_a_host_that_is_named_answers_every_client() -> None:
     """Prometheus elsewhere may know the machine by any name."""
     made = ScrapeServer("0.0.0.0", 0, app)
     try:

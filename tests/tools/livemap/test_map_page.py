@@ -554,7 +554,7 @@ def test_a_page_beyond_the_limit_is_told_why() -> None:
         refused = closed(address, words)
         assert (refused.code, refused.reason) == (1013, "16 other pages of this map are open")
         assert closes(address, ["headland", "another"]) == 4401, (
-            "who lacks the token learns no more"
+            "a program without the token learns no more"
         )
     assert eventually(lambda: looks(where, words))
 

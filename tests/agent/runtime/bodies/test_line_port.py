@@ -187,7 +187,7 @@ def test_no_command_waits_behind_old_ones_of_a_controller_that_stalls(
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux says what is unacknowledged")
-def test_a_controller_that_takes_nothing_is_connected_to_anew_without_the_old_commands(
+def test_a_controller_that_takes_nothing_is_reconnected_without_the_old_commands(
     server: socket.socket, opened: Open, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(line_port, "STALLED_FOR_US", 0)
@@ -208,7 +208,7 @@ def test_a_controller_that_takes_nothing_is_connected_to_anew_without_the_old_co
 
 
 @pytest.mark.parametrize("receives", [True, False])
-def test_a_receiver_that_falls_silent_is_connected_to_anew_and_a_controller_is_not(
+def test_a_receiver_that_falls_silent_is_reconnected_and_a_controller_is_not(
     receives: bool, server: socket.socket, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A receiver that lost its power said no farewell, and its robot waited for it for ever."""

@@ -73,7 +73,7 @@ def test_only_the_boundary_of_our_own_records_is_a_field(tmp_path: Path) -> None
     worked = feature(polygon(0.0002, 0.0001), kind="covered", name="covered")
     path = file_of(tmp_path, feature(polygon(), kind="boundary", name="acre"), worked)
     assert read_boundary(path).name == "acre"
-    # Of somebody else: a line that is called a boundary hides no field.
+    # Of another program: a line that is called a boundary hides no field.
     path = file_of(tmp_path, feature(line, kind="boundary"), feature(polygon(), name="acre"))
     assert read_boundary(path).name == "acre"
 
