@@ -55,6 +55,7 @@ class Node:
     tec: int = 0  # transmit error counter
     rec: int = 0  # receive error counter
     off_ends_at_us: int | None = None  # bus-off until that time
+    recovered_at_us: int = 0  # when its newest bus-off ended
     # an error passive node must not send before this time, after its own frame
     ready_at_us: int = 0
     refused: int = 0  # frames rejected because the queue was full or the node off the bus
@@ -318,7 +319,7 @@ class Wire:
         for number in [n for n, end_at_us in self._off.items() if end_at_us <= t_us]:
             del self._off[number]
             node = self.nodes[number]
-            node.off_ends_at_us, node.tec, node.rec = None, 0, 0
+            node.off_ends_at_us, node.tec, node.rec, node.recovered_at_us = None, 0, 0, t_us
 
     def _arbitrate(self, island: Island, t_us: int) -> None:
         island.start_at_us = NEVER_US

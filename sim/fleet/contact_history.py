@@ -62,7 +62,8 @@ class ContactHistory:
                 self._together_for_us[pair] = 0
 
     def look(self, now_us: int, node_of: Mapping[int, int]) -> None:
-        """Call before anything changes: the links have been as they are now since the last call.
+        """Call before anything changes: the links have been as they are now since the last call, or since
+        a node at their ends came back from bus-off by itself.
 
         `node_of`: the nodes of the robots that are switched on.
         """
@@ -77,6 +78,8 @@ class ContactHistory:
                 off = nodes[to].off_ends_at_us is not None or nodes[by].off_ends_at_us is not None
                 pair = hearer, speaker
                 together_for_us = self._together_for_us.get(pair, 0) + passed_for_us
+                recovered_at_us = max(nodes[to].recovered_at_us, nodes[by].recovered_at_us)
+                together_for_us = min(together_for_us, now_us - recovered_at_us)
                 hang_ends_at_us = max(hangs.get(hearer, 0), hangs.get(speaker, 0))
                 hang_ends_at_us = max(
                     hang_ends_at_us,

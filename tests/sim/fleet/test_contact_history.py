@@ -76,3 +76,31 @@ def test_robots_that_are_driven_from_every_address_meet_later() -> None:
     assert not known.met(0, 1) and known.met(1, 0)
     known.look(20 * S + MET_US, nodes)
     assert known.met(0, 1)
+
+
+def test_a_robot_meets_others_after_its_bus_off_and_not_during_it() -> None:
+    """Found by `headland chaos`, profile claims, seed 96000005: S6 was asked of a robot that came back
+    from bus-off 70 ms before the death of a robot that had joined meanwhile."""
+    wire = Wire()
+    nodes = {slot: wire.attach() for slot in range(2)}
+    known = ContactHistory(wire)
+    wire.bus_off(nodes[1], 9 * S)
+    known.boots(0)
+    known.look(5 * S, nodes)
+    wire.advance(9 * S)
+    known.look(9 * S + MET_US - 1, nodes)
+    assert not known.met(0, 1) and not known.met(1, 0)
+    known.look(9 * S + MET_US, nodes)
+    assert known.met(0, 1) and known.met(1, 0)
+
+
+def test_a_bus_off_between_two_looks_begins_the_meeting_again() -> None:
+    """It has begun and ended between two looks."""
+    wire = Wire()
+    nodes = {slot: wire.attach() for slot in range(2)}
+    known = ContactHistory(wire)
+    wire.advance(1 * S)
+    wire.bus_off(nodes[1], 2 * S)
+    wire.advance(4 * S)
+    known.look(4 * S, nodes)
+    assert not known.met(0, 1)
