@@ -1,7 +1,6 @@
 """`headland bench NAME`: every figure that a document of ours claims, measured again."""
 
 import inspect
-import sys
 from collections.abc import Callable, Iterator
 from importlib import import_module
 
@@ -11,7 +10,7 @@ from rich.table import Table
 from sim.files.strict_json import dumps
 from tools.bench.figure import Figure
 from tools.chaos.campaign import ClusterError, workers
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 
 BENCHES = {
     "wire": "bus load, deliveries, response times against their bounds, decoding",
@@ -63,8 +62,7 @@ def bench(
         return _listed(as_json)
     if name != "all" and name not in BENCHES:
         known = ", ".join((*BENCHES, "all"))
-        print(f"headland: no bench {name}: choose one of {known}", file=sys.stderr)
-        return WRONG
+        return wrong(f"no bench {name}: choose one of {known}")
     found: list[Figure] = []
     console = Console(stderr=as_json)
     names = tuple(BENCHES) if name == "all" else (name,)
@@ -77,8 +75,7 @@ def bench(
             else:
                 console.print(_line(figure), highlight=False)
     except ClusterError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     missed = [figure for figure in found if figure.holds is False]
     if not as_json:
         targets = sum(figure.holds is not None for figure in found)

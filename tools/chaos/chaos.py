@@ -28,7 +28,7 @@ from sim.scenarios.toml_writer import to_toml
 from tools.chaos.campaign import ClusterError, room, workers
 from tools.chaos.chaos_report import ReportError, figures, report
 from tools.chaos.planted_bug_hunt import hunt_all
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.common.fingerprint import ROBOTS, fingerprint
 from tools.common.gc_collector import patient
 
@@ -55,8 +55,7 @@ def chaos(
             )
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(problem, code_of(problem))
     jobs = jobs or os.cpu_count() or 1
     freeze_gc()  # and the workers inherit it
     if mutants:
@@ -79,8 +78,7 @@ def chaos(
     try:
         verdicts, cpu_s = _campaign(console, numbers, profile, jobs, seconds, cluster, keep)
     except ClusterError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     told = keep(verdicts, cpu_s)
     failed = [verdict for verdict in verdicts if not verdict.ok]
     if failed:
@@ -115,8 +113,7 @@ def tell_report(folder: Path, as_json: bool = False) -> int:
     try:
         print(dumps(figures(folder)) + "\n" if as_json else report(folder), end="")
     except ReportError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     return 0
 
 
@@ -129,8 +126,7 @@ def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
     try:
         verdict, played = tell(load(str(path)))
     except ScenarioError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     kept = golden_path(path)
     if golden and verdict.ok:
         write_whole(kept, played)

@@ -7,7 +7,6 @@ mutation of the corpus. An input that breaks a promise is written to a file and 
 import importlib.util
 import re
 import subprocess
-import sys
 import tempfile
 import time
 from collections.abc import Iterator
@@ -23,7 +22,7 @@ from sim.chaos.fuzz_targets import TARGETS, seeds
 from sim.files.strict_json import dumps
 from sim.files.whole_file import write_whole
 from tools.common.child_process import module_command
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import code_of, wrong
 
 FAILED = 1
 CORPUS = Path(__file__).parents[2] / "tests" / "fuzz" / "corpus"
@@ -66,8 +65,7 @@ def fuzz(
         _check(names, engine)
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(problem, code_of(problem))
     rows: list[Fuzzed] = []
     for name in names or TARGETS:
         with console.status(f"{name}: {runs} runs with {engine}"):
@@ -95,8 +93,7 @@ def replay(name: str, path: Path) -> int:
         _check([name], "plain")
         data = path.read_bytes()
     except (ValueError, OSError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     TARGETS[name](data)
     print(f"{path}: sound")
     return 0

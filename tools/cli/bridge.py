@@ -28,7 +28,7 @@ from protocol.name import GATEWAY_FUNCTION, Name
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, keep_attached
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.panel_keys import PanelKeys
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 
@@ -211,6 +211,5 @@ def bridge(
     try:
         asyncio.run(run())
     except (AttachError, LinkError, MetricsError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     return 0

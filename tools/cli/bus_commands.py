@@ -7,7 +7,7 @@ import typer
 
 from tools.cli.panels import LOOK, OPERATE, SET_UP
 from tools.common.bus_address import AttachError, find_launch
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
@@ -46,8 +46,7 @@ def _find_launch(interface: str, port: int, *given: object) -> None:
     try:
         find_launch(interface, port)
     except AttachError as problem:
-        typer.echo(f"headland: {problem}", err=True)
-        raise SystemExit(WRONG) from None
+        raise SystemExit(wrong(problem)) from None
 
 
 @app.command("stop", rich_help_panel=OPERATE)

@@ -5,7 +5,6 @@ writer of cantools has changed over the years. So our tests can use cantools as 
 KCD and SYM are converted from the DBC by cantools, ARXML is written by `tools/cli/arxml.py`.
 """
 
-import sys
 from collections.abc import Iterator, Sequence
 from pathlib import Path
 
@@ -20,7 +19,7 @@ from tools.cli.defined_frames import (
     nodes_of,
     signals_of_groups,
 )
-from tools.common.exit_codes import code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.common.extras import needed
 
 EXTENDED = 1 << 31  # how DBC files mark a 29-bit identifier
@@ -36,8 +35,7 @@ def dbc(out: Path | None, addresses: str | None = None, as_json: bool = False) -
     an object with the number of frames, and the file or its text."""
     try:
         if out is not None and out.suffix.lower() in UNWRITTEN:
-            print(f"headland: {out}: write .dbc, .arxml, .kcd or .sym", file=sys.stderr)
-            return 2
+            return wrong(f"{out}: write .dbc, .arxml, .kcd or .sym")
         suffix = "" if out is None else out.suffix.lower()
         robots = addresses_of(addresses) if addresses else ()
         if suffix == ".arxml":
@@ -58,18 +56,15 @@ def dbc(out: Path | None, addresses: str | None = None, as_json: bool = False) -
 
         write_whole(out, text)
     except AddressesError as problem:
-        print(f"headland: --addresses: {problem}", file=sys.stderr)
-        return 2
+        return wrong(f"--addresses: {problem}")
     except ImportError as problem:
         line = needed(problem)
         if line is None:
             raise
-        print(f"headland: {out}: {line}", file=sys.stderr)
-        return 2
+        return wrong(f"{out}: {line}")
     except OSError as problem:
         where = "standard output" if out is None else out
-        print(f"headland: {where}: cannot be written: {problem.strerror}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{where}: cannot be written: {problem.strerror}", code_of(problem))
     if as_json:
         _print_json({"frames": len(GROUPS), "file": str(out)})
     else:

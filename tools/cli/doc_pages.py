@@ -16,6 +16,7 @@ from tools.cli.route_pages import routes
 from tools.cli.scenario_pages import scenario_page
 from tools.cli.socket_limits import sockets_page
 from tools.cli.state_pages import MACHINES, diagram, states
+from tools.common.exit_codes import wrong
 
 NOTE = "<!-- printed by python -m tools.cli.doc_pages docs; do not edit -->"
 
@@ -37,9 +38,7 @@ def main(words: list[str]) -> int:
     """Write every printed page into the folder that is named. The exit code is 2 where there is
     none."""
     if len(words) != 1 or not Path(words[0]).is_dir():
-        print("headland: name the folder of the documents: python -m tools.cli.doc_pages docs",
-              file=sys.stderr)  # fmt: skip
-        return 2
+        return wrong("name the folder of the documents: python -m tools.cli.doc_pages docs")
     for name, text in pages().items():
         (Path(words[0]) / name).write_text(text, encoding="utf-8")
     return 0

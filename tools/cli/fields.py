@@ -1,13 +1,12 @@
 """`headland fields`: what fields a file has, and what is wrong with which."""
 
-import sys
 from pathlib import Path
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import fields_of, project
 from agent.runtime.files.printable_text import printable
 from sim.files.strict_json import dumps
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, wrong
 
 HECTARE_M2 = 10_000.0
 
@@ -18,8 +17,7 @@ def fields(file: Path, as_json: bool) -> int:
     try:
         outlines, broken = fields_of(file)
     except FieldFileError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     for name in sorted({*outlines, *broken}):
         try:
             if name in broken:
@@ -37,6 +35,4 @@ def fields(file: Path, as_json: bool) -> int:
             print(printable(f"{row['name']}: {told}"))
     if any("wrong" not in row for row in rows):
         return 0
-    if not rows:
-        print(f"headland: {file}: no polygon in it", file=sys.stderr)
-    return WRONG
+    return WRONG if rows else wrong(f"{file}: no polygon in it")

@@ -23,7 +23,7 @@ from tools.cli.panels import (
     show_version,
 )
 from tools.common.compiled_caches import guard
-from tools.common.exit_codes import INTERRUPTED, WRONG, code_of
+from tools.common.exit_codes import INTERRUPTED, WRONG, code_of, wrong
 from tools.common.gc_collector import GC_YOUNG
 from tools.common.options import (
     PORT_MAX,
@@ -171,11 +171,9 @@ def _refuse(scenario: str, kind: str, live: bool, unfit: Mapping[str, object]) -
         if is_unfit:
             how = "" if option == "--live" or live else " without --live"
             how = how if option in ("--port", "--seconds") else ""
-            print(
-                f"headland: {option}: does nothing here: {scenario} is {kind}{how}; leave it out",
-                file=sys.stderr,
+            raise SystemExit(
+                wrong(f"{option}: does nothing here: {scenario} is {kind}{how}; leave it out")
             )
-            raise SystemExit(WRONG)
 
 
 @app.command(hidden=True)
@@ -484,8 +482,7 @@ def mapf(
         counts = counts_of(robots)
         raise SystemExit(measured(map, scenario, counts, seed, loss, crash, out, picture, json))
     except (GridFileError, OSError) as error:
-        typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(code_of(error)) from None
+        raise SystemExit(wrong(error, code_of(error))) from None
 
 
 app.add_typer(bus_commands.app)
@@ -511,14 +508,12 @@ def main() -> None:
         tell_origin()
         context = problem.ctx
         where = "headland" if context is None else context.command_path
-        if (
-            type(problem).__name__ == "NoArgsIsHelpError"
-        ):  # without any argument: print the help, not an error
+        if type(problem).__name__ == "NoArgsIsHelpError":
+            # Without any argument: print the help, not an error.
             problem.show()
-        else:
-            line = " ".join(problem.format_message().split()).rstrip(".")
-            print(f"headland: {line}; see: {where} --help", file=sys.stderr)
-        raise SystemExit(WRONG) from None
+            raise SystemExit(WRONG) from None
+        line = " ".join(problem.format_message().split()).rstrip(".")
+        raise SystemExit(wrong(f"{line}; see: {where} --help")) from None
 
 
 if __name__ == "__main__":

@@ -19,7 +19,7 @@ from sim.can.socketcand_beacon import announce
 from sim.can.socketcand_server import Hub
 from sim.files.strict_json import dumps
 from tools.common.bus_address import CHANNEL
-from tools.common.exit_codes import INTERRUPTED, WRONG
+from tools.common.exit_codes import INTERRUPTED, wrong
 
 OPEN = (
     "headland: WARNING: everybody who reaches this address over the network can drive and stop the "
@@ -85,16 +85,9 @@ def hub(
     try:
         asyncio.run(_serve(host, port, bitrate, seed, as_json, says, errors))
     except socket.gaierror as problem:
-        print(
-            f"headland: --host {host}: {problem.strerror}; name an address of this machine",
-            file=sys.stderr,
-        )
-        return WRONG
+        return wrong(f"--host {host}: {problem.strerror}; name an address of this machine")
     except OSError as problem:
-        print(
-            f"headland: --port {port}: {problem.strerror or problem}; choose another or 0 for any free "
-            "one",
-            file=sys.stderr,
+        return wrong(
+            f"--port {port}: {problem.strerror or problem}; choose another or 0 for any free one"
         )
-        return WRONG
     return INTERRUPTED

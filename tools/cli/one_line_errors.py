@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from io import TextIOWrapper
 
 from tools.common import extras
-from tools.common.exit_codes import INTERRUPTED, WRONG, code_of
+from tools.common.exit_codes import INTERRUPTED, code_of, wrong
 from tools.common.verbosity import Verbosity
 
 
@@ -29,8 +29,7 @@ def one_line_errors() -> Iterator[None]:
         missing = extras.needed(problem)
         if missing is None:
             raise
-        print(f"headland: {missing}", file=sys.stderr)
-        raise SystemExit(WRONG) from None
+        raise SystemExit(wrong(missing)) from None
     except OSError as problem:
         tell_origin()
         name = "" if problem.filename is None else f"{problem.filename}: "

@@ -4,7 +4,6 @@ Nothing here loads what runs need, which would take most of the time.
 """
 
 import re
-import sys
 from pathlib import Path
 
 from rich.console import Console
@@ -15,7 +14,7 @@ from sim.files.strict_json import dumps
 from sim.files.whole_file import write_whole
 from sim.scenarios.scenario import SHIPPED, ScenarioError
 from sim.scenarios.scenario_kind import Kind, all_shipped, named
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import code_of, wrong
 
 FILE_KEY = re.compile(r'^(?:file|map|tasks) = "([^"\n]+)"', re.M)
 
@@ -80,12 +79,10 @@ def new(file: Path, like: str, as_json: bool) -> int:
                 path.unlink(missing_ok=True)  # none was there before
             raise
     except ScenarioError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     except OSError as problem:
         why = f"cannot be written: {problem.strerror}; choose another folder"
-        print(f"headland: {file}: {why}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{file}: {why}", code_of(problem))
     if as_json:
         print(dumps({"written": [str(path) for path in written], "like": like}))
     else:

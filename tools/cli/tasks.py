@@ -1,11 +1,11 @@
 """`headland task`: more parcels for a fleet that is at work, and what has become of them."""
 
-import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from tools.common.exit_codes import wrong
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
@@ -61,8 +61,7 @@ def _house(scenario: str | None, interface: str, host: str, port: int) -> "Wareh
     try:
         return house_of(scenario)
     except ScenarioError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        raise SystemExit(2) from None
+        raise SystemExit(wrong(problem)) from None
 
 
 @app.command("list")

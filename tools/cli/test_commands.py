@@ -1,12 +1,12 @@
 """Commands that try the fleet: bad luck, any bytes, and figures measured again."""
 
-import sys
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
 from tools.cli.panels import DEVELOP
+from tools.common.exit_codes import wrong
 from tools.common.options import Cluster, Json
 from tools.common.told_wait import told_loading
 
@@ -131,9 +131,8 @@ def bench(
     except ModuleNotFoundError as problem:
         if not str(problem.name).endswith("tools.bench"):
             raise
-        print(
-            "headland: the benches are in a checkout (git clone), not in a wheel", file=sys.stderr
-        )
-        raise SystemExit(2) from None
+        raise SystemExit(
+            wrong("the benches are in a checkout (git clone), not in a wheel")
+        ) from None
 
     raise SystemExit(command(name, quick, seed, json, cluster, seconds))

@@ -18,7 +18,7 @@ from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, stay_attached
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
@@ -72,8 +72,7 @@ def inspect(
             if watch:
                 return 0
     except (AttachError, SourceError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     if section is not None:
         return _why(inspector, section, as_json)
     if as_json:
@@ -107,8 +106,7 @@ def _draw(inspector: Inspector, source: Path | None, picture: Path) -> int:
     try:
         draw(InspectScreen(inspector, str(source), from_log(frames, inspector, True)), picture)
     except OSError as problem:
-        print(f"headland: --picture {picture}: {problem.strerror}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"--picture {picture}: {problem.strerror}", code_of(problem))
     return 0
 
 

@@ -1,7 +1,6 @@
 """`headland task list`, `status` and `withdraw`: what has become of the transports of a fleet."""
 
 import asyncio
-import sys
 from typing import Any, NamedTuple
 
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase, outcome_of
@@ -14,7 +13,7 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG, wrong
+from tools.common.exit_codes import wrong
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
@@ -156,8 +155,7 @@ def status(
     except AttachError as problem:
         return wrong(problem)
     if found is None:
-        print(f"headland: no robot knows task {number}: headland task list", file=sys.stderr)
-        return WRONG
+        return wrong(f"no robot knows task {number}: headland task list")
     print(dumps(found.to_dict(house)) if as_json else _line(found))
     return 0 if found.outcome.phase is TaskPhase.DELIVERED else NOT_DELIVERED
 

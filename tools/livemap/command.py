@@ -4,7 +4,6 @@ import asyncio
 import contextlib
 import secrets
 import socket
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager
@@ -29,7 +28,7 @@ from sim.record.recording import Recording
 from sim.record.scene import Scene, in_folder
 from tools.common.bus_address import LAUNCH, AttachError, said_by
 from tools.common.bus_attach import stay_attached
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.log_frames import NO_LOG, SourceError, columns_of
@@ -87,8 +86,7 @@ def show_map(
         AttachError, SourceError, McapMissing, ServerError, MetricsError,
         PortTaken,
     ) as problem:  # fmt: skip
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     return 0
 
 

@@ -12,7 +12,7 @@ from protocol.links.bus import CanBus
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError, robots_of_launch
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import tell_meanwhile, told_wait
 from tools.operate.operator_device import KnownRobot, Operator
@@ -42,8 +42,7 @@ def estop(
     """
     if reason not in Reason.__members__:
         known = ", ".join(Reason.__members__)
-        print(f"headland: --reason {reason}: unknown; one of {known}", file=sys.stderr)
-        return WRONG
+        return wrong(f"--reason {reason}: unknown; one of {known}")
     keys = keys or own_keys(interface, host, port)
     try:
         return asyncio.run(
@@ -62,8 +61,7 @@ def estop(
             )
         )
     except AttachError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
 
 
 async def _estop(

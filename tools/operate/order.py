@@ -9,7 +9,7 @@ from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, listen_to
@@ -47,8 +47,7 @@ def order(
             raise ValueError(f"{what} takes no place")
         return asyncio.run(_order(robot, what, goal, bus, key, timeout_s, as_json))
     except (ValueError, AttachError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
 
 
 def _place(text: str | None) -> tuple[float, float]:

@@ -14,7 +14,7 @@ from protocol.rekeying import NOBODY, Rekeying, confirmed, own_key, seal
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError, robots_of_launch
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL
@@ -106,11 +106,9 @@ def rekey(
         rekeying = keys.begin(revoked, void_for_s)
         return asyncio.run(_rekey(keys, rekeying, bus, timeout_s, as_json))
     except (KeyFileError, AttachError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {place}: {problem.strerror}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{place}: {problem.strerror}", code_of(problem))
 
 
 async def _rekey(

@@ -1,7 +1,6 @@
 """`headland release`: clear the stops that are shown, reset each machine, and start only if asked."""
 
 import asyncio
-import sys
 import time
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from protocol.operator_badges import ALL_ROLES, DAY_S, Role
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError, robots_of_launch
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, listen_to
@@ -44,8 +43,7 @@ def reset(
             _reset(interface, channel, bitrate, host, port, key, start, timeout, as_json)
         )
     except AttachError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
 
 
 async def _reset(

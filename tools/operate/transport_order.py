@@ -1,7 +1,6 @@
 """Ordering a transport over the bus, and hearing that the fleet knows of it."""
 
 import asyncio
-import sys
 from math import isfinite
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import AttachError, scenario_of_launch
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of
@@ -51,8 +50,7 @@ def order(
         with told_wait("until two robots know of it", LISTEN_S + CONFIRM_S):
             known = asyncio.run(_order(orders, where, proofs_of(keys)))
     except (ScenarioError, AttachError, KeyFileError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     if as_json:
         print(dumps([{"task": number, "known": sure} for number, sure in known.items()]))
     else:

@@ -4,7 +4,6 @@ numpy and matplotlib are imported behind the start of the second process, which 
 """
 
 import csv
-import sys
 from collections.abc import Sequence
 from io import StringIO
 from pathlib import Path
@@ -14,7 +13,7 @@ from urllib.parse import quote
 from sim.files.strict_json import dumps
 from sim.files.whole_file import write_whole
 from sim.record.mcap_log import McapMissing
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.common.gc_collector import uncollected
 from tools.inspect.log_frames import SourceError
 from tools.report.planned_aside import planned_aside
@@ -39,12 +38,12 @@ def report(source: Path, out: Path | None, as_json: bool) -> int:
             evidence, found = _read(source)
             write(out, evidence, found)
     except (SourceError, McapMissing) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {problem.filename or out}: {problem.strerror}; choose another place with -o",
-              file=sys.stderr)  # fmt: skip
-        return code_of(problem)
+        return wrong(
+            f"{problem.filename or out}: {problem.strerror}; choose another place with -o",
+            code_of(problem),
+        )
     without = [chapter.name for chapter in found if chapter.missing]
     if as_json:
         names = [chapter.name for chapter in found if not chapter.missing]

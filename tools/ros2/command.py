@@ -2,7 +2,6 @@
 
 import asyncio
 import re
-import sys
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -24,7 +23,7 @@ from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import LAUNCH, Attached, AttachError, said_by, scenario_of_launch
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
 from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
@@ -59,8 +58,7 @@ def serve(
     """
     missing = _missing(zenoh)
     if missing:
-        print(f"headland: {missing}", file=sys.stderr)
-        return WRONG
+        return wrong(missing)
     try:
         check_operator_key(operator_key)
         _check_namespace(namespace)
@@ -69,8 +67,7 @@ def serve(
                    EventLines(as_json))
         )  # fmt: skip
     except (AttachError, SourceError, GraphError, OSError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     return 0
 
 

@@ -7,7 +7,6 @@ driver senses.
 
 import asyncio
 import json
-import sys
 import time
 import traceback
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
@@ -34,7 +33,7 @@ from agent.peer.place_jumps import (
 from agent.runtime.body_plugins import made, plugins
 from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody
 from sim.files.strict_json import dumps
-from tools.common.exit_codes import INTERRUPTED, WRONG
+from tools.common.exit_codes import INTERRUPTED, wrong
 from tools.common.findings import Finding, print_findings
 from tools.run.robot_command import import_from
 
@@ -683,8 +682,7 @@ def body_check(
         body = made(plugin, factory, 0, values)
         body.declare(DeclaredMachine(vehicle, origin))
     except (FactoryError, ValueError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     rehearse(vehicle)
     console = Console(highlight=False)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from tools.common.exit_codes import code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.common.options import Json, Silence
 from tools.common.told_wait import told_loading
 
@@ -68,8 +68,7 @@ def solve(
             solved(instance, turn_cost, *events, out, json, reachable_only or map is None)
         )
     except (GridFileError, OSError) as error:
-        typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(code_of(error)) from None
+        raise SystemExit(wrong(error, code_of(error))) from None
 
 
 @app.command()
@@ -100,8 +99,7 @@ def replay(
         _check_turn_cost(turn_cost)
         found = read_plan(path)
     except GridFileError as error:
-        typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(2) from None
+        raise SystemExit(wrong(error)) from None
     raise SystemExit(replayed(found, delay, stop_on_done, turn_cost, json))
 
 
@@ -150,8 +148,7 @@ def drive(
         with nullcontext() if out is None else folder_for(out, instance.name) as folder:
             raise SystemExit(driven(setting, folder, json, left, reachable_only or map is None))
     except (GridFileError, ScenarioError, FolderError, OSError) as error:
-        typer.echo(f"headland: {error}", err=True)
-        raise SystemExit(code_of(error)) from None
+        raise SystemExit(wrong(error, code_of(error))) from None
 
 
 def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: bool) -> int:

@@ -1,6 +1,5 @@
 """`headland export`: what a run has worked, for farm software, for ROS 2, and as a film."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -15,7 +14,7 @@ from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
-from tools.common.exit_codes import code_of
+from tools.common.exit_codes import code_of, wrong
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 from tools.report.run_data import REPORT
@@ -35,8 +34,7 @@ def export(
 
     `as_json`: an object with the path of each, instead of lines."""
     if isoxml is None and geojson is None and bag is None and film is None:
-        print("headland: export: name --isoxml, --geojson, --bag or --film", file=sys.stderr)
-        return 2
+        return wrong("export: name --isoxml, --geojson, --bag or --film")
     say: Say = (lambda line: None) if as_json else print
     if bag is not None and (code := _bag(folder, bag, storage, say)):
         return code
@@ -68,11 +66,9 @@ def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> 
             write_geojson(record, geojson)
             say(f"{geojson}: GeoJSON, {_told(record)}")
     except FieldFileError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return 2
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {problem.filename}: {problem.strerror}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{problem.filename}: {problem.strerror}", code_of(problem))
     return 0
 
 
@@ -85,11 +81,9 @@ def _bag(folder: Path, bag: Path, storage: Storage, say: Say) -> int:
             raise BagError(f"{folder}: no {MCAP}; headland run and headland launch leave one")
         counts = write_bag(read_recording(log), bag, storage)
     except (BagError, McapMissing, ValueError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return 2
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {bag}: {problem.strerror or problem}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{bag}: {problem.strerror or problem}", code_of(problem))
     say(f"{bag}: ROS 2 bag, {counts.total()} messages in {len(counts)} topics")
     return 0
 
@@ -106,11 +100,9 @@ def _film(folder: Path, film: Path, say: Say) -> int:
 
             count = write_film(recording, film, on_picture=on_picture)
     except (FilmError, SourceError, McapMissing) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return 2
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {film}: {problem.strerror or problem}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{film}: {problem.strerror or problem}", code_of(problem))
     size_kb = film.stat().st_size // 1000
     say(f"{film}: {count} pictures, {FILM_S:.0f} s, {size_kb} kB")
     return 0

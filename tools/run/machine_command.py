@@ -8,7 +8,7 @@ from agent.runtime.end_signals import on_end
 from sim.files.strict_json import dumps
 from sim.machines.isobus_machine import IsobusMachine, opened
 from sim.machines.nmea_machine import Dimensions, NmeaMachine, WheeledBody
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import WRONG, wrong
 
 SHOWN_S = 1.0
 ANSWER_FOR_S = 3.0  # a machine answers within milliseconds
@@ -36,8 +36,7 @@ def machine(
         asyncio.run(_serve(body, origin, ports, host, seed, as_json))
     except OSError as problem:
         why = f"{problem.strerror or problem}; choose other ports, or 0 for any free one"
-        print(f"headland: {host}: {why}", file=sys.stderr)
-        return WRONG
+        return wrong(f"{host}: {why}")
     return 0
 
 
@@ -65,8 +64,7 @@ def order(words: str, host: str, port: int) -> int:
             answer = text.readline().strip()
     except OSError as problem:
         why = problem.strerror or problem
-        print(f"headland: no machine answers at {host}:{port}: {why}", file=sys.stderr)
-        return WRONG
+        return wrong(f"no machine answers at {host}:{port}: {why}")
     print(answer)
     return WRONG if answer.startswith("not understood") else 0
 

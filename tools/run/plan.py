@@ -19,7 +19,7 @@ from sim.runs.work_record import WorkRecord
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Scenario, ScenarioError, load
 from sim.scenarios.scenario_kind import Kind, named
-from tools.common.exit_codes import WRONG, code_of
+from tools.common.exit_codes import WRONG, code_of, wrong
 
 SOME_FAILED = 1
 GEOJSON, KML, TASK_DATA = "plan.geojson", "plan.kml", "TASKDATA"
@@ -56,11 +56,9 @@ def plan(
             return WRONG
         files = [] if out is None else _written(plans, out)
     except (ScenarioError, FieldFileError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {problem.filename}: {problem.strerror}", file=sys.stderr)
-        return code_of(problem)
+        return wrong(f"{problem.filename}: {problem.strerror}", code_of(problem))
     if as_json:
         print(dumps({"fields": [_told(p) for p in plans], "files": files}))
     else:

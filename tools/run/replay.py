@@ -1,7 +1,6 @@
 """`headland replay`: a log through the inspector, and onto a bus if wanted."""
 
 import asyncio
-import sys
 from collections.abc import Callable
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from sim.files.strict_json import dumps
 from sim.record.recording import FramesDigest
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
 from tools.inspect.robot_table import table_of
@@ -54,8 +53,7 @@ def replay(
                 _play(hear, log, speed, _opener(interface, channel, bitrate, host, port), look)
             )
     except (AttachError, SourceError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     if as_json:
         print(dumps({**inspector.to_dict(), "log_hash": digest.hex}))
     else:

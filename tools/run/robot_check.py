@@ -4,7 +4,6 @@ import asyncio
 import json
 import os
 import shutil
-import sys
 import traceback
 from pathlib import Path
 
@@ -25,6 +24,7 @@ from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, keys_of, opened_body, opened_bus
 from agent.runtime.robot_work import work_of
 from tools.build.kernel_cache import WAIT
+from tools.common.exit_codes import wrong
 from tools.common.findings import Finding, print_findings
 from tools.run.robot_command import BLIND, import_from, is_written, lacks_kernels, memory, sees
 
@@ -42,8 +42,7 @@ def check(file: Path, changes: Changes, as_json: bool) -> int:
     try:
         return asyncio.run(_check(RobotFile.read(file, changes), as_json))
     except RobotError as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
 
 
 async def _check(declared: RobotFile, as_json: bool) -> int:

@@ -19,9 +19,10 @@ from typing import Any
 
 from agent.runtime.end_signals import on_closed_input, on_end
 from agent.runtime.robot_file import RobotBusTable, RobotError, RobotFile
-from agent.runtime.robot_process import WRONG, opened_bus
+from agent.runtime.robot_process import opened_bus
 from protocol.frames.frame import Frame
 from tools.common.child_process import module_command, politely
+from tools.common.exit_codes import wrong
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port
 
@@ -122,8 +123,7 @@ def main() -> None:
     try:
         asyncio.run(serve(told))
     except (RobotError, MetricsError, PortTaken) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        sys.exit(WRONG)
+        sys.exit(wrong(problem))
 
 
 if __name__ == "__main__":

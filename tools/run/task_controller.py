@@ -6,7 +6,6 @@ sections off over it. Several of them, one on each tractor, share the map as the
 
 import asyncio
 import secrets
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from random import Random
@@ -36,7 +35,7 @@ from protocol.name import fleet_name
 from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
 from tools.common.event_lines import EventLines
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 
 TICK_S = 0.005
 GOODBYE_S = 0.2
@@ -218,9 +217,7 @@ def task_controller(
         memory.parent.mkdir(parents=True, exist_ok=True)
         asyncio.run(serve())
     except (AttachError, FieldFileError, KeyFileError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: {memory}: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(f"{memory}: {problem}")
     return 0

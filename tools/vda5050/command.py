@@ -1,7 +1,6 @@
 """`headland vda5050`: what the command line says, and the end of it."""
 
 import asyncio
-import sys
 from pathlib import Path
 
 from agent.delivery.cost_matrix import Carrier
@@ -15,7 +14,7 @@ from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
-from tools.common.exit_codes import WRONG
+from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.inspect.proven_work import UNPROVEN, proven_work_of
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
@@ -46,11 +45,9 @@ def serve(
             )
         )
     except (BrokerError, ScenarioError, AttachError, BookError) as problem:
-        print(f"headland: {problem}", file=sys.stderr)
-        return WRONG
+        return wrong(problem)
     except OSError as problem:
-        print(f"headland: --book {book}: {problem.strerror or problem}", file=sys.stderr)
-        return WRONG
+        return wrong(f"--book {book}: {problem.strerror or problem}")
     return 0
 
 
