@@ -122,6 +122,7 @@ class PlaceJumps:
         """`doubted`: the place was wrong before the restart, and nobody knows since by how much."""
         self._doubted = doubted
         self._before: Observation | None = None  # the last accurate place
+        self._followed: Observation | None = None  # the newest place, while it leads nowhere
         self._gap = False  # how long ago that was is not known
         self._turn_rad_s = 0.0  # between the last two places in time
         self._offset, self._reach = Offset(), NO_REACH
@@ -130,7 +131,7 @@ class PlaceJumps:
 
     def forget(self) -> None:
         """An operator says that the next place is right."""
-        self._before, self._doubted = None, False
+        self._before, self._followed, self._doubted = None, None, False
         self._offset, self._reach = Offset(), NO_REACH
 
     def gap(self) -> None:
@@ -147,6 +148,27 @@ class PlaceJumps:
         if before is not None:
             self._before = before._replace(sensed_at_us=here.sensed_at_us)
 
+    def follows(self, here: Observation, limits: BodyLimits) -> None:
+        """The place is known to lead nowhere, and the robot stands.
+
+        What moves it in time is no jump when it is believed again: people may push the body.
+        """
+        before, last = self._before, self._followed or self._before
+        self._followed = here
+        if before is None or last is None:
+            return
+        passed_for_us = here.sensed_at_us - last.sensed_at_us
+        dx_m, dy_m = here.x_m - last.x_m, here.y_m - last.y_m
+        turned_rad = remainder(here.heading_rad - last.heading_rad, 2 * pi)
+        followed = 0 <= passed_for_us <= AGE_MAX_US and _in_time(
+            limits, dx_m, dy_m, turned_rad, passed_for_us / S
+        )
+        if followed:
+            x_m, y_m = before.x_m + dx_m, before.y_m + dy_m
+            heading_rad = before.heading_rad + turned_rad
+            before = before._replace(x_m=x_m, y_m=y_m, heading_rad=heading_rad)
+        self._before = before._replace(sensed_at_us=here.sensed_at_us)
+
     def trust(self) -> None:
         """The robot drives by the newest place."""
         self._offset, self._reach = Offset(), NO_REACH
@@ -156,7 +178,7 @@ class PlaceJumps:
 
         `unseen`: how it may have moved at most while its place stood still, until now.
         """
-        before, self._before = self._before, here
+        before, self._before, self._followed = self._before, here, None
         gap, self._gap = self._gap, False
         told = self._told or self._told_before
         self._told, self._told_before = False, self._told

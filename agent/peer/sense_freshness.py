@@ -281,7 +281,10 @@ class Senses(Part):
         if not frozen_yet or self.progress.is_right:
             effects += self._believe(now_us, bool(old))
         elif self.here is not None and not old:
-            self.jumps.stays(self.here)
+            if self.progress.hangs:
+                self.jumps.follows(self.here, self.limits)
+            else:
+                self.jumps.stays(self.here)
         doubted = safety.holds(StopCause.PLACE_FROZEN) or safety.holds(StopCause.PLACE_LOST)
         self.current = not (old or doubted)
         if self.current:

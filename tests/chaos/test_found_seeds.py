@@ -89,6 +89,10 @@ MENDED = {
     # A box fell on a robot that had no place, and pushed it away.
     ("all", 20000835): "sim/fleet/dropped_box.py",
     ("body", 20400417): "sim/fleet/dropped_box.py",
+    # The time of a bus-off passed for time in which two robots were connected.
+    ("claims", 96000005): "sim/fleet/contact_history.py",
+    # A robot that stood because its place led nowhere was pushed on, which passed for a jump.
+    ("corners", 96000065): "agent/peer/place_jumps.py",
 }
 
 

@@ -563,6 +563,27 @@ def test_a_robot_that_was_pushed_or_kept_back_once_goes_on_by_itself(share: floa
     assert not robot.held and robot.x_m - began_x_m > 5.0
 
 
+@pytest.mark.parametrize("aside_m_s", [-1.0, 0.6, 1.0])
+def test_a_robot_that_people_push_on_while_it_stands_goes_on_after_a_start(
+    aside_m_s: float,
+) -> None:
+    """Found by `headland chaos`, profile corners, seed 96000065: a robot was pushed back until it noticed
+    that its place led nowhere, and then aside. That passed for a jump, and it stood for good."""
+    robot = driving()
+    y_m = 0.0
+    robot.spoilt = lambda seen: seen._replace(y_m=y_m)
+    while not robot.held:
+        before_m = robot.x_m
+        robot.period()
+        robot.x_m = before_m - 0.05 * (robot.now_us % (500 * MS) < 250 * MS)
+    for _ in range(60):
+        robot.period()
+        y_m += aside_m_s * CONTROL_PERIOD_US / S
+    robot.periods(100).peer.step(Start(named=False), robot.now_us)
+    began_x_m = robot.x_m
+    assert not robot.periods(100).held and robot.x_m - began_x_m > 3.0
+
+
 LATE_FOR_S, STEP_US = 0.02, 5 * MS  # of a receiver; of the integrator below
 
 
