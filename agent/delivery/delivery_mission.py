@@ -111,9 +111,16 @@ class DeliveryMission(NavigationMission):
             self._may_at_us = view.now_us
         held = view.now_us - self._may_at_us > HELD_US
         able = state in (State.IDLE, State.WORKING, State.SYNCHRONIZING) and not held
-        self.dispatch.on_tick(view, able and not self._stranded(view))
+        able = able and not self._load_unknown and not self._stranded(view)
+        self.dispatch.on_tick(view, able)
         self.paths.work()
         super().on_control_period(view, state)
+
+    @property
+    def _load_unknown(self) -> bool:
+        """Whether a parcel is aboard whose order we do not know: our memory is lost, and no robot that
+        knows the order has been received yet. There is no room for another one."""
+        return 0 <= self._load < TASKS_MAX and self._load not in self.dispatch.book
 
     def _stranded(self, view: FleetView) -> bool:
         """Whether we cannot begin more tasks: updates unreachable tasks and checks our progress."""
@@ -162,6 +169,8 @@ class DeliveryMission(NavigationMission):
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
         load = self._load  # aboard since before a restart, or after an operator's order
+        if self._load_unknown:
+            return None
         if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
             bay = self._charge(view, load) if self._falls_short(load, view) else None
             return bay or self._claim(load, view)

@@ -14,6 +14,7 @@ from agent.interface.mission import FleetView
 from agent.interface.observation import Observation
 from agent.mapping.building import Floor
 from crdt import FieldAllocationCRDT, Progress
+from protocol.frames.delivery_frames import TaskOrder
 
 WIDE = 60
 FLOOR = Floor.drawn("." * WIDE, 1.0, 0.3)
@@ -65,6 +66,22 @@ def test_an_itinerary_names_the_charger_that_it_will_need() -> None:
         if type(frame).__name__ == "Itinerary":
             heard.on_message(0, frame)  # type: ignore[arg-type]
     assert heard.told[0].whole == (NEAR, TASKS_MAX, FAR)
+
+
+def test_a_robot_with_a_parcel_whose_order_it_forgot_takes_no_other_task() -> None:
+    """Its memory was lost. It claimed the next task, drove to the pickup and could not load."""
+    mission = DeliveryMission(0, house(Carrier(1.0, 0.0), []), (0.5, 0.5), 1.0, 1.6, 0, 1)
+    forgotten = 7
+    for k in range(100):
+        seen = view(k * S // 10)
+        seen = seen._replace(here=seen.here._replace(load=forgotten))
+        mission.dispatch.itinerary = [NEAR] if k == 0 else mission.dispatch.itinerary
+        mission.on_control_period(seen, State.IDLE)
+        assert mission.choose(seen) is None
+    assert not mission.dispatch.itinerary, "others carry what it had planned"
+    mission.on_message(1, TaskOrder(forgotten, 5, 20), 10 * S)
+    choice = mission.choose(seen)
+    assert choice is not None and choice.section == forgotten
 
 
 def test_what_is_aboard_need_not_be_picked_up() -> None:
