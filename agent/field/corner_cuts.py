@@ -178,7 +178,7 @@ def _on(
         if free.contains(Point(bend[-1])):
             return [*piece[:-1], *bend]
         straight_m -= STEP_M
-    return [*piece, end]
+    return [*piece] if end == b else [*piece, end]
 
 
 def _bend(a: XY, course: float, straight_m: float, bend_m: float, turn_in_rad: float) -> list[XY]:

@@ -3,7 +3,7 @@
 from math import dist, radians, sin
 
 import pytest
-from shapely.geometry import LineString, MultiLineString, Polygon, box
+from shapely.geometry import LineString, MultiLineString, Point, Polygon, box
 from shapely.ops import unary_union
 
 from agent.field.corner_cuts import PAST_END_M, cut_at_corners
@@ -34,6 +34,14 @@ def test_a_rectangle_becomes_its_sides_each_a_little_longer() -> None:
     assert all(FREE.buffer(1e-6).contains(LineString(piece)) for piece in pieces)
     longer = sum(LineString(piece).length for piece in pieces) - LineString(ring()).length
     assert longer == pytest.approx(6 * 0.8, abs=0.6), "0.8 m to the fence's margin, at six ends"
+
+
+def test_a_ring_that_has_no_room_past_its_corners_ends_in_them() -> None:
+    """A body of 0.8 m with an implement of 2 m in a pointed field: the plan divided by zero."""
+    octagon = Point(0.0, 0.0).buffer(30.0, quad_segs=2)
+    around = tuple(octagon.exterior.coords)
+    pieces = cut_at_corners(around, 1.8, 1.0, octagon.buffer(-0.01), asked=octagon)
+    assert [pytest.approx(piece[0]) for piece in pieces] == list(around[:-1])
 
 
 @pytest.mark.parametrize("turn_radius_m, pieces", [(1.8, 1), (3.0, None)])
