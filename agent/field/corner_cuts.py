@@ -31,8 +31,9 @@ STEP_M = 0.05  # step of the search for the end of a piece
 SHARP_RAD = 1.2  # a corner that turns by less is swept to its end by going past it
 ACUTE_RAD = 1.9  # in a corner that turns by more the line does not swing out
 # At the end of a piece, the first of those that are as good. With 0.42 rad the outer end of the bar is
-# ahead by 40 % of its half. A right angle needs that, and a sharper corner more.
-TURN_INS_RAD = (0.42, 0.5, 0.58, 0.66, 0.74, 0.82, 0.34)
+# ahead by 40 % of its half. A right angle needs that, and a sharper corner more. Between two near fences
+# a bend ends far before the corner, and going straight on leaves less.
+TURN_INS_RAD = (0.42, 0.5, 0.58, 0.66, 0.74, 0.82, 0.34, 0.0)
 AS_GOOD_M2 = 0.003  # a twentieth of a cell of the coverage check
 BESIDE_M = 0.03  # errors of tracking: the bar counts as shorter by this on both sides
 PAST_END_M = 0.2  # so far the bar goes on beyond the end of a piece, at least

@@ -126,3 +126,15 @@ def test_a_corner_without_room_to_swing_out_is_cut() -> None:
     whole, cut = (cut_at_corners(ring(), 0.6, 2.0, tight, room) for room in (FREE, tight))
     assert (len(whole), len(cut)) == (1, 4)
     assert tight.buffer(1e-6).contains(MultiLineString(cut))
+
+
+@pytest.mark.parametrize(("overlap_m", "swaths"), [(0.1, 5), (0.15, 5), (0.2, 1)])
+def test_corners_are_cut_where_the_overlap_is_smaller_than_the_way_off_the_line(
+    overlap_m: float, swaths: int
+) -> None:
+    """A body that turns on the spot is up to 0.09 m beside its line in a corner. With half an overlap of
+    less, no unit there counted, and the fleet worked it again until the time limit."""
+    vehicle = Vehicle(radius_m=0.6, drive=DriveTrain.DIFFERENTIAL)
+    values = FieldValues(implement_width_m=5.0, overlap_m=overlap_m)
+    field = divided("corners", box(0, 0, 40, 30), (0.0, 0.0), values, vehicle)
+    assert len(field.sections[0].swaths) == swaths

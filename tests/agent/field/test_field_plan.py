@@ -34,11 +34,20 @@ def test_the_gate_is_a_corner_unless_it_is_declared() -> None:
     [
         (FieldValues(gate=(31.0, 0.0)), "field.gate: "),
         (FieldValues(implement_width_m=41.0), "field.implement_width_m: "),
+        (FieldValues(overlap_m=0.09), "field.overlap_m: 0.09 m: .* use 0.1 m at least"),
     ],
 )
 def test_a_value_that_does_not_fit_is_named(values: FieldValues, key: str) -> None:
     with pytest.raises(FieldError, match=key):
         divided("f", OUTLINE, ORIGIN, values, Vehicle())
+
+
+def test_a_body_that_steers_needs_a_wider_overlap() -> None:
+    """With 0.1 m, three tractors worked the bends of `small` again and again until the time limit."""
+    tractor = Vehicle(drive=DriveTrain.ACKERMANN)
+    with pytest.raises(FieldError, match=r"field.overlap_m: 0.1 m: .* use 0.2 m at least"):
+        divided("f", OUTLINE, ORIGIN, FieldValues(overlap_m=0.1), tractor)
+    assert divided("f", OUTLINE, ORIGIN, FieldValues(overlap_m=0.2), tractor).sections
 
 
 def test_a_vehicle_too_wide_for_its_swaths_is_named() -> None:
