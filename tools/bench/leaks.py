@@ -98,8 +98,8 @@ def _slope(points: list[tuple[float, int]]) -> float:
     )
 
 
-# A job of 18 hours for weeders, so that robots drive all the time. Tables with a limit are full after some
-# hundred units of work: with slower robots, they would fill for longer than the warm-up.
+# A job of 18 hours for weeders, so that robots drive all the time. Tables with a limit are full after
+# some hundred units of work: with slower robots, they would fill for longer than the warm-up.
 WIDE_DEGREES, HIGH_DEGREES = 0.022, 0.009  # 1.5 by 1 km
 CORNERS = [(0, 0), (WIDE_DEGREES, 0), (WIDE_DEGREES, HIGH_DEGREES), (0, HIGH_DEGREES), (0, 0)]
 RING = [[5.0 + east, 52.0 + north] for east, north in CORNERS]
