@@ -40,7 +40,7 @@ MEANING = {
     "feature": "which field of a file with several",
     "implement_width_m": "width of the implement",
     "overlap_m": "overlap of two lines; half of it is how far a robot may be off its line. At least 0.1, "
-    "with `ackermann` 0.2",
+    "with `differential` 0.15, with `ackermann` 0.2",
     "section_length_m": "longest section, which one robot claims at a time; shorter for many robots",
     "unit_m": "length of a unit, the smallest piece of work that is recorded",
     "gate": "where robots enter, metres east and north of the field's middle; none: a corner",

@@ -42,12 +42,18 @@ def test_a_value_that_does_not_fit_is_named(values: FieldValues, key: str) -> No
         divided("f", OUTLINE, ORIGIN, values, Vehicle())
 
 
-def test_a_body_that_steers_needs_a_wider_overlap() -> None:
-    """With 0.1 m, three tractors worked the bends of `small` again and again until the time limit."""
-    tractor = Vehicle(drive=DriveTrain.ACKERMANN)
-    with pytest.raises(FieldError, match=r"field.overlap_m: 0.1 m: .* use 0.2 m at least"):
-        divided("f", OUTLINE, ORIGIN, FieldValues(overlap_m=0.1), tractor)
-    assert divided("f", OUTLINE, ORIGIN, FieldValues(overlap_m=0.2), tractor).sections
+@pytest.mark.parametrize(
+    ("drive", "wrong_m", "least_m"),
+    [(DriveTrain.ACKERMANN, 0.15, 0.2), (DriveTrain.DIFFERENTIAL, 0.1, 0.15)],
+)
+def test_a_body_that_steers_needs_a_wider_overlap(
+    drive: DriveTrain, wrong_m: float, least_m: float
+) -> None:
+    """With 0.1 m, fleets worked the bends of their lines again and again until the time limit."""
+    body = Vehicle(drive=drive)
+    with pytest.raises(FieldError, match=rf"field.overlap_m: .* use {least_m} m at least"):
+        divided("f", OUTLINE, ORIGIN, FieldValues(overlap_m=wrong_m), body)
+    assert divided("f", OUTLINE, ORIGIN, FieldValues(overlap_m=least_m), body).sections
 
 
 def test_a_vehicle_too_wide_for_its_swaths_is_named() -> None:

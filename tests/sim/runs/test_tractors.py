@@ -19,7 +19,7 @@ def test_m5_a_fleet_that_steers_finishes_a_field(drive: str) -> None:
 def test_bodies_that_turn_on_the_spot_finish_a_field_of_narrow_overlaps() -> None:
     """Corners that they drove in one go did not count, and they worked them until the time limit."""
     scenario = load("small").changed(drive="differential")
-    field = scenario.field.model_copy(update={"overlap_m": 0.1})
+    field = scenario.field.model_copy(update={"overlap_m": 0.15})
     outcome = FieldRun(FieldSetup(scenario.model_copy(update={"field": field}))).run()
     assert outcome.success and outcome.units_twice == 0, outcome
 
