@@ -29,7 +29,17 @@ from agent.runtime.robot_body import DeclaredMachine
 from sim.machines.isobus_machine import IsobusMachine
 from sim.machines.nmea_machine import Dimensions, WheeledBody
 from tests.tools.launching import ENVIRONMENT, ROOT
-from tools.run.body_check import CHECKS, BodyTrial, hint_of, judged, unit_of
+from tools.run.body_check import (
+    CHECKS,
+    PAUSE_US,
+    PAUSES_MAX,
+    BodyTrial,
+    WrongError,
+    confirmed,
+    hint_of,
+    judged,
+    unit_of,
+)
 from tools.run.machine_command import order
 
 EXAMPLE = ROOT / "examples" / "robot"
@@ -300,6 +310,28 @@ class Filtered(NmeaBody):
         x_m, y_m = self.kept or seen[:2]
         self.kept = x_m + (seen.x_m - x_m) / 20, y_m + (seen.y_m - y_m) / 20
         return seen._replace(x_m=self.kept[0], y_m=self.kept[1])
+
+
+@pytest.mark.parametrize("paused_for_us", [0, 2 * PAUSE_US])
+def test_a_trial_in_which_this_program_paused_does_not_count(paused_for_us: int) -> None:
+    """Three trials beside other work said that the body `isobus` drives on for 317 ms."""
+    made = NmeaBody(0, "tcp://127.0.0.1:1", "tcp://127.0.0.1:1")
+    tried, trials = BodyTrial(made, Vehicle(), None), 0
+
+    async def stops(trial: BodyTrial) -> str:
+        nonlocal trials
+        trials += 1
+        if trials == PAUSES_MAX:
+            return "stood"
+        trial.paused_for_us = paused_for_us
+        raise WrongError("drives on")
+
+    if paused_for_us:
+        assert asyncio.run(confirmed(tried, "stop", stops)) == "stood"
+    else:
+        with pytest.raises(WrongError, match="drives on"):
+            asyncio.run(confirmed(tried, "stop", stops))
+        assert trials == 2
 
 
 class NoNumber(NmeaBody):
