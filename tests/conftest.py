@@ -7,6 +7,7 @@ in, values out. `make fast` runs only those. CONTRIBUTING.md has the commands.
 """
 
 import re
+import signal
 from collections import Counter
 from functools import cache
 from pathlib import Path
@@ -21,6 +22,9 @@ from tests.examples import QUICK, THOROUGH
 settings.register_profile("quick", deadline=None, max_examples=QUICK)
 settings.register_profile("thorough", deadline=None, max_examples=THOROUGH)
 settings.load_profile("quick")
+
+# A shell starts background jobs with SIGINT ignored, which children inherit. Tests interrupt theirs.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 PROCESS = re.compile(
     r"^\s*(?:import (?:subprocess|multiprocessing)|from (?:asyncio\.subprocess|tests\.tools\.launching)"
