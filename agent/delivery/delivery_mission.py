@@ -169,12 +169,10 @@ class DeliveryMission(NavigationMission):
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
         load = self._load  # aboard since before a restart, or after an operator's order
-        if self._load_unknown:
-            return None
         if load in self.dispatch.book and view.allocation.phase_of(load) is not Phase.DONE:
             bay = self._charge(view, load) if self._falls_short(load, view) else None
             return bay or self._claim(load, view)
-        task = self._next(view)
+        task = None if self._load_unknown else self._next(view)
         if task is None:
             low = view.here.battery < IDLE_CHARGE and not self.dispatch.round.active
             return self._charge(view, None) if low else None
