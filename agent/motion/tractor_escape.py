@@ -7,7 +7,8 @@ from agent.motion.tractor_tracker import AT_WORK, SteeredWheels, SteeringLimits,
 from agent.paths.dubins import step
 from agent.paths.tractor_route import Piece, Point, TurnRoute, VehiclePose, sampled
 
-LENGTHS_M = (3.0, 5.0, 8.0)  # of the arcs and straights that are tried
+# Of the arcs and straights that are tried. The short ones are for corners, where no other is free.
+LENGTHS_M = (0.6, 1.2, 3.0, 5.0, 8.0)
 ENOUGH_M = 9.0  # a larger distance from the other robot is no better
 STEP_M = 0.5  # between places where the piece is checked for collisions
 SPARE_M = 0.35  # between hulls

@@ -1,5 +1,8 @@
 """Fleets that steer finish a field as fleets that go sideways do: all of it, and nobody touched."""
 
+import json
+from pathlib import Path
+
 import pytest
 
 from sim.runs.field_run import FieldRun
@@ -21,6 +24,28 @@ def test_bodies_that_turn_on_the_spot_finish_a_field_of_narrow_overlaps() -> Non
     scenario = load("small").changed(drive="differential")
     field = scenario.field.model_copy(update={"overlap_m": 0.15})
     outcome = FieldRun(FieldSetup(scenario.model_copy(update={"field": field}))).run()
+    assert outcome.success and outcome.units_twice == 0, outcome
+
+
+# Degrees east and north: two long sides that meet in corners of 14 degrees.
+SLIVER = (
+    (11.000001977897476, 47.99999885446771), (11.000413844994661, 48.000231677126955),
+    (11.000848399227086, 48.000655871100534), (11.000283315096288, 48.00030727569325),
+    (11.000001977897476, 47.99999885446771),
+)  # fmt: skip
+
+
+@pytest.mark.slow
+def test_two_bodies_nose_to_tail_in_an_acute_corner_part(tmp_path: Path) -> None:
+    """Every arc that they tried to get out of the way was too long for the corner."""
+    outline = {"type": "Polygon", "coordinates": [SLIVER]}
+    (tmp_path / "sliver.geojson").write_text(json.dumps(outline))
+    (tmp_path / "sliver.toml").write_text(
+        'name = "sliver"\n[field]\nfile = "sliver.geojson"\nimplement_width_m = 3.0\n'
+        "overlap_m = 0.2\n[fleet]\nrobots = 2\nradius_m = 0.4\nspeed_m_s = 2.5\n"
+        'drive = "differential"\n[run]\nseed = 500055\n'
+    )
+    outcome = FieldRun(FieldSetup(load(str(tmp_path / "sliver.toml")))).run()
     assert outcome.success and outcome.units_twice == 0, outcome
 
 
