@@ -4,7 +4,7 @@ Each piece is straight or bends gently. At a cut it goes on straight by up to ha
 as the middle of the body may go. An implement that swings sweeps a corner by turning; this one has
 to go past the corner in both directions. At a sharp corner with a fence ahead, the piece ends in a
 bend away from that fence. The outer end of the bar then runs ahead of the body, into the corner. Of
-several bends the one is taken with which both pieces together leave the least.
+several bends those two are taken with which both pieces together leave the least.
 
 A body that turns on the spot drives a corner in one go instead, where it has room for that. Ways are
 rounded before they are driven, so the line swings out first: the rounded one then passes the corner
@@ -12,7 +12,7 @@ itself, and the bar swings over all that it can reach from there. Cut pieces lea
 where the body is nearly as wide as the implement, because it cannot go past the corner.
 """
 
-from itertools import pairwise
+from itertools import pairwise, product
 from math import atan2, ceil, copysign, cos, hypot, inf, pi, sin
 
 import numpy as np
@@ -30,9 +30,9 @@ SPARE, SPARE_RAD = 1.1, 0.05  # tolerances for an arc that is drawn as chords
 STEP_M = 0.05  # step of the search for the end of a piece
 SHARP_RAD = 1.2  # a corner that turns by less is swept to its end by going past it
 ACUTE_RAD = 1.9  # in a corner that turns by more the line does not swing out
-# At the end of a piece, the first of those that are as good. With 0.42 rad the outer end of the bar is
-# ahead by 40 % of its half. A right angle needs that, and a sharper corner more. Between two near fences
-# a bend ends far before the corner, and going straight on leaves less.
+# At the end of a piece; of those that are as good, the first, and the same at both ends. With 0.42 rad
+# the outer end of the bar is ahead by 40 % of its half. A right angle needs that, and a sharper corner
+# more. Between two near fences a bend ends far before the corner, and going straight on leaves less.
 TURN_INS_RAD = (0.42, 0.5, 0.58, 0.66, 0.74, 0.82, 0.34, 0.0)
 AS_GOOD_M2 = 0.003  # a twentieth of a cell of the coverage check
 BESIDE_M = 0.03  # errors of tracking: the bar counts as shorter by this on both sides
@@ -99,20 +99,20 @@ def _ends(
     corner = into[-1]
     ground = Point(corner).buffer(2 * reach_m)
     ground = ground.intersection(asked) if asked is not None else Point()
-    best: tuple[list[XY], list[XY]] | None = None
-    least_m2 = inf
-    for turn_in_rad in TURN_INS_RAD:
-        both = (
-            _on(into, turn_rad, turn_in_rad, reach_m, bend_m, free),
-            _on(out, -turn_rad, turn_in_rad, reach_m, bend_m, free),
-        )
-        if best == both or (best is not None and ground.is_empty):
-            return best
-        swept = [_swept(piece, corner, reach_m) for piece in both]
-        left_m2 = ground.difference(shapely.union_all(swept)).area
+    ends = [
+        (_on(into, turn_rad, by_rad, reach_m, bend_m, free),
+         _on(out, -turn_rad, by_rad, reach_m, bend_m, free))
+        for by_rad in TURN_INS_RAD
+    ]  # fmt: skip
+    best, least_m2 = ends[0], inf
+    if ground.is_empty or ends[0] == ends[1]:
+        return best
+    swept = [tuple(_swept(piece, corner, reach_m) for piece in both) for both in ends]
+    left = [ground.difference(first) for first, _ in swept]
+    for k, j in sorted(product(range(len(ends)), repeat=2), key=lambda kj: kj[0] != kj[1]):
+        left_m2 = left[k].difference(swept[j][1]).area
         if left_m2 < least_m2 - AS_GOOD_M2:
-            best, least_m2 = both, left_m2
-    assert best is not None
+            best, least_m2 = (ends[k][0], ends[j][1]), left_m2
     return best
 
 

@@ -1,7 +1,7 @@
 """Moves a steered body out of another robot's way: one arc or straight, forward or backward."""
 
 from collections.abc import Iterable
-from math import hypot
+from math import copysign, cos, hypot, sin
 
 from agent.motion.tractor_tracker import AT_WORK, SteeredWheels, SteeringLimits, TractorTracker
 from agent.paths.dubins import step
@@ -89,11 +89,14 @@ class EscapeManoeuvre:
 
     def _clear(self, here: VehiclePose, piece: Piece, everybody: list[Point]) -> bool:
         steps = max(1, int(abs(piece.length_m) / STEP_M))
+        gear = copysign(1.0, piece.length_m)
         for other in everybody:
-            least_m = min(
-                2 * self.radius_m + SPARE_M,
-                hypot(other[0] - here.x_m, other[1] - here.y_m) - 0.02,
-            )
+            dx_m, dy_m = other[0] - here.x_m, other[1] - here.y_m
+            gap_m, most_m = hypot(dx_m, dy_m), 2 * self.radius_m + SPARE_M
+            closing = gear * (dx_m * cos(here.heading_rad) + dy_m * sin(here.heading_rad))
+            if gap_m < most_m + 0.02 and closing > 0.0:
+                return False  # avoidance would not let it begin
+            least_m = min(most_m, gap_m - 0.02)
             for k in range(1, steps + 1):
                 x, y, _ = step(*here, piece.curvature_1_m, piece.length_m * k / steps)
                 if hypot(x - other[0], y - other[1]) < least_m:

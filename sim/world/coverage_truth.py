@@ -93,8 +93,8 @@ def strokes_of(track: Track | Sequence[TrackPoint] | Floats) -> Floats:
     """The straight pieces worked, short ones merged, as an array (n, 8).
 
     Each row: from x, y, to x, y, metres; microseconds; metres driven so far; and the course before,
-    a unit vector (0, 0 at the beginning of a run). `track` as an array is (points, 4): x, y,
-    microseconds, 1 if the implement is down.
+    a unit vector (0, 0 at the beginning of a run). `track` as an array is (points, 4):
+    microseconds, x, y, and 1 if the implement is down.
     """
     points = track.to_array() if isinstance(track, Track) else np.asarray(track, dtype=np.float64)
     strokes: Floats = _strokes(points.reshape(-1, 4))

@@ -8,11 +8,11 @@ The tracks driven do not matter here. There are two reasons why a body cannot re
 * **It cannot bring its implement there.** A body that turns on the spot swings the bar into any
   corner. A body that steers works in strokes: the bar is lowered, driven, and lifted. A stroke
   bends no tighter than the turning circle. It is at least as long as the implement is wide and the
-  body is long, because a shorter one would need shunting. All along a stroke the bar lies within
-  the outline, and the middle of the body keeps its distance from fences. A cell is reachable if one
-  such stroke passes it, in any direction, with half the overlap to spare, which is the tolerance of
-  driving. So a body that steers may have to leave a corner or a narrow end, but never a strip along
-  a fence.
+  body is long, because a shorter one would need shunting. All along a stroke the whole
+  bar lies within the outline, and the middle of the body keeps its distance from fences. A cell is
+  reachable if one such stroke passes it, in any direction, with half the overlap to spare, which is
+  the tolerance of driving. So a body that steers may have to leave a corner or a narrow end, but
+  never a strip along a fence.
 
 The check of strokes is sampled: directions every 7.5 degrees and those of the fences near by, nine
 curvatures. A cell that only a stroke between the samples passes counts as not reachable.
@@ -42,6 +42,7 @@ ALONG: Final = 5  # and along the stroke
 STEP_M: Final = 0.5  # between checked positions of a stroke
 SMALL_SHARE: Final = 0.9  # of the longest line in a field that is shorter than a stroke
 EDGES_MAX: Final = 64  # of the outline, near a cell; if there are more, the nearest count
+TOUCHES_M: Final = 0.02  # a bar that is this much too wide touches the fence; it does not cross it
 NEGLIGIBLE_M2: Final = 0.05  # less than a cell: not worth reporting
 
 
@@ -141,9 +142,10 @@ def _by_strokes(polygon: Polygon, raster: Raster, joined: Flags, body: WorkingBo
     rows, columns = np.nonzero(rim)
     cells = joined.copy()
     place = np.array([raster.west_m, raster.south_m, raster.cell_m])
-    bar_m, keep_m = body.width_m - body.overlap_m, body.keep_m + body.overlap_m / 2
+    width_m, bar_m = body.width_m - TOUCHES_M, body.width_m - body.overlap_m
+    keep_m = body.keep_m + body.overlap_m / 2
     bends = np.array([b / body.turn_radius_m for b in (*BENDS, *(-b for b in BENDS[1:]))])
-    _strokes_pass(edges, rows, columns, place, bar_m, keep_m - 1e-6, stroke_m, bends, cells)
+    _strokes_pass(edges, rows, columns, place, width_m, bar_m, keep_m - 1e-6, stroke_m, bends, cells)
     return cells
 
 
@@ -160,12 +162,12 @@ def _in(area: Polygon | MultiPolygon, raster: Raster) -> Flags:
 
 @njit(cache=True, error_model="numpy")
 def _strokes_pass(  # type: ignore[no-untyped-def]
-    edges, rows, columns, place, bar, keep, stroke, bends, cells
+    edges, rows, columns, place, width, bar, keep, stroke, bends, cells
 ):
     """Clear each of these cells that no stroke passes."""
     near = np.empty((EDGES_MAX, 4))
     headings = np.empty(EDGES_MAX + HEADINGS)
-    reach = stroke + bar + keep
+    reach = stroke + width + keep
     for n in range(rows.shape[0]):
         x = place[0] + (columns[n] + 0.5) * place[2]
         y = place[1] + (rows[n] + 0.5) * place[2]
@@ -176,7 +178,7 @@ def _strokes_pass(  # type: ignore[no-untyped-def]
             headings[count + k] = pi * k / HEADINGS
         total = count + HEADINGS
         cells[rows[n], columns[n]] = _passed(
-            x, y, near, count, headings, total, bar, keep, stroke, bends
+            x, y, near, count, headings, total, width, bar, keep, stroke, bends
         )
 
 
@@ -209,7 +211,7 @@ def _distance(x, y, edge):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, error_model="numpy")
-def _passed(x, y, near, count, headings, total, bar, keep, stroke, bends):  # type: ignore[no-untyped-def]
+def _passed(x, y, near, count, headings, total, width, bar, keep, stroke, bends):  # type: ignore[no-untyped-def]
     """Whether some stroke has the point under its bar and stays within the outline."""
     for b in range(bends.shape[0]):
         for h in range(total):
@@ -220,14 +222,14 @@ def _passed(x, y, near, count, headings, total, bar, keep, stroke, bends):  # ty
                 for k in range(ALONG):
                     back = stroke * k / (ALONG - 1)
                     if _stays_in(
-                        cx, cy, headings[h], bends[b], -back, stroke - back, near, count, bar, keep
+                        cx, cy, headings[h], bends[b], -back, stroke - back, near, count, width, keep
                     ):
                         return True
     return False
 
 
 @njit(cache=True, error_model="numpy")
-def _stays_in(cx, cy, heading, bend, first, last, near, count, bar, keep):  # type: ignore[no-untyped-def]
+def _stays_in(cx, cy, heading, bend, first, last, near, count, width, keep):  # type: ignore[no-untyped-def]
     steps = int(np.ceil((last - first) / STEP_M))
     for k in range(steps + 1):
         s = first + (last - first) * k / steps
@@ -237,7 +239,7 @@ def _stays_in(cx, cy, heading, bend, first, last, near, count, bar, keep):  # ty
         else:
             px += (sin(at) - sin(heading)) / bend
             py -= (cos(at) - cos(heading)) / bend
-        half_x, half_y = -sin(at) * bar / 2, cos(at) * bar / 2
+        half_x, half_y = -sin(at) * width / 2, cos(at) * width / 2
         for e in range(count):
             if _distance(px, py, near[e]) < keep:
                 return False

@@ -44,6 +44,16 @@ def test_a_ring_that_has_no_room_past_its_corners_ends_in_them() -> None:
     assert [pytest.approx(piece[0]) for piece in pieces] == list(around[:-1])
 
 
+def test_the_two_ends_in_a_corner_may_bend_differently() -> None:
+    """Where both bent alike, they left 20 cells in the corners of this field."""
+    outline = Polygon([(-28, -31), (28, -27), (2, 0), (21, 31), (-28, 31), (-2, 2)])
+    vehicle = Vehicle(radius_m=0.6, drive=DriveTrain.DIFFERENTIAL)
+    values = FieldValues(implement_width_m=2.5, overlap_m=0.15)
+    field = divided("neck", outline, (0.0, 0.0), values, vehicle)
+    told = swept(field, PAST_END_M, planned_radius_m(vehicle))
+    assert len(told.missed) < 16, told.missed
+
+
 @pytest.mark.parametrize("turn_radius_m, pieces", [(1.8, 1), (3.0, None)])
 def test_round_corners_stay_whole_where_they_can_be_followed(
     turn_radius_m: float, pieces: int | None

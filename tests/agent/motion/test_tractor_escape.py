@@ -1,0 +1,25 @@
+"""Ways of a steered body out of another one's way that avoidance lets it begin."""
+
+from math import cos, hypot, sin
+
+import numpy as np
+
+from agent.motion.tractor_escape import SPARE_M, EscapeManoeuvre
+from agent.motion.tractor_tracker import SteeringLimits
+from agent.paths.tractor_route import TurnRoute, VehiclePose
+
+RADIUS_M = 0.4
+TURNS = TurnRoute(np.zeros((160, 160), dtype=bool), -20.0, -20.0, 0.25, 0.6)  # 40 x 40 m
+OTHER = 0.3, -1.09  # so near that avoidance lets bodies only go away from each other
+
+
+def test_an_escape_does_not_begin_towards_a_body_that_is_near() -> None:
+    """Of three differential bodies in an acute corner one waited
+    for good to begin an arc that would have led past the other one."""
+    escape = EscapeManoeuvre(TURNS, RADIUS_M, SteeringLimits(1.5, 1.0, 3.0))
+    assert hypot(*OTHER) < 2 * RADIUS_M + SPARE_M
+    for heading_rad in np.linspace(-3.0, 3.0, 24):
+        piece = escape.find(VehiclePose(0.0, 0.0, float(heading_rad)), [OTHER], [OTHER])
+        assert piece is not None
+        ahead = OTHER[0] * cos(heading_rad) + OTHER[1] * sin(heading_rad)
+        assert ahead * piece.length_m <= 0.0, f"heading {heading_rad:.2f}: {piece}"
