@@ -39,7 +39,9 @@ from sim.world.reachable_ground import Ground, WorkingBody, reachable_ground
 from sim.world.world import World
 
 DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
-SPACING_RADII = 3.0  # spacing of robots at the gate
+# Spacing of robots at the gate, and the least between their hulls. With 0.4 m, avoidance left them 0.05 m
+# to begin their turns with.
+SPACING_RADII, APART_M = 3.0, 0.8
 
 
 FIELDS_MAX = 8  # a campaign uses one field
@@ -57,10 +59,11 @@ class FieldSetup(FleetSetup):
             self.plan = FieldPlan(self.field, self.vehicle)
         except FieldError as problem:
             raise ScenarioError(f"{scenario.name}: {problem}") from None
-        spacing_m = SPACING_RADII * scenario.fleet.radius_m
+        radius_m = scenario.fleet.radius_m
+        spacing_m = max(SPACING_RADII * radius_m, 2 * radius_m + APART_M)
         try:
             self.starts = start_poses(
-                self.field, scenario.fleet.robots, spacing_m, scenario.fleet.radius_m + CLEARANCE_M
+                self.field, scenario.fleet.robots, spacing_m, radius_m + CLEARANCE_M
             )
         except ValueError as problem:
             raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None

@@ -145,7 +145,9 @@ def _by_strokes(polygon: Polygon, raster: Raster, joined: Flags, body: WorkingBo
     width_m, bar_m = body.width_m - TOUCHES_M, body.width_m - body.overlap_m
     keep_m = body.keep_m + body.overlap_m / 2
     bends = np.array([b / body.turn_radius_m for b in (*BENDS, *(-b for b in BENDS[1:]))])
-    _strokes_pass(edges, rows, columns, place, width_m, bar_m, keep_m - 1e-6, stroke_m, bends, cells)
+    _strokes_pass(
+        edges, rows, columns, place, width_m, bar_m, keep_m - 1e-6, stroke_m, bends, cells
+    )
     return cells
 
 
@@ -222,7 +224,16 @@ def _passed(x, y, near, count, headings, total, width, bar, keep, stroke, bends)
                 for k in range(ALONG):
                     back = stroke * k / (ALONG - 1)
                     if _stays_in(
-                        cx, cy, headings[h], bends[b], -back, stroke - back, near, count, width, keep
+                        cx,
+                        cy,
+                        headings[h],
+                        bends[b],
+                        -back,
+                        stroke - back,
+                        near,
+                        count,
+                        width,
+                        keep,
                     ):
                         return True
     return False

@@ -23,3 +23,14 @@ def test_an_escape_does_not_begin_towards_a_body_that_is_near() -> None:
         assert piece is not None
         ahead = OTHER[0] * cos(heading_rad) + OTHER[1] * sin(heading_rad)
         assert ahead * piece.length_m <= 0.0, f"heading {heading_rad:.2f}: {piece}"
+
+
+def test_an_escape_is_found_where_there_is_room_for_a_short_one_only() -> None:
+    """Two differential bodies nose to tail in an acute corner stood there for good."""
+    walls = np.ones((80, 80), dtype=bool)
+    walls[36:45, 36:47] = False  # 2.75 m by 2.25 m about the body
+    corner = TurnRoute(walls, -10.0, -10.0, 0.25, 0.6)
+    escape = EscapeManoeuvre(corner, RADIUS_M, SteeringLimits(1.5, 1.0, 3.0))
+    behind = -1.2, 0.0
+    piece = escape.find(VehiclePose(0.0, 0.0, 0.0), [behind], [behind])
+    assert piece is not None and piece.length_m > 0.0

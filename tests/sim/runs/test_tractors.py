@@ -1,6 +1,7 @@
 """Fleets that steer finish a field as fleets that go sideways do: all of it, and nobody touched."""
 
 import json
+from math import dist
 from pathlib import Path
 
 import pytest
@@ -36,8 +37,8 @@ SLIVER = (
 
 
 @pytest.mark.slow
-def test_two_bodies_nose_to_tail_in_an_acute_corner_part(tmp_path: Path) -> None:
-    """Every arc that they tried to get out of the way was too long for the corner."""
+def test_small_bodies_that_begin_in_an_acute_corner_part(tmp_path: Path) -> None:
+    """They were 0.4 m apart, which is 0.05 m more than avoidance keeps."""
     outline = {"type": "Polygon", "coordinates": [SLIVER]}
     (tmp_path / "sliver.geojson").write_text(json.dumps(outline))
     (tmp_path / "sliver.toml").write_text(
@@ -45,7 +46,9 @@ def test_two_bodies_nose_to_tail_in_an_acute_corner_part(tmp_path: Path) -> None
         "overlap_m = 0.2\n[fleet]\nrobots = 2\nradius_m = 0.4\nspeed_m_s = 2.5\n"
         'drive = "differential"\n[run]\nseed = 500055\n'
     )
-    outcome = FieldRun(FieldSetup(load(str(tmp_path / "sliver.toml")))).run()
+    setting = FieldSetup(load(str(tmp_path / "sliver.toml")))
+    assert dist(*setting.starts) >= 2 * 0.4 + 0.8
+    outcome = FieldRun(setting).run()
     assert outcome.success and outcome.units_twice == 0, outcome
 
 
