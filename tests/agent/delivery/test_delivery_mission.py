@@ -84,6 +84,17 @@ def test_a_robot_with_a_parcel_whose_order_it_forgot_takes_no_other_task() -> No
     assert choice is not None and choice.section == forgotten
 
 
+def test_a_robot_with_a_parcel_whose_order_it_forgot_charges_when_it_is_low() -> None:
+    home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(50.5, 0.5)])
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    for battery, charges in ((0.9, False), (0.45, True)):
+        seen = view(S, battery)
+        seen = seen._replace(here=seen.here._replace(load=7))
+        mission.on_control_period(seen, State.IDLE)
+        choice = mission.choose(seen)
+        assert (choice is not None and choice.section >= TASKS_MAX) is charges
+
+
 def test_what_is_aboard_need_not_be_picked_up() -> None:
     assert stop_names([7], [TASKS_MAX + 1, 5], 7) == ["D7", "C1", "P5", "D5"]
     assert stop_names([], [5, 11, TASKS_MAX + 1], -1) == ["P5", "D5", "P11", "D11", "C1"]
