@@ -5,7 +5,7 @@ from pathlib import Path
 
 from shapely.geometry import Point
 
-from agent.field.field_map import Field, start_poses
+from agent.field.field_map import XY, Field, start_poses
 from agent.field.field_plan import (
     CLEARANCE_M,
     FieldError,
@@ -39,9 +39,10 @@ from sim.world.reachable_ground import Ground, WorkingBody, reachable_ground
 from sim.world.world import World
 
 DEADLY = (Crash, CrashWorking)  # faults after which a robot may not work
-# Spacing of robots at the gate, and the least between their hulls. With 0.4 m, avoidance left them 0.05 m
-# to begin their turns with.
-SPACING_RADII, APART_M = 3.0, 0.8
+SPACING_RADII = 3.0  # spacing of robots at the gate
+# Smaller bodies begin where bodies of this radius would, if there is room. At 0.4 m from each other,
+# avoidance left them 0.05 m to begin their turns with, and some could not turn between two fences.
+STARTS_AS_M = 0.8
 
 
 FIELDS_MAX = 8  # a campaign uses one field
@@ -59,15 +60,22 @@ class FieldSetup(FleetSetup):
             self.plan = FieldPlan(self.field, self.vehicle)
         except FieldError as problem:
             raise ScenarioError(f"{scenario.name}: {problem}") from None
-        radius_m = scenario.fleet.radius_m
-        spacing_m = max(SPACING_RADII * radius_m, 2 * radius_m + APART_M)
-        try:
-            self.starts = start_poses(
-                self.field, scenario.fleet.robots, spacing_m, radius_m + CLEARANCE_M
-            )
-        except ValueError as problem:
-            raise ScenarioError(f"{scenario.name}: fleet.robots: {problem}") from None
+        self.starts = self._starts()
         self._check_places()
+
+    def _starts(self) -> list[XY]:
+        """Places of the robots, (x, y) metres. ScenarioError if there is no room for all."""
+        own_m, count = self.scenario.fleet.radius_m, self.scenario.fleet.robots
+        for radius_m in (max(own_m, STARTS_AS_M), own_m):
+            clearance_m = radius_m + CLEARANCE_M
+            room = self.field.polygon.buffer(-clearance_m)
+            if room.is_empty and radius_m > own_m:
+                continue
+            try:
+                return start_poses(self.field, count, SPACING_RADII * radius_m, clearance_m)
+            except ValueError as problem:
+                why = problem
+        raise ScenarioError(f"{self.scenario.name}: fleet.robots: {why}") from None
 
     def _check_places(self) -> None:
         """ScenarioError for an obstacle or a goal where no robot of this field could ever meet it."""

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import FieldSetup
+from sim.scenarios.field_setup import STARTS_AS_M, FieldSetup
 from sim.scenarios.scenario import Crash, ScenarioError, load
 
 
@@ -47,7 +47,7 @@ def test_small_bodies_that_begin_in_an_acute_corner_part(tmp_path: Path) -> None
         'drive = "differential"\n[run]\nseed = 500055\n'
     )
     setting = FieldSetup(load(str(tmp_path / "sliver.toml")))
-    assert dist(*setting.starts) >= 2 * 0.4 + 0.8
+    assert dist(*setting.starts) == pytest.approx(3 * STARTS_AS_M)
     outcome = FieldRun(setting).run()
     assert outcome.success and outcome.units_twice == 0, outcome
 
