@@ -57,7 +57,8 @@ class EscapeManoeuvre:
         """The piece that ends furthest from the robots that need the room, without a collision.
 
         None if no piece brings us further away, within a metre. Forward is preferred to backward by
-        half a metre.
+        half a metre. From a cell without a free one next to it, where a swath may end beside a fence,
+        a piece leads to a free cell.
         """
         best = self._best(here, away_from, everybody, LATE_M)
         best = best or self._best(here, away_from, everybody, 0.0)
@@ -67,20 +68,20 @@ class EscapeManoeuvre:
         self, here: VehiclePose, away_from: list[Point], everybody: list[Point], late_m: float
     ) -> tuple[float, Piece] | None:
         """The best piece with its score, of those that are free even if they begin `late_m` late."""
-        bend = 1.0 / self.turns.radius_m
+        bend, turns = 1.0 / self.turns.radius_m, self.turns.opened_at(here)
         best: tuple[float, Piece] | None = None
         for length_m in LENGTHS_M:
             for gear in (1.0, -1.0):
                 for curvature in (0.0, bend, -bend, bend / 2, -bend / 2):
                     piece = Piece(curvature, gear * length_m)
-                    if not self.turns.piece_is_free(here, piece):
+                    end = step(*here, *piece)
+                    if not turns.piece_is_free(here, piece) or not self.turns.is_free(end[:2]):
                         continue
                     late = VehiclePose(*step(*here, 0.0, gear * late_m))
-                    if late_m and not self.turns.piece_is_free(late, piece):
+                    if late_m and not turns.piece_is_free(late, piece):
                         continue
                     if not self._clear(here, piece, everybody):
                         continue
-                    end = step(*here, *piece)
                     score = min(_gap(end[:2], away_from), ENOUGH_M) - 0.2 * length_m
                     score -= 0.5 if gear < 0.0 else 0.0
                     if best is None or score > best[0] + 1e-9:

@@ -20,6 +20,7 @@ RUN_UPS_M = (1.5, 1.0, 0.5)  # lengths of the straight before the goal that are 
 RUN_OUT_COST_M = 3.0  # a run-out that makes the rest longer by more is left out
 BACK_INS_M = (1.0, 0.5)  # lengths of the straight back to a goal that are tried
 BACK_IN_COST_M = 4.0  # such a way is taken unless it costs more than this: a turn ends less exactly
+OPENED_CELLS = 2.5  # round a start that could not be left
 RUN_UP_M = 1.0  # a shorter run-up is taken only if it saves more than this
 
 
@@ -63,8 +64,8 @@ class TurnRoute:
         `run_out_m`: of the straight before a first bend ahead, where there is room. Wheels that are
         straight at the start take time to turn.
 
-        Cells nearer than `reach_m` to one of the `bodies` count as blocked. A start on a blocked
-        cell may be left: the cells round it count as free.
+        Cells nearer than `reach_m` to one of the `bodies` count as blocked. A start from which the body
+        could move neither straight on nor straight back may be left: the cells round it count as free.
         """
         blocked = self._without(bodies, reach_m)
         self._open(blocked, start)
@@ -116,6 +117,15 @@ class TurnRoute:
         """Whether a piece from a pose stays on free cells; no other bodies are considered."""
         return bool(piece_is_free(self.blocked, self.place, *at, *piece))
 
+    def opened_at(self, at: VehiclePose) -> "TurnRoute":
+        """This one, or one in which a body may leave the pose, as in `way`, if it could not."""
+        if self._leaves(self.blocked, at):
+            return self
+        blocked = self.blocked.copy()
+        self._open(blocked, at)
+        x_m, y_m, cell_m = self.place.tolist()
+        return TurnRoute(blocked, x_m, y_m, cell_m, self.radius_m)
+
     def _search(
         self, blocked: NDArray[np.bool_], start: VehiclePose, goal: VehiclePose
     ) -> list[Piece] | None:
@@ -134,8 +144,14 @@ class TurnRoute:
         return blocked
 
     def _open(self, blocked: NDArray[np.bool_], at: VehiclePose) -> None:
-        if not is_free(blocked, self.place, at.x_m, at.y_m):
-            self._disc(blocked, at.x_m, at.y_m, 2.5 * self.place[2], False)
+        if not self._leaves(blocked, at):
+            self._disc(blocked, at.x_m, at.y_m, OPENED_CELLS * self.place[2], False)
+
+    def _leaves(self, blocked: NDArray[np.bool_], at: VehiclePose) -> bool:
+        """Whether a body may leave a pose straight on or straight back. Beside a fence that is aslant to
+        the grid, a free cell may have no free one next to it."""
+        way_m = OPENED_CELLS * float(self.place[2])
+        return any(piece_is_free(blocked, self.place, *at, 0.0, m) for m in (way_m, -way_m))
 
     def _disc(
         self, blocked: NDArray[np.bool_], x_m: float, y_m: float, reach_m: float, value: bool

@@ -6,6 +6,7 @@ import numpy as np
 
 from agent.motion.tractor_escape import SPARE_M, EscapeManoeuvre
 from agent.motion.tractor_tracker import SteeringLimits
+from agent.paths.dubins import step
 from agent.paths.tractor_route import TurnRoute, VehiclePose
 
 RADIUS_M = 0.4
@@ -34,3 +35,16 @@ def test_an_escape_is_found_where_there_is_room_for_a_short_one_only() -> None:
     behind = -1.2, 0.0
     piece = escape.find(VehiclePose(0.0, 0.0, 0.0), [behind], [behind])
     assert piece is not None and piece.length_m > 0.0
+
+
+def test_an_escape_leads_out_of_a_free_cell_without_a_free_one_beside_it() -> None:
+    """At the end of a row beside an aslant fence, an idle robot stood for good before a working one."""
+    walls = np.zeros((80, 80), dtype=bool)
+    rows, columns = np.indices(walls.shape)
+    walls[rows + columns > 80 - 3] = True
+    walls[40, 40] = False
+    fence = TurnRoute(walls, -10.0, -10.0, 0.25, 0.6)
+    escape = EscapeManoeuvre(fence, RADIUS_M, SteeringLimits(1.5, 1.0, 3.0))
+    here, other = VehiclePose(0.125, 0.125, -2.2), (1.5, -1.5)
+    piece = escape.find(here, [other], [other])
+    assert piece is not None and fence.is_free(step(*here, *piece)[:2])

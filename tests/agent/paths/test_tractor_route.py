@@ -109,6 +109,32 @@ def test_i26_a_goal_with_a_fence_behind_it_is_reached_straight_back(from_rad: fl
     assert pieces[-1].length_m <= -0.5 and way[-1, 4] == -1.0
 
 
+HEMMED_IN = VehiclePose(20.125, 15.125, pi / 4)  # the middle of a cell
+
+
+def with_a_free_cell() -> NDArray[np.bool_]:
+    """Ground whose only free cell beside an aslant fence is a cell away from other free ones."""
+    blocked = paddock()
+    rows, columns = np.indices(blocked.shape)
+    blocked[rows + columns > 60 + 80 - 3] = True
+    blocked[60, 80] = False
+    return blocked
+
+
+def test_a_body_in_a_free_cell_without_a_free_one_beside_it_gets_out() -> None:
+    """A fleet never finished: an idle robot stood at the end of a row, where it was in the way."""
+    route = turns(with_a_free_cell())
+    goal = VehiclePose(12.0, 12.0, pi)
+    assert route.is_free((HEMMED_IN.x_m, HEMMED_IN.y_m))
+    assert not any(route.piece_is_free(HEMMED_IN, Piece(0.0, way_m)) for way_m in (0.6, -0.6))
+    assert route.way(HEMMED_IN, goal)
+    assert route.way(goal, HEMMED_IN)
+    opened = route.opened_at(HEMMED_IN)
+    assert opened.piece_is_free(HEMMED_IN, Piece(0.0, -3.0))
+    assert not opened.piece_is_free(HEMMED_IN, Piece(0.0, 3.0))
+    assert route.opened_at(goal) is route
+
+
 def test_no_way_is_said_to_be_none() -> None:
     blocked = paddock()
     blocked[:, 80:82] = True
