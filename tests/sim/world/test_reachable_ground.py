@@ -82,6 +82,18 @@ def test_m5_a_turning_circle_leaves_an_acute_corner_and_says_so() -> None:
     assert reachable_ground(wedge, raster, SIDEWAYS, [(60.0, 5.0)]).share == 1.0
 
 
+def test_a_bar_that_would_cross_the_fences_with_its_ends_does_not_reach_into_a_corner() -> None:
+    """Where the fences are 4 m apart, a bar of 4 m ends; the area asked for goes on for 1.4 m."""
+    body = TRACTOR._replace(overlap_m=1.0)
+    wedge = Polygon([(0, 0), (60, -6), (60, 6)])
+    raster = sample_points(wedge, body.width_m, body.overlap_m)
+    ground = reachable_ground(wedge, raster, body, [(40.0, 0.0)])
+    corners = [part.area_m2 for part in ground.unreached if "turning circle" in part.why]
+    assert corners and corners[0] > 3.0, ground.unreached
+    reached_m = raster.centres(ground.cells)[:, 0].min()
+    assert 19.0 < reached_m < 20.5, "the fences are 4 m apart at 20 m"
+
+
 def test_m4_ground_behind_a_passage_too_narrow_for_the_body_is_named() -> None:
     field = box(0, 0, 30, 30).union(box(30, 14.5, 34, 15.5)).union(box(34, 0, 64, 30))
     raster = sample_points(field, SIDEWAYS.width_m, SIDEWAYS.overlap_m)
