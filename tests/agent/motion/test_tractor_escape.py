@@ -48,3 +48,13 @@ def test_an_escape_leads_out_of_a_free_cell_without_a_free_one_beside_it() -> No
     here, other = VehiclePose(0.125, 0.125, -2.2), (1.5, -1.5)
     piece = escape.find(here, [other], [other])
     assert piece is not None and fence.is_free(step(*here, *piece)[:2])
+
+
+def test_no_escape_ends_in_a_cell_that_is_only_opened_to_be_left() -> None:
+    """It would end beside the fence, where the body stands again."""
+    walls = np.ones((80, 80), dtype=bool)
+    walls[40, 40] = False
+    shut_in = TurnRoute(walls, -10.0, -10.0, 0.25, 0.6)
+    escape = EscapeManoeuvre(shut_in, RADIUS_M, SteeringLimits(1.5, 1.0, 3.0))
+    here, other = VehiclePose(0.125, 0.125, 0.0), (-2.0, 0.0)
+    assert escape.find(here, [other], [other]) is None

@@ -1,14 +1,16 @@
 """Fleets that steer finish a field as fleets that go sideways do: all of it, and nobody touched."""
 
 import json
+from itertools import combinations
 from math import dist
 from pathlib import Path
 
 import pytest
 
 from sim.runs.field_run import FieldRun
-from sim.scenarios.field_setup import STARTS_AS_M, FieldSetup
+from sim.scenarios.field_setup import SPACING_RADII, STARTS_AS_M, FieldSetup
 from sim.scenarios.scenario import Crash, ScenarioError, load
+from tests.sim.drawn_fields import rectangle, scenario
 
 
 @pytest.mark.slow
@@ -47,9 +49,19 @@ def test_small_bodies_that_begin_in_an_acute_corner_part(tmp_path: Path) -> None
         'drive = "differential"\n[run]\nseed = 500055\n'
     )
     setting = FieldSetup(load(str(tmp_path / "sliver.toml")))
-    assert dist(*setting.starts) == pytest.approx(3 * STARTS_AS_M)
+    assert dist(*setting.starts) == pytest.approx(SPACING_RADII * STARTS_AS_M)
     outcome = FieldRun(setting).run()
     assert outcome.success and outcome.units_twice == 0, outcome
+
+
+def test_small_bodies_begin_nearer_to_each_other_where_there_is_no_other_room(
+    tmp_path: Path,
+) -> None:
+    drawn = scenario(tmp_path, rectangle(7.0, 7.0), 9, 1, implement_width_m=3.0)
+    fleet = drawn.fleet.model_copy(update={"radius_m": 0.4})
+    starts = FieldSetup(drawn.model_copy(update={"fleet": fleet})).starts
+    nearest_m = min(dist(a, b) for a, b in combinations(starts, 2))
+    assert len(starts) == 9 and nearest_m == pytest.approx(SPACING_RADII * 0.4)
 
 
 def test_an_unknown_drive_is_one_line() -> None:
