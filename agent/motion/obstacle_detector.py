@@ -37,8 +37,10 @@ BEYOND_M: Final = 0.4  # a ray that reaches this much further than a point has p
 # A ray that ends this near to a fence shows that nothing else is on its way, and that a point behind the
 # fence was noise. No ray reaches `BEYOND_M` further than a point in the strip before a fence.
 AT_FENCE_M: Final = 0.2
-NEARER_M: Final = 0.1  # such a ray ends at least this much before the point or behind it
+# Such a ray ends at least this much before the point or behind it, or it ends where it meets the fence.
+NEARER_M: Final = 0.1
 LOOK_M: Final = 0.1  # between places of a way that is looked at for fences
+FINE_LOOK_M: Final = 0.02  # the same round the end of a ray
 assert AT_FENCE_M < FENCE_TOLERANCE_M, "what such a ray has passed is not the fence"
 FORGET_US: Final = 300 * S  # a point that was not observed again for this long is dropped
 
@@ -224,7 +226,9 @@ class ObstacleDetector:
         range_m = here.ranges_m[ray]
         if range_m > distance_m + BEYOND_M:
             return True
-        return abs(range_m - distance_m) > NEARER_M and self._ends_at_fence(here, ray)
+        if not self._ends_at_fence(here, ray):
+            return False
+        return abs(range_m - distance_m) > NEARER_M or self._meets_fence(here, ray)
 
     def _ends_at_fence(self, here: Observation, ray: int) -> bool:
         range_m = here.ranges_m[ray]
@@ -233,6 +237,16 @@ class ObstacleDetector:
         angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
         x_m, y_m = here.x_m + range_m * cos(angle_rad), here.y_m + range_m * sin(angle_rad)
         return gap_m(x_m, y_m, self.fences) <= AT_FENCE_M
+
+    def _meets_fence(self, here: Observation, ray: int) -> bool:
+        """Whether the ray would end here without anything before the fence. A body beside a fence stops a
+        slanting ray long before the fence does, although the ray then ends near the fence."""
+        angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
+        ux, uy = cos(angle_rad), sin(angle_rad)
+        begin_m = here.ranges_m[ray] - NEARER_M
+        x_m, y_m = here.x_m + begin_m * ux, here.y_m + begin_m * uy
+        count = ceil(2 * NEARER_M / FINE_LOOK_M)
+        return way_gap_m(x_m, y_m, ux, uy, FINE_LOOK_M, count, self.fences) <= FINE_LOOK_M / 2
 
     def _is_behind(self, here: Observation, dx_m: float, dy_m: float) -> bool:
         """Whether a fence lies between us and a point: what is there is not in our way. Rays that end at

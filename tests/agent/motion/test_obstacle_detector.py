@@ -79,3 +79,41 @@ def test_a_point_behind_a_slanting_fence_is_forgotten() -> None:
     assert point[0] > 1.1 + 0.25, "it is not the fence"
     detector.points[0, 0] = (point, 0)
     assert detector.observe(here, ((0.7, 2.4),), {}, 50_000) is None and not detector.points
+
+
+def _before_a_fence() -> tuple[ObstacleDetector, list[float], tuple[float, float], int]:
+    """A detector with a fence at x = 2.2 m and a point 0.3 m before it, between two rays: the detector,
+    the rays without a body, the point, and the first of the two rays. It ends at the fence, just as far
+    away as the point is."""
+    fence = np.array([(2.2, -20.0, 2.2, 20.0)])
+    true = [
+        2.2 / cos(2 * pi * k / RAYS) if cos(2 * pi * k / RAYS) > 0.1 else inf for k in range(RAYS)
+    ]
+    ray = 12
+    turn = 2 * pi * (ray + 0.9) / RAYS
+    point = true[ray] * cos(turn), true[ray] * sin(turn)
+    assert 0.25 < 2.2 - point[0] and true[ray + 1] > true[ray] + 0.18, (
+        "not the fence; between two rays"
+    )
+    detector = ObstacleDetector(RADIUS_M, 1.5, fence, StoppingZone(RADIUS_M, 1.5))
+    detector.points[0, 0] = (point, 0)
+    return detector, true, point, ray
+
+
+def test_a_point_before_a_slanting_fence_is_forgotten() -> None:
+    """Found by `headland chaos`, profile fixes, seed 99000154: a wrong place left a point before a fence.
+    The ray beside it ended at the fence, just as far away as the point was, and the robot asked for good
+    about an obstacle that was never there (L5)."""
+    detector, true, point, _ = _before_a_fence()
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, ranges_m=tuple(true))
+    assert detector.observe(here, (point,), {}, 50_000) is None and not detector.points
+
+
+def test_a_body_beside_a_slanting_fence_stays_in_mind() -> None:
+    """It stops the ray before the fence does, although the ray ends near the fence."""
+    detector, true, point, ray = _before_a_fence()
+    stopped_m = (2.2 - 0.15) / cos(2 * pi * ray / RAYS)
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, ranges_m=(*true[:ray], stopped_m, *true[ray + 1 :]))
+    at_m = stopped_m / hypot(*point)
+    detector.points = {(0, 0): ((point[0] * at_m, point[1] * at_m), 0)}
+    assert detector.observe(here, (point,), {}, 50_000) is not None
