@@ -5,9 +5,11 @@ disc is larger by the tracking and steering error (the argument of NH-ORCA, Alon
 2010). The path planner handles fences: a path never leaves free ground. A body that left its path
 stops before a fence, and its mission plans another one from there. Of two tractors nose to
 nose, the one with the higher slot backs away by one arc and waits. Its mission replans from there.
+One that fences hold in front and behind turns on the spot, if it can.
 """
 
 from collections.abc import Mapping
+from functools import partial
 from math import atan2, ceil, copysign, cos, hypot, inf, sin
 
 import numpy as np
@@ -21,6 +23,7 @@ from agent.interface.motion_controller import BodyLimits as Body
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.deadlock_yield import NearbyRobot
 from agent.motion.holonomic_motion import MARGIN_M, HolonomicMotion
+from agent.motion.in_place_rotation import AWAY_M, InPlaceRotation
 from agent.motion.obstacle_detector import ObstacleDetector, stopping_m
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import HOLD_M_S, SteeredWheels, SteeringLimits
@@ -48,11 +51,12 @@ class TractorMotion(HolonomicMotion):
     def __init__(
         self, slot: int, limits: Body, turns: TurnRoute, steering: SteeringLimits,
         fences: NDArray[np.float64], half_bar_m: float = 0.0, wheels: SteeredWheels | None = None,
+        turns_on_the_spot: bool = False,
     ) -> None:  # fmt: skip
         """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `turns`: knows which
         arcs stay on free ground. `steering`: our chassis. `fences`: known segments (n, 4) of ax,
         ay, bx, by in metres. `half_bar_m`: see `Implement`. `wheels`: of our chassis; they are told
-        here what is commanded.
+        here what is commanded. `turns_on_the_spot`: it can.
         """
         super().__init__(slot, limits, np.empty((0, 4)), half_bar_m=half_bar_m)
         self.lookout = ObstacleDetector(
@@ -62,6 +66,7 @@ class TractorMotion(HolonomicMotion):
         self.known_fences = fences
         self.wheels = wheels or SteeredWheels(steering.steer_1_m_s)
         self.escape = EscapeManoeuvre(turns, limits.radius_m, steering, self.wheels)
+        self.rotation = InPlaceRotation() if turns_on_the_spot else None
         self.given = 0
         self._anchor, self._anchor_at_us = (0.0, 0.0), 0
         self._wait_ends_at_us = 0
@@ -87,12 +92,21 @@ class TractorMotion(HolonomicMotion):
         elif self._stalled(pose, wish, now_us):
             close = [o for o in others if o.distance_m < 2 * self.limits.radius_m + NEAR_M]
             wish = self._decide(pose, wish, close, places, now_us)
-        share = self._before_fences(here, wish, self._permitted(here, wish, rows))
+        ahead = wish.vx_m_s * cos(here.heading_rad) + wish.vy_m_s * sin(here.heading_rad)
+        permitted = self._permitted(here, wish, rows)
+        share = self._before_fences(here, wish, permitted)
+        if self.rotation is not None:
+            is_held = permitted > 0.0 and share == 0.0
+            away_m = partial(self._away_m, here)
+            turn_rad_s = self.rotation.turn_rad_s(
+                pose, copysign(1.0, ahead), is_held, away_m, now_us
+            )
+            if turn_rad_s is not None:
+                return Drive(0.0, 0.0, turn_rad_s, False)
         # Down while it waits, too: the ground under it is then not worked twice.
         tool_on = wish.tool_on and not self.implement.must_be_up(
             here, (wish.vx_m_s, wish.vy_m_s), others, self.slot
         )
-        ahead = wish.vx_m_s * cos(here.heading_rad) + wish.vy_m_s * sin(here.heading_rad)
         speed_m_s = copysign(hypot(wish.vx_m_s, wish.vy_m_s), ahead)
         self.wheels.command(speed_m_s * share, wish.turn_rad_s * share)
         return Drive(wish.vx_m_s * share, wish.vy_m_s * share, wish.turn_rad_s * share, tool_on)
@@ -120,6 +134,16 @@ class TractorMotion(HolonomicMotion):
             if self._gap_on_way_m(here, course_rad, bend_1_m, way_m) >= min(keep_m, now_m):
                 return share * part
         return 0.0
+
+    def _away_m(self, here: Observation, course_rad: float) -> float:
+        """By how much a body that drives straight on gets away from fences, metres; negative: it would
+        get too near to one."""
+        now_m = gap_m(here.x_m, here.y_m, self.known_fences)
+        least_m = self._gap_on_way_m(here, course_rad, 0.0, AWAY_M)
+        if least_m < min(self.limits.radius_m + FENCE_STOP_M, now_m):
+            return -1.0
+        x_m, y_m, _ = step(here.x_m, here.y_m, course_rad, 0.0, AWAY_M)
+        return gap_m(x_m, y_m, self.known_fences) - now_m
 
     def _gap_on_way_m(
         self, here: Observation, course_rad: float, bend_1_m: float, way_m: float

@@ -122,7 +122,7 @@ class TurnRoute:
         if self._leaves(self.blocked, at):
             return self
         blocked = self.blocked.copy()
-        self._open(blocked, at)
+        self._clear(blocked, at)
         x_m, y_m, cell_m = self.place.tolist()
         return TurnRoute(blocked, x_m, y_m, cell_m, self.radius_m)
 
@@ -145,7 +145,10 @@ class TurnRoute:
 
     def _open(self, blocked: NDArray[np.bool_], at: VehiclePose) -> None:
         if not self._leaves(blocked, at):
-            self._disc(blocked, at.x_m, at.y_m, OPENED_CELLS * self.place[2], False)
+            self._clear(blocked, at)
+
+    def _clear(self, blocked: NDArray[np.bool_], at: VehiclePose) -> None:
+        self._disc(blocked, at.x_m, at.y_m, OPENED_CELLS * self.place[2], False)
 
     def _leaves(self, blocked: NDArray[np.bool_], at: VehiclePose) -> bool:
         """Whether a body may leave a pose straight on or straight back. Beside a fence that is aslant to

@@ -20,7 +20,7 @@ from agent.field.field_mission import FieldMission
 from agent.field.field_plan import TURN_SPARE, FieldPlan, FieldValues
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import S
-from agent.interface.vehicle import Vehicle
+from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import geometry_of
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
@@ -76,7 +76,14 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
                 field, plan.route, plan.turns, vehicle.radius_m, steering, plan.travel, wheels
             ),
             TractorMotion(
-                slot, vehicle.limits, plan.turns, steering, plan.fences, half_bar_m, wheels
+                slot,
+                vehicle.limits,
+                plan.turns,
+                steering,
+                plan.fences,
+                half_bar_m,
+                wheels,
+                turns_on_the_spot=vehicle.drive is DriveTrain.DIFFERENTIAL,
             ),
         )
     return MissionParts(

@@ -90,6 +90,7 @@ class Profile(NamedTuple):
     silence: str = "stop"  # the silence policy
     keyed: bool = False  # the fleet has keys
     scenario: str = "yard"  # the one that ships, of a field
+    drives: tuple[str, ...] = ("mecanum",)  # one of them is drawn for the bodies of a field
 
 
 OFTEN = {"estop": 2.0, "crash": 2.0, "partition": 2.0, "join": 0.5}
@@ -145,6 +146,12 @@ PROFILES = {
                                         "estop": 1.0, "blind": 0.5, "loss": 0.5},
                        "a field with acute corners: pushes, boxes, dead robots, presses",
                        scenario="wedge"),
+    "steered": Profile((2, 4), (1, 8), {"pushed": 2.0, "box": 1.0, "crash_working": 1.0, "crash": 0.5,
+                                        "freeze": 1.0, "estop": 1.0, "reset": 0.5, "blind": 0.5,
+                                        "frozen": 0.5, "loss": 0.5, "partition": 0.5, "person": 0.5,
+                                        "vehicle": 0.5},
+                       "bodies that steer: pushes, boxes, dead robots, presses, people",
+                       drives=("ackermann", "differential")),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
@@ -223,7 +230,8 @@ def draw(seed: int, profile: str = "all") -> Scenario:
     keys = DRAWN if kind.keyed or attacked else None
     if kind.mission == "field":
         field = load(kind.scenario).changed(robots, seed)
-        fleet = field.fleet.model_copy(update={"keys": keys})
+        drive = Random(f"{seed}/drive/{profile}").choice(kind.drives)
+        fleet = field.fleet.model_copy(update={"keys": keys, "drive": drive})
         return with_faults(field.model_copy(update={"fleet": fleet}), faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
 

@@ -5,6 +5,7 @@ from math import ceil, hypot
 from random import Random
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.vehicle import DriveTrain
 from protocol.frames.frame import Frame
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.operator_frames import goal_check, goal_frames
@@ -32,6 +33,9 @@ ORDER_S = 0.15  # between two repeats of an order: a robot is asked, answers, an
 WAIT_US, LOOK_US = 10 * S, S // 100
 PUSHED_M_S = 1.0  # walking speed of people that push a machine
 PUSHED_APART_M = 0.3  # gap left between two machines when one is pushed
+# Room left to fences for a machine that steers like a tractor. One that is pushed aslant into a corner
+# can drive neither ahead nor back.
+STEERED_ROOM_M = 0.6
 SETTLED_S = 3.0  # this long after trouble of links or members, all members receive each other again
 HEARD_ALL_THE_SAME = (kinds.Buttons, kinds.UsedStop, kinds.Estop, kinds.Reset, kinds.Order,
                       kinds.Box, kinds.Person, kinds.PassingVehicle, kinds.Pushed)  # fmt: skip
@@ -261,7 +265,8 @@ class FaultPlan:
     def _is_free(self, robot: int, dx_m: float, dy_m: float) -> bool:
         """Whether there is room for a robot beside where it stands."""
         body, bodies = self.cluster.world.body(robot), self.cluster.world.robots.values()
-        holds = self._space(body.radius_m)
+        is_tractor = body.chassis.kind is DriveTrain.ACKERMANN
+        holds = self._space(body.radius_m + (STEERED_ROOM_M if is_tractor else 0.0))
         if holds is None:
             return True
         x_m, y_m = body.position[0] + dx_m, body.position[1] + dy_m

@@ -93,6 +93,8 @@ MENDED = {
     ("claims", 96000005): "sim/fleet/contact_history.py",
     # A robot that stood because its place led nowhere was pushed on, which passed for a jump.
     ("corners", 96000065): "agent/peer/place_jumps.py",
+    # A wrong place left a point before a fence, which passed for an obstacle.
+    ("fixes", 99000154): "agent/motion/obstacle_detector.py",
 }
 
 

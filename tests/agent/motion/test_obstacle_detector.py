@@ -92,7 +92,7 @@ def _before_a_fence() -> tuple[ObstacleDetector, list[float], tuple[float, float
     ray = 12
     turn = 2 * pi * (ray + 0.9) / RAYS
     point = true[ray] * cos(turn), true[ray] * sin(turn)
-    assert 0.25 < 2.2 - point[0] and true[ray + 1] > true[ray] + 0.18, (
+    assert 2.2 - point[0] > 0.25 and true[ray + 1] > true[ray] + 0.18, (
         "not the fence; between two rays"
     )
     detector = ObstacleDetector(RADIUS_M, 1.5, fence, StoppingZone(RADIUS_M, 1.5))
