@@ -521,7 +521,7 @@ class FieldMission(Mission):
     def _off_m(self, here: Observation) -> float:
         """How far the robot may be from its line: as it senses, and as its place may be wrong."""
         assert self.tracker is not None
-        return abs(self.tracker.off_m) + here.position_accuracy_m
+        return self.tracker.aside_m + here.position_accuracy_m
 
     def _bar_lags(self, here: Observation, end_m: float) -> bool:
         """Whether an end of the bar of a robot that is pushed aside has not passed the end of the

@@ -40,6 +40,10 @@ class FollowedWay(Protocol):
     arrived: bool
 
     @property
+    def aside_m(self) -> float:
+        """The distance from the line; at a corner, from the nearer of both segments."""
+
+    @property
     def remaining_path(self) -> list[Point]:
         """The points that we have not passed yet, (x, y) metres."""
 
@@ -70,10 +74,11 @@ class PathTracker:
         self.along_m = 0.0  # arc length of our projection
         self.off_m = 0.0  # cross-track distance, positive to the left
         self.gap_m = 0.0  # to the segment we are on, also before its beginning and after its end
+        self.aside_m = 0.0  # from its line, or near its beginning from that of the segment before
         self.arrived = False
 
     def locate(self, x_m: float, y_m: float) -> None:
-        """Project a position on the line; sets `along_m`, `off_m`, `gap_m` and `arrived`.
+        """Project a position on the line; sets `along_m`, `off_m`, `gap_m`, `aside_m` and `arrived`.
 
         It may move on to later segments, never back to earlier ones.
         """
@@ -90,6 +95,11 @@ class PathTracker:
                 continue
             beyond_m = -t_m if t_m < 0.0 else t_m - length_m if t_m > length_m else 0.0
             self.gap_m = hypot(self.off_m, beyond_m) if beyond_m else abs(self.off_m)
+            self.aside_m = abs(self.off_m)
+            if t_m < ARRIVED_M and self.piece:
+                bx, by, vx, vy, before_m = self._pieces[self.piece - 1]
+                if before_m >= POINT_M:
+                    self.aside_m = min(self.aside_m, abs((y_m - by) * vx - (x_m - bx) * vy))
             t_m = 0.0 if t_m < 0.0 else length_m if t_m > length_m else t_m
             self.along_m = self.starts_m[self.piece] + t_m
             at_end = last and self.total_m - self.along_m <= ARRIVED_M
@@ -97,7 +107,7 @@ class PathTracker:
             self.arrived = at_end and hypot(x_m - x_end, y_m - y_end) <= BESIDE_M
             return
         x_end, y_end = self.points[-1]  # nothing but a point is left
-        self.off_m = self.gap_m = hypot(x_m - x_end, y_m - y_end)
+        self.off_m = self.gap_m = self.aside_m = hypot(x_m - x_end, y_m - y_end)
         self.arrived = self.off_m <= ARRIVED_M
         self.along_m = self.total_m if self.arrived else max(0.0, self.total_m - 2 * ARRIVED_M)
 

@@ -155,6 +155,11 @@ class TractorTracker:
         self.arrived = row >= way.shape[0] - 2 and self.total_m - self.along_m <= ARRIVED_M
 
     @property
+    def aside_m(self) -> float:
+        """The distance from the path, whose bends are round."""
+        return abs(self.off_m)
+
+    @property
     def lost(self) -> bool:
         """Whether the body is so far off that another path has to be planned."""
         return self.gap_m > LOST_M or abs(self.off_rad) > LOST_RAD
