@@ -104,4 +104,4 @@ def test_a_body_just_before_a_corner_is_not_beside_its_line(angle: float) -> Non
         tracker.locate(k / 100.0, 0.0)
         assert tracker.aside_m < 1e-9, f"{k} cm from the beginning"
     tracker.locate(20.0 - 0.03 * sin(angle / 2), 0.03 * cos(angle / 2))
-    assert 0.02 < tracker.aside_m <= 0.03, "inside of the corner"
+    assert tracker.aside_m == pytest.approx(0.03 * cos(angle / 2)), "inside of the corner"
