@@ -97,6 +97,7 @@ async def test_an_implement_that_was_up_for_a_moment_is_sensed(robot: Robot) -> 
 
     await robot.drive(Drive(1.0, 0.0, tool_on=True), lambda: down() is True)
     await robot.until(lambda: not robot.machine.trace[-1].implement)  # nobody renews the command
+    await robot.until(lambda: robot.body._down is False)  # on a busy machine it comes later
     await robot.drive(Drive(1.0, 0.0, tool_on=True), lambda: robot.body._down is True)
     assert down() is False, "it was up since the last look"
     assert down() is True
