@@ -19,6 +19,7 @@ from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from agent.field.corner_cuts import cut_at_corners
+from agent.field.corner_strokes import CornerStrokes, sharp_corners
 from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
 from agent.field.headland_rings import pieces, rings, swinging
 
@@ -65,6 +66,7 @@ def divide(
     if turn_radius_m == 0.0:
         lines = [swinging(line, overlap_m / 2, width_m) for line in lines]
     bundles = [[piece] for line in lines for piece in pieces(line, section_length_m, width_m)]
+    corners = [corner for (ring,) in bundles for corner in sharp_corners(ring)]
     if turn_radius_m > 0.0:
         free = polygon.buffer(-(keep_m + KEEP_MORE_M))
         # Where the lines are narrower than that, a corner that is driven in one go would not count.
@@ -79,6 +81,12 @@ def divide(
         bundles += _strip_bundles(
             deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m
         )
+    if turn_radius_m > 0.0:
+        # Sections of their own: a ring with its strokes would be the work of one robot, and it drives
+        # pieces of a ring less exactly where it comes to them out of the corner.
+        swaths = [swath for bundle in bundles for swath in bundle]
+        strokes = CornerStrokes(polygon, asked, swaths, turn_radius_m, width_m / 2, keep_m)
+        bundles += filter(None, map(strokes.into, corners))
     work_m = sum(_length(swath) for bundle in bundles for swath in bundle)
     unit_m = min(unit_m, max(UNIT_LEAST_M, work_m / UNITS_LEAST))
     sections = tuple(
