@@ -25,7 +25,7 @@ class InPlaceRotation:
     """The turns on the spot of one robot, in front of fences."""
 
     def __init__(self) -> None:
-        self._held_since_us: int | None = None
+        self._held_from_at_us: int | None = None
         self._to_rad: float | None = None
         self._end_at_us = 0
 
@@ -44,18 +44,18 @@ class InPlaceRotation:
         straight on for `AWAY_M` gets away from fences, metres; negative: it would get too near to one.
         """
         if not is_held:
-            self._held_since_us = None
-        elif self._held_since_us is None:
-            self._held_since_us = now_us
-        elif self._to_rad is None and now_us - self._held_since_us >= HELD_US:
+            self._held_from_at_us = None
+        elif self._held_from_at_us is None:
+            self._held_from_at_us = now_us
+        elif self._to_rad is None and now_us - self._held_from_at_us >= HELD_US:
             self._to_rad = self._way_out(here.heading_rad, gear, away_m)
             self._end_at_us = now_us + GIVE_UP_US
-            self._held_since_us = now_us
+            self._held_from_at_us = now_us
         if self._to_rad is None:
             return None
         left_rad = remainder(self._to_rad - here.heading_rad, 2 * pi)
         if abs(left_rad) < TURNED_RAD or now_us >= self._end_at_us:
-            self._to_rad = self._held_since_us = None
+            self._to_rad = self._held_from_at_us = None
             return None
         return copysign(min(GAIN_1_S * abs(left_rad), TURN_RAD_S), left_rad)
 
