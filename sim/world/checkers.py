@@ -11,15 +11,18 @@ from types import MappingProxyType
 from typing import Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import KDTree
 
 from agent.interface.config import ACTUATOR_TTL_US, S
 from sim.world.ground_truth import Track
-from sim.world.swath_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
+from sim.world.swath_truth import ALONG_COS, NEVER_US, SAMPLE_M, LineTruth, Polyline
 from sim.world.world import STEP_US, World
 
 # A broken rule is broken at every step; the first thousand are enough.
 MOVES: Final = "moves after a stop"
 VIOLATIONS_MAX: Final = 1_000
+BESIDE_SHARE: Final = 0.6  # of the way between samples: one further ahead than this is not beside
 
 
 class Violation(NamedTuple):
@@ -133,7 +136,8 @@ class ExclusiveWorkChecker:
     Work in a section means passing along its lines with the implement down. Crossing the lines is
     not work, and neither is lowering the implement a little early, in line with the neighbour's
     end. An implement that stays down against its command does no work of its robot either: how far
-    a robot may drag it is the matter of S22.
+    a robot may drag it is the matter of S22. Where lines of two sections are so near to each other that
+    one robot passes along both at once, neither counts.
     """
 
     def __init__(
@@ -143,7 +147,23 @@ class ExclusiveWorkChecker:
         self.least = 1 + round(least_m / SAMPLE_M)  # samples at both ends of this distance
         lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
         self.truth = LineTruth([line for _, line in lines], tolerance_m)
-        self.section_of = np.array([number for number, _ in lines], dtype=np.int64)
+        section_of = np.array([number for number, _ in lines], dtype=np.int64)
+        self.sample_section = section_of[self.truth.line_of]
+        self.is_clear = ~self._shared(2 * tolerance_m)
+
+    def _shared(self, within_m: float) -> NDArray[np.bool_]:
+        """(samples,): whether a line of another section runs beside it, this near or nearer."""
+        places, courses = self.truth.samples[:, :2], self.truth.samples[:, 2:]
+        shared = np.zeros(len(places), dtype=np.bool_)
+        if len(places):
+            a, b = KDTree(places).query_pairs(within_m, output_type="ndarray").T
+            parallel = np.abs(np.sum(courses[a] * courses[b], axis=1)) >= ALONG_COS
+            # Not in line with it: there the other section goes on.
+            ahead_m = np.abs(np.sum((places[b] - places[a]) * courses[a], axis=1))
+            beside = parallel & (ahead_m < BESIDE_SHARE * SAMPLE_M)
+            both = beside & (self.sample_section[a] != self.sample_section[b])
+            shared[a[both]] = shared[b[both]] = True
+        return shared
 
     def violations(
         self,
@@ -162,8 +182,8 @@ class ExclusiveWorkChecker:
             for begin_at_us, end_at_us in spans_down.get(slot, ()):
                 points[(begin_at_us <= points[:, 0]) & (points[:, 0] < end_at_us), 3] = 0.0
             worked_at_us = self.truth.worked_at_us(points)
-            mine = worked_at_us != NEVER_US
-            sections = self.section_of[self.truth.line_of[mine]]
+            mine = (worked_at_us != NEVER_US) & self.is_clear
+            sections = self.sample_section[mine]
             instants, counts = np.unique(
                 np.column_stack((sections, worked_at_us[mine] // S)), axis=0, return_counts=True
             )

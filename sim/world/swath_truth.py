@@ -42,6 +42,11 @@ class LineTruth:
         self._place = np.array([*low, side_m])
         self.line_of: NDArray[np.int64] = self._table[:, 4].astype(np.int64)
 
+    @property
+    def samples(self) -> Floats:
+        """(samples, 4): x, y in metres, and the unit vector along the line."""
+        return self._table[:, :4]
+
     def worked_at_us(self, track: Track | Sequence[TrackPoint] | Floats) -> NDArray[np.int64]:
         """When each sample was first worked by the robot of this track, (samples,); `NEVER_US`:
         never.

@@ -113,3 +113,23 @@ def test_an_implement_that_stays_down_against_its_command_does_no_work_of_its_ro
         tracks[1].add(k * 100_000, 30.0 + 0.2 * k, 2.0, True)
     checker = ExclusiveWorkChecker(sections, 0.2, least_m=0.8)
     assert bool(checker.violations(tracks, {1: spans_down})) is found
+
+
+@pytest.mark.parametrize(("beside_m", "found"), [(0.15, False), (3.0, True)])
+def test_a_robot_beside_a_near_line_of_another_section_does_not_work_in_both(
+    beside_m: float, found: bool
+) -> None:
+    """Lines of two sections in the tip of a drawn field lay 0.2 m apart, and S7 was broken without
+    faults."""
+    near = [(5.0, 2.0 + beside_m), (15.0, 2.0 + beside_m)]
+    sections = {0: [[(5.0, 2.0), (15.0, 2.0)]], 1: [near, [(20.0, 9.0), (40.0, 9.0)]]}
+    tracks = {0: Track(), 1: Track()}
+    for k in range(40):
+        tracks[0].add(k * 100_000, 5.0 + 0.2 * k, 2.0, True)
+        tracks[1].add(k * 100_000, 20.0 + 0.2 * k, 9.0, True)
+    checker = ExclusiveWorkChecker(sections, 0.2, least_m=0.8)
+    assert not checker.violations(tracks)
+    for k in range(40):  # a second robot on the same line of section 1
+        tracks[0].add(5_000_000 + k * 100_000, 22.0 + 0.2 * k, 9.0, True)
+        tracks[1].add(5_000_000 + k * 100_000, near[0][0] + 0.2 * k, near[0][1], True)
+    assert bool(checker.violations(tracks)) is found
