@@ -106,6 +106,16 @@ def test_a_failure_is_made_small() -> None:
     assert small.fleet.robots <= scenario.fleet.robots
 
 
+def test_a_failure_that_is_made_small_has_no_robot_that_stays_dead() -> None:
+    """A tractor that came too late was made small to a fleet that waited for a dead robot."""
+    plain = draw(12, "protocol")
+    crash = Crash(at_s=30.0, kind="crash", robot=0)
+    restart = Restart(at_s=35.0, kind="restart", robot=0)
+    scenario = with_faults(plain, [*plain.fault, crash, restart])
+    small, _ = shrink(scenario, lambda candidate: crash in candidate.fault)
+    assert restart in small.fault
+
+
 @pytest.mark.parametrize("profile", PROFILES)
 def test_what_is_drawn_can_be_written_by_hand(profile: str, tmp_path: Path) -> None:
     """Printed as TOML and read again, a scenario is the same; and every kind of it is drawn."""
