@@ -1,7 +1,8 @@
-"""Turns a body on the spot that fences hold in front and behind, until it can drive away from them.
+"""Turns a body on the spot that is held in front and behind, until it can drive away.
 
 A body with differential drive plans ways of curves, as tractors do, because that is faster. One that
-was pushed aslant into a corner has no curve that leads out. It can turn there: its hull is a circle.
+was pushed aslant into a corner has no curve that leads out. One between a fence and another body has
+none, either, that keeps its distance to both. It can turn there: its hull is a circle.
 """
 
 from collections.abc import Callable
@@ -11,7 +12,7 @@ from typing import Final
 from agent.interface.config import MS, S
 from agent.paths.tractor_route import VehiclePose
 
-HELD_US: Final = 1_500 * MS  # fences have held the body for this long before it turns
+HELD_US: Final = 1_500 * MS  # the body has been held for this long before it turns
 STEP_RAD: Final = pi / 12  # between headings that are tried
 OTHER_GEAR_RAD: Final = pi / 4  # so much further it turns to drive away in the gear that it wants
 TURNED_RAD: Final = 0.05  # nearer to the heading than this it has arrived
@@ -22,7 +23,7 @@ AWAY_M: Final = 1.0  # length of the straight that has to be free
 
 
 class InPlaceRotation:
-    """The turns on the spot of one robot, in front of fences."""
+    """The turns on the spot of one robot, in front of fences and bodies."""
 
     def __init__(self) -> None:
         self._held_from_at_us: int | None = None
@@ -40,8 +41,9 @@ class InPlaceRotation:
         """The turn rate of a body that turns on the spot now, radians a second; None: it need not turn.
 
         Called once each control period. `gear`: 1 to drive ahead, -1 to back up. `is_held`: it wants to
-        drive, and fences do not let it. `away_m`: for a course (radians), by how much a body that drives
-        straight on for `AWAY_M` gets away from fences, metres; negative: it would get too near to one.
+        drive, and fences or bodies do not let it. `away_m`: for a course (radians), by how much a body
+        that drives straight on for `AWAY_M` gets away from fences, metres; negative: it would get too
+        near to a fence or a body.
         """
         if not is_held:
             self._held_from_at_us = None

@@ -234,15 +234,14 @@ class ObstacleDetector:
         range_m = here.ranges_m[ray]
         if range_m == inf or self.fences.size == 0:
             return False
-        angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
-        x_m, y_m = here.x_m + range_m * cos(angle_rad), here.y_m + range_m * sin(angle_rad)
+        ux, uy = _direction(here, ray)
+        x_m, y_m = here.x_m + range_m * ux, here.y_m + range_m * uy
         return gap_m(x_m, y_m, self.fences) <= AT_FENCE_M
 
     def _meets_fence(self, here: Observation, ray: int) -> bool:
         """Whether the ray would end here without anything before the fence. A body beside a fence stops a
         slanting ray long before the fence does, although the ray then ends near the fence."""
-        angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
-        ux, uy = cos(angle_rad), sin(angle_rad)
+        ux, uy = _direction(here, ray)
         begin_m = here.ranges_m[ray] - NEARER_M
         x_m, y_m = here.x_m + begin_m * ux, here.y_m + begin_m * uy
         count = ceil(2 * NEARER_M / FINE_LOOK_M)
@@ -264,6 +263,12 @@ class ObstacleDetector:
         if len(strange) < len(self.points):
             left = set(strange)
             self.points = {cell: seen for cell, seen in self.points.items() if seen[0] in left}
+
+
+def _direction(here: Observation, ray: int) -> Point:
+    """Of a ray in the field, a unit vector."""
+    angle_rad = here.heading_rad + ray * 2 * pi / len(here.ranges_m)
+    return cos(angle_rad), sin(angle_rad)
 
 
 def middle(grain: GroundCell) -> Point:

@@ -5,7 +5,7 @@ disc is larger by the tracking and steering error (the argument of NH-ORCA, Alon
 2010). The path planner handles fences: a path never leaves free ground. A body that left its path
 stops before a fence, and its mission plans another one from there. Of two tractors nose to
 nose, the one with the higher slot backs away by one arc and waits. Its mission replans from there.
-One that fences hold in front and behind turns on the spot, if it can.
+One that fences hold in front and behind, or a fence and another body, turns on the spot, if it can.
 """
 
 from collections.abc import Mapping
@@ -33,6 +33,7 @@ from agent.paths.tractor_route import TurnRoute, VehiclePose
 DISC_M = 0.2  # extra disc radius for the tracking error and the swing into an arc
 SHARES = (1.0, 0.8, 0.6, 0.4, 0.25, 0.12)  # of the wanted speed, tried in this order
 SAME_M_S = 0.03  # a velocity that ORCA changes by less is permitted
+TOO_NEAR_M = 0.02  # so far outside the discs, only motion away from the other body is permitted
 PATIENCE_US = 1_500 * MS  # after this time without progress the robot with the higher slot escapes
 LONG_PATIENCE_US = 6 * S  # the same for the robot with the lower slot
 WAIT_US = 8 * S  # maximum wait after backing away
@@ -71,6 +72,7 @@ class TractorMotion(HolonomicMotion):
         self._anchor, self._anchor_at_us = (0.0, 0.0), 0
         self._wait_ends_at_us = 0
         self._for = -1
+        self._is_cornered = False  # another body blocks it, and no piece leads away from that body
 
     def drive(
         self,
@@ -87,6 +89,7 @@ class TractorMotion(HolonomicMotion):
         rows, others = self._rows(here, neighbours, now_us)
         pose = VehiclePose(here.x_m, here.y_m, here.heading_rad)
         places = {o.slot: (here.x_m + o.dx_m, here.y_m + o.dy_m) for o in others}
+        self._is_cornered = False
         if now_us < self._wait_ends_at_us:
             wish = self._out_of_the_way(pose, places)
         elif self._stalled(pose, wish, now_us):
@@ -96,8 +99,8 @@ class TractorMotion(HolonomicMotion):
         permitted = self._permitted(here, wish, rows)
         share = self._before_fences(here, wish, permitted)
         if self.rotation is not None:
-            is_held = permitted > 0.0 and share == 0.0
-            away_m = partial(self._away_m, here)
+            is_held = share == 0.0 and (permitted > 0.0 or self._is_cornered)
+            away_m = partial(self._away_m, here, rows)
             turn_rad_s = self.rotation.turn_rad_s(
                 pose, copysign(1.0, ahead), is_held, away_m, now_us
             )
@@ -135,9 +138,11 @@ class TractorMotion(HolonomicMotion):
                 return share * part
         return 0.0
 
-    def _away_m(self, here: Observation, course_rad: float) -> float:
+    def _away_m(self, here: Observation, rows: list[tuple[float, ...]], course_rad: float) -> float:
         """By how much a body that drives straight on gets away from fences, metres; negative: it would
-        get too near to one."""
+        get too near to one, or avoidance would not let it begin."""
+        if _closes(rows, cos(course_rad), sin(course_rad)):
+            return -1.0
         now_m = gap_m(here.x_m, here.y_m, self.known_fences)
         least_m = self._gap_on_way_m(here, course_rad, 0.0, AWAY_M)
         if least_m < min(self.limits.radius_m + FENCE_STOP_M, now_m):
@@ -162,16 +167,13 @@ class TractorMotion(HolonomicMotion):
         """The share of the wanted velocity that collides with no robot."""
         if wish.vx_m_s == 0.0 and wish.vy_m_s == 0.0:
             return 0.0
-        facing: list[tuple[float, ...]] = []
-        for dx_m, dy_m, vx_m_s, vy_m_s, combined_m, *_ in rows:
-            combined_m += DISC_M
-            gap_m = hypot(dx_m, dy_m)
-            if gap_m < combined_m + 0.02:  # too near already: only motion away from it is allowed
-                closing = dx_m * wish.vx_m_s + dy_m * wish.vy_m_s
-                if closing > 0.0:
-                    return 0.0
-                continue
-            facing.append((dx_m, dy_m, vx_m_s, vy_m_s, combined_m, 1.0))
+        if _closes(rows, wish.vx_m_s, wish.vy_m_s):
+            return 0.0
+        facing: list[tuple[float, ...]] = [
+            (dx_m, dy_m, vx_m_s, vy_m_s, combined_m + DISC_M, 1.0)
+            for dx_m, dy_m, vx_m_s, vy_m_s, combined_m, *_ in rows
+            if not _is_too_near(dx_m, dy_m, combined_m)
+        ]
         at, moving = (here.x_m, here.y_m), (here.vx_m_s, here.vy_m_s)
         for share in SHARES:
             wanted = wish.vx_m_s * share, wish.vy_m_s * share
@@ -203,6 +205,7 @@ class TractorMotion(HolonomicMotion):
         self.escape.follow = None
         self._for = blocker.slot
         if self.escape.find(pose, [places[blocker.slot]], list(places.values())) is None:
+            self._is_cornered = True
             return wish
         self.given += 1
         self._wait_ends_at_us = now_us + WAIT_US
@@ -228,3 +231,15 @@ class TractorMotion(HolonomicMotion):
         speed_m_s, turn_rad_s = command
         course = pose.heading_rad + turn_rad_s * HALF_PERIOD_S
         return MotionRequest(speed_m_s * cos(course), speed_m_s * sin(course), turn_rad_s)
+
+
+def _is_too_near(dx_m: float, dy_m: float, combined_m: float) -> bool:
+    return hypot(dx_m, dy_m) < combined_m + DISC_M + TOO_NEAR_M
+
+
+def _closes(rows: list[tuple[float, ...]], east: float, north: float) -> bool:
+    """Whether a motion in this direction goes towards a body that is too near already."""
+    return any(
+        dx_m * east + dy_m * north > 0.0 and _is_too_near(dx_m, dy_m, combined_m)
+        for dx_m, dy_m, _, _, combined_m, *_ in rows
+    )

@@ -112,6 +112,7 @@ class Reach(NamedTuple):
         )
 
 
+NO_OFFSET: Final = Offset()
 NO_REACH: Final = Reach()
 
 
@@ -125,14 +126,14 @@ class PlaceJumps:
         self._followed: Observation | None = None  # the newest place, while it leads nowhere
         self._gap = False  # how long ago that was is not known
         self._turn_rad_s = 0.0  # between the last two places in time
-        self._offset, self._reach = Offset(), NO_REACH
+        self._offset, self._reach = NO_OFFSET, NO_REACH
         self._wrong_at_us = 0  # when there was last a gap or a jump
         self._told = self._told_before = False  # to move, since the last place and before it
 
     def forget(self) -> None:
         """An operator says that the next place is right."""
         self._before, self._followed, self._doubted = None, None, False
-        self._offset, self._reach = Offset(), NO_REACH
+        self._offset, self._reach = NO_OFFSET, NO_REACH
 
     def gap(self) -> None:
         """The robot did nothing for a time that its clock does not tell."""
@@ -171,7 +172,7 @@ class PlaceJumps:
 
     def trust(self) -> None:
         """The robot drives by the newest place."""
-        self._offset, self._reach = Offset(), NO_REACH
+        self._offset, self._reach = NO_OFFSET, NO_REACH
 
     def look(self, here: Observation, limits: BodyLimits, unseen: Unseen, now_us: int) -> str:
         """Why the body cannot have driven to this accurate place; empty if it can.

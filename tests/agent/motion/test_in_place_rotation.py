@@ -5,12 +5,15 @@ from math import cos, hypot, pi, sin
 import numpy as np
 import pytest
 
+from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits
+from agent.interface.observation import Neighbour
 from agent.interface.vehicle import DriveTrain
 from agent.motion.tractor_motion import TractorMotion
 from agent.motion.tractor_tracker import SteeringLimits
 from agent.paths.tractor_route import TurnRoute
+from protocol.frames.fleet_frames import NOBODY, Pose
 from sim.world.drive_trains import Chassis
 from sim.world.world import World
 
@@ -55,3 +58,31 @@ def test_a_body_that_fences_hold_turns_and_drives_away(
     and stood there for good, because no curve led out."""
     assert out_m(angle_deg, heading_deg, ahead, turns=False) < 0.1
     assert out_m(angle_deg, heading_deg, ahead, turns=True) > 1.0
+
+
+def gone_m(heading_deg: float, *, turns: bool) -> float:
+    """How far a small body drives in 25 s that wants to drive ahead, in a corner of 64 degrees.
+
+    One fence is behind it, and a standing body as near beside it as avoidance allows."""
+    fences = corner(64 * pi / 180)
+    world = World([(tuple(each[:2]), tuple(each[2:])) for each in fences.tolist()], 1)
+    start, other = (1.53, 1.62), (1.1, 0.54)
+    body = world.add_robot(0, start, 0.4, CHASSIS, heading_deg * pi / 180)
+    world.add_robot(1, other, 0.4, CHASSIS)
+    motion = TractorMotion(
+        0, BodyLimits(0.4, 2.5, 1.5), TURNS, STEERING, fences, turns_on_the_spot=turns
+    )
+    for now_us in range(0, 25_000_000, 50_000):
+        here = body.sense(now_us)
+        wish = MotionRequest(cos(here.heading_rad), sin(here.heading_rad), 0.0)
+        pose = Pose(*other, 0.0, 0.0, State.IDLE, False, NOBODY)
+        drive = motion.drive(here, wish, {1: Neighbour(pose, now_us)}, now_us)
+        body.drive(drive, now_us)
+    assert world.contacts == []
+    return hypot(body.position[0] - start[0], body.position[1] - start[1])
+
+
+def test_a_body_between_a_fence_and_another_body_turns_and_drives_away() -> None:
+    """Found in a drawn triangle: two small bodies stood beside each other at the gate for good."""
+    assert gone_m(-30.0, turns=False) < 0.3
+    assert gone_m(-30.0, turns=True) > 1.0
