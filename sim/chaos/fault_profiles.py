@@ -41,7 +41,9 @@ SPANS = {
     "sprint": Span(30.0, 240.0),  # without faults it takes 70 s
 }
 
-STEERED = Span(40.0, 450.0)  # a field, by tractors: without faults it takes 160 s
+# Fields with acute and reflex corners, a neck and islands.
+SHAPES = ("star", "comb", "letter_u", "neck", "islands")
+SLOW = Span(40.0, 450.0)  # by tractors 160 s without faults, in one of these shapes up to 185 s
 
 CLOSE_S = 3.0  # links stay bad for seconds: a fault within this time falls into the trouble
 
@@ -91,7 +93,7 @@ class Profile(NamedTuple):
     together: float = 0.0  # chance that a fault comes within `CLOSE_S` of an earlier drawn one
     silence: str = "stop"  # the silence policy
     keyed: bool = False  # the fleet has keys
-    scenario: str = "yard"  # the one that ships, of a field
+    scenarios: tuple[str, ...] = ("yard",)  # of a field: one of these is drawn; they ship
     drives: tuple[str, ...] = ("mecanum",)  # one of them is drawn for the bodies of a field
 
 
@@ -147,7 +149,12 @@ PROFILES = {
     "corners": Profile((2, 4), (1, 6), {"pushed": 3.0, "box": 1.0, "crash_working": 1.0, "freeze": 1.0,
                                         "estop": 1.0, "blind": 0.5, "loss": 0.5},
                        "a field with acute corners: pushes, boxes, dead robots, presses",
-                       scenario="wedge"),
+                       scenarios=("wedge",)),
+    "shapes": Profile((2, 4), (1, 8), {"pushed": 2.0, "box": 1.0, "crash_working": 1.0, "crash": 0.5,
+                                       "freeze": 1.0, "estop": 1.0, "reset": 0.5, "blind": 0.5,
+                                       "frozen": 0.5, "loss": 0.5, "partition": 0.5, "join": 0.5},
+                      "fields of odd shapes: pushes, boxes, dead robots, presses, lost links and senses",
+                      scenarios=SHAPES),
     "steered": Profile((2, 4), (1, 8), {"pushed": 2.0, "box": 1.0, "crash_working": 1.0, "crash": 0.5,
                                         "freeze": 1.0, "estop": 1.0, "reset": 0.5, "blind": 0.5,
                                         "frozen": 0.5, "loss": 0.5, "partition": 0.5, "person": 0.5,
@@ -231,7 +238,8 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         faults += forgers(seed, profile, robots, span)
     keys = DRAWN if kind.keyed or attacked else None
     if kind.mission == "field":
-        field = load(kind.scenario).changed(robots, seed)
+        name = Random(f"{seed}/field/{profile}").choice(kind.scenarios)
+        field = load(name).changed(robots, seed)
         drive = Random(f"{seed}/drive/{profile}").choice(kind.drives)
         fleet = field.fleet.model_copy(update={"keys": keys, "drive": drive})
         return with_faults(field.model_copy(update={"fleet": fleet}), faults)
@@ -295,10 +303,9 @@ def _starts_from(fault: Fault) -> float | None:
 
 
 def span_of(scenario: Scenario) -> Span:
-    """When calm begins and the run ends, by the mission of the scenario and its bodies."""
-    if scenario.mission == "field" and scenario.fleet.drive != "mecanum":
-        return STEERED
-    return SPANS[scenario.mission]
+    """When calm begins and the run ends, by the mission of the scenario, its field and its bodies."""
+    is_steered = scenario.mission == "field" and scenario.fleet.drive != "mecanum"
+    return SLOW if is_steered or scenario.name in SHAPES else SPANS[scenario.mission]
 
 
 def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:
