@@ -26,8 +26,9 @@ LEVEL = "2"  # of optimization
 CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, and what mypyc refuses: constrained type variables, and
-# `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. None has a `cached_property`: mypyc
-# calls it each time.
+# `sim/chaos/scenario_judge.py`, on which mypyc 2 itself crashes. Not either: `agent/interface/mission.py`
+# and `motion_controller.py`, because an interpreted class cannot inherit from a compiled one. None has a
+# `cached_property`: mypyc calls it each time.
 GROUP = {
     "crdt": "allocation claim_register clock digest progress",
     "protocol": "address extended_transport frame_proofs frames.codec frames.identifier links.bus "
@@ -38,7 +39,7 @@ GROUP = {
     "coverage.proximity_guard field.bar_swing field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_shares field.steered_travel_times field.tractor_mission field.travel_times "
-    "field.work_leg interface.effects interface.mission interface.motion_controller "
+    "field.work_leg interface.effects "
     "mapf.agreement_phase motion.deadlock_yield motion.holonomic_motion "
     "motion.implement_clearance motion.in_place_rotation motion.obstacle_detector "
     "motion.obstacle_stop motion.path_tracker motion.pushed_ahead motion.right_of_way "
