@@ -15,6 +15,7 @@ from sim.chaos.fault_generators import DRAWS
 from sim.chaos.fault_profiles import (
     PROFILES,
     SENSOR_FAULTS,
+    SHAPES,
     draw,
     is_beyond_notice,
     span_of,
@@ -139,6 +140,20 @@ def test_faults_of_senses_are_drawn_in_every_profile_with_bodies(profile: str) -
         drawn = [f for f in draw(seed, profile).fault if f.kind in SENSOR_FAULTS]
         seen.update(f.kind for f in drawn)
     assert set(SENSOR_FAULTS) - set(seen) <= ({"stuck_rays"} if profile == "traffic" else set())
+
+
+@pytest.mark.parametrize("profile", [n for n, p in PROFILES.items() if p.mission == "field"])
+def test_every_field_of_a_profile_is_drawn(profile: str) -> None:
+    fields = {draw(seed, profile).name for seed in range(40)}
+    assert fields == set(PROFILES[profile].scenarios)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", SHAPES)
+def test_a_fleet_without_faults_works_all_of_each_shape_in_half_the_time(shape: str) -> None:
+    verdict = judge(with_faults(load(shape).changed(2, 1), []))
+    assert verdict.ok, verdict.broken
+    assert verdict.simulated_s < span_of(load(shape)).limit_at_s / 2
 
 
 def test_a_fault_that_no_robot_could_notice_is_not_drawn() -> None:
