@@ -304,8 +304,8 @@ def _starts_from(fault: Fault) -> float | None:
 
 def span_of(scenario: Scenario) -> Span:
     """When calm begins and the run ends, by the mission of the scenario, its field and its bodies."""
-    is_steered = scenario.mission == "field" and scenario.fleet.drive != "mecanum"
-    return SLOW if is_steered or scenario.name in SHAPES else SPANS[scenario.mission]
+    is_slow = scenario.fleet.drive != "mecanum" or scenario.name in SHAPES
+    return SLOW if scenario.mission == "field" and is_slow else SPANS[scenario.mission]
 
 
 def with_faults(scenario: Scenario, faults: list[Fault]) -> Scenario:
