@@ -100,6 +100,7 @@ class FieldMission(Mission):
         self.course_begun_m = inf, inf  # the same by its last move of `COURSE_M`
         self.course_from: Point | None = None  # where that move began
         self.ends_reached_m = 0.0, 0.0  # how far they have come while they passed the end of a unit
+        self.course_reached_m = 0.0, 0.0  # the same by its moves of `COURSE_M`
         self.swing = BarSwing([])
         self.lifted = False  # the implement was up since the last check
         self.missed: int | None = None  # the unit that was driven last and does not count
@@ -355,7 +356,8 @@ class FieldMission(Mission):
                 self.tracker = PathTracker(points, self.speed_m_s, self.deceleration_m_s2)
                 self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
                 self.ends_begun_m, self.ends_reached_m = (inf, inf), (0.0, 0.0)
-                self.course_begun_m, self.course_from = (inf, inf), None
+                self.course_begun_m, self.course_reached_m = (inf, inf), (0.0, 0.0)
+                self.course_from = None
                 self.swing = BarSwing(points)
             self._line.locate(here.x_m, here.y_m)
             covered += self._passed(view)
@@ -451,9 +453,11 @@ class FieldMission(Mission):
         self.ends_begun_m = self._nearer(self.ends_begun_m, self._along_m(here), tilt or 0.0)
 
     def _observe_course(self, here: Observation) -> None:
-        """Note how far back the ends of the bar were at its last move of `COURSE_M`, which it follows.
+        """Note where the ends of the bar were at its last move of `COURSE_M`, which it follows: how far
+        back they began it, and how far they came.
 
         A robot that begins to drive has no such move behind it, and may drift aside within the first.
+        One that sways while it waits has a velocity to all sides, and its bar turns to none of them.
         """
         ux, uy = self._line.direction
         place = here.x_m, here.y_m
@@ -465,14 +469,21 @@ class FieldMission(Mission):
             return
         self.course_from = place
         tilt = copysign(1.0, dx_m * ux + dy_m * uy) * (dy_m * ux - dx_m * uy) / way_m
-        if abs(tilt) <= self.tilt_max:
-            began_m = self._along_m(here) - (dx_m * ux + dy_m * uy)
+        along_m = self._along_m(here)
+        if abs(tilt) <= self.tilt_max and (self._on_lead_in or max(self.course_begun_m) == inf):
+            began_m = along_m - (dx_m * ux + dy_m * uy)
             self.course_begun_m = self._nearer(self.course_begun_m, began_m, tilt)
+        self.course_reached_m = self._further(self.course_reached_m, along_m, tilt)
 
     def _nearer(self, ends_m: Point, along_m: float, tilt: float) -> Point:
         """Where on the leg the ends of the bar are, or `ends_m` if that is further back."""
         ahead_m = self.half_m * tilt
         return min(ends_m[0], along_m - ahead_m), min(ends_m[1], along_m + ahead_m)
+
+    def _further(self, ends_m: Point, along_m: float, tilt: float) -> Point:
+        """Where on the leg the ends of the bar are, or `ends_m` if that is further on."""
+        ahead_m = self.half_m * tilt
+        return max(ends_m[0], along_m - ahead_m), max(ends_m[1], along_m + ahead_m)
 
     def _go_astray(self, view: FleetView) -> None:
         """Replan the rest of the work from our current position."""
@@ -495,9 +506,8 @@ class FieldMission(Mission):
                 self.worst_m = 0.0  # the implement was up before the unit only
         if self._on_lead_in or max(self.ends_begun_m) == inf:
             self._observe_bar(view.here)
-        if self.turns_on_the_spot and (self._on_lead_in or max(self.course_begun_m) == inf):
-            self._observe_course(view.here)
         if self.turns_on_the_spot:
+            self._observe_course(view.here)
             self.swing.observe(self._line.piece, self._line.along_m, view.here.x_m, view.here.y_m)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, self._off_m(view.here))
@@ -531,12 +541,9 @@ class FieldMission(Mission):
         if not self.turns_on_the_spot or self._is_corner(end_m):
             return False  # a steered robot's tracker has no pieces, and at a corner the bar swings round
         tilt = self._tilt(here)
-        if tilt is None:
-            return False
-        along_m, ahead_m = self._along_m(here), self.half_m * tilt
-        left_m, right_m = self.ends_reached_m
-        self.ends_reached_m = max(left_m, along_m - ahead_m), max(right_m, along_m + ahead_m)
-        return min(self.ends_reached_m) < end_m - LATE_M
+        if tilt is not None:
+            self.ends_reached_m = self._further(self.ends_reached_m, self._along_m(here), tilt)
+        return min(*self.ends_reached_m, *self.course_reached_m) < end_m - LATE_M
 
     def _down_since(self, begun_m: float) -> bool:
         """Whether the implement was down before this place; at a corner, before the turn."""
