@@ -56,7 +56,8 @@ FORGET_US = 3 * S  # of silence, ISO 11783-7
 # After this time without trouble of links and members, all robots receive each other.
 SETTLED_US = 3 * S
 LEFT_US = 50 * MS  # frames under way when an address was lost are on the bus by then
-# A robot that is pushed, or has a box dropped before it, may touch something for this long.
+# A robot that is pushed, or has a box dropped before it, may touch something for this long. A long push
+# lasts longer.
 EXCUSED_US = 3 * S
 ROLLS_ON_US = 1 * S  # after the touch of a robot that a person pushes
 # The latest observation is one period old at most, expires one period after its limit, and that is
@@ -135,7 +136,8 @@ class ScenarioJudge:
         # Of each robot: pairs of looks between which its implement was down against its command.
         self._spans_down: dict[int, list[tuple[int, int]]] = {}
         self._pushes: list[tuple[int, int, int]] = []  # (robot, begin, end), microseconds
-        self._excused: list[tuple[int, int]] = []  # (robot, time) of a push or a box before it
+        # (robot, begin, end): it is pushed or has a box dropped before it, and may touch something
+        self._excused: list[tuple[int, int, int]] = []
 
     def run(self) -> "ScenarioJudge":
         """Play the scenario to its end, or to the first violation with `first_only`, and judge what
@@ -236,7 +238,8 @@ class ScenarioJudge:
                 let_go_at_us = at_us + round(hypot(dx_m, dy_m) / PUSHED_M_S * S) + CONTROL_PERIOD_US
                 self._at(at_us, partial(self._by_hand.__setitem__, robot, let_go_at_us))
                 self._pushes.append((robot, at_us, let_go_at_us))
-                self._at(at_us, partial(self._excuse, (robot,)))
+                excused_for_us = max(EXCUSED_US, let_go_at_us + ROLLS_ON_US - at_us)
+                self._at(at_us, partial(self._excuse, (robot,), excused_for_us))
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, at_us + 1))
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
@@ -486,8 +489,9 @@ class ScenarioJudge:
                 t_s = self.cluster.host.now_us() / 1e6
                 self._add("S13", t_s, f"robot {slot} sends {missing} although its disk is full")
 
-    def _excuse(self, slots: tuple[int, ...]) -> None:
-        self._excused += [(slot, self.cluster.host.now_us()) for slot in slots]
+    def _excuse(self, slots: tuple[int, ...], for_us: int = EXCUSED_US) -> None:
+        now_us = self.cluster.host.now_us()
+        self._excused += [(slot, now_us, now_us + for_us) for slot in slots]
 
     def _shoved(self, slot: int, moved_at_us: int) -> None:
         """A person is about to move a robot; by `moved_at_us` it is done."""
@@ -766,8 +770,8 @@ class ScenarioJudge:
         for contact in self.cluster.world.contacts:
             slots = {contact.first, contact.second}
             excused = any(
-                slot in slots and 0 <= contact.t_us - at_us < EXCUSED_US
-                for slot, at_us in self._excused
+                slot in slots and begin_at_us <= contact.t_us < end_at_us
+                for slot, begin_at_us, end_at_us in self._excused
             )
             if contact.depth_m > TOUCH_M and not excused:
                 depth_cm = contact.depth_m * 100

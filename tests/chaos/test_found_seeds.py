@@ -95,6 +95,10 @@ MENDED = {
     ("corners", 96000065): "agent/peer/place_jumps.py",
     # A wrong place left a point before a fence, which passed for an obstacle.
     ("fixes", 99000154): "agent/motion/obstacle_detector.py",
+    # A robot that swayed at the end of its section took the bar to be where its velocity pointed.
+    ("all", 102000117): "agent/field/field_mission.py",
+    # People pushed a robot for more than 3 s, and against a vehicle at the end.
+    ("steered", 102000168): "sim/chaos/scenario_judge.py",
 }
 
 
