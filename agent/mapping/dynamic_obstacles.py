@@ -41,7 +41,7 @@ FORGET_US = 1 * S  # period of the search for expired observations
 BODY = -1  # the obstacle number of a silent member; others are numbered by their cell
 IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
-FOREVER_US = 1 << 62
+FOREVER_US = (1 << 62) - 1
 NOBODY: Mapping[int, XY] = {}
 UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
 

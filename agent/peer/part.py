@@ -16,7 +16,9 @@ from typing import Any, Final, NamedTuple
 from agent.interface.lifecycle import State
 from agent.interface.observation import Observation
 
-FOREVER: Final = 1 << 62  # a deadline that never comes
+FOREVER: Final = (
+    1 << 62
+) - 1  # a deadline that never comes: the largest integer that mypyc unboxes
 
 
 class StepContext:

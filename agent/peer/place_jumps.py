@@ -226,7 +226,7 @@ class PlaceJumps:
     def _lost(self) -> str:
         if self._doubted:
             return "jumped before the restart"
-        if self._reach.holds(self._offset):
+        if self._offset is NO_OFFSET or self._reach.holds(self._offset):
             return ""
         moved_m = hypot(self._offset.east_m, self._offset.north_m)
         if self._reach.holds(self._offset._replace(turned_rad=0.0)):

@@ -48,16 +48,27 @@ SETTLES_US: Final = 1 * S  # five fixes of a slow receiver
 ALIGNED_RAD: Final = radians(15.0)
 
 
-class _Kept(NamedTuple):
-    """Ways until a place."""
+class _Kept:
+    """Ways until a place. Not a tuple: one is made in each period, and its numbers are read often."""
 
-    gone_x_m: float  # that the place went while the body was expected to drive
-    gone_y_m: float
-    expected_x_m: float  # at least, as the wheels were told to drive
-    expected_y_m: float
-    way_m: float  # at most
-    wandered_m: float  # of the place, to and fro
-    falls: int  # how often the place began to go back
+    __slots__ = (
+        "expected_x_m", "expected_y_m", "falls", "gone_x_m", "gone_y_m", "wandered_m", "way_m",
+    )  # fmt: skip
+
+    def __init__(
+        self, gone_x_m: float, gone_y_m: float, expected_x_m: float, expected_y_m: float,
+        way_m: float, wandered_m: float, falls: int,
+    ) -> None:  # fmt: skip
+        """`gone`: by the place while the body was expected to drive. `expected`: at least, as the wheels
+        were told to drive. `way_m`: at most. `wandered_m`: by the place, to and fro. `falls`: how often
+        the place began to go back."""
+        self.gone_x_m: Final = gone_x_m
+        self.gone_y_m: Final = gone_y_m
+        self.expected_x_m: Final = expected_x_m
+        self.expected_y_m: Final = expected_y_m
+        self.way_m: Final = way_m
+        self.wandered_m: Final = wandered_m
+        self.falls: Final = falls
 
 
 class Nowhere(NamedTuple):

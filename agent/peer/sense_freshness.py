@@ -113,7 +113,12 @@ class Senses(Part):
         """`drives`: the robot has a mission and can move. `accuracy_max_m`: what the mission needs.
         `recalled`: durable memory as it was before the start; the key is `PLACE_KEY`."""
         self.accuracy_max_m = min(accuracy_max_m, POSITION_ACCURACY_M)
-        self.safety, self.motion, self.drives = safety, motion, drives
+        self.safety, self.drives = safety, drives
+        known = None if motion is None else motion.body_limits
+        self.limits = FASTEST if known is None else known  # of the body, or those of the fastest
+        self._acceleration_m_s2 = ACCELERATION_M_S2  # at least
+        if known is not None:
+            self._acceleration_m_s2 = ACCELERATION_SHARE * known.acceleration_m_s2
         self.here: Observation | None = None  # the newest observation
         self.known: Observation | None = None  # the newest observation that was believed
         self._no_velocity = False  # whether the velocity of it was none
@@ -418,7 +423,7 @@ class Senses(Part):
         """The place follows again, at this speed: what was not seen until now is compared with it."""
         if self._since.way_m > STAYS_M or self._since.turned_rad:
             self._unseen = self._unseen.then(self._since)
-        self._since = Unseen(0.0, speed_m_s)
+        self._since = Unseen(0.0, speed_m_s, 0.0)
 
     def _drive_on(self, here: Observation, sensed_at_us: int) -> None:
         """How the body may have moved since the last comparison, although its place did not change.
@@ -461,20 +466,6 @@ class Senses(Part):
             return (vx_m_s / speed_m_s, vy_m_s / speed_m_s), speed_m_s
         ahead = cos(here.heading_rad), sin(here.heading_rad)
         return ahead, max(vx_m_s * ahead[0] + vy_m_s * ahead[1], 0.0)
-
-    @property
-    def _acceleration_m_s2(self) -> float:
-        motion = self.motion
-        limits = None if motion is None else motion.body_limits
-        if limits is None:
-            return ACCELERATION_M_S2
-        return ACCELERATION_SHARE * limits.acceleration_m_s2
-
-    @property
-    def limits(self) -> BodyLimits:
-        """The limits of the body; if they are not known, those of the fastest body."""
-        limits = None if self.motion is None else self.motion.body_limits
-        return FASTEST if limits is None else limits
 
 
 def unusable(seen: Observation, accuracy_max_m: float, now_us: int) -> str:

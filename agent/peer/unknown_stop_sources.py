@@ -16,7 +16,7 @@ from protocol.frames.segment_frames import FleetStop
 DOUBT_US = 1 * S  # five questions and their answers, each within 0.2 s (J1939-81)
 ASK_US = 200 * MS  # between these questions, by all robots together
 STOPS_MAX = 16  # stops kept of one address; one is enough to hold us
-FOREVER = 1 << 62
+FOREVER = (1 << 62) - 1
 
 AnyStop = EmergencyStop | FleetStop
 

@@ -48,7 +48,7 @@ SPENT_HOLD_US = UNAUTHENTICATED_HOLD_US  # hold after its last frame
 SPENT_FORGET_US = 3 * S  # a panel that sends its stop once a second is still pressed within this
 RENEWALS_MAX = 8  # further dots for one press because robots report its dot as already used
 COUNT_TOLD_MAX = 255  # largest count in STOPS_HELD
-FOREVER = 1 << 62
+FOREVER = (1 << 62) - 1
 # Under these causes no frame of ours leaves.
 _MUTE = frozenset({StopCause.UNHEARD, StopCause.BUS_OFF, StopCause.ADDRESS_LOST})
 STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # these start no motion, so one tag is enough

@@ -34,7 +34,7 @@ LIVE_US = 1 * S  # a robot received within this has to stop; the longest silence
 NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop all robots
 USED_US = 50 * MS  # a press with a dot that has a reset is published again this often
 AGAIN_US = 500 * MS  # a stop is repeated this often for a robot that beats "not stopped"
-FOREVER = 1 << 62
+FOREVER = (1 << 62) - 1
 
 
 class Repetition(NamedTuple):

@@ -27,7 +27,7 @@ PASSIVE = 127  # above this a node is error passive
 BUS_OFF_TEC = 256
 SUSPEND_US = 8 * BIT_US  # an error passive node waits this long after its own frame (ISO 11898-1)
 NEVER_US: Final = -1
-ENDLESS_US: Final = 1 << 62
+ENDLESS_US: Final = (1 << 62) - 1
 NO_FRAME = Frame(0, b"")
 RECOVERY_US = 128 * 11 * BIT_US  # 128 times 11 recessive bits
 

@@ -23,6 +23,8 @@ from tools.common.fingerprint import ROOT
 
 FAILED = 1
 LEVEL = "2"  # of optimization
+# Included before each C source of a module; not before those of mypyc's own library.
+CACHES = Path(__file__).with_name("inline_caches.h")
 CACHE = FOLDER.with_name("core_types")  # mypy's cache; that of `make check` has other options
 # What turns and frames go through. Not: modules of kernels (numba has those), of constants and
 # protocols alone, what is seldom called, and what mypyc refuses: constrained type variables, and
@@ -137,9 +139,10 @@ def _machine_code(
     """Each extension under `scratch`/core, its objects under `scratch`/o."""
 
     def compiled(module: Any, source: str) -> tuple[str, str]:
+        ours = Path(source).name.startswith("__native")
         (file,) = compiler.compile(
             [source], output_dir=f"{scratch}/o", include_dirs=module.include_dirs,
-            extra_postargs=module.extra_compile_args,
+            extra_postargs=[*module.extra_compile_args, *(["-include", str(CACHES)] * ours)],
         )  # fmt: skip
         return source, file
 

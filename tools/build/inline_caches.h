@@ -1,12 +1,14 @@
-/* Inline caches for the C code that mypyc writes, included before each of its modules.
+/* Inline caches for the C code that mypyc writes. `headland compile` includes them before each module.
 
-   mypyc looks up a global that is not `Final`, as a function of `math`, in the dictionary of its module at
-   each use, and makes a NamedTuple by a call of Python. Each place of the code remembers here what it
-   found last, and checks that nothing has changed since: the version of a dictionary or of a type is
-   another one after each change, and no two have the same. So the result is that of CPython's own
-   functions, which remain the way for everything else.
+   mypyc looks up a global that is not `Final`, such as a function of `math`, in the dictionary of its
+   module at each use. It makes a NamedTuple by a call of Python code, and walks the bases of a class at
+   each cast. Here each place of the code remembers what it found last. It looks again if the version of
+   the dictionary or of the type is another one: CPython gives a new version after each change, and none
+   twice. So the results are those of CPython's own functions.
 
-   CPython 3.11 has these versions. Later ones forbid or remove them; there is no cache then. */
+   A class whose `__new__` somebody replaces is an exception: NamedTuple itself refuses that.
+
+   CPython 3.11 has these versions. Later ones deprecate them; there are no caches then. */
 
 #include <Python.h>
 #include <CPy.h>
@@ -37,21 +39,26 @@ static inline PyObject *cached_item(PyObject *dict, PyObject *key, ItemCache *ca
     return value;
 }
 
-#define CPyDict_GetItem(dict, key)            \
-    __extension__({                           \
-        static ItemCache item_cache;          \
-        cached_item((dict), (key), &item_cache); \
+#define CPyDict_GetItem(dict, key)                                              \
+    __extension__({                                                             \
+        static ItemCache item_cache;                                            \
+        cached_item((dict), (key), &item_cache);                                \
     })
 
 /* ------------------------------------------------------------------ instances of a class */
 
-static inline int cached_is_subtype(PyObject *object, PyTypeObject *of, PyTypeObject **cache) {
-    PyTypeObject *type = Py_TYPE(object);
-    if (type == of || (type == *cache && type->tp_version_tag != 0)) {
-        return 1;
+/* Most classes have one base, so this ends after a step or two. `PyType_IsSubtype` searches a tuple. */
+static inline int is_instance(PyObject *object, PyTypeObject *of) {
+    for (PyTypeObject *type = Py_TYPE(object); type != NULL; type = type->tp_base) {
+        if (type == of) {
+            return 1;
+        }
     }
-    return PyType_IsSubtype(type, of);
+    return PyType_IsSubtype(Py_TYPE(object), of);
 }
+
+#undef PyObject_TypeCheck
+#define PyObject_TypeCheck(object, of) is_instance((PyObject *)(object), (of))
 
 /* ------------------------------------------------------------------ new named tuples */
 
@@ -63,7 +70,7 @@ typedef struct {
 
 /* The number of fields of a class that NamedTuple made; 0 for any other class. */
 static Py_ssize_t fields_of_named_tuple(PyTypeObject *type) {
-    static PyObject *name, *code, *filename;
+    static PyObject *name;
     if (name == NULL) {
         name = PyUnicode_InternFromString("_fields");
     }
@@ -72,47 +79,56 @@ static Py_ssize_t fields_of_named_tuple(PyTypeObject *type) {
         || Py_TYPE(type) != &PyType_Type) {
         return 0;
     }
-    (void)code, (void)filename;
     PyObject *fields = PyDict_GetItemWithError(type->tp_dict, name);
     return fields != NULL && PyTuple_CheckExact(fields) ? PyTuple_GET_SIZE(fields) : 0;
 }
 
+/* A named tuple of these values, or NULL without an exception if it is made otherwise. */
+static inline PyObject *named_tuple(
+    PyObject *class, PyObject *const *values, Py_ssize_t given, TupleCache *cache) {
+    PyTypeObject *type = (PyTypeObject *)class;
+    if (type != cache->type || type->tp_version_tag != cache->version) {
+        Py_ssize_t fields = type->tp_version_tag == 0 ? 0 : fields_of_named_tuple(type);
+        *cache = (TupleCache){type, type->tp_version_tag, fields};
+    }
+    if (given != cache->fields || given == 0) {
+        return NULL;
+    }
+    PyObject *made = PyType_GenericAlloc(type, given);
+    for (Py_ssize_t i = 0; made != NULL && i < given; i++) {
+        PyTuple_SET_ITEM(made, i, Py_NewRef(values[i]));
+    }
+    return made;
+}
+
+/* By the class, or by `tuple.__new__(class, values)`. */
 static inline PyObject *cached_call(
     PyObject *callable, PyObject *const *args, size_t flagged, PyObject *names, TupleCache *cache) {
-    PyTypeObject *type = (PyTypeObject *)callable;
-    if (names == NULL && Py_IS_TYPE(callable, &PyType_Type)) {
-        Py_ssize_t given = PyVectorcall_NARGS(flagged);
-        if (type != cache->type || type->tp_version_tag != cache->version) {
-            Py_ssize_t fields = type->tp_version_tag == 0 ? 0 : fields_of_named_tuple(type);
-            *cache = (TupleCache){type, type->tp_version_tag, fields};
-        }
-        if (given == cache->fields && given > 0) {
-            PyObject *made = PyType_GenericAlloc(type, given);
-            if (made != NULL) {
-                for (Py_ssize_t i = 0; i < given; i++) {
-                    PyTuple_SET_ITEM(made, i, Py_NewRef(args[i]));
-                }
-            }
-            return made;
-        }
+    static PyObject *new; /* borrowed: `tuple` has it for good */
+    if (new == NULL) {
+        new = PyDict_GetItemString(PyTuple_Type.tp_dict, "__new__");
+    }
+    Py_ssize_t given = PyVectorcall_NARGS(flagged);
+    PyObject *made = NULL;
+    if (names != NULL) {
+    } else if (Py_IS_TYPE(callable, &PyType_Type)) {
+        made = named_tuple(callable, args, given, cache);
+    } else if (
+        callable == new && given == 2 && PyType_Check(args[0]) && PyTuple_CheckExact(args[1])) {
+        PyObject *values = args[1];
+        made = named_tuple(
+            args[0], ((PyTupleObject *)values)->ob_item, PyTuple_GET_SIZE(values), cache);
+    }
+    if (made != NULL || PyErr_Occurred()) {
+        return made;
     }
     return PyObject_Vectorcall(callable, args, flagged, names);
 }
 
 #define PyObject_Vectorcall(callable, args, flagged, names)                     \
-    __extension__({                                                              \
-        static TupleCache tuple_cache;                                           \
-        cached_call((callable), (args), (flagged), (names), &tuple_cache);       \
-    })
-
-#undef PyObject_TypeCheck
-#define PyObject_TypeCheck(object, of)                                  \
-    __extension__({                                                      \
-        static PyTypeObject *type_cache;                                 \
-        PyObject *checked = (PyObject *)(object);                        \
-        int is = cached_is_subtype(checked, (of), &type_cache);          \
-        if (is) type_cache = Py_TYPE(checked);                           \
-        is;                                                              \
+    __extension__({                                                             \
+        static TupleCache tuple_cache;                                          \
+        cached_call((callable), (args), (flagged), (names), &tuple_cache);      \
     })
 
 #endif
