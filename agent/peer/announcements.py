@@ -118,10 +118,10 @@ class Announcements(Part):
             known = self.senses.known
             x_m, y_m, heading_rad = NOWHERE if known is None else known[:3]
             return Pose(x_m, y_m, heading_rad, PLACE_UNKNOWN_M_S, state, stopped, heard)
-        x_m, y_m, heading_rad, vx_m_s, vy_m_s = here[:5]
+        vx_m_s, vy_m_s = here.vx_m_s, here.vy_m_s
         speed_m_s = hypot(vx_m_s, vy_m_s)
-        course_rad = atan2(vy_m_s, vx_m_s) if speed_m_s > STANDS_M_S else heading_rad
-        return Pose(x_m, y_m, course_rad, speed_m_s, state, stopped, heard, self.at_work)
+        course_rad = atan2(vy_m_s, vx_m_s) if speed_m_s > STANDS_M_S else here.heading_rad
+        return Pose(here.x_m, here.y_m, course_rad, speed_m_s, state, stopped, heard, self.at_work)
 
     def _reflected(self, live: frozenset[int]) -> int:
         """The member named in this beacon, in rotation, so that each learns that we receive it."""

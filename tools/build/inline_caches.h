@@ -63,40 +63,59 @@ static inline int is_instance(PyObject *object, PyTypeObject *of) {
 /* ------------------------------------------------------------------ new named tuples */
 
 typedef struct {
-    PyTypeObject *type; /* a class made by NamedTuple, or NULL */
+    PyTypeObject *type; /* the class that was called last, or NULL */
     unsigned int version;
-    Py_ssize_t fields;
+    PyObject *fields;   /* a tuple of names; NULL if NamedTuple did not make the class */
+    PyObject *defaults; /* a dictionary of values by name */
 } TupleCache;
 
-/* The number of fields of a class that NamedTuple made; 0 for any other class. */
-static Py_ssize_t fields_of_named_tuple(PyTypeObject *type) {
-    static PyObject *name;
-    if (name == NULL) {
-        name = PyUnicode_InternFromString("_fields");
+/* What this class is. The class owns the fields and the defaults, as long as its version is this. */
+static TupleCache tuple_class(PyTypeObject *type) {
+    TupleCache found = {type, type->tp_version_tag, NULL, NULL};
+    if (type->tp_version_tag == 0 || type->tp_base != &PyTuple_Type || !Py_IS_TYPE(type, &PyType_Type)
+        || type->tp_init != PyBaseObject_Type.tp_init || type->tp_alloc != PyType_GenericAlloc
+        || type->tp_dictoffset || type->tp_weaklistoffset) {
+        return found;
     }
-    if (type->tp_base != &PyTuple_Type || type->tp_init != PyBaseObject_Type.tp_init
-        || type->tp_alloc != PyType_GenericAlloc || type->tp_dictoffset || type->tp_weaklistoffset
-        || Py_TYPE(type) != &PyType_Type) {
-        return 0;
+    PyObject *fields = PyDict_GetItemString(type->tp_dict, "_fields");
+    PyObject *defaults = PyDict_GetItemString(type->tp_dict, "_field_defaults");
+    if (fields != NULL && PyTuple_CheckExact(fields) && defaults != NULL
+        && PyDict_CheckExact(defaults)) {
+        found.fields = fields, found.defaults = defaults;
     }
-    PyObject *fields = PyDict_GetItemWithError(type->tp_dict, name);
-    return fields != NULL && PyTuple_CheckExact(fields) ? PyTuple_GET_SIZE(fields) : 0;
+    return found;
 }
 
-/* A named tuple of these values, or NULL without an exception if it is made otherwise. */
+/* A named tuple of these values and, unless `exact`, the defaults of the others. NULL if Python has to
+   make it. */
 static inline PyObject *named_tuple(
-    PyObject *class, PyObject *const *values, Py_ssize_t given, TupleCache *cache) {
+    PyObject *class, PyObject *const *values, Py_ssize_t given, int exact, TupleCache *cache) {
     PyTypeObject *type = (PyTypeObject *)class;
     if (type != cache->type || type->tp_version_tag != cache->version) {
-        Py_ssize_t fields = type->tp_version_tag == 0 ? 0 : fields_of_named_tuple(type);
-        *cache = (TupleCache){type, type->tp_version_tag, fields};
+        *cache = tuple_class(type);
     }
-    if (given != cache->fields || given == 0) {
+    if (cache->fields == NULL) {
         return NULL;
     }
-    PyObject *made = PyType_GenericAlloc(type, given);
-    for (Py_ssize_t i = 0; made != NULL && i < given; i++) {
+    Py_ssize_t all = PyTuple_GET_SIZE(cache->fields);
+    if (given > all || (given < all && exact) || all == 0) {
+        return NULL;
+    }
+    PyObject *made = PyType_GenericAlloc(type, all);
+    if (made == NULL) {
+        return NULL;
+    }
+    for (Py_ssize_t i = 0; i < given; i++) {
         PyTuple_SET_ITEM(made, i, Py_NewRef(values[i]));
+    }
+    for (Py_ssize_t i = given; i < all; i++) {
+        PyObject *value = PyDict_GetItemWithError(
+            cache->defaults, PyTuple_GET_ITEM(cache->fields, i));
+        if (value == NULL) { /* Python says that a value is missing */
+            Py_DECREF(made);
+            return NULL;
+        }
+        PyTuple_SET_ITEM(made, i, Py_NewRef(value));
     }
     return made;
 }
@@ -112,12 +131,11 @@ static inline PyObject *cached_call(
     PyObject *made = NULL;
     if (names != NULL) {
     } else if (Py_IS_TYPE(callable, &PyType_Type)) {
-        made = named_tuple(callable, args, given, cache);
+        made = named_tuple(callable, args, given, 0, cache);
     } else if (
         callable == new && given == 2 && PyType_Check(args[0]) && PyTuple_CheckExact(args[1])) {
-        PyObject *values = args[1];
-        made = named_tuple(
-            args[0], ((PyTupleObject *)values)->ob_item, PyTuple_GET_SIZE(values), cache);
+        PyTupleObject *values = (PyTupleObject *)args[1];
+        made = named_tuple(args[0], values->ob_item, Py_SIZE(values), 1, cache);
     }
     if (made != NULL || PyErr_Occurred()) {
         return made;

@@ -3,6 +3,7 @@
 import importlib.util
 import sys
 from types import ModuleType
+from typing import NamedTuple
 
 import pytest
 
@@ -64,6 +65,9 @@ def named(first: int, second: int) -> Pair:
 def of(kind: Any, values: Any) -> Any:
     return tuple.__new__(kind, values)
 
+def one(kind: Any, first: Any) -> Any:
+    return kind(first)
+
 def call(kind: Any, first: Any, second: Any) -> Any:
     return kind(first, second)
 
@@ -73,6 +77,13 @@ def cast(animals: list[Animal]) -> int:
         legs += animal.legs
     return legs
 """
+
+
+class Needs(NamedTuple):
+    """Without a default."""
+
+    first: int
+    second: int
 
 
 @pytest.fixture(scope="module")
@@ -144,15 +155,19 @@ def test_named_tuples_are_those_that_python_makes(compiled: ModuleType) -> None:
     pair = compiled.Pair
     for _ in range(3):
         assert compiled.pair(1, 2) == pair(1, 2) and type(compiled.pair(1, 2)) is pair
-        assert compiled.half(1) == pair(1) == (1, 7)
+        assert compiled.half(1) == pair(1) == (1, 7) and compiled.one(pair, 1) == (1, 7)
         assert compiled.named(1, 2) == pair(1, 2)
         assert type(compiled.of(pair, (3, 4))) is pair and compiled.of(pair, (3, 4)).second == 4
     assert compiled.pair(1, 2)._replace(first=5) == (5, 2)
     assert compiled.of(tuple, (1, 2)) == (1, 2)
     assert compiled.of(pair, [3, 4]) == (3, 4)  # from a list, as Python does
     assert compiled.of(pair, (1, 2, 3)) == (1, 2, 3)  # which Python does not forbid
+    assert len(compiled.of(pair, (1,))) == 1  # so has no default
     with pytest.raises(TypeError):
         compiled.of(int, (1, 2))
+    assert compiled.call(Needs, 1, 2) == (1, 2)
+    with pytest.raises(TypeError, match="second"):
+        compiled.one(Needs, 1)
 
 
 @pytest.mark.slow
