@@ -52,12 +52,12 @@ class Eager(Mission):
 
 def peer_in(
     state: State, cause: StopCause | None, policy: SilencePolicy = SilencePolicy.STOP,
-    mission: Mission | None = None,
+    mission: Mission | None = None, acceleration_m_s2: float = 1.5,
 ) -> Peer:  # fmt: skip
     identity = Identity(
         0, frozenset(range(3)), fleet_name("total", 0), 1, policy, started=True, first_boot=True
     )
-    motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), np.empty((0, 4)))
+    motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, acceleration_m_s2), np.empty((0, 4)))
     peer = make_peer(identity, Random(1), 0, {}, MissionParts(mission or Eager(), motion))
     peer.step(Sensed(Observation(0.0, 0.0, 0.0, 0.0, 0.0, sensed_at_us=0)), 0)
     if cause is StopCause.BUS_OFF:

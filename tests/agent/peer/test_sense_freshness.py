@@ -43,8 +43,9 @@ SENSES = {StopCause.SENSES_OLD, StopCause.PLACE_FROZEN, StopCause.PLACE_LOST}
 class Robot:
     """A peer and a body with inertia, which drives east; what it senses can be spoilt."""
 
-    def __init__(self) -> None:
-        self.peer = peer_in(State.WORKING, None)
+    def __init__(self, acceleration_m_s2: float = ACCELERATION_M_S2) -> None:
+        """`acceleration_m_s2`: what its limits say; it gains `ACCELERATION_M_S2`."""
+        self.peer = peer_in(State.WORKING, None, acceleration_m_s2=acceleration_m_s2)
         self.now_us, self.x_m, self.v_m_s, self.told = 0, 0.0, 0.0, HALT
         self.sensed: Observation | None = None
         self.blind = self.frozen = False
@@ -239,9 +240,7 @@ def test_a_place_that_fell_back_once_does_not_stop_a_robot() -> None:
 
 @pytest.mark.parametrize("slow_m_s2", [0.05, 0.3, 1.5])
 def test_item_3_a_robot_that_begins_slowly_is_not_frozen(slow_m_s2: float) -> None:
-    robot = Robot()
-    motion = HolonomicMotion(0, BodyLimits(0.8, SPEED_M_S, slow_m_s2), np.empty((0, 4)))
-    robot.peer.senses.motion = motion
+    robot = Robot(slow_m_s2)
     step_m_s = slow_m_s2 * CONTROL_PERIOD_US / S
     for _ in range(200):
         robot.v_m_s = min(robot.v_m_s + step_m_s * 0.7, robot.told.vx_m_s)
