@@ -119,7 +119,10 @@ def _another_field(
 def _impossible_work(
     cluster: Cluster, fault: kinds.Nonsense, rng: Random
 ) -> tuple[int | None, Iterator[Message]]:
-    """Sends from the address of a robot, so that receivers attribute the frames to it."""
+    """Sends from the address of a robot, so that receivers attribute the frames to it. They are signs of
+    life of that robot, too, so its silence is not noticed meanwhile."""
+    cluster.acquaintance.doubled(fault.robot, cluster.host.now_us() + round(fault.for_s * S))
+    cluster.stops.doubled(fault.robot)
     sections = cluster.setting.section_count
     epochs = list(range(EPOCH_LEAST, EPOCH_MOST))
     rng.shuffle(epochs)

@@ -99,6 +99,8 @@ MENDED = {
     ("all", 102000117): "agent/field/field_mission.py",
     # People pushed a robot for more than 3 s, and against a vehicle at the end.
     ("steered", 102000168): "sim/chaos/scenario_judge.py",
+    # A robot died while a broken device sent claims from its address, which were signs of its life.
+    ("protocol", 103000046): "sim/fleet/strangers.py",
 }
 
 
