@@ -70,6 +70,7 @@ class PeerRunner:
         self._armed_at_us = 0  # when the timer fires
         self._failure: Exception | None = None
         self._disk_failed = False
+        self._remembers = journal is None  # the first thing that is stored is who we are
         self._taken = True  # whether the bus accepted the last frame
         self._confirming = bus if isinstance(bus, Confirming) else None
         self._freeze_ends_at_us = 0  # 0: not frozen
@@ -97,7 +98,7 @@ class PeerRunner:
             if isinstance(effect, Send):
                 if not durable and not isinstance(effect.message, EmergencyStop):
                     continue
-                if self._disk_failed and isinstance(effect.message, ON_DISK_FIRST):
+                if self._disk_failed and not self._may_say(effect.message):
                     continue  # it may tell what the disk did not take
                 source = self.peer.address if effect.source is None else effect.source
                 if source is None and _is_press(effect.message):
@@ -131,11 +132,21 @@ class PeerRunner:
             return False
         try:
             self.journal.write(records)
+            self._remembers = True
         except OSError as problem:
             self._disk_failed = True
             log.error("robot %d: the journal failed: %s", self.peer.slot, problem)
             self.perform(self.peer.step(DiskFailed(), self.clock()))
         return not self._disk_failed
+
+    def _may_say(self, message: Message) -> bool:
+        """Whether a robot whose disk has failed may send this.
+
+        One whose disk failed at its start does not join: after a restart it would use its incarnation
+        again, and a stop could pass for an old one."""
+        if isinstance(message, EmergencyStop):
+            return True
+        return self._remembers and not isinstance(message, ON_DISK_FIRST)
 
     def operate(self, *calls: Input) -> None:
         """An operator's calls, between two other inputs: `runner.operate(Press(reason))`."""
