@@ -15,6 +15,7 @@ from typing import Any
 
 from rich.console import Console
 
+from agent.runtime.files.file_lock import lock
 from sim.files.strict_json import dumps
 from tools.build.compiled_core import FOLDER, SUFFIX, place
 from tools.common.child_process import PREFIX
@@ -178,12 +179,29 @@ def compile_core(remove: bool, as_json: bool = False) -> int:
     people go to standard error."""
     console = Console(stderr=as_json)
     if remove:
-        there = FOLDER.is_dir()
+        there = any(path.is_dir() for path in FOLDER.glob("*"))
         for folder in (FOLDER, CACHE):
             shutil.rmtree(folder, ignore_errors=True)
         console.print(f"removed {FOLDER}" if there else "there was no compiled core")
         _print_json(as_json, {"removed": there})
         return 0
+    if PREFIX:  # nothing is compiled, so nothing is written
+        return _compile_core(console, as_json)
+    try:
+        FOLDER.mkdir(parents=True, exist_ok=True)
+        file = (FOLDER / "lock").open("w")
+    except OSError as problem:
+        print(f"headland: the core was not made: {problem}", file=sys.stderr)
+        return FAILED
+    with file:
+        if not lock(file, wait=False):
+            console.print("another headland compile is at work: waiting for it")
+            lock(file)
+        return _compile_core(console, as_json)
+
+
+def _compile_core(console: Console, as_json: bool) -> int:
+    """While no other process compiles."""
     folder, begun_s = place(), time.monotonic()
     if folder.is_dir():
         console.print(f"there is one of these sources: {folder}")

@@ -4,10 +4,15 @@ import ast
 import json
 import subprocess
 import sys
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Event
+from typing import IO
 
 import pytest
 
+from agent.runtime.files.file_lock import lock
 from tools.build import compile as compiling
 from tools.build import compiled_core
 from tools.build.compile import ToolMissingError, build
@@ -245,3 +250,35 @@ def test_a_missing_compiler_is_exit_code_2(
     monkeypatch.setenv("PATH", str(tmp_path))
     assert compiling.compile_core(remove=False) == 2
     assert capsys.readouterr().err.startswith("headland: no C compiler")
+
+
+def test_of_two_that_compile_one_waits(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Both made one folder, and each deleted the files of the other."""
+    core, waits, made = tmp_path / "core", Event(), list[Path]()
+
+    def make(folder: Path) -> Iterator[tuple[str, int, int]]:
+        made.append(folder)
+        folder.mkdir()
+        yield "all", 1, 1
+
+    def told(file: IO[str], wait: bool = True) -> bool:
+        if wait:
+            waits.set()
+        return lock(file, wait)
+
+    monkeypatch.setattr(compiling, "FOLDER", core)
+    monkeypatch.setattr(compiling, "place", lambda: core / "these")
+    monkeypatch.setattr(compiling, "build", make)
+    monkeypatch.setattr(compiling, "lock", told)
+    core.mkdir()
+    with ThreadPoolExecutor() as pool:
+        with (core / "lock").open("w") as file:
+            assert lock(file)
+            codes = [pool.submit(compiling.compile_core, False) for _ in range(2)]
+            assert waits.wait(60.0) and not made
+        assert [code.result(60.0) for code in codes] == [0, 0]
+    assert made == [core / "these"]
+    said = " ".join(capsys.readouterr().out.split())
+    assert "is at work: waiting for it" in said and "there is one of these sources" in said
