@@ -1,15 +1,17 @@
 """The hot modules of a simulation as machine code, made by mypyc from the very same sources.
 
-Extension modules under `build/core/NAME`, where NAME has a digest of every source that a result depends
-on and the interpreter. A stale core has another name, so it is never found. Nothing needs a core: a
-program that finds none runs interpreted. A native class cannot be changed from outside, so planted bugs,
-and tests that replace something in a class, run without a core. Robots run without one, too.
+Extension modules under `build/core/NAME`, where NAME has digests of every source that a result depends
+on, of how they are compiled, and of the interpreter. A stale core has another name, so it is never found.
+Nothing needs a core: a program that finds none runs interpreted. A native class cannot be changed from
+outside, so planted bugs, and tests that replace something in a class, run without a core. Robots run
+without one, too.
 """
 
 import os
 import sys
 import sysconfig
 from collections.abc import Sequence
+from hashlib import sha256
 from importlib.machinery import ModuleSpec
 from importlib.util import spec_from_file_location
 from pathlib import Path
@@ -22,10 +24,18 @@ FOLDER = ROOT / "build" / "core"
 SUFFIX: str = sysconfig.get_config_var("EXT_SUFFIX")
 OFF = "HEADLAND_INTERPRETED"  # set in the environment: no core is used
 
+# What decides how the sources are compiled.
+MADE_BY = ("compile.py", "inline_caches.h")
+
 
 def place() -> Path:
     """Where a core of these sources for this interpreter is, or would be."""
-    return FOLDER / f"{fingerprint()}-{sys.implementation.cache_tag}"
+    files = [Path(__file__).with_name(name) for name in MADE_BY]
+    # A wheel has no C, and no core is made there.
+    made_by = sha256(b"".join(file.read_bytes() for file in files if file.is_file())).hexdigest()[
+        :6
+    ]
+    return FOLDER / f"{fingerprint()}-{made_by}-{sys.implementation.cache_tag}"
 
 
 class Finder:

@@ -233,6 +233,22 @@ def test_changed_sources_have_no_core(monkeypatch: pytest.MonkeyPatch) -> None:
     assert place() != before and not Finder(place()).files
 
 
+def test_a_changed_list_of_modules_has_no_core(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A core that another list had made was used, without the modules that were added."""
+    before = place()
+    for name in compiled_core.MADE_BY:
+        (tmp_path / name).write_bytes(Path(compiling.__file__).with_name(name).read_bytes())
+    monkeypatch.setattr(compiled_core, "__file__", str(tmp_path / "compiled_core.py"))
+    assert place() == before
+    for name in compiled_core.MADE_BY:
+        (tmp_path / name).write_bytes(b"changed")
+        assert place() != before
+    (tmp_path / "inline_caches.h").unlink()
+    assert place() != before  # as in a wheel
+
+
 @pytest.mark.slow
 def test_a_process_that_has_begun_interpreted_goes_on_so(core: Path) -> None:
     import crdt.digest
