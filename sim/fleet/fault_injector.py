@@ -306,13 +306,16 @@ class FaultPlan:
                 argument = goal_check(frames[0].value, frames[1].value)
                 for frame in frames:
                     cluster.order(frame)
+            if command is Command.START and cluster.tool_waits:
+                return
             cluster.order(OperatorCommand(command, robot, OPERATOR, argument))
             yield self._now_us() + round(ORDER_S * S)
 
     def _reset(self) -> Script[None]:
         """An operator clears all known stops, resets every machine, and then gives the start.
 
-        An operator cannot know of a stop that was not on the wire yet.
+        An operator cannot know of a stop that was not on the wire yet. One who sees that the reset is not
+        sent gives no start: it would wait in the device, and arrive after a stop that is pressed later.
         """
         cluster = self.cluster
         known = {dot for robot in cluster.running for dot in robot.peer.safety.stops.active}
@@ -328,4 +331,6 @@ class FaultPlan:
             yield self._now_us() + round(ASK_S * S)
             cluster.order(reset)
         yield self._now_us() + round(SETTLE_S * S)
+        if cluster.tool_waits:
+            return
         cluster.order(OperatorCommand(Command.START, 255, OPERATOR))

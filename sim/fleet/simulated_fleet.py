@@ -307,6 +307,11 @@ class Cluster:
             self._tool.submit(tool_claim(source, source))
         self._tool.submit(encode(message, self._tools.get(source, source)))
 
+    @property
+    def tool_waits(self) -> bool:
+        """Whether frames of operators' devices have not been sent yet."""
+        return self._tool is not None and bool(self.segment.wire.nodes[self._tool.node].queue)
+
     def propose(self, message: Message) -> None:
         """Send a frame of a device that is no robot, with its proof in a fleet with keys. The caller
         repeats it, because the device may not know the fleet's time yet."""

@@ -101,6 +101,8 @@ MENDED = {
     ("steered", 102000168): "sim/chaos/scenario_judge.py",
     # A robot died while a broken device sent claims from its address, which were signs of its life.
     ("protocol", 103000046): "sim/fleet/strangers.py",
+    # A start that waited in the operator's device during a flood arrived after a later stop.
+    ("flood", 104000086): "sim/fleet/fault_injector.py",
     # The disk of a robot was full at its start, and it told an incarnation that it did not keep.
     ("crash", 103000061): "agent/runtime/peer_runner.py",
 }

@@ -213,7 +213,8 @@ async def release(operator: Operator, start: bool, timeout_s: float) -> list[int
         if not left or loop.time() - begun_s >= timeout_s:
             break
     clear_named(operator)
-    if start and not left:
+    # On a bus that carries nothing a start would wait in the adapter, and arrive after a later stop.
+    if start and operator.live and not left:
         for _ in range(3):  # repeated, because a lost start means another call of the command
             operator.command(Command.START)
             await asyncio.sleep(STEP_S)

@@ -11,12 +11,12 @@ import pytest
 from agent.interface.lifecycle import State
 from protocol.authentication import Keyring, Keys
 from protocol.frames.agreement_frames import SilentPosition
-from protocol.frames.codec import encode
+from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
-from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.frames.safety_frames import Command, EmergencyStop, OperatorCommand, Reason
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name
 from sim.can.simulated_bus import FieldBus
@@ -28,7 +28,7 @@ from tools.common import bus_address
 from tools.common.bus_address import robots_of_launch
 from tools.operate.estop import AGAIN, press, tell
 from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
-from tools.operate.reset import word
+from tools.operate.reset import release, word
 
 KEYS = Keys(b"m" * 16, b"o" * 16)
 PANEL = 140
@@ -105,6 +105,32 @@ def test_on_a_bus_that_is_seconds_behind_a_press_draws_few_names(
 
     run_virtual(story())
     assert 4 <= len(names) <= 6, "a name may be a cleared one, so another is tried"
+
+
+def test_no_start_is_given_while_no_robot_is_heard() -> None:
+    """Found by `headland chaos`, profile flood 104000086, of its simulated operator: a start that waited
+    in the device during a flood arrived at its end, after a stop that was pressed later."""
+
+    class Waiting(Silent):
+        def __init__(self) -> None:
+            self.frames: list[Frame] = []
+
+        def send(self, frame: Frame) -> bool:
+            self.frames.append(frame)
+            return True
+
+    async def released(heard: bool) -> list[Command]:
+        adapter = Waiting()
+        tool = Operator(adapter, None)  # type: ignore[arg-type]
+        if heard:
+            tool.now_s = asyncio.get_running_loop().time()
+            say(tool, tool.now_s, 1, Member(1, 1, 7), beat())
+        await release(tool, True, 0.3)
+        said = [decode(frame)[1] for frame in adapter.frames]
+        return [Command(each.command) for each in said if isinstance(each, OperatorCommand)]
+
+    assert run_virtual(released(heard=False)) == []
+    assert Command.START in run_virtual(released(heard=True))
 
 
 def test_t14_another_device_at_an_address_is_not_the_robot_that_was_there() -> None:
