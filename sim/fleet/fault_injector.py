@@ -306,8 +306,6 @@ class FaultPlan:
                 argument = goal_check(frames[0].value, frames[1].value)
                 for frame in frames:
                     cluster.order(frame)
-            if command is Command.START and cluster.tool_waits:
-                return
             cluster.order(OperatorCommand(command, robot, OPERATOR, argument))
             yield self._now_us() + round(ORDER_S * S)
 
@@ -331,6 +329,6 @@ class FaultPlan:
             yield self._now_us() + round(ASK_S * S)
             cluster.order(reset)
         yield self._now_us() + round(SETTLE_S * S)
-        if cluster.tool_waits:
+        if cluster.waits(Command.MANUAL_RESET):
             return
         cluster.order(OperatorCommand(Command.START, 255, OPERATOR))

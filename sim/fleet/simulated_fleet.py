@@ -22,13 +22,14 @@ from agent.runtime.peer_runner import PeerRunner
 from agent.segments.segment_area import Area
 from protocol.authentication import Keys, Signed
 from protocol.frame_proofs import ToolProofs
-from protocol.frames.codec import decode_once, destination_of, encode
+from protocol.frames.codec import decode, decode_once, destination_of, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.messages import GROUP_OF, Message
 from protocol.frames.network_frames import AddressClaimed, Request
 from protocol.frames.safety_frames import (
     Challenge,
+    Command,
     EmergencyReset,
     EmergencyStop,
     OperatorCommand,
@@ -307,10 +308,11 @@ class Cluster:
             self._tool.submit(tool_claim(source, source))
         self._tool.submit(encode(message, self._tools.get(source, source)))
 
-    @property
-    def tool_waits(self) -> bool:
-        """Whether frames of operators' devices have not been sent yet."""
-        return self._tool is not None and bool(self.segment.wire.nodes[self._tool.node].queue)
+    def waits(self, command: Command) -> bool:
+        """Whether such an order of an operator has not been sent yet."""
+        queue = [] if self._tool is None else self.segment.wire.nodes[self._tool.node].queue
+        unsent = (decode(frame)[1] for _, _, frame in queue)
+        return any(isinstance(m, OperatorCommand) and m.command == command for m in unsent)
 
     def propose(self, message: Message) -> None:
         """Send a frame of a device that is no robot, with its proof in a fleet with keys. The caller
