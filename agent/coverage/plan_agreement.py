@@ -28,6 +28,7 @@ from numpy.typing import NDArray
 from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.joint_course import CourseInputs, GridCourse, course_of
 from agent.interface.config import LEASE_US, MS, S
+from agent.interface.instants import FOREVER_US
 from agent.mapf.agreement_phase import CALM_US, AgreementPhase, after, ahead
 from crdt.progress import BLOCK_UNITS, Progress
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
@@ -44,7 +45,6 @@ OBSTACLE_US = 20 * S  # lifetime of an obstacle, because it may have gone since
 SPARE_US = 5 * S  # margin so that all robots drop a reported obstacle in the same round
 AGAIN_MAX = 2  # an obstacle seen more often than this is permanent until the members change
 ANYBODY = 0xFFFF  # slot of an unannounced body
-FOREVER = (1 << 62) - 1
 
 
 class CoveragePlanEvent(Enum):
@@ -170,7 +170,7 @@ class CoverageAgreement:
 
     def _hear_body(self, m: AgreementMessage, now_us: int) -> None:
         if m.first < len(self.ground) and m.first not in self.bodies:
-            ends_at_us = FOREVER if m.detail else now_us + OBSTACLE_US
+            ends_at_us = FOREVER_US if m.detail else now_us + OBSTACLE_US
             self.bodies[m.first] = CellObstacle(m.second, ends_at_us)
             self.machine.fire(CoveragePlanEvent.CHANGED)
 
@@ -178,7 +178,7 @@ class CoverageAgreement:
         """An obstacle outside our plan stands in that cell."""
         self._seen[number] = self._seen.get(number, 0) + 1
         lasting = slot != ANYBODY or self._seen[number] > AGAIN_MAX
-        self.bodies[number] = CellObstacle(slot, FOREVER if lasting else now_us + OBSTACLE_US)
+        self.bodies[number] = CellObstacle(slot, FOREVER_US if lasting else now_us + OBSTACLE_US)
 
     # ---------------------------------------------------------------- the plan's progress
 
@@ -289,7 +289,7 @@ class CoverageAgreement:
     @property
     def later(self) -> bool:
         """Whether something is left out of the plan that can perhaps be done at another time."""
-        passing = any(body.ends_at_us < FOREVER for body in self.bodies.values())
+        passing = any(body.ends_at_us < FOREVER_US for body in self.bodies.values())
         return self._left_out and (self.kept or passing)
 
     def _over(self, crew: FleetSnapshot, now_us: int) -> bool:
@@ -442,7 +442,7 @@ class CoverageAgreement:
                         0,
                         number,
                         body.slot,
-                        int(body.ends_at_us == FOREVER),
+                        int(body.ends_at_us == FOREVER_US),
                     )
                     for number, body in sorted(self.bodies.items())
                 ]

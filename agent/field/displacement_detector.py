@@ -14,7 +14,8 @@ from math import exp, hypot, pi, remainder
 from typing import Final
 
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
-from agent.interface.observation import NEVER_US, Observation
+from agent.interface.instants import NEVER_US
+from agent.interface.observation import Observation
 
 LEAP_M: Final = 0.1  # a jump longer than this plus the way at 1.5 times full speed is no driving
 LEAP_SHARE: Final = 1.5

@@ -6,6 +6,7 @@ SI units. Field frame: x east, y north, metres.
 from collections.abc import Mapping
 from typing import NamedTuple
 
+from agent.interface.instants import NEVER_US
 from protocol.frames.fleet_frames import Pose
 
 
@@ -24,7 +25,6 @@ class VisibleParcel(NamedTuple):
     on_robot: bool  # it is on a robot that has died
 
 
-NEVER_US = -(1 << 62)  # an observation without a time counts as infinitely old
 NOTHING_SEEN: Mapping[int, VisibleParcel] = {}
 
 

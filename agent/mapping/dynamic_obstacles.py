@@ -18,6 +18,7 @@ import scipy
 from numpy.typing import NDArray
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.instants import FOREVER_US
 from agent.interface.observation import Observation
 from agent.mapping.building import Floor
 from agent.mapping.local_and_fleet_map import SURE, LocalAndFleetMap
@@ -41,7 +42,6 @@ FORGET_US = 1 * S  # period of the search for expired observations
 BODY = -1  # the obstacle number of a silent member; others are numbered by their cell
 IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
-FOREVER_US = (1 << 62) - 1
 NOBODY: Mapping[int, XY] = {}
 UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
 

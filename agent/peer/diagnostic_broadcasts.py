@@ -10,10 +10,11 @@ from typing import Any, Final
 
 from agent.interface.config import FAULTS_PERIOD_US, MS, STANDARD_HEARTBEAT_US
 from agent.interface.effects import Effect, Send
+from agent.interface.instants import FOREVER_US
 from agent.peer.diagnostics import fault_of, repeated_causes, root_causes
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.member_reports import MemberReports
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder, acknowledged
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
@@ -54,7 +55,7 @@ class DiagnosticBroadcasts(Part):
         self.votes, self.reports = votes, reports
         self._told: tuple[StopCause, ...] = ()  # active at our newest DM1
         self._told_at_us = -FAULTS_PERIOD_US
-        self._beat_at_us = FOREVER
+        self._beat_at_us = FOREVER_US
         self._sequence = FIRST_SEQUENCE
 
     @property
@@ -122,9 +123,9 @@ class DiagnosticBroadcasts(Part):
             return acknowledged(
                 AcknowledgmentControl.NACK, header.source, header.destination, m.pgn
             )
-        sends = self._beat_at_us != FOREVER
+        sends = self._beat_at_us != FOREVER_US
         if m.rate_ms == 0:
-            self._beat_at_us = FOREVER
+            self._beat_at_us = FOREVER_US
             return [Send(StandardHeartbeat(END_SEQUENCE))] if sends else NOTHING
         if not sends:
             self._beat_at_us, self._sequence = ctx.now_us, FIRST_SEQUENCE

@@ -14,9 +14,9 @@ from typing import Any, Final
 
 from agent.interface.config import MS, PEERS_MAX, S
 from agent.interface.effects import Send, Trace
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.part import (
-    FOREVER,
     NOTHING,
     Handler,
     Header,
@@ -66,7 +66,7 @@ class FleetClock(Part):
         self.ask_again_for_us = max(ASK_AGAIN_US, members * ASK_SHARE_US)
         self.slot, self.keys, self.time, self.lot = slot, keys, time, lot
         self.answers = None if keys is None else TimeAnswers(keys)
-        self.asks_at_us = self.alone_at_us = FOREVER
+        self.asks_at_us = self.alone_at_us = FOREVER_US
         self._question: TimeQuestion | None = None
         self._asked = 0
         self._asked_at_us = self._answered_at_us = -NONCE_LIFE_US
@@ -103,14 +103,14 @@ class FleetClock(Part):
         outputs: list[Any] = []
         if now_us >= self.alone_at_us:
             if self._last:
-                self.asks_at_us = self.alone_at_us = FOREVER
+                self.asks_at_us = self.alone_at_us = FOREVER_US
                 self.time.known = True
                 outputs.append(notices.FleetTimeKnown())
             else:
                 self._last, self.asks_at_us = True, now_us
                 self.alone_at_us = now_us + LAST_WAIT_US
         if now_us >= self.asks_at_us:
-            self.asks_at_us = FOREVER if self.time.known else now_us + self.ask_again_for_us
+            self.asks_at_us = FOREVER_US if self.time.known else now_us + self.ask_again_for_us
             if ctx.joined:
                 outputs.append(Send(self._ask(now_us)))
         if self._pending and now_us - self._answered_at_us >= ANSWER_SPACING_US:
@@ -168,7 +168,7 @@ class FleetClock(Part):
 
     def _doubted(self, ctx: StepContext, notice: notices.TimeDoubted) -> Outputs:
         """A proof could not be verified: its sender may know a later time than we do."""
-        if not self.time.known or self.asks_at_us != FOREVER:
+        if not self.time.known or self.asks_at_us != FOREVER_US:
             return NOTHING
         pause_for_us = DOUBT_US << min(self._doubts, DOUBLINGS_MAX)
         if ctx.now_us - self._asked_at_us >= pause_for_us:
@@ -215,7 +215,9 @@ class FleetClock(Part):
         if self.time.refused > refused:
             who = f"address {header.source}"
             return [Trace("trust", "", "REFUSED", who, "a fleet time that no robot has")]
-        self.asks_at_us = self.alone_at_us = FOREVER  # the question stays: a later time may follow
+        self.asks_at_us = self.alone_at_us = (
+            FOREVER_US  # the question stays: a later time may follow
+        )
         if not learned:
             return NOTHING
         self._doubts = 0

@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.interface.effects import Persist, Send
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.durable_records import DurableRecords
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.sync.map_sync import MapSync
 
@@ -30,7 +31,7 @@ class MapExchange(Part):
     @property
     def due_at_us(self) -> int:
         joined = self.joining.joined
-        return FOREVER if self.chart is None or not joined else self.chart.due_at_us
+        return FOREVER_US if self.chart is None or not joined else self.chart.due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """Announce patches, persisted first so that our observations survive a restart."""

@@ -19,11 +19,11 @@ from typing import Any
 from agent.interface.config import FAREWELL_SPEED_M_S, GONE_QUIET_US, LEAVES_WITHIN_US
 from agent.interface.effects import Trace
 from agent.interface.identity import Identity
+from agent.interface.instants import FOREVER_US, NEVER_US
 from agent.interface.observation import Neighbour
 from agent.peer import notices
 from agent.peer.frame_origin import Origins
 from agent.peer.part import (
-    FOREVER,
     NOTHING,
     DirectHandler,
     Handler,
@@ -57,9 +57,6 @@ class MemberStatus(Enum):
     SILENT = auto()  # was live and stopped sending without leaving
     LEFT = auto()  # announced that it leaves
     WAIVED = auto()  # silent, and an operator ordered by name to go on without it
-
-
-NEVER_US = -(1 << 62)
 
 
 class Membership(Part):
@@ -332,7 +329,7 @@ class Membership(Part):
     @property
     def due_at_us(self) -> int:
         """When the oldest sign of life may become silence; `tick` moves this on in good time."""
-        return self._oldest_sign_at_us + self.silence_for_us if self.last_sign_at_us else FOREVER
+        return self._oldest_sign_at_us + self.silence_for_us if self.last_sign_at_us else FOREVER_US
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self.changed() if self.tick(ctx.now_us) else NOTHING

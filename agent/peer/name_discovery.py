@@ -4,10 +4,11 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.interface.effects import Effect, Send
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.member_discovery import CLAIM_REQUEST, MemberDiscovery
 from agent.peer.network_join import CLAIM_PGN, NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 from protocol.frames.identifier import NULL_ADDRESS
 
 
@@ -24,7 +25,7 @@ class NameDiscovery(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = None if self.joining.away else self.asks.due_at_us
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.joining.away:

@@ -7,8 +7,9 @@ from typing import Any
 from agent.interface.config import ADDRESS_FIRST
 from agent.interface.effects import HALT, Effect, Send
 from agent.interface.identity import Identity
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
-from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 from protocol.address import CANNOT, AddressClaim, AddressMessage
 from protocol.frames.fleet_frames import Member
 from protocol.frames.identifier import NULL_ADDRESS
@@ -50,7 +51,7 @@ class NetworkJoin(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = None if self.away else self.machine.due_at_us
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.joined and not self.lost_address and ctx.now_us < self.due_at_us:

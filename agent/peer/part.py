@@ -13,12 +13,9 @@ from collections.abc import Callable, Mapping, Sequence
 from enum import Enum
 from typing import Any, Final, NamedTuple
 
+from agent.interface.instants import FOREVER_US
 from agent.interface.lifecycle import State
 from agent.interface.observation import Observation
-
-FOREVER: Final = (
-    1 << 62
-) - 1  # a deadline that never comes: the largest integer that mypyc unboxes
 
 
 class StepContext:
@@ -84,8 +81,8 @@ class Part:
 
     @property
     def due_at_us(self) -> int:
-        """When `on_timer` next has something to do if nothing else happens; FOREVER: never."""
-        return FOREVER
+        """When `on_timer` next has something to do if nothing else happens; FOREVER_US: never."""
+        return FOREVER_US
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:

@@ -9,13 +9,13 @@ from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 from agent.interface.effects import Drive, Effect, Persist, Send, Trace
+from agent.interface.instants import FOREVER_US
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView, MotionRequest
 from agent.interface.observation import Observation
 from agent.peer import notices
 from agent.peer.inputs import Heard, Input, Received, Timer
 from agent.peer.part import (
-    FOREVER,
     NOTHING,
     DirectHandler,
     DirectListener,
@@ -129,7 +129,7 @@ class Peer:
     @property
     def due_at_us(self) -> int:
         """When the next `Timer` has something to do if no other input comes before."""
-        due_at_us = FOREVER
+        due_at_us = FOREVER_US
         for part in self._due:
             part_at_us = part.due_at_us
             if part_at_us < due_at_us:

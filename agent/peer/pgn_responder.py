@@ -10,6 +10,7 @@ from typing import Any
 
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.identity import Identity
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.diagnostics import (
     CLEAR_PREVIOUS_PGN,
@@ -22,7 +23,7 @@ from agent.peer.diagnostics import (
     texts,
 )
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.diagnostic_frames import DIAGNOSTIC_PROTOCOLS, DM1, DM2, FUNCTIONALITIES
@@ -114,7 +115,7 @@ class PgnResponder(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = self.transport.due_at_us if self.joining.joined else None
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def note(self, now_us: int, trace: Trace) -> None:
         """Keep a trace for later requests."""

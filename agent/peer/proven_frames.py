@@ -16,11 +16,11 @@ from typing import Any, Final
 
 from agent.interface.config import BEATS, MS
 from agent.interface.effects import Effect, Send, Trace
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.membership import Membership
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import (
-    FOREVER,
     NOTHING,
     Handler,
     Header,
@@ -145,7 +145,7 @@ class ProvenFrames(Part):
     @property
     def due_at_us(self) -> int:
         batch = self._batch
-        return FOREVER if batch is None or batch.due_at_us is None else batch.due_at_us
+        return FOREVER_US if batch is None or batch.due_at_us is None else batch.due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self._proof(ctx.now_us) if ctx.now_us >= self.due_at_us else NOTHING

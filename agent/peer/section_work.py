@@ -8,13 +8,14 @@ from collections.abc import Callable, Mapping
 from typing import Any
 
 from agent.interface.effects import Persist, Send, Trace
+from agent.interface.instants import FOREVER_US
 from agent.interface.lifecycle import IDLE, WORKING, Event
 from agent.interface.mission import ClaimRequest, Mission
 from agent.peer import inputs, notices
 from agent.peer.durable_records import DurableRecords
 from agent.peer.fleet_views import FleetViews
 from agent.peer.operator_directive import OperatorDirective
-from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 from agent.peer.peer_lifecycle import PeerLifecycle
 from agent.peer.progress_announcements import ProgressAnnouncements
 from agent.peer.section_claims import SectionClaims
@@ -58,9 +59,9 @@ class SectionWork(Part):
     @property
     def due_at_us(self) -> int:
         if self.lifecycle.state is not IDLE or not self.safety.may_move:
-            return FOREVER  # the claim waits
+            return FOREVER_US  # the claim waits
         due_at_us = self.claims.due_at_us
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         """A claim whose contention window has passed becomes work."""

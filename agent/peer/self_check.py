@@ -20,10 +20,11 @@ from typing import Any, Final
 
 from agent.interface.config import ACTUATOR_TTL_US, BeaconTiming, S
 from agent.interface.effects import HALT, Trace
+from agent.interface.instants import FOREVER_US, NEVER_US
 from agent.peer import inputs, notices
 from agent.peer.membership import Membership
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, DirectListener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, DirectListener, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.controller_health import Health
@@ -34,7 +35,6 @@ PASSIVE_US = 1 * S  # a burst of errors is shorter; a broken wire is not
 # Beats. Each of n others names us once in n beats, so the odds that all miss us this long are e^-20.
 ROUND_MAX = 20
 LATE_HOLD_US = 1 * S  # a robot whose control froze waits this long before it moves
-NEVER_US: Final = -(1 << 62)
 # Frames up to this priority are queued even if no frame is sent: stops, resets, proofs.
 URGENT: Final = 3
 # One other frame is queued this often, to detect that a bus that lost its queue works again.
@@ -113,9 +113,9 @@ class SelfCheck(Part):
     def due_at_us(self) -> int:
         """When our frames may be stuck for a silence timeout; later checks run each control period."""
         if self._sent is None or not self.joining.joined:
-            return FOREVER
+            return FOREVER_US
         stall_at_us = self._stall_at_us
-        return FOREVER if stall_at_us <= self._looked_at_us else stall_at_us
+        return FOREVER_US if stall_at_us <= self._looked_at_us else stall_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         stuck = self._sent is not None and ctx.now_us >= self._stall_at_us

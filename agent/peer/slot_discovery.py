@@ -4,11 +4,12 @@ from collections.abc import Mapping
 from typing import Any
 
 from agent.interface.effects import Send
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.frame_origin import Origins
 from agent.peer.member_discovery import CLAIM_PGN, MEMBER_PGN, MEMBER_REQUEST, MemberDiscovery
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Listener, Outputs, Part, StepContext
 
 
 class SlotDiscovery(Part):
@@ -33,7 +34,7 @@ class SlotDiscovery(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = self.asks.due_at_us if self.joining.joined else None
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self.asks.tick(ctx.now_us) if ctx.joined else NOTHING

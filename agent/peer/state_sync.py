@@ -9,11 +9,12 @@ from typing import Any, Final
 
 from agent.interface.config import S
 from agent.interface.effects import Persist, Send, Trace
+from agent.interface.instants import FOREVER_US
 from agent.interface.lifecycle import IDLE, SYNCHRONIZING, WORKING
 from agent.peer import notices
 from agent.peer.durable_records import DurableRecords
 from agent.peer.network_join import NetworkJoin
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.sender_limits import SenderLimits
 from agent.peer.work_admission import Admission
 from crdt.claim_register import epoch_of, pack
@@ -72,7 +73,7 @@ class StateSync(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = self.sync.due_at_us if self.joining.joined else None
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if not ctx.joined:

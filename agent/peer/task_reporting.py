@@ -11,8 +11,9 @@ from typing import Any, Final
 from agent.interface.config import S
 from agent.interface.effects import Effect, Send, Trace
 from agent.interface.identity import Identity
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
@@ -80,7 +81,7 @@ class TaskReporting(Part):
     @property
     def due_at_us(self) -> int:
         due_at_us = self.client.due_at_us
-        return FOREVER if due_at_us is None else due_at_us
+        return FOREVER_US if due_at_us is None else due_at_us
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.client.state is SessionState.WAITING:

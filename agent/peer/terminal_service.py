@@ -15,6 +15,7 @@ from typing import Any, Final, NamedTuple
 from agent.interface.config import MS, S
 from agent.interface.effects import Send, Trace
 from agent.interface.identity import Identity
+from agent.interface.instants import FOREVER_US
 from agent.interface.lifecycle import State
 from agent.interface.mission import Mission
 from agent.peer import inputs, notices
@@ -22,7 +23,7 @@ from agent.peer.fleet_views import FleetViews
 from agent.peer.leader_votes import LeaderVotes
 from agent.peer.member_reports import MemberReports
 from agent.peer.membership import Membership
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
+from agent.peer.part import NOTHING, Handler, Header, Listener, Outputs, Part, StepContext
 from agent.peer.pgn_responder import PgnResponder
 from agent.peer.stop_release import KEYLESS_OPERATOR
 from agent.safety.stop_cause import Severity, cause_of
@@ -118,7 +119,7 @@ class TerminalService(Part):
 
     @property
     def due_at_us(self) -> int:
-        due_at_us = self._steps[0][0] if self._steps else FOREVER
+        due_at_us = self._steps[0][0] if self._steps else FOREVER_US
         if self._asked is not None:
             due_at_us = min(due_at_us, self._asked.tell_at_us)
         for each in (self.client.due_at_us, self.long.due_at_us):

@@ -10,13 +10,13 @@ more.
 from typing import NamedTuple
 
 from agent.interface.config import MS, S
+from agent.interface.instants import FOREVER_US
 from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.segment_frames import FleetStop
 
 DOUBT_US = 1 * S  # five questions and their answers, each within 0.2 s (J1939-81)
 ASK_US = 200 * MS  # between these questions, by all robots together
 STOPS_MAX = 16  # stops kept of one address; one is enough to hold us
-FOREVER = (1 << 62) - 1
 
 AnyStop = EmergencyStop | FleetStop
 
@@ -35,7 +35,7 @@ class Doubts:
         self._first_at_us: dict[int, int] = {}  # address -> first stop
         self._stops: dict[int, dict[AnyStop, Doubted]] = {}
         self._believed: set[int] = set()  # addresses that have not answered in time
-        self.due_at_us = FOREVER
+        self.due_at_us = FOREVER_US
 
     def believes(self, address: int) -> bool:
         """Whether it was asked without an answer, so that its stops are accepted."""
@@ -72,7 +72,7 @@ class Doubts:
     def _end(self, address: int) -> list[tuple[int, AnyStop]]:
         if self._first_at_us.pop(address, None) is None:
             return []
-        self.due_at_us = min((t + DOUBT_US for t in self._first_at_us.values()), default=FOREVER)
+        self.due_at_us = min((t + DOUBT_US for t in self._first_at_us.values()), default=FOREVER_US)
         stops = self._stops.pop(address)
         heard = {(t_us, stop) for stop, times in stops.items() for t_us in times}
         return sorted(heard, key=lambda said: said[0])

@@ -11,6 +11,7 @@ from math import hypot, isfinite
 from agent.interface.config import MEMBERSHIP_STABLE_US, MS, STOP_REPEAT_US, STOP_SPACING_US, S
 from agent.interface.effects import HALT, Drive, Effect, GatedDrive, Persist, Send, Trace
 from agent.interface.identity import SilencePolicy
+from agent.interface.instants import FOREVER_US
 from agent.safety.command_authentication import CommandAuthority
 from agent.safety.standard_stop import STOPS, OwnButton, ShortcutButtons
 from agent.safety.stop_cause import CREEP, LEAST, NOT_STARTED, SILENT, WORST, Severity, StopCause
@@ -48,7 +49,6 @@ SPENT_HOLD_US = UNAUTHENTICATED_HOLD_US  # hold after its last frame
 SPENT_FORGET_US = 3 * S  # a panel that sends its stop once a second is still pressed within this
 RENEWALS_MAX = 8  # further dots for one press because robots report its dot as already used
 COUNT_TOLD_MAX = 255  # largest count in STOPS_HELD
-FOREVER = (1 << 62) - 1
 # Under these causes no frame of ours leaves.
 _MUTE = frozenset({StopCause.UNHEARD, StopCause.BUS_OFF, StopCause.ADDRESS_LOST})
 STANDS = (Command.HOLD, Command.STOP, Command.WAIT)  # these start no motion, so one tag is enough
@@ -94,13 +94,14 @@ class StopController:
         self._echoes: dict[StopDot, set[int]] = {}  # of stops that we hold: who has said each
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._free: set[int] = set()  # members that were not stopped at our press or later
-        self._repeat_at_us, self._again, self._pressed_at_us = FOREVER, 0, -STOP_SPACING_US
+        self._repeat_at_us, self._again, self._pressed_at_us = FOREVER_US, 0, -STOP_SPACING_US
         self._answered_at_us = -ANSWER_SPACING_US
         self.buttons, self.button = ShortcutButtons(), OwnButton()
         self._asked_at_us = self._repeated_at_us = -ANSWER_SPACING_US
         # Stops sent with a dot that was cleared before: time of the first and of the newest frame.
         self._spent_first_at_us = self._spent_last_at_us = -SPENT_FORGET_US
-        self._spent_told_at_us, self._renew_at_us, self._renewals = -ANSWER_SPACING_US, FOREVER, 0
+        self._spent_told_at_us = -ANSWER_SPACING_US
+        self._renew_at_us, self._renewals = FOREVER_US, 0
         # Last dot sent by `tell_stops`; the rotation goes on there.
         self._told: StopDot | None = None
         self._recall(recalled)
@@ -225,7 +226,7 @@ class StopController:
         self._pressed_at_us = self.stopped_at_us = now_us
         dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
         self.stops.press_own(dot)
-        self._renew_at_us = FOREVER
+        self._renew_at_us = FOREVER_US
         self.last_stop, self._reasons[dot] = (self.slot, reason), reason
         self._causes[StopCause.STOP_DOT] = f"pressed here: {reason.name}"
         self._own[dot], self._repeat_at_us = REPEATS_MAX, now_us + STOP_REPEAT_US
@@ -269,7 +270,7 @@ class StopController:
         self.stopped_at_us = now_us
         reason = Reason(min(m.reason, max(Reason)))
         self.last_stop = m.slot, reason
-        self._renew_at_us = FOREVER
+        self._renew_at_us = FOREVER_US
         self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         self._echoes[dot] = {self.slot, *said}
         return [
@@ -369,7 +370,7 @@ class StopController:
         if not self.stops.press(dot):
             return ()
         self.stopped_at_us = now_us
-        self._renew_at_us = FOREVER
+        self._renew_at_us = FOREVER_US
         self._causes[StopCause.STOP_DOT] = f"{dot.slot}.{dot.incarnation}.{dot.counter}"
         return [
             HALT,
@@ -596,7 +597,7 @@ class StopController:
             self.clear_cause(cause, now_us)
         self._end_silence(now_us)
         if now_us >= self._renew_at_us:
-            self._renew_at_us = FOREVER
+            self._renew_at_us = FOREVER_US
             if not self.stops.latched:
                 return self.press(Reason.OPERATOR_INTERVENTION, now_us)
         return self._repeat(now_us) if now_us >= self._repeat_at_us else ()
@@ -637,7 +638,7 @@ class StopController:
             reason = self._reasons.get(dot, Reason.OPERATOR_INTERVENTION)
             sends.append(Send(self._stop(dot, reason)))
         pause_for_us = REPEAT_UNHEARD_US if unheard else STOP_REPEAT_US
-        self._repeat_at_us = now_us + pause_for_us if self._own else FOREVER
+        self._repeat_at_us = now_us + pause_for_us if self._own else FOREVER_US
         return sends
 
     # ---------------------------------------------------------------- the gate

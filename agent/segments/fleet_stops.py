@@ -14,6 +14,7 @@ from typing import Any
 
 from agent.interface.config import MS
 from agent.interface.effects import HALT, Effect, Send
+from agent.interface.instants import FOREVER_US
 from agent.peer import notices
 from agent.peer.part import (
     NOTHING,
@@ -29,7 +30,6 @@ from agent.peer.sender_origins import SenderOrigins
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import (
     ANSWER_SPACING_US,
-    FOREVER,
     UNAUTHENTICATED_HOLD_US,
     StopController,
 )
@@ -147,7 +147,7 @@ class FleetStops(Part):
     @property
     def due_at_us(self) -> int:
         if not self._stop_due_at_us and not self._reset_due_at_us:
-            return FOREVER
+            return FOREVER_US
         return min((*self._stop_due_at_us.values(), *self._reset_due_at_us.values()))
 
     def outgoing(self, now_us: int) -> Sequence[Effect]:

@@ -11,7 +11,8 @@ from typing import Any, NamedTuple
 from agent.interface.config import S
 from agent.interface.effects import HALT, Trace
 from agent.interface.identity import SilencePolicy
-from agent.peer.part import FOREVER, NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.interface.instants import FOREVER_US
+from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from agent.segments.segment_area import Area
@@ -51,7 +52,7 @@ class RemoteSegments(Part):
 
     @property
     def due_at_us(self) -> int:
-        return FOREVER if self.alone else self._reached_at_us + ALONE_US
+        return FOREVER_US if self.alone else self._reached_at_us + ALONE_US
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         return self._changed() if self.on_tick(ctx.now_us) else NOTHING

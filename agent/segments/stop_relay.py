@@ -15,6 +15,7 @@ from collections.abc import Iterable
 from typing import NamedTuple
 
 from agent.interface.config import MS, STOP_REPEAT_US, S
+from agent.interface.instants import FOREVER_US
 from agent.segments.token_bucket import TokenBucket
 from crdt.digest import mix
 from crdt.stops import RemoteStopDot
@@ -34,7 +35,6 @@ LIVE_US = 1 * S  # a robot received within this has to stop; the longest silence
 NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop all robots
 USED_US = 50 * MS  # a press with a dot that has a reset is published again this often
 AGAIN_US = 500 * MS  # a stop is repeated this often for a robot that beats "not stopped"
-FOREVER = (1 << 62) - 1
 
 
 class Repetition(NamedTuple):
@@ -200,8 +200,8 @@ class StopRelay:
         """When `on_tick` has something to send next."""
         if self._to_reset:
             return self._next_at_us
-        due_at_us = min((said.next_at_us for said in self._repeated.values()), default=FOREVER)
-        return max(due_at_us, self._next_at_us) if due_at_us < FOREVER else FOREVER
+        due_at_us = min((said.next_at_us for said in self._repeated.values()), default=FOREVER_US)
+        return max(due_at_us, self._next_at_us) if due_at_us < FOREVER_US else FOREVER_US
 
     def on_tick(self, now_us: int) -> list[FleetStop | FleetReset]:
         """The frames to send now: at most one stop, or the halves of one reset, twice in case one

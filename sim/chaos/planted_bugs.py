@@ -12,6 +12,7 @@ from unittest.mock import patch
 
 from agent.field.field_mission import FieldMission
 from agent.interface.effects import HALT, Drive, Effect, Send
+from agent.interface.instants import FOREVER_US, NEVER_US
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer import member_conflicts as conflicts
 from agent.peer import section_claims as claims
@@ -25,11 +26,10 @@ from agent.peer.place_progress import PlaceProgress
 from agent.peer.progress_announcements import ProgressAnnouncements
 from agent.peer.range_freshness import RangeSensing
 from agent.peer.section_claims import SectionClaims
-from agent.peer.self_check import NEVER_US, SelfCheck
+from agent.peer.self_check import SelfCheck
 from agent.peer.sense_freshness import Senses
 from agent.peer.work_admission import Admission
 from agent.runtime.peer_runner import PeerRunner
-from agent.safety import stop_controller as safety
 from agent.safety.standard_stop import OwnButton, ShortcutButtons
 from agent.safety.stop_controller import StopController
 from crdt.allocation import FieldAllocationCRDT
@@ -77,7 +77,7 @@ def _single_shot(right: Any) -> Any:
     def press(self: StopController, *args: Any) -> Any:
         effects = right(self, *args)
         self._own.clear()
-        self._repeat_at_us = safety.FOREVER
+        self._repeat_at_us = FOREVER_US
         return [
             e for e in effects if not isinstance(e, Send) or isinstance(e.message, EmergencyStop)
         ]

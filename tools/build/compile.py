@@ -42,7 +42,7 @@ GROUP = {
     "coverage.proximity_guard field.bar_swing field.displacement_detector field.field_mission "
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_shares field.steered_travel_times field.tractor_mission field.travel_times "
-    "field.work_leg interface.effects "
+    "field.work_leg interface.effects interface.instants "
     "mapf.agreement_phase motion.deadlock_yield motion.holonomic_motion "
     "motion.implement_clearance motion.in_place_rotation motion.obstacle_detector "
     "motion.obstacle_stop motion.path_tracker motion.pushed_ahead motion.right_of_way "
