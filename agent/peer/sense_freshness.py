@@ -233,7 +233,12 @@ class Senses(Part):
         return self._remember()
 
     def _remember(self) -> list[Effect]:
-        """Make durable what a restart must not make good, if it has changed."""
+        """Make durable what a restart must not make good, if it has changed.
+
+        Until the first place is sensed, the record of the last boot holds: a second restart before it
+        must not lose that the place was frozen."""
+        if self._was_frozen is not None:
+            return []
         now = DOUBTED * self._doubts + LED_NOWHERE * self.progress.hangs
         now += FROZEN * self.safety.holds(StopCause.PLACE_FROZEN)
         if now == self._remembered:

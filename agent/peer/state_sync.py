@@ -99,12 +99,13 @@ class StateSync(Part):
     def _work(self, ctx: StepContext, header: Header, m: Any) -> Outputs:
         slot = header.slot
         assert slot is not None
-        if isinstance(m, ENTRIES) and not self.admission.admits(m, ctx.now_us):
+        allocation = self.sync.replica.allocation
+        if isinstance(m, ENTRIES) and not self.admission.admits(m, allocation, ctx.now_us):
             return NOTHING
         outputs: list[Any] = []
         vouchers = self.sync.replica.vouchers
         if vouchers is not None and not header.from_gateway and isinstance(m, ENTRIES):
-            excess = self.admission.excess(m, slot, self.sync.replica.allocation, vouchers)
+            excess = self.admission.excess(m, slot, allocation, vouchers)
             if excess is not None:
                 return [Trace("trust", "", "REFUSED", str(slot), excess)]
             too_much = self._too_much(slot, m, vouchers, ctx.now_us)

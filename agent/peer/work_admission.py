@@ -2,8 +2,8 @@
 
 Replicas must become equal, so permanent refusal depends only on the configuration that all robots of
 a fleet share: the sections of its field and its members. A register whose epoch is higher than the
-hand-overs since boot explain is only deferred: a robot that was away receives it again until it
-accepts it, while a few forged frames are not accepted.
+hand-overs since boot, or since the epoch that is known, explain is only deferred: a robot that was away
+receives it again until it accepts it, while a few forged frames are not accepted.
 
 In a fleet with keys it is known which robot sends a claim. It must be the sender's own, and one robot
 holds few sections, by claims or by sync answers.
@@ -15,7 +15,7 @@ from collections.abc import Set as AbstractSet
 
 from agent.interface.config import CLAIM_AHEAD, S
 from crdt import FieldAllocationCRDT
-from crdt.claim_register import Phase
+from crdt.claim_register import Phase, epoch_of
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from protocol.sync.vouchers import Vouchers
 
@@ -25,6 +25,8 @@ EPOCH_EVERY_US = 10 * S
 # Upper limit regardless of the uptime, because an hour would explain all 255. Higher epochs are
 # deferred.
 EPOCH_EXPLAINED_MAX = 64
+# Hand-overs in a row of which a robot may lose every frame, since it knew the section last.
+EPOCH_MISSED = 4
 PERSISTS_US = 3 * S  # accepted if received for so long, because sync repeats differences
 TOLD_MIN = 3  # times, because frames of a broken device may be alike by chance
 FORGOTTEN_US = 60 * S  # sync asks at least every 38 s
@@ -48,8 +50,11 @@ class Admission:
         # Section: epoch, when it was first and last told, and how often.
         self._put_off: dict[int, tuple[int, int, int, int]] = {}
 
-    def admits(self, message: Work, now_us: int) -> bool:
-        """Whether the frame may be merged; a refused one is counted."""
+    def admits(self, message: Work, allocation: FieldAllocationCRDT, now_us: int) -> bool:
+        """Whether the frame may be merged; a refused one is counted.
+
+        `allocation`: our own replica. A claim that follows what is known there is never deferred,
+        because two robots would work the section meanwhile."""
         if self.sections and message.section not in self.sections:
             self.refused["section"] += 1
             return False
@@ -63,7 +68,12 @@ class Admission:
             return False
         explained = EPOCH_BURST + (now_us - self._boot_at_us) // EPOCH_EVERY_US
         explained = min(explained, EPOCH_EXPLAINED_MAX)
-        if message.epoch <= explained or self._persists(message.section, message.epoch, now_us):
+        if message.epoch <= explained:
+            return True
+        key = allocation.key(message.section)
+        if key is not None and message.epoch <= epoch_of(key) + EPOCH_MISSED:
+            return True
+        if self._persists(message.section, message.epoch, now_us):
             return True
         self.refused["epoch"] += 1
         return False

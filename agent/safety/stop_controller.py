@@ -379,16 +379,23 @@ class StopController:
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"{dot}"),
         ]
 
-    def clear_near(self, dot: StopDot, who: str) -> Sequence[Effect]:
+    def clear_near(self, dot: StopDot, who: str, now_us: int) -> Sequence[Effect]:
         """Clear one dot of this segment and persist that; no effects if it was cleared before.
 
-        `who`: by whom it was cleared, for the trace.
+        `who`: by whom it was cleared, for the trace. A robot that has not received the stop has missed
+        it, and the others stand yet. So it waits for a start, as they do after their reset.
         """
+        missed = dot not in self.stops.active and not self.latched
         if not self.stops.clear(dot):
             return ()
         self._own.pop(dot, None)
         self._echoes.pop(dot, None)
-        return [*self._remember(), Trace("safety", "", "CLEARED", "", f"dot {dot} by {who}")]
+        held: list[Effect] = []
+        if missed:
+            self.raise_cause(StopCause.NOT_STARTED, now_us, "a stop that it missed was cleared")
+            held = [HALT, Trace("safety", "", "MISSED_STOP", "HELD", f"{dot}")]
+        cleared = Trace("safety", "", "CLEARED", "", f"dot {dot} by {who}")
+        return [*held, *self._remember(), cleared]
 
     def beat(self, slot: int, stopped: bool, now_us: int) -> Sequence[Effect]:
         """A member's beat: a stopped bit that was not set before counts as an echo of our press.
@@ -467,7 +474,7 @@ class StopController:
         if not self.authority.agreed(m, now_us):
             return ()
         dot = StopDot(m.slot, m.incarnation, m.counter)
-        return self.clear_near(dot, f"{m.operator}")
+        return self.clear_near(dot, f"{m.operator}", now_us)
 
     def receive_implements_stop(
         self, source: int, name: int | None, robot: bool, m: AllImplementsStop, now_us: int

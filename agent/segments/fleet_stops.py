@@ -252,7 +252,7 @@ class FleetStops(Part):
             cleared = self.safety.clear_far(far)
             self.holds_far, self._far = self.safety.far.latched, self.safety.far.active
             return cleared
-        effects = self.safety.clear_near(near, "a reset of the fleet")
+        effects = self.safety.clear_near(near, "a reset of the fleet", now_us)
         self._pressed, self._cleared = self.safety.stops.active, self.safety.stops.cleared
         self._stop_due_at_us.pop(near, None)
         return effects

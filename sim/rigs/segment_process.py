@@ -123,7 +123,7 @@ def _release(runner: PeerRunner) -> None:
     reset."""
     safety = runner.peer.safety
     for dot in safety.stops.active:
-        safety.clear_near(dot, "a bench")
+        safety.clear_near(dot, "a bench", runner.clock())
     for far in safety.far.active:
         safety.clear_far(far)
     safety.manual_reset(runner.clock())

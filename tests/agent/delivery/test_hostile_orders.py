@@ -60,11 +60,11 @@ def test_a_digest_that_shows_more_is_answered_once_in_a_while() -> None:
 
 
 def test_a_claim_of_a_bay_that_the_building_does_not_have_is_refused() -> None:
-    bay = TaskClaim(TASKS_MAX, 0, Phase.CLAIMED, 3, 1, 0)
+    bay, unknown = TaskClaim(TASKS_MAX, 0, Phase.CLAIMED, 3, 1, 0), FieldAllocationCRDT()
     for sections, admitted in ((range(TASKS_MAX), False), (range(SECTIONS_END), True)):
         admission = Admission(sections, frozenset({0, 1}), 0)
-        assert admission.admits(bay, 0) is admitted
-        assert admission.admits(bay._replace(section=5), 0)
+        assert admission.admits(bay, unknown, 0) is admitted
+        assert admission.admits(bay._replace(section=5), unknown, 0)
 
 
 def test_an_order_without_a_place_does_not_hide_the_task_that_was_given() -> None:

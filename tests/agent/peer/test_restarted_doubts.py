@@ -25,7 +25,8 @@ FENCES = np.array([
     [-99.0, -99.0, 99.0, -99.0], [99.0, -99.0, 99.0, 99.0],
     [99.0, 99.0, -99.0, 99.0], [-99.0, 99.0, -99.0, -99.0],
 ])  # fmt: skip
-Sense = Callable[[int, float, Drive], Observation]  # time, way in metres, command in force
+Sense = Callable[[int, float, Drive], Observation]
+Blind = Callable[[int, float, Drive], None]  # time, way in metres, command in force
 
 
 class Machine:
@@ -45,7 +46,7 @@ class Machine:
         )  # fmt: skip
         self.told: Drive = HALT
 
-    def until(self, end_at_us: int, sense: Sense) -> float:
+    def until(self, end_at_us: int, sense: Sense | Blind) -> float:
         """Run on; the metres that it drives."""
         begun_m = self.way_m
         while self.now_us < end_at_us:
@@ -196,3 +197,20 @@ def test_a_robot_that_never_had_a_scanner_drives_after_a_restart() -> None:
     machine.until(3 * S, off_by(0.0))
     machine.boot()
     assert machine.until(6 * S, off_by(0.0)) > 1.0
+
+
+def test_a_second_restart_before_the_first_place_does_not_forget_that_the_place_was_frozen() -> (
+    None
+):
+    """The first of them wrote that nothing was wrong, since it had sensed nothing."""
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    hung = hung_at(machine.way_m)
+    machine.until(8 * S, hung)
+    assert StopCause.PLACE_FROZEN in machine.held
+    for _ in range(2):
+        machine.boot()
+        machine.until(machine.now_us + 1 * S, lambda *_: None)
+    machine.boot()
+    assert machine.until(machine.now_us + 5 * S, hung) == 0.0
+    assert StopCause.PLACE_FROZEN in machine.held

@@ -87,3 +87,13 @@ def test_t7_an_epoch_that_is_told_twice_is_no_epoch_that_is_told_on() -> None:
     for told_at_us in (S, 10 * S):
         peer.step(Heard(MEMBER, told), told_at_us)
         assert not peer.allocation.entries()
+
+
+@pytest.mark.parametrize("epoch", [EPOCH_BURST + 1, EPOCH_EXPLAINED_MAX + 6])
+def test_a_live_claim_that_follows_a_known_epoch_is_believed_at_once(epoch: int) -> None:
+    """It was put off for 3 s. Meanwhile a second robot claimed the section, and both worked it."""
+    peer, free = robot(), StateSyncResponse(0, epoch, Phase.FREE, 0, 900, 1)
+    for told_at_us in (0, 2 * S, 4 * S):  # since its restart, or in the course of a long day
+        peer.step(Heard(MEMBER, free), told_at_us)
+    peer.step(Heard(MEMBER, TaskClaim(0, epoch + 1, Phase.CLAIMED, 0, 901, 1)), 5 * S)
+    assert peer.allocation.owner_of(0) == 1 and peer.allocation.entry(0).epoch == epoch + 1

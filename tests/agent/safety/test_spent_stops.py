@@ -6,13 +6,19 @@ from random import Random
 import pytest
 
 from agent.interface.config import MS, STOP_REPEAT_US, S
-from agent.interface.effects import HALT, Effect, Send
+from agent.interface.effects import HALT, Effect, Persist, Send
 from agent.interface.identity import SilencePolicy
 from agent.interface.lifecycle import State
-from agent.peer.inputs import Heard, ManualReset, Press, Timer
+from agent.peer.inputs import Heard, ManualReset, Press, Start, Timer
 from agent.peer.peer import Peer
 from agent.safety.stop_cause import StopCause
-from agent.safety.stop_controller import AGAIN_US, SPENT_HOLD_US, StopController
+from agent.safety.stop_controller import (
+    AGAIN_US,
+    HELD,
+    HOLD_KEY,
+    SPENT_HOLD_US,
+    StopController,
+)
 from crdt.stops import ACTIVE_MAX, StopDot
 from protocol.authentication import Keyring, Keys
 from protocol.fleet_tags import HeldTags
@@ -38,11 +44,25 @@ def stops_of(effects: Iterable[Effect]) -> list[EmergencyStop]:
 
 
 def cleared_before(dot: StopDot = DOT) -> Peer:
-    """A robot at work that was told to clear a stop that nobody has pressed."""
+    """A robot at work that was told to clear a stop that nobody has pressed, and started again."""
     peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
     peer.step(Heard(249, EmergencyReset(*dot, OPERATOR)), 0)
     assert not peer.safety.latched
+    peer.step(Start(named=False), 0)
     return peer
+
+
+def test_a_robot_that_missed_a_stop_waits_for_a_start_when_it_is_cleared() -> None:
+    """Found by `headland chaos`, profile stop, seed 104000389: a flood hid the stop, and the reset was
+    the first that this robot received of it. It drove while all others stood and waited for a start."""
+    peer = introduce_tools(peer_in(State.WORKING, None), PANEL, 249)
+    effects = peer.step(Heard(249, EmergencyReset(*DOT, OPERATOR)), 0)
+    assert HALT in effects and peer.safety.holds(StopCause.NOT_STARTED)
+    assert Persist(HOLD_KEY, HELD) in effects, "also after a restart"
+    peer.step(Start(named=False), S)
+    assert peer.safety.may_move
+    peer.step(Heard(249, EmergencyReset(*DOT, OPERATOR)), 2 * S)
+    assert peer.safety.may_move, "a repetition tells nothing new"
 
 
 def test_t5_a_stop_with_a_cleared_name_brakes_and_is_answered() -> None:

@@ -178,7 +178,7 @@ def pressed_robot() -> tuple[Peer, list[tuple[int, AllImplementsStop]]]:
     said.extend((now_us, m) for m in standard_frames(effects))
     run(8 * S)
     for dot in peer.safety.stops.active:
-        peer.safety.clear_near(dot, "test")
+        peer.safety.clear_near(dot, "test", 0)
     effects = peer.step(ManualReset(), now_us)
     assert all(e.source is not None for e in effects if isinstance(e, Send))
     said.extend((now_us, m) for m in standard_frames(effects))
