@@ -345,15 +345,16 @@ BRAKING_S = 2.0  # from full speed
 VOUCHED_S = 3.0  # after the fleet's start
 
 
-def _begins_unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
-    """Whether this jump is no further than a body drives and brakes, and begins while its robot
+def _unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
+    """Whether this jump is no further than a body drives and brakes, and begins or ends while its robot
     senses nothing, or a place that is wrong, or shortly after."""
     if hypot(jump.dx_m, jump.dy_m) >= UNSEEN_M:
         return False
     return any(
-        each.at_s <= jump.at_s <= each.at_s + getattr(each, "for_s", 0.0) + BRAKING_S
+        each.at_s <= at_s <= each.at_s + getattr(each, "for_s", 0.0) + BRAKING_S
         for each in drawn
         if isinstance(each, UNSEEING) and each.robot == jump.robot and each is not jump
+        for at_s in (jump.at_s, jump.at_s + jump.for_s)
     )
 
 
@@ -369,16 +370,17 @@ def _believed(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
 def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     """The starts that a person gives after looking at robots which cannot go on by themselves.
 
-    A robot needs one if its place jumped while it sensed nothing, or if it believed the jump. It cannot
-    distinguish such a jump along its way from its own braking, so the jump that it notices is the return
-    to the true place. The same holds for a push while it senses nothing accurate, for wheels that did not
-    answer, and for fixes that hung. A robot notices by the times of frames that its clock went back; one
-    that receives no frames seems to jump. A robot that is switched off while its place is wrong does not
-    know afterwards by how much. All other robots go on by themselves.
+    A robot needs one if its place jumped, or came back, while it sensed nothing, or if it believed
+    the jump. It cannot distinguish such a jump along its way from its own braking. So what it notices
+    as a jump is the return to the true place, or it does not notice the return. The same holds for a
+    push while it senses nothing accurate, for wheels that did not answer, and for fixes that hung. A
+    robot notices by the times of frames that its clock went back; one that receives no frames seems
+    to jump. A robot that is switched off while its place is wrong does not know afterwards by how
+    much. All other robots go on by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]
-    robots = {each.robot for each in jumps if _begins_unseen(each, drawn) or _believed(each, drawn)}
+    robots = {each.robot for each in jumps if _unseen(each, drawn) or _believed(each, drawn)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels | kinds.HungFixes)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
     if any(isinstance(each, LONELY) for each in drawn):

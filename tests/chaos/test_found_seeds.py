@@ -105,6 +105,10 @@ MENDED = {
     ("flood", 104000086): "sim/fleet/fault_injector.py",
     # The disk of a robot was full at its start, and it told an incarnation that it did not keep.
     ("crash", 103000061): "agent/runtime/peer_runner.py",
+    # A flood hid a stop from a robot, which first heard of it by its clearing.
+    ("stop", 104000389): "agent/safety/stop_controller.py",
+    # A place came back from a jump while it was late, along the way on which the body braked.
+    ("stalls", 104000407): "sim/chaos/fault_profiles.py",
 }
 
 
