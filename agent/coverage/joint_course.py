@@ -21,6 +21,8 @@ from agent.coverage.team import Team
 Numbers = NDArray[np.int32]
 KEPT_MAX = 4  # cached plans: two sides of a network split, and those before them
 STEPS_MAX = 0xFFFE  # a step is a u16 on the wire, counted from 1
+# Steps computed at a time for one that another robot told: 7 ms on a map of 40,000 cells.
+TOLD_STEPS_MAX = 256
 
 
 class Wait(NamedTuple):
@@ -94,6 +96,14 @@ class GridCourse(ABC):
         while self._extend():
             pass
         return len(self._steps) - 1
+
+    def told_step(self, step: int) -> int:
+        """A step that another robot told; 0 if the plan ends before it, or is not computed so far.
+
+        It computes at most `TOLD_STEPS_MAX` steps; a later call goes on from there.
+        """
+        known = self.reaches(min(step, len(self._steps) - 1 + TOLD_STEPS_MAX))
+        return step if known and step < len(self._steps) else 0
 
     def place(self, robot: int, step: int) -> int:
         """The cell of a robot after a step, which must have been reached (`reaches`)."""

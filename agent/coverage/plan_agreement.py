@@ -235,18 +235,26 @@ class CoverageAgreement:
         """Cells that a robot has certainly gone through: up to the one before it said it was at."""
         if self.course is None or slot not in self.course.slots or self.phase is FREE:
             return []
-        robot = self.course.slots.index(slot)
-        return [self.course.place(robot, s) for s in range(self._reached.get(slot, 0))]
+        robot, step = self.course.slots.index(slot), self._told_step(slot)
+        return [self.course.place(robot, s) for s in range(step)]
 
     def bound_for(self, slot: int) -> tuple[int, int]:
         """The cell that a robot has said it is at, or nearly, and the one it came from."""
         assert self.course is not None
-        robot, step = self.course.slots.index(slot), self._reached.get(slot, 0)
+        robot, step = self.course.slots.index(slot), self._told_step(slot)
         number = before = self.course.place(robot, step)
         while step > 0 and before == number:
             step -= 1
             before = self.course.place(robot, step)
         return number, before
+
+    def _told_step(self, slot: int) -> int:
+        """The step that a robot has said it is at; 0 if our course does not have it.
+
+        The robot may be further in the plan than we have computed it, or say a step that is in no plan.
+        """
+        assert self.course is not None
+        return self.course.told_step(self._reached.get(slot, 0))
 
     # ---------------------------------------------------------------- time
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from agent.coverage.cell_map import NONE, CellMap
-from agent.coverage.joint_course import CourseInputs, JointCourse, course_of
+from agent.coverage.joint_course import TOLD_STEPS_MAX, CourseInputs, JointCourse, course_of
 from tests.examples import examples
 
 
@@ -100,3 +100,16 @@ def test_equal_terms_are_one_course() -> None:
     one = CourseInputs((0, 1, 2), tuple(places), bits, (), 0.0)
     assert course_of(ground, one) is course_of(ground, CourseInputs(*one))
     assert one.digest(ground) != one._replace(blocked=(5,)).digest(ground)
+
+
+def test_a_told_step_is_computed_in_small_parts() -> None:
+    ground = CellMap(np.zeros((40, 40), dtype=np.bool_), 4.0)
+    covered = np.zeros(len(ground), dtype=np.bool_)
+    last = course(ground, [0], covered).finish()
+    assert last > TOLD_STEPS_MAX
+    plan = course(ground, [0], covered)
+    assert plan.told_step(last) == 0
+    assert len(plan._steps) == TOLD_STEPS_MAX + 1
+    told = [plan.told_step(last) for _ in range(last // TOLD_STEPS_MAX)]
+    assert told[-1] == last
+    assert plan.told_step(last + 1) == plan.told_step(0xFFFF) == 0

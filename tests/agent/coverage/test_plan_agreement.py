@@ -150,6 +150,40 @@ def test_words_out_of_range_do_nothing(say: AgreementKind) -> None:
     assert all(number < 36 for number in rounds.bodies)
 
 
+def far_ahead(phase: AgreementPhase, step: int) -> CoverageAgreement:
+    """Robot 0 in that phase of a first round, with robot 1 at that step of the plan."""
+    ground = CellMap(np.zeros((6, 9), dtype=np.bool_), 4.0)
+    rounds, progress, now_us = CoverageAgreement(0, ground), Progress(ground.section_units), 0
+    crew = FleetSnapshot(frozenset({0, 1}), {}, progress)
+    digest = progress.digest
+    place = AgreementMessage(1, AgreementKind.PLACE, 0, 30, digest & 0xFFFF, digest >> 16)
+    while rounds.phase is not phase:
+        rounds.on_tick(0, AgreementReply.GRANT, True, crew, now_us)
+        for word in rounds.outgoing(now_us):
+            if word.say == AgreementKind.PLACE:
+                rounds.on_message(1, place, now_us)
+            elif word.say == AgreementKind.PLAN and phase is AgreementPhase.GO:
+                rounds.on_message(1, word, now_us)
+        now_us += 50 * MS
+    (plan,) = [w.first for w in rounds.outgoing(now_us + 9 * S) if w.say == AgreementKind.PLAN]
+    rounds.on_message(1, AgreementMessage(1, AgreementKind.AT, 0, step, plan, 0), now_us)
+    return rounds
+
+
+def test_one_that_went_on_before_we_did_is_known_by_its_step() -> None:
+    """Its plan was lost on the way to us, so we have computed no step of it."""
+    rounds = far_ahead(AgreementPhase.AGREE, 2)
+    passed, (at, before) = rounds.passed(1), rounds.bound_for(1)
+    assert len(passed) == 2 and passed[0] == 30
+    assert before == passed[1] and at not in passed
+
+
+@pytest.mark.parametrize("phase", [AgreementPhase.AGREE, AgreementPhase.GO])
+def test_a_step_that_is_in_no_plan_is_not_believed(phase: AgreementPhase) -> None:
+    rounds = far_ahead(phase, 60_000)
+    assert rounds.passed(1) == [] and rounds.bound_for(1) == (30, 30)
+
+
 def test_every_phase_and_event() -> None:
     free, gather, agree, go = AgreementPhase
     begun, gathered, changed, agreed = CoveragePlanEvent
