@@ -326,10 +326,23 @@ class CoverageAgreement:
         stand = {p.number for p in places.values() if p.answer is not AgreementReply.GRANT}
         if len(set(movers)) < len(movers) or not stand.isdisjoint(movers):
             return  # one place is outdated; its robot will announce another
+        if places.keys() != self._used.keys():
+            self._forget_lasting()
         self._used = places
         self._compute(crew, now_us)
         self.machine.fire(CoveragePlanEvent.GATHERED)
         self._news_at_us = now_us
+
+    def _forget_lasting(self) -> None:
+        """Other members plan: unannounced bodies that were taken to stay are tried again.
+
+        A robot that does not drop one tells the others when the digests differ, so plans stay equal.
+        """
+        self._seen.clear()
+        self.bodies = {
+            number: body for number, body in self.bodies.items()
+            if body.slot != ANYBODY or body.ends_at_us < FOREVER_US
+        }  # fmt: skip
 
     def _detail(self, crew: FleetSnapshot) -> int:
         """24 bits that a robot sends with its place: the digest of what it knows as covered."""

@@ -7,6 +7,7 @@ import pytest
 
 from agent.coverage.cell_map import CellMap
 from agent.coverage.plan_agreement import (
+    AGAIN_MAX,
     ANYBODY,
     COVERAGE_PLAN_TABLE,
     CoverageAgreement,
@@ -126,6 +127,55 @@ def test_what_one_has_met_all_go_round() -> None:
     table.run(4 * S)
     assert all(r.going and 20 in r.bodies for r in table.rounds.values())
     assert 20 not in table.rounds[0].course.todo  # type: ignore[union-attr]
+
+
+def test_a_cell_blocked_three_times_is_tried_again_with_other_members() -> None:
+    table = Table(4)
+    table.run(2 * S)
+    for _ in range(AGAIN_MAX + 1):
+        table.rounds[2].meet(20, ANYBODY, table.now_us)
+    table.rounds[2].call(table.now_us)
+    table.run(60 * S)
+    assert all(r.going and not r.later and 20 in r.bodies for r in table.rounds.values())
+    del table.rounds[3]
+    table.cut({0, 1, 2})
+    table.run(4 * S)
+    assert len(table.plans(0, 1, 2)) == 1
+    assert all(r.going and 20 not in r.bodies for r in table.rounds.values())
+    assert 20 in table.rounds[0].course.todo  # type: ignore[union-attr]
+    table.rounds[2].meet(20, ANYBODY, table.now_us)  # still there: for a while at first
+    table.rounds[2].call(table.now_us)
+    table.run(4 * S)
+    assert all(r.going and r.later and 20 in r.bodies for r in table.rounds.values())
+
+
+def test_a_wreck_stays_when_the_members_change() -> None:
+    table = Table(5)
+    table.run(2 * S)
+    del table.rounds[4]
+    table.rounds[2].meet(20, 4, table.now_us)
+    table.cut({0, 1, 2, 3})
+    table.run(3 * S)
+    del table.rounds[3]
+    table.cut({0, 1, 2})
+    table.run(3 * S)
+    assert all(r.going and 20 in r.bodies for r in table.rounds.values())
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_body_that_one_robot_keeps_is_known_to_all_in_the_end(seed: int) -> None:
+    """A robot that was away for a moment drops what is to stay; the others have seen no change."""
+    table = Table(3, seed, 0.3)
+    table.run(4 * S)
+    for _ in range(AGAIN_MAX + 1):
+        table.rounds[0].meet(20, ANYBODY, table.now_us)
+    table.rounds[0].call(table.now_us)
+    table.run(4 * S)
+    table.rounds[1] = CoverageAgreement(1, table.ground)
+    table.rounds[0].call(table.now_us)
+    table.run(8 * S)
+    assert all(r.going and 20 in r.bodies for r in table.rounds.values())
+    assert len(table.plans(0, 1, 2)) == 1
 
 
 def test_a_robot_far_ahead_in_rounds_is_followed() -> None:
