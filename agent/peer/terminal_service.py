@@ -119,12 +119,16 @@ class TerminalService(Part):
 
     @property
     def due_at_us(self) -> int:
-        due_at_us = self._steps[0][0] if self._steps else FOREVER_US
-        if self._asked is not None:
-            due_at_us = min(due_at_us, self._asked.tell_at_us)
-        for each in (self.client.due_at_us, self.long.due_at_us):
-            if each is not None and each < due_at_us:
-                due_at_us = each
+        due_at_us = FOREVER_US
+        if self.letters.joining.joined:  # what is due without an address waits for the next one
+            if self._steps:
+                due_at_us = self._steps[0][0]
+            if self._asked is not None:
+                due_at_us = min(due_at_us, self._asked.tell_at_us)
+            if self.long.due_at_us is not None:
+                due_at_us = min(due_at_us, self.long.due_at_us)
+        if self.client.due_at_us is not None:
+            due_at_us = min(due_at_us, self.client.due_at_us)
         if self.client.state is TerminalState.SHOWN and self._look_at_us < due_at_us:
             due_at_us = self._look_at_us
         return due_at_us

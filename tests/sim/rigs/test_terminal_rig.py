@@ -6,6 +6,7 @@ import pytest
 
 from agent.interface.config import MS, S
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
+from agent.peer.inputs import ManualReset, Timer
 from agent.peer.terminal_service import CONFIRM, NEW_STOP, NOT_CONFIRMED, NOTHING_HELD
 from agent.runtime.peer_factory import MissionParts
 from crdt import Progress
@@ -152,6 +153,22 @@ def test_in_a_fleet_with_keys_a_release_is_asked_for_and_a_key_holder_confirms_i
     assert asked(fleet, before) == 0, "nobody asks any more"
     assert rows(fleet) == [f"{slot} NOT_STARTED" for slot in range(3)]
     assert alarm(fleet) == "" and not fleet.terminal.errors
+
+
+def test_a_release_that_is_asked_for_keeps_no_computer_busy_between_reset_and_rejoining() -> None:
+    """The question was due again while the robot had no address to ask it from."""
+    fleet = asked_for(2, 27)
+    assert fleet.serving is not None
+    peer, now_us, timers = fleet.serving.peer, fleet.now_us, 0
+    for dot in list(peer.safety.stops.active):
+        peer.safety.clear_near(dot, "operator")
+    peer.step(ManualReset(), now_us)
+    assert not peer.joining.joined
+    while now_us < fleet.now_us + 200 * MS and timers < 1000:
+        now_us, timers = max(now_us, peer.due_at_us), timers + 1
+        peer.step(Timer(), now_us)
+        assert peer.due_at_us > now_us
+    assert not peer.joining.joined and timers < 20
 
 
 def test_in_a_fleet_with_keys_nobody_without_one_confirms_a_release() -> None:
