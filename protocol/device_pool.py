@@ -12,6 +12,10 @@ from protocol.device_description import OFFSET_X, OFFSET_Y, TYPE_SECTION, VERSIO
 CONNECTOR: Final = 6  # type of a device element
 OBJECTS_MAX: Final = 4096  # in one pool; large sprayers have about 500
 LABEL_BYTES: Final = 7
+# No boom is wider than about 60 m. Each 5 cm of ground under a section takes memory, so that a section
+# of kilometres would take all of it.
+SECTION_WIDTH_MAX_MM: Final = 100_000
+SECTIONS_WIDTH_MAX_MM: Final = 1_000_000  # of all together, as some implements have several booms
 
 
 class Element(NamedTuple):
@@ -56,8 +60,19 @@ class DevicePool(NamedTuple):
     def sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[BoomSection]:
         """Its sections from left to right, where their places and widths are known.
 
-        `told`: values that the implement has told since; they come before the fixed ones.
+        `told`: values that the implement has told since; they come before the fixed ones. There is none
+        where a width is refused: states are told by the number of a section among all of them.
         """
+        found = self._found_sections(told)
+        return () if _refused(found) else found
+
+    def refused_sections(self, told: Mapping[tuple[int, int], int]) -> int:
+        """How many sections are wider than `SECTION_WIDTH_MAX_MM`, or all if together they are too wide.
+
+        `told`: as for `sections`."""
+        return _refused(self._found_sections(told))
+
+    def _found_sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[BoomSection]:
         known = {**self.fixed, **told}
         connectors = [e.number for e in self.elements.values() if e.kind == CONNECTOR]
         hitch_mm = known.get((connectors[0], OFFSET_X), 0) if connectors else 0
@@ -70,6 +85,12 @@ class DevicePool(NamedTuple):
             right_mm = known.get((element.number, OFFSET_Y), 0)
             found.append(BoomSection(element.number, ahead_mm, right_mm, width_mm))
         return sorted(found)
+
+
+def _refused(sections: Sequence[BoomSection]) -> int:
+    if sum(section.width_mm for section in sections) > SECTIONS_WIDTH_MAX_MM:
+        return len(sections)
+    return sum(section.width_mm > SECTION_WIDTH_MAX_MM for section in sections)
 
 
 class _Reader:

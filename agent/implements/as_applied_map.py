@@ -24,6 +24,7 @@ PARTS: Final = 5  # of a cell in each direction
 WHOLE: Final = (1 << PARTS * PARTS) - 1
 ROWS_MAX: Final = 1 << 15
 EDGE_M: Final = 1.0  # around the field
+PARTS_MAX: Final = 1 << 22  # painted at once: 400 MB for a moment; a boom of 100 m aslant has half
 
 Points = NDArray[np.float64]  # n x 2, metres east and north
 
@@ -41,6 +42,7 @@ class AsAppliedMap:
         self.origin = np.array((x0 - EDGE_M, y0 - EDGE_M))
         self.area, self.progress = field if area is None else area, progress
         shapely.prepare(self.area)
+        self.too_large = 0  # pieces of ground that were not painted
         self._parts: dict[int, int] = {}  # cell -> parts that we have worked
         self._done: set[int] = set()  # cells that are whole and not in the progress yet
 
@@ -91,11 +93,15 @@ class AsAppliedMap:
         return self._parts.get(cell, 0)
 
     def _lattice(self, corners: Points) -> NDArray[np.int64]:
-        """The parts of cells in the box around these corners, as columns and rows."""
+        """The parts of cells in the box around these corners, as columns and rows; none beside the map,
+        and none if they are more than `PARTS_MAX`."""
         low = np.floor((corners.min(axis=0) - self.origin) / self.part_m).astype(np.int64)
         high = np.floor((corners.max(axis=0) - self.origin) / self.part_m).astype(np.int64)
         low = np.maximum(low, 0)
         if (high < low).any() or high[0] // PARTS >= UNITS_MAX or high[1] // PARTS >= ROWS_MAX:
+            return np.empty((0, 2), np.int64)
+        if int(np.prod(high - low + 1)) > PARTS_MAX:
+            self.too_large += 1
             return np.empty((0, 2), np.int64)
         columns, rows = np.meshgrid(np.arange(low[0], high[0] + 1), np.arange(low[1], high[1] + 1))
         return np.column_stack((columns.ravel(), rows.ravel()))

@@ -42,6 +42,7 @@ class SectionedImplement:
     def __init__(self, pool: DevicePool, told: Mapping[Key, int]) -> None:
         """`told`: values that it has told of its places and widths. It may have no sections."""
         self.pool, self.sections = pool, pool.sections(told)
+        self.refused = pool.refused_sections(told)  # sections whose widths are not believed
         known = {**pool.fixed, **told}
         latency_ms = _any(known, LATENCY)
         self.on_for_us = (_any(known, TURN_ON_TIME) or latency_ms) * MS

@@ -5,7 +5,8 @@ from struct import pack
 
 import pytest
 
-from protocol.device_pool import read_pool
+from protocol.device_description import TYPE_SECTION, WIDTH
+from protocol.device_pool import SECTION_WIDTH_MAX_MM, read_pool
 from protocol.task_server import (
     CLIENTS_MAX,
     STORED_MAX,
@@ -69,6 +70,21 @@ def test_places_of_sections_come_from_the_description_or_from_values() -> None:
     assert told is not None and told.sections({}) == []
     values = {(10, 134): -2500, (10, 135): -5625, (10, 67): 750}
     assert told.sections(values)[0][1:] == (-4000, -5625, 750)
+
+
+def test_an_implement_that_tells_a_section_of_kilometres_has_none() -> None:
+    """Each 5 cm under a section takes memory: `headland tc` ended with a MemoryError."""
+    pool = read_pool(Sprayer(PLAIN_MAKER, 1).pool(), 3)
+    assert pool is not None
+    numbers = sorted(n for n, e in pool.elements.items() if e.kind == TYPE_SECTION)
+    usual = dict.fromkeys(((n, WIDTH) for n in numbers), 750)
+    assert len(pool.sections(usual)) == len(numbers) and pool.refused_sections(usual) == 0
+    wide = usual | {(numbers[1], WIDTH): 1_500_000}
+    assert len(pool.sections(wide)) == 0 and pool.refused_sections(wide) == len(numbers)
+    wide = usual | {(numbers[1], WIDTH): SECTION_WIDTH_MAX_MM + 1}
+    assert len(pool.sections(wide)) == 0 and pool.refused_sections(wide) == 1
+    all_wide = dict.fromkeys(usual, SECTION_WIDTH_MAX_MM)
+    assert len(pool.sections(all_wide)) == 0 and pool.refused_sections(all_wide) == len(numbers)
 
 
 def test_values_are_set_only_where_the_description_allows_it() -> None:

@@ -113,8 +113,11 @@ class Service:
             implement = implements[source]
             name, sections = implement.pool.designator, len(implement.sections)
             self._known[source] = name
-            self.sayer.say("log-in", f"{name!r} at address {source} has logged in: {sections} sections",
-                           address=source, name=name, sections=sections)  # fmt: skip
+            said = f"{name!r} at address {source} has logged in: {sections} sections"
+            self.sayer.say("log-in", said, address=source, name=name, sections=sections)
+            if implement.refused:
+                said = f"{name!r} is not switched: {implement.refused} sections are too wide"
+                self.sayer.say("refused", said, address=source, refused=implement.refused)
         for source in self._known.keys() - implements.keys():
             name = self._known.pop(source)
             self.sayer.say(

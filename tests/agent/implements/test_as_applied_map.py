@@ -57,3 +57,12 @@ def test_a_large_field_has_larger_cells() -> None:
         large.cell_m == 0.5
         and large.paint(np.array([[1e5, 0], [1e5, 1], [1e5 + 1, 1], [1e5 + 1, 0.0]])) == []
     )
+
+
+def test_a_piece_of_ground_of_kilometres_is_not_painted_and_takes_no_memory() -> None:
+    large = AsAppliedMap(box(0.0, 0.0, 2000.0, 2000.0), Progress())
+    wide = np.array([[0.0, 0.0], [1500.0, 1500.0], [1500.2, 1500.0], [0.2, 0.0]])
+    assert large.paint(wide) == [] and large.too_large == 1
+    boom = 1000.0 + wide * 70.0 / 1500.0  # the widest boom, aslant
+    large.paint(boom)
+    assert large.too_large == 1
