@@ -36,6 +36,7 @@ FIRST_COUNTER, LAST_COUNTER, LEAVING_COUNTER = 251, 250, 255  # ISO 11783-7 hear
 # Below the resolution of POSE the course is noise, so the heading is sent instead.
 STANDS_M_S: Final = 0.02
 CAUSES_MAX: Final = 15  # causes reported by one robot: four bits
+SLICE: Final = 7  # components in one frame of the vector clock
 
 NOWHERE: Final = NOWHERE_M, NOWHERE_M, 0.0
 
@@ -56,7 +57,8 @@ class Announcements(Part):
         sync: Synchronizer,
         now_us: int,
     ) -> None:
-        self.slot, self.beat, self.members = identity.slot, beat, len(identity.members)
+        self.slot, self.beat = identity.slot, beat
+        self._bases = sorted({slot // SLICE * SLICE for slot in identity.members})  # of slices
         self.safety, self.joining, self.senses, self.knowledge = safety, joining, senses, knowledge
         self.conflicts, self.clock, self.sync = conflicts, clock, sync
         self.next_at_us = now_us + first_beat_for_us(identity, beat)
@@ -145,9 +147,8 @@ class Announcements(Part):
         if turn % MEMBER_EVERY == 0:
             outputs.append(Send(self.joining.announcement))
         if turn % MEMBER_EVERY == MEMBER_EVERY // 2:
-            slices = (self.members + 6) // 7
-            base = 7 * (turn // MEMBER_EVERY % slices)
-            counts = tuple(self.clock[base + k] & 0xFF for k in range(7))
+            base = self._bases[turn // MEMBER_EVERY % len(self._bases)]
+            counts = tuple(self.clock[base + k] & 0xFF for k in range(SLICE))
             outputs.append(Send(VectorSlice(base, counts)))
         return outputs
 
