@@ -205,6 +205,11 @@ class FieldAllocationCRDT:
         key = self._keys.get(section)
         return None if key is None or phase_of(key) == Phase.FREE else owner_of(key)
 
+    def stays(self, section: int) -> bool:
+        """Whether a section has an owner that cannot hand it over any more: only this one can work it."""
+        key = self._keys.get(section, 0)
+        return phase_of(key) in HELD and epoch_of(key) == EPOCH_MAX
+
     def assigned_sections(self, owner: int) -> list[int]:
         """Sections claimed or started by a slot, without the finished ones."""
         held = self._held.get(owner)

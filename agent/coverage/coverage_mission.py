@@ -380,6 +380,7 @@ class GridWork(Mission):
         if phase is Phase.FREE:
             return ClaimRequest(section, 0)
         gone = view.allocation.owner_of(section) not in view.live
+        gone = gone and not view.allocation.stays(section)
         return ClaimRequest(section, 0, takeover=True) if gone and phase is not Phase.DONE else None
 
     def _coming(self, view: FleetView) -> int | None:

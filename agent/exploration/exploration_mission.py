@@ -176,7 +176,7 @@ class ExplorationMission(Mission):
     def _request(self, section: int, view: FleetView) -> ClaimRequest:
         """A claim of what we have set out for; a takeover if another robot has it."""
         owner = view.allocation.owner_of(section)
-        if owner is None:
+        if owner is None or owner == view.slot:  # ours: after too many hand-overs to give it back
             return ClaimRequest(section, self._bid(view))
         stands = self.standing.stands(owner)
         self.standing.forget(owner)
@@ -188,6 +188,8 @@ class ExplorationMission(Mission):
         owner = view.allocation.owner_of(section)
         if owner is None or owner == view.slot:
             return owner is not None
+        if view.allocation.stays(section):
+            return False
         silent_at_us = view.fell_silent_at_us.get(owner)
         if silent_at_us is not None:
             return view.now_us - silent_at_us >= LEASE_US

@@ -236,7 +236,7 @@ class SectionChooser:
 
     def _orphan(self, view: FleetView) -> ClaimRequest | None:
         """A section of a silent or standing member, if only sections that such members own or
-        planned are left.
+        planned are left; or one of our own that we could not give back.
         """
         for slot in sorted(view.fell_silent_at_us, key=lambda s: view.fell_silent_at_us[s]):
             if view.now_us - view.fell_silent_at_us[slot] < LEASE_US:
@@ -245,13 +245,20 @@ class SectionChooser:
                 if view.allocation.phase_of(section) is Phase.FREE:
                     return self._bid(view, self._job(view, section))
             for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
+                if view.allocation.stays(section):
+                    continue
                 return self._bid(view, self._job(view, section))._replace(takeover=True)
         for slot in self.standing.standing():
             for section in view.allocation.assigned_sections(slot):
+                if view.allocation.stays(section):
+                    continue
                 if not self._left_to_others(section, view):
                     self.standing.forget(slot)
                     bid = self._bid(view, self._job(view, section))
                     return bid._replace(takeover=True, why=f"robot {slot} {STANDS}")
+        for section in view.allocation.assigned_sections(view.slot):  # we could not give it back
+            if view.allocation.stays(section) and not self._left_to_others(section, view):
+                return self._bid(view, self._job(view, section))
         return None
 
     def gave_back(self, section: int, units: int, now_us: int) -> None:

@@ -32,7 +32,9 @@ class SectionClaims:
         return next(iter(self.contest_ends_at_us), None)
 
     def claim(self, choice: ClaimRequest, now_us: int) -> int | None:
-        """The register key to announce, or None if the section is not available."""
+        """The register key to announce, or None if the section is not available.
+
+        A section of our own that we cannot hand over is taken up again, without a key."""
         section = choice.section
         if choice.takeover:
             key = self.allocation.takeover(section, self.slot, choice.bid)
@@ -40,6 +42,8 @@ class SectionClaims:
             key = self.allocation.claim(section, self.slot, choice.bid)
         if key is not None:
             self.contest_ends_at_us[section] = now_us + CONTENTION_US
+        elif self._stays_ours(section) and section != self.current:
+            self.contest_ends_at_us[section] = now_us
         return key
 
     def start_due(self, now_us: int) -> int | None:
@@ -51,12 +55,16 @@ class SectionClaims:
         return section if self.contest_ends_at_us[section] <= now_us else None
 
     def start(self, section: int) -> int | None:
-        """Start a section whose contention window has passed; None if the claim was lost."""
+        """Start a section whose contention window has passed; returns the register key to announce.
+        Without one it is `current` if it was started before, else the claim was lost."""
         key = self.allocation.start(section, self.slot)
         del self.contest_ends_at_us[section]
-        if key is not None:
+        if key is not None or self._stays_ours(section):
             self.current = section
         return key
+
+    def _stays_ours(self, section: int) -> bool:
+        return self.allocation.stays(section) and self.allocation.owner_of(section) == self.slot
 
     def finish(self) -> int | None:
         """The current section is done; returns the register key to announce, or None."""

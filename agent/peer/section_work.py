@@ -75,12 +75,13 @@ class SectionWork(Part):
         if section is None:
             return NOTHING
         key = self.claims.start(section)
-        if key is None:
+        if self.claims.current != section:
             return [Trace("claim", f"S{section}", "LOST", "", "at the start")]
         if self.mission is not None and ctx.here is not None:
             self.mission.begin(section, self.views.view(ctx.now_us))
+        told = NOTHING if key is None else self._announce(section, key, "start", ctx.now_us)
         return [
-            *self._announce(section, key, "start", ctx.now_us),
+            *told,
             *self.lifecycle.fire(Event.CLAIMED, f"holds S{section}"),
         ]
 

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 from agent.interface.config import LEASE_US, S
 from crdt import Phase
-from crdt.claim_register import Claim, pack
+from crdt.claim_register import EPOCH_MAX, Claim, pack
 from protocol.frames.fleet_frames import Heartbeat
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
@@ -176,11 +176,17 @@ def _says(claim: Claim) -> str:
         case Phase.FREE:
             return f"robot {claim.owner} gives it back"
         case Phase.CLAIMED:
-            return f"robot {claim.owner} claims it, bid {claim.bid}, epoch {claim.epoch}"
+            said = f"robot {claim.owner} claims it, bid {claim.bid}, epoch {claim.epoch}"
+            return said + _stays(claim)
         case Phase.STARTED:
-            return f"robot {claim.owner} starts it"
+            return f"robot {claim.owner} starts it{_stays(claim)}"
         case _:
             return f"robot {claim.owner} has done it"
+
+
+def _stays(claim: Claim) -> str:
+    """That no other robot can take it any more, after all hand-overs that a register can count."""
+    return f", for good after {EPOCH_MAX} hand-overs" if claim.epoch == EPOCH_MAX else ""
 
 
 def _upon(before: Step, claim: Claim) -> Evidence:
