@@ -7,7 +7,7 @@ from pathlib import Path
 from threading import Timer
 from time import perf_counter
 from types import TracebackType
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from rich.console import Console  # a robot asks whether there are kernels, and imports no rich
@@ -27,6 +27,19 @@ def kernels_kept() -> int | None:
     folder = Path(numba.config.CACHE_DIR or "agent")
     root = folder if folder.is_absolute() else Path(__file__).parents[2] / folder
     return sum(1 for _ in root.rglob("*.nbi"))
+
+
+def is_kept(kernel: Any) -> bool:
+    """Whether the cache has code of this kernel that was compiled from its source as it is now.
+
+    True also for one that numba never compiles: from a ready module, or plain Python."""
+    cache = getattr(kernel, "_cache", None)  # numba says nothing of it in public
+    if cache is None:
+        return True
+    try:
+        return bool(cache._cache_file._load_index())
+    except Exception:  # without a cache, or a damaged one: it is compiled
+        return False
 
 
 @contextmanager

@@ -50,8 +50,8 @@ async def _check(declared: RobotFile, as_json: bool) -> int:
         _file(declared),
         *_machine(declared),
         _keys(declared),
+        *kernels(declared),  # before the work, which compiles some
         _work(declared),
-        *kernels(declared),
         _limits(declared),
         _journal(declared),
         await _bus(declared),

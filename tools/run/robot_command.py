@@ -6,15 +6,17 @@ It imports nothing that only a person needs: no library of the command line, and
 import asyncio
 import sys
 from contextlib import AbstractContextManager, nullcontext
+from importlib.util import find_spec
 from pathlib import Path
 
 from agent.runtime.body_plugins import factory_of
 from agent.runtime.ready_kernels import are_ready
 from agent.runtime.robot_body import FactoryError, named
-from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
+from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
-from tools.build.kernel_cache import WAIT, kernels_kept
+from tools.build.kernel_cache import WAIT
 from tools.common.exit_codes import INTERRUPTED
+from tools.run.needed_kernels import missing_kernels
 
 BLIND = (
     "no range sensors: it does not see people, animals, or anything else that is not a member; "
@@ -94,6 +96,8 @@ def sees(declared: RobotFile) -> bool:
 
 
 def lacks_kernels(declared: RobotFile) -> bool:
-    """Whether it has to compile kernels before it works: none are ready, and none in the cache."""
-    works = any(getattr(declared, name) is not None for name in WORKS)
-    return works and not are_ready() and kernels_kept() == 0
+    """Whether it has to compile kernels before it works: none are ready, and the cache has not all that
+    its work needs. To be asked before anything runs that compiles some of them."""
+    if are_ready() or find_spec("numba") is None:
+        return False
+    return bool(missing_kernels(declared))

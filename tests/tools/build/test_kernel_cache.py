@@ -1,5 +1,6 @@
 """A run or a launch that has to compile kernels first says so."""
 
+from importlib import import_module, reload
 from io import StringIO
 from pathlib import Path
 from threading import Event
@@ -8,7 +9,14 @@ import pytest
 from rich.console import Console
 
 from tools.build import kernel_cache
-from tools.build.kernel_cache import COMPILE, MORE, Compiling, kernels_kept, told_compiling
+from tools.build.kernel_cache import (
+    COMPILE,
+    MORE,
+    Compiling,
+    is_kept,
+    kernels_kept,
+    told_compiling,
+)
 
 
 def test_an_empty_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -18,6 +26,22 @@ def test_an_empty_cache_is_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPat
     (tmp_path / "agent").mkdir()
     (tmp_path / "agent" / "kernel.nbi").write_bytes(b"")
     assert kernels_kept() == 1
+
+
+def test_a_kernel_is_kept_as_long_as_its_source_is_the_same(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pytest.importorskip("numba", reason="the extra `robot` is not installed")
+    source = tmp_path / "kernel_of_a_test.py"
+    source.write_text("import numba\n@numba.njit(cache=True)\ndef more(n):\n    return n + 1\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    module = import_module("kernel_of_a_test")
+    assert not is_kept(module.more)
+    assert module.more(1) == 2
+    assert is_kept(module.more)
+    source.write_text(source.read_text().replace("+ 1", "+ 22"))
+    assert not is_kept(reload(module).more)
+    assert is_kept(len), "plain Python is never compiled"
 
 
 WAIT_S = 60.0  # for a thread to begin, on a busy machine

@@ -16,10 +16,14 @@ import pytest
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from agent.runtime.robot_body import named
 from agent.runtime.robot_file import Changes, RobotFile
+from agent.runtime.robot_work import work_of
 from tests.tools.launching import ENVIRONMENT, ROOT
+from tools.build.kernel_cache import is_kept
+from tools.build.warmup import rehearse
 from tools.run import robot_check
-from tools.run.robot_command import lacks_kernels
+from tools.run.needed_kernels import NEEDED, TURNS
 
 LIMIT_S = 60
 FILE = """
@@ -325,24 +329,64 @@ def test_check_says_that_the_disk_of_the_memory_is_full(
     assert code == 2 and found["memory"][0] is False and "is full" in found["memory"][1], found
 
 
-def test_a_robot_says_that_it_has_to_compile_kernels_first(
-    folder: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """With an empty cache, on a machine that has none that are ready."""
-    numba = pytest.importorskip("numba", reason="the extra `robot` is not installed")
-    monkeypatch.setattr(numba.config, "CACHE_DIR", str(folder))
-    monkeypatch.setenv("HEADLAND_NUMBA", "1")
+KERNELS = """
+from pathlib import Path
+import numpy as np
+from agent.mapf.linear_assignment import assigned
+from agent.runtime.robot_file import Changes, RobotFile
+from tools.run import robot_check
+from tools.run.needed_kernels import TURNS, missing_kernels
+from tools.run.robot_command import lacks_kernels
+works = RobotFile.read(Path("field.toml"), Changes(slot=0))
+assert lacks_kernels(works)
+assert not lacks_kernels(RobotFile.read(Path("member.toml"), Changes(slot=0)))
+assert not set(TURNS) & set(missing_kernels(works)), "a mecanum body plans no turns"
+steers = works.model_copy(update={"fleet": works.fleet.model_copy(update={"drive": "ackermann"})})
+assert set(TURNS) < set(missing_kernels(steers))
+assigned(np.ones((2, 3)))
+assert list(Path("cache").rglob("*.nbi")), "one kernel is compiled"
+assert lacks_kernels(works), "and the others are not"
+(note,) = robot_check.kernels(works)
+assert note.ok is None and "compiling kernels" in note.found
+"""
+
+
+def test_a_robot_says_that_it_has_to_compile_kernels_first(folder: Path) -> None:
+    """It was silent as soon as the cache had any kernel, also one of other work."""
+    pytest.importorskip("numba", reason="the extra `robot` is not installed")
     (folder / "yard.geojson").write_text(FIELD)
     (folder / "field.toml").write_text(f'{FILE}[field]\nfile = "yard.geojson"\n')
     (folder / "member.toml").write_text(FILE)
-    changes = Changes(slot=0)
-    works = RobotFile.read(folder / "field.toml", changes)
-    assert lacks_kernels(works)
-    assert not lacks_kernels(RobotFile.read(folder / "member.toml", changes))
-    (note,) = robot_check.kernels(works)
-    assert note.ok is None and "compiling kernels" in note.found
-    (folder / "kernel.nbi").write_bytes(b"")
-    assert not lacks_kernels(works) and robot_check.kernels(works) == []
+    environment = {**ENVIRONMENT, "NUMBA_CACHE_DIR": str(folder / "cache"), "HEADLAND_NUMBA": "1"}
+    subprocess.run([sys.executable, "-c", KERNELS], cwd=folder, env=environment, check=True)
+
+
+def test_check_judges_kernels_before_it_compiles_some(
+    folder: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """It never said that kernels are missing: the look at the work had compiled six."""
+    order: list[str] = []
+
+    def lacks(declared: RobotFile) -> bool:
+        order.append("kernels")
+        return True
+
+    def work(*given: Any) -> Any:
+        order.append("work")
+        return work_of(*given)
+
+    monkeypatch.setattr(robot_check, "lacks_kernels", lacks)
+    monkeypatch.setattr(robot_check, "work_of", work)
+    _, found = checked(folder, FILE, capsys)
+    assert order[0] == "kernels" and "work" in order and "kernels" in found
+
+
+@pytest.mark.slow
+def test_nothing_is_missing_where_all_kernels_are_compiled() -> None:
+    """`headland compile --kernels` runs these rehearsals."""
+    rehearse()
+    names = {name for each in NEEDED.values() for name in each} | {*TURNS}
+    assert [name for name in sorted(names) if not is_kept(named(name))] == []
 
 
 def test_check_states_the_limits_of_this_body(folder: Path) -> None:
