@@ -7,6 +7,7 @@ from pathlib import Path
 from agent.interface.lifecycle import State
 from agent.runtime.files.key_file import OPERATOR, RESERVE, KeyFileError, read
 from agent.safety.stop_controller import COUNT_TOLD_MAX
+from crdt.stops import StopDot
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Command, Switch
 from protocol.operator_badges import ALL_ROLES, DAY_S, Role
@@ -57,16 +58,17 @@ async def _reset(
         operator.expect(robots_of_launch(interface, host, port, key))
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
-        cleared, _ = operator.shown.named
+        shown, _ = operator.shown.named
+        summed = in_sum(operator)
         asked = operator.release_asked
         with told_wait("until no robot is stopped", timeout_s):
             left = await release(operator, start, timeout_s)
         if start and not left:
             with told_wait("until every robot has started", timeout_s):
                 await started(operator, timeout_s)
+        still = await held_still(operator) if left else frozenset()
         await hear_causes(operator)
-        shown_still, _ = operator.shown.named
-        cleared = [dot for dot in cleared if dot not in shown_still]
+        cleared = [dot for dot in shown if dot not in still]
         silent = [robot.slot for robot in operator.silent]
         held = [r.slot for r in operator.live if start and (r.held or not r.started)]
         if as_json:
@@ -77,10 +79,9 @@ async def _reset(
                 "signed": keyring is not None,
             }))  # fmt: skip
         else:
-            shown = ", ".join(".".join(map(str, dot)) for dot in cleared) or in_sum(operator)
             for slot in asked:
                 print(f"asked for at the terminal that robot {slot} serves")
-            print(f"stops cleared: {shown}" if shown else "no stop was shown, so none was cleared")
+            print(cleared_line(cleared, bool(shown), summed, left))
             for robot in operator.members:
                 print(f"robot {robot.slot}: {word(operator, robot, start)}")
                 for why in stands(operator, robot):
@@ -90,6 +91,25 @@ async def _reset(
         return 0 if operator.live and not (left or silent or held) else NOT_ALL
     finally:
         bus.close()
+
+
+def cleared_line(cleared: list[StopDot], shown: bool, summed: str, left: list[int]) -> str:
+    """What was cleared. `summed`: what robots held in sum before; `left`: robots that stand latched."""
+    named = ", ".join(".".join(map(str, dot)) for dot in cleared)
+    if not shown and not left:
+        named = summed
+    if named:
+        return f"stops cleared: {named}"
+    if shown or summed:
+        return "no stop was cleared: robots still hold what was shown"
+    return "no stop was shown, so none was cleared"
+
+
+async def held_still(operator: Operator) -> frozenset[StopDot]:
+    """Stops that robots tell after a release, by name."""
+    operator.shown.recount()
+    await operator.listen(LISTEN_S, stops=True)
+    return frozenset(operator.shown.recounted)
 
 
 def in_sum(operator: Operator) -> str:

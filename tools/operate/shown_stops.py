@@ -28,6 +28,7 @@ class ShownStops:
         self._tags = None if keyring is None or secret is None else HeldTags(keyring.keys)
         self.question = randbits(QUESTION_BITS)  # unknown to others before it is asked
         self.near: set[tuple[int, int, int]] = set()
+        self.recounted: set[StopDot] = set()  # names that were heard since the newest `recount`
         self.far: set[RemoteStopDot] = set()
         self.spent: set[tuple[int, int, int]] = set()  # names that robots say were used before
         self.told: dict[int, StopsHeld] = {}  # by robots; with keys only what they have signed
@@ -42,6 +43,8 @@ class ShownStops:
             if len(self.spent) < HEARD_MAX:
                 self.spent.add(dot)
             return
+        if len(self.recounted) < HEARD_MAX:
+            self.recounted.add(dot)
         if self._releasing and dot not in self.near and not m.echo:
             self._pressed = True
         if not self._pressed and len(self.near) < HEARD_MAX:
@@ -66,6 +69,11 @@ class ShownStops:
     def release(self) -> None:
         """From now on a new press is one that was not shown."""
         self._releasing = True
+
+    def recount(self) -> None:
+        """From now on `recounted` has what robots still hold. The names that were shown stay, because a
+        robot does not say that it holds a stop no more."""
+        self.recounted.clear()
 
     def ask_again(self) -> None:
         """From now on only answers to a new question count: an earlier one may be repeated by anybody."""

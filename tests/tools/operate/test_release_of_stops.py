@@ -1,7 +1,10 @@
 """`headland release` against fleets that hold many stops, and while somebody forges stops."""
 
 import asyncio
+import json
+from collections.abc import Coroutine
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -19,6 +22,7 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.scenarios.scenario import load
 from tests.chaos.at_work import Done, at_work
+from tools.operate import reset
 from tools.operate.operator_device import Operator
 from tools.operate.reset import LISTEN_S, release
 from tools.operate.shown_stops import ShownStops
@@ -83,6 +87,66 @@ def test_t11_a_reset_clears_no_stop_that_only_a_forger_has_named(tmp_path: Path)
         assert all(r.peer.safety.latched for r in cluster.running)
 
     at_work(load("small").changed(3, 5, tmp_path / "fleet.json"), story)
+
+
+def on_field_bus(
+    monkeypatch: pytest.MonkeyPatch,
+    cluster: Cluster,
+    key: Path | None,
+    timeout_s: float = RELEASE_S,
+) -> Coroutine[Any, Any, int]:
+    """`headland release --json` as an operator on the bus of simulated robots calls it."""
+    monkeypatch.setattr(reset, "attach", lambda *words: CanBus(FieldBus(cluster.channel)))
+    return reset._reset("virtual", "field", 250_000, "", 0, key, False, timeout_s, True)
+
+
+@pytest.mark.parametrize("signed", [False, True])
+def test_release_says_which_stops_it_has_cleared(
+    signed: bool,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """Without keys it always said that no stop was shown, although it had cleared one."""
+    fleet, operator = tmp_path / "fleet.json", tmp_path / "operator.json"
+    write(fleet, operator, fresh(), 249)
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        cluster.robots[1].runner.operate(Press(Reason.PERSON_IN_FIELD))
+        await elapse(1.0)
+        (pressed,) = cluster.robots[0].peer.safety.stops.active
+        assert await on_field_bus(monkeypatch, cluster, operator if signed else None) == 0
+        told = json.loads(capsys.readouterr().out)
+        assert told["cleared"] == [list(pressed)] and told["not_released"] == []
+        assert not any(r.peer.safety.latched for r in cluster.running)
+
+    at_work(load("small").changed(3, 5, fleet if signed else None), story)
+
+
+def test_release_does_not_say_that_it_cleared_what_robots_still_hold(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A fleet with keys takes no reset without."""
+    fleet = tmp_path / "fleet.json"
+    write(fleet, tmp_path / "operator.json", fresh(), 249)
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        cluster.robots[1].runner.operate(Press(Reason.PERSON_IN_FIELD))
+        await elapse(1.0)
+        assert await on_field_bus(monkeypatch, cluster, None) == 1
+        told = json.loads(capsys.readouterr().out)
+        assert told["cleared"] == [] and told["not_released"] == [0, 1, 2]
+
+    at_work(load("small").changed(3, 5, fleet), story)
+
+
+def test_what_was_cleared_is_one_line() -> None:
+    one = [StopDot(1, 2, 3)]
+    assert reset.cleared_line(one, True, "all 1 that hold a robot", []) == "stops cleared: 1.2.3"
+    assert reset.cleared_line([], False, "all 90", []) == "stops cleared: all 90"
+    assert reset.cleared_line([], False, "", []) == "no stop was shown, so none was cleared"
+    for shown, summed in ((True, ""), (False, "all 90")):
+        assert "still hold" in reset.cleared_line([], shown, summed, [2])
 
 
 def test_t9_what_is_pressed_during_a_reset_is_not_cleared() -> None:
