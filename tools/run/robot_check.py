@@ -26,7 +26,15 @@ from agent.runtime.robot_work import work_of
 from tools.build.kernel_cache import WAIT
 from tools.common.exit_codes import wrong
 from tools.common.findings import Finding, print_findings
-from tools.run.robot_command import BLIND, import_from, is_written, lacks_kernels, memory, sees
+from tools.run.robot_command import (
+    BLIND,
+    import_from,
+    is_written,
+    lacks_kernels,
+    memory,
+    memory_wrong,
+    sees,
+)
 
 ANSWER_FOR_S = 3.0  # a bus server answers within milliseconds
 FIRST_PLACE_FOR_US = 3 * S  # a body that is open senses within this
@@ -138,14 +146,14 @@ def _limits(declared: RobotFile) -> Finding:
 
 def _journal(declared: RobotFile) -> Finding:
     path = memory(declared)
-    if not path.parent.is_dir() or not os.access(path.parent, os.W_OK):
-        return Finding("memory", False, f"no folder {path.parent} that can be written")
+    if wrong := memory_wrong(declared):
+        return Finding("memory", False, wrong)
     try:
-        free_bytes = shutil.disk_usage(path.parent).free
+        disk = shutil.disk_usage(path.parent)
     except OSError as problem:
         return Finding("memory", False, f"{path.parent}: {problem.strerror}")
-    if free_bytes < MEMORY_FREE_BYTES:
-        needed = f"{free_bytes / 1e6:.1f} MB are free, {MEMORY_FREE_BYTES / 1e6:.1f} MB are needed"
+    if disk.total and disk.free < MEMORY_FREE_BYTES:  # no total: a file system without a limit
+        needed = f"{disk.free / 1e6:.1f} MB are free, {MEMORY_FREE_BYTES / 1e6:.1f} MB are needed"
         return Finding("memory", False, f"the disk of {path.parent} is full: {needed}")
     if is_written(path):
         return Finding("memory", os.access(path, os.W_OK), str(path))

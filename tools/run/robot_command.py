@@ -8,6 +8,8 @@ import sys
 from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
+from shlex import quote
+from tempfile import TemporaryFile
 
 from agent.runtime.body_plugins import factory_of
 from agent.runtime.ready_kernels import are_ready
@@ -15,7 +17,7 @@ from agent.runtime.robot_body import FactoryError, named
 from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
 from tools.build.kernel_cache import WAIT
-from tools.common.exit_codes import INTERRUPTED
+from tools.common.exit_codes import INTERRUPTED, NO_ROOM
 from tools.run.needed_kernels import missing_kernels
 
 BLIND = (
@@ -44,6 +46,8 @@ def robot(
 
             check_viewers(metrics, foxglove)
             viewers = viewers_beside(declared, metrics, foxglove)
+        if wrong := memory_wrong(declared):
+            raise RobotError(f"robot {declared.robot.slot}: robot.journal: {wrong}")
         if not first_boot and not is_written(memory(declared)):
             print(
                 f"headland: robot {declared.robot.slot} has no memory in {memory(declared).parent}; "
@@ -77,6 +81,22 @@ def import_from(folder: Path) -> None:
 def memory(declared: RobotFile) -> Path:
     """The file of its durable memory."""
     return declared.folder / declared.robot.journal / f"robot{declared.robot.slot}.sqlite"
+
+
+def memory_wrong(declared: RobotFile) -> str:
+    """Why its durable memory cannot be kept, and what a person can do; empty if it can."""
+    folder = memory(declared).parent
+    if not folder.exists():
+        return f"there is no folder {folder}: make it (mkdir -p {quote(str(folder))})"
+    if not folder.is_dir():
+        return f"{folder} is no folder"
+    try:
+        with TemporaryFile(dir=folder):  # without a name where the system can: it leaves nothing
+            return ""
+    except OSError as problem:
+        if problem.errno in NO_ROOM:
+            return ""  # a full disk is the matter of the journal
+        return f"the folder {folder} cannot be written: {problem.strerror}"
 
 
 def is_written(memory: Path) -> bool:

@@ -24,6 +24,7 @@ from tools.build.kernel_cache import is_kept
 from tools.build.warmup import rehearse
 from tools.run import robot_check
 from tools.run.needed_kernels import NEEDED, TURNS
+from tools.run.robot_command import robot
 
 LIMIT_S = 60
 FILE = """
@@ -187,13 +188,13 @@ def test_check_ends_where_no_bus_server_answers(folder: Path) -> None:
         (folder / "fleet.toml").write_text(told)
         code, out, _ = end(begin(folder, "fleet.toml", "--slot", "2", "--check"))
         assert code == 2 and f"no socketcand server answers at 127.0.0.1:{port}" in out
-        robot = begin(folder, "fleet.toml", "--slot", "2", "--first-boot")
-        assert robot.stderr is not None
-        lines = iter(robot.stderr.readline, "")
+        waits = begin(folder, "fleet.toml", "--slot", "2", "--first-boot")
+        assert waits.stderr is not None
+        lines = iter(waits.stderr.readline, "")
         told = next(line for line in lines if "waits for its bus" in line)
         assert str(port) in told and "Ctrl-C" in told
-        robot.send_signal(signal.SIGINT)
-        assert end(robot)[0] in (0, 130)
+        waits.send_signal(signal.SIGINT)
+        assert end(waits)[0] in (0, 130)
 
 
 @pytest.mark.slow
@@ -203,12 +204,12 @@ def test_figures_and_viewers_are_served_beside_the_robot_and_end_with_it(folder:
     pytest.importorskip("foxglove", reason="the extra `foxglove` is not installed")
     group = f"239.74.163.{1 + randbelow(250)}"
     words = ("fleet.toml", "--slot", "0", "-i", "udp_multicast", "-c", group, "--first-boot")
-    robot = begin(folder, *words, "--metrics", "0", "--foxglove", "0")
+    serving = begin(folder, *words, "--metrics", "0", "--foxglove", "0")
     try:
-        assert robot.stdout is not None
+        assert serving.stdout is not None
         said: dict[str, str] = {}
         while {"metrics", "foxglove"} - set(said):
-            name, _, rest = robot.stdout.readline().strip().partition(": ")
+            name, _, rest = serving.stdout.readline().strip().partition(": ")
             assert rest or name == "robot 0 is up", "it ended before it served"
             said[name] = rest
         wanted = (
@@ -226,8 +227,8 @@ def test_figures_and_viewers_are_served_beside_the_robot_and_end_with_it(folder:
                 told = json.loads(viewer.recv(timeout=LIMIT_S))
                 topics |= {channel["topic"] for channel in told.get("channels", ())}
     finally:
-        robot.kill()
-    robot.communicate(timeout=LIMIT_S)  # the process beside it holds the pipes until it ends
+        serving.kill()
+    serving.communicate(timeout=LIMIT_S)  # the process beside it holds the pipes until it ends
     with pytest.raises(OSError):
         urlopen(said["metrics"], timeout=LIMIT_S)
 
@@ -327,6 +328,33 @@ def test_check_says_that_the_disk_of_the_memory_is_full(
     monkeypatch.setattr(robot_check, "MEMORY_FREE_BYTES", 1 << 62)
     code, found = checked(folder, FILE, capsys)
     assert code == 2 and found["memory"][0] is False and "is full" in found["memory"][1], found
+
+
+@pytest.mark.parametrize(
+    ("journal", "said"),
+    [
+        ("state", "there is no folder {}: make it (mkdir -p {})"),
+        ("fleet.toml", "{} is no folder"),
+        ("/proc", "the folder /proc cannot be written"),
+    ],
+)
+def test_a_memory_that_cannot_be_kept_is_one_line(
+    journal: str, said: str, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A folder that was not there got a line on --first-boot and then one on its journal. Of one that
+    cannot be written the check said that its disk is full."""
+    if journal == "/proc" and not Path(journal).is_dir():
+        pytest.skip("another system")
+    place = folder / journal
+    text = f'{FILE}[robot]\nslot = 0\njournal = "{journal}"\n'
+    (folder / "kept.toml").write_text(text)
+    code = robot(folder / "kept.toml", Changes(slot=0), first_boot=False, dry=False)
+    lines = capsys.readouterr().err.splitlines()
+    wrong = said.replace("{}", str(place))
+    assert code == 2 and len(lines) == 1
+    assert lines[0].startswith(f"headland: robot 0: robot.journal: {wrong}"), lines
+    code, found = checked(folder, text, capsys)
+    assert code == 2 and found["memory"][0] is False and found["memory"][1].startswith(wrong)
 
 
 KERNELS = """
