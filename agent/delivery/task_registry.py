@@ -11,9 +11,10 @@ from typing import NamedTuple
 from zlib import crc32
 
 from agent.interface.config import MS, S
-from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest, TaskOrder
 
 TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
+assert TASK_NUMBERS <= TASKS_MAX
 DIGEST_US = 1 * S  # between two digests of one peer, each of one bucket of tasks
 AGAIN_US = 400 * MS  # an order received within this time is not repeated
 KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record: pickup, dropoff
@@ -85,14 +86,16 @@ class TaskRegistry:
     ) -> None:
         """`slot`: ours. `tasks`: those that every robot was given before the start, by number.
         `on_floor`: whether both cells of an order are places of the building, which is the same for all
-        robots; other orders are counted in `refused`. `recalled`: tasks received before a restart;
-        one that is refused does not hide the task that was given.
+        robots; other orders, and numbers without a bucket, are counted in `refused`. `recalled`: tasks
+        received before a restart; one that is refused does not hide the task that was given.
         """
         self._on_floor = on_floor
-        self.refused = 0  # orders with cells that are no places
+        self.refused = (
+            0  # orders with cells that are no places, or with a number that has no bucket
+        )
         self.tasks: dict[int, TransportTask] = {}
         for task, order in (*tasks.items(), *recalled.items()):
-            if self._is_sound(order):
+            if task < TASK_NUMBERS and self._is_sound(order):
                 self.tasks[task] = order
             else:
                 self.refused += 1
@@ -123,12 +126,12 @@ class TaskRegistry:
         """
         if isinstance(message, TaskOrder):
             return self._order(message, now_us)
-        if message.bucket < -(-TASKS_MAX // BUCKET_TASKS):
-            self._compare(message, now_us)
+        self._compare(message, now_us)
         return ()
 
     def _order(self, message: TaskOrder, now_us: int) -> tuple[tuple[str, bytes], ...]:
-        if message.task >= TASKS_MAX:
+        if message.task >= TASK_NUMBERS:
+            self.refused += 1
             return ()
         self._heard_at_us[message.task] = now_us
         self._due.pop(message.task, None)

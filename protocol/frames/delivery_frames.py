@@ -4,7 +4,9 @@ from typing import NamedTuple
 
 from protocol.frames.layout import ROBOT, TOOL, FrameLayout, integer
 
+BUCKET_BITS = 8
 BUCKET_TASKS = 48  # of a TASK_BOOK frame
+TASK_NUMBERS = BUCKET_TASKS << BUCKET_BITS  # a task from here on has no bucket
 HASTENS = 1  # of a PLAN_OFFER frame
 NO_TASK = 0xFFFF  # fills an itinerary's last frame
 
@@ -48,7 +50,7 @@ class TaskBookDigest(NamedTuple):
 TASK_BOOK = FrameLayout(
     TaskBookDigest, "TASK_BOOK", pgn=0xFF21, priority=7, sender=ROBOT,
     fields=(
-        integer("bucket", 8, "tasks 48 * bucket to 48 * bucket + 47"),
+        integer("bucket", BUCKET_BITS, "tasks 48 * bucket to 48 * bucket + 47"),
         integer("check", 8, "digest of the orders that it knows of them"),
         integer("bits", BUCKET_TASKS, "bit i: task 48 * bucket + i is known"),
     ),

@@ -8,8 +8,8 @@ greater order keeps it; robots apply the same rule.
 
 from collections.abc import Sequence
 
-from agent.delivery.task_registry import TASKS_MAX, TransportTask
-from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from agent.delivery.task_registry import TransportTask
+from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest, TaskOrder
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import TOOL_FUNCTION, Name
@@ -22,8 +22,8 @@ class NumbersSpentError(Exception):
 
     def __init__(self) -> None:
         super().__init__(
-            f"all {TASKS_MAX} numbers of transports are used: robots keep each one for ever, so start a "
-            "fleet with new state folders"
+            f"all {TASK_NUMBERS} numbers of transports are used: robots keep each one for ever, so start "
+            "a fleet with new state folders"
         )
 
 
@@ -82,7 +82,7 @@ class TransportClient:
             for k in range(BUCKET_TASKS):
                 if message.bits >> k & 1:
                     self._know(message.bucket * BUCKET_TASKS + k, source)
-        elif isinstance(message, TaskOrder) and message.task < TASKS_MAX:
+        elif isinstance(message, TaskOrder) and message.task < TASK_NUMBERS:
             self._use(message.task)
             mine = self.wanted.get(message.task)
             other = TransportTask(message.pickup, message.dropoff)
@@ -99,7 +99,7 @@ class TransportClient:
                 try:
                     number = self._free()
                 except NumbersSpentError:  # it stays unconfirmed
-                    number = TASKS_MAX + mine[0]
+                    number = TASK_NUMBERS + mine[0]
                 self.wanted[number] = mine
                 self._number[mine[0]] = number
 
@@ -108,7 +108,7 @@ class TransportClient:
         if mine is not None and mine[1].withdrawn:
             return  # that a robot knows the task does not say that it knows this
         self._sure.setdefault(task, set()).add(source)
-        if task not in self.wanted and task < TASKS_MAX:
+        if task not in self.wanted and task < TASK_NUMBERS:
             self._use(task)
 
     def _use(self, task: int) -> None:
@@ -118,10 +118,10 @@ class TransportClient:
     def _free(self) -> int:
         """Above all that are used. Where somebody has used the last one, the lowest that is not."""
         above = max(self._first_free, *(number + 1 for number in self.wanted), 0)
-        if above < TASKS_MAX:
+        if above < TASK_NUMBERS:
             return above
         used = self._used | self.wanted.keys()
-        gap = next((task for task in range(self._known, TASKS_MAX) if task not in used), None)
+        gap = next((task for task in range(self._known, TASK_NUMBERS) if task not in used), None)
         if gap is None:
             raise NumbersSpentError
         return gap
@@ -138,7 +138,7 @@ class TransportClient:
         return [
             TaskOrder(number, *order)
             for number, (_, order) in self.wanted.items()
-            if number < TASKS_MAX and not self.confirmed(number)
+            if number < TASK_NUMBERS and not self.confirmed(number)
         ]
 
     @property

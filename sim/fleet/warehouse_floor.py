@@ -7,10 +7,10 @@ it.
 from collections.abc import Callable
 from functools import partial
 
-from agent.delivery.task_registry import TASKS_MAX, TransportTask
+from agent.delivery.task_registry import TransportTask
 from agent.interface.config import S
 from protocol.frames.codec import Malformed, decode_once
-from protocol.frames.delivery_frames import TaskOrder
+from protocol.frames.delivery_frames import TASK_NUMBERS, TaskOrder
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 from sim.fleet.scheduler import Script
@@ -46,7 +46,7 @@ class WarehouseFloor:
         if isinstance(message, TaskOrder):
             order = TransportTask(message.pickup, message.dropoff)
             house = self.setting.house
-            if message.task < TASKS_MAX and house.known(order):
+            if message.task < TASK_NUMBERS and house.known(order):
                 trip = house.trip(order)
                 self.truth.appear(message.task, trip.pickup, trip.dropoff, t_us)
 

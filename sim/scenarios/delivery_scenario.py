@@ -8,7 +8,6 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from agent.delivery.task_registry import TASKS_MAX
 from agent.runtime.declared_values import XY, BatteryTable, FieldTable, Table
 from agent.runtime.declared_values import WarehouseTable as RobotWarehouse
 from agent.runtime.files.given_file import (
@@ -19,6 +18,7 @@ from agent.runtime.files.given_file import (
     read_text,
     read_toml,
 )
+from protocol.frames.delivery_frames import TASK_NUMBERS
 from sim.scenarios.scenario import (
     WAREHOUSES,
     FleetTable,
@@ -51,7 +51,7 @@ class WarehouseTable(RobotWarehouse):
 
     outage: list[Outage] = Field(default=[])
     tasks: str | None = None  # CSV or JSON lines
-    random_tasks: int = Field(default=0, ge=0, lt=TASKS_MAX)  # drawn with the seed of the run
+    random_tasks: int = Field(default=0, ge=0, lt=TASK_NUMBERS)  # drawn with the seed of the run
     random_over_s: float = Field(default=0.0, ge=0.0)  # the seconds in which they arrive
     boxes_a_minute: float = Field(default=0.0, ge=0.0, le=60.0)  # dropped at random, for box_s
     box_s: float = Field(default=20.0, gt=0.0)

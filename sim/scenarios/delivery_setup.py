@@ -13,6 +13,7 @@ from agent.mapping.building import Floor, FloorError
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from agent.runtime.mission_parts import carrier_of, delivery_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
+from protocol.frames.delivery_frames import TASK_NUMBERS
 from sim.scenarios.delivery_scenario import DeliveryScenario, TaskRow, random_tasks, read_tasks
 from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from sim.scenarios.scenario import Box, ScenarioError
@@ -53,6 +54,10 @@ class DeliverySetup(NavigationSetup):
         if table.tasks is not None:
             rows = read_tasks(scenario.folder / table.tasks)
         rows += random_tasks(self.cells, table.random_tasks, table.random_over_s, rng)
+        if len(rows) > TASK_NUMBERS:
+            raise ScenarioError(
+                f"{scenario.name}: {len(rows)} tasks; a fleet can number {TASK_NUMBERS} of them"
+            )
         for number, row in enumerate(rows):
             for key, at in (("pickup", row.pickup), ("dropoff", row.dropoff)):
                 if house.cell(at) is None:

@@ -4,13 +4,21 @@ import pytest
 
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.delivery_mission import DeliveryMission
-from agent.delivery.task_registry import AGAIN_US, TASKS_MAX, TaskRegistry, TransportTask, record
+from agent.delivery.task_registry import (
+    AGAIN_US,
+    TASKS_MAX,
+    TaskRegistry,
+    TransportTask,
+    recalled_orders,
+    record,
+)
 from agent.delivery.warehouse import SECTIONS_END
 from agent.interface.config import MS, S
 from agent.interface.lifecycle import State
 from agent.peer.work_admission import Admission
 from crdt import FieldAllocationCRDT, Phase
-from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
+from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest, TaskOrder
+from protocol.frames.messages import GROUP_OF
 from protocol.frames.work_frames import TaskClaim
 from tests.agent.delivery.test_delivery_mission import house, view
 
@@ -79,13 +87,25 @@ def test_an_order_without_a_place_does_not_hide_the_task_that_was_given() -> Non
 def test_one_high_number_does_not_delay_all_other_orders() -> None:
     """Digests went round all numbers up to the highest, one a second: 512 s with this one."""
     order = TransportTask(1, 2)
-    known = TaskRegistry(0, {0: order, TASKS_MAX - 1: order}, 0)
+    known = TaskRegistry(0, {0: order, TASK_NUMBERS - 1: order}, 0)
     late = TaskRegistry(1, {}, 0)
     for now_us in range(0, 5 * S, 50 * MS):
         for book, other in ((known, late), (late, known)):
             for said in list(book.outgoing(now_us)):
                 other.on_message(said, now_us)
     assert late.tasks == known.tasks
+
+
+def test_an_order_whose_number_has_no_bucket_is_refused_and_not_recalled() -> None:
+    """Found: one frame with number 12,288 ended every robot, since bucket 256 cannot be packed. The
+    order was durable, so each restart ended them again."""
+    order = TransportTask(1, 2)
+    stored = recalled_orders(dict([record(TASK_NUMBERS, order), record(TASK_NUMBERS - 1, order)]))
+    book = TaskRegistry(0, {}, 0, recalled=stored)
+    assert book.tasks == {TASK_NUMBERS - 1: order}
+    assert not book.on_message(TaskOrder(TASK_NUMBERS, 1, 2), 0) and book.refused == 2
+    said = [m for now_us in range(0, 5 * S, 50 * MS) for m in book.outgoing(now_us)]
+    assert said and all(GROUP_OF[type(m)].pack(m) for m in said)
 
 
 @pytest.mark.parametrize("section", [9, TASKS_MAX])

@@ -4,8 +4,8 @@ import time
 
 import pytest
 
-from agent.delivery.task_registry import TASKS_MAX, WITHDRAWN, TaskRegistry, TransportTask
-from protocol.frames.delivery_frames import TaskBookDigest, TaskOrder
+from agent.delivery.task_registry import WITHDRAWN, TaskRegistry, TransportTask
+from protocol.frames.delivery_frames import TASK_NUMBERS, TaskBookDigest, TaskOrder
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import tool_name
@@ -85,7 +85,7 @@ def test_a_withdrawal_wins_in_every_order_of_arrival() -> None:
 def test_a_stranger_with_the_last_number_does_not_hold_orders_up() -> None:
     """One frame of anybody on the bus, and every later order had a number that robots refuse; the
     highest one ended the device by a struct.error."""
-    for number in (TASKS_MAX - 1, TASKS_MAX, 0xFFFF):
+    for number in (TASK_NUMBERS - 1, TASK_NUMBERS, 0xFFFF):
         desk = TransportClient(3)
         desk.hear(9, TaskOrder(number, 5, 6))
         desk.order([TransportTask(1, 2), TransportTask(1, 3)])
@@ -93,14 +93,14 @@ def test_a_stranger_with_the_last_number_does_not_hold_orders_up() -> None:
         assert [GROUP_OF[TaskOrder].pack(due) for due in desk.due()]
 
 
-def test_numbers_of_transports_end_before_those_of_charger_bays() -> None:
-    """Found: a gateway numbered its 24,577th order like the visit of a charger bay. Robots ignore such
-    an order, and the master heard that it was accepted."""
-    desk = TransportClient(TASKS_MAX - 1)
+def test_numbers_of_transports_end_with_the_last_bucket_of_a_task_book() -> None:
+    """Found: a gateway numbered an order that robots ignore, and the master heard that it was
+    accepted."""
+    desk = TransportClient(TASK_NUMBERS - 1)
     desk.order([TransportTask(1, 2)])
     with pytest.raises(NumbersSpentError, match="start a fleet with new state folders"):
         desk.order([TransportTask(1, 3)])
-    desk.hear(9, TaskOrder(TASKS_MAX - 1, 5, 6))  # greater: the number belongs to another device
+    desk.hear(9, TaskOrder(TASK_NUMBERS - 1, 5, 6))  # greater: the number belongs to another device
     assert not desk.due() and not desk.confirmed(desk.number_of(0))
 
 

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from agent.delivery.task_registry import TASKS_MAX
+from protocol.frames.delivery_frames import TASK_NUMBERS
 from protocol.links.bus import CanBus
 from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import HOUSE
@@ -77,7 +77,7 @@ def test_a_transport_for_which_no_number_is_left_is_told_to_people(
         bus, told = CanBus(can.Bus("transports without robots", interface="virtual")), list[str]()
         device, lines = Operator(bus, None).device, EventLines(out=told.append)
         desk = TransportDesk(bus, device, HOUSE, Inspector(), SimpleNamespace(), lines)
-        desk.client = TransportClient(TASKS_MAX)
+        desk.client = TransportClient(TASK_NUMBERS)
         goal = Goal(HERE, THERE)
         await desk._carry(goal)
         assert goal.ended[0][0] is Ended.ABORTED and "numbers of transports" in told[0]

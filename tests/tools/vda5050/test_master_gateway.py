@@ -12,7 +12,6 @@ pytest.importorskip("vda5050.validation", reason="pip install vda5050-sdk: it ha
 
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase
-from agent.delivery.task_registry import TASKS_MAX
 from agent.delivery.warehouse import Warehouse
 from agent.interface.vehicle import Vehicle
 from agent.mapping.building import Floor
@@ -27,6 +26,7 @@ from agent.runtime.vda5050.messages import (
 from crdt import Phase
 from protocol.authentication import Keys
 from protocol.frames.codec import encode
+from protocol.frames.delivery_frames import TASK_NUMBERS
 from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.work_frames import TaskClaim, WorkProgress
@@ -134,10 +134,12 @@ def test_an_order_for_which_no_number_is_left_is_refused(tmp_path: Path) -> None
 
     async def story() -> None:
         gateway = gateway_on(tmp_path, told)
-        gateway.desk = TransportClient(TASKS_MAX)
+        gateway.desk = TransportClient(TASK_NUMBERS)
         gateway.order(gateway.ports[0], WHOLE)
         vehicle = gateway.ports[0].vehicle
-        assert vehicle.booked is None and "24576" in str(vehicle.errors[-1].error_description)
+        assert vehicle.booked is None and str(TASK_NUMBERS) in str(
+            vehicle.errors[-1].error_description
+        )
         assert "start a fleet with new state folders" in told[-1]
         await left(gateway)
 
