@@ -152,7 +152,7 @@ class CoverageAgreement:
         if m.say == AgreementKind.BODY:
             self._hear_body(m, now_us)
             return
-        later = ahead(m.round, self.round)
+        later = ahead(m.round, self.round, fresh=self.rounds == 0)
         if later is None:
             return  # a round that is over
         if later:

@@ -95,6 +95,8 @@ class PlanNegotiation:
         """`slot`: ours. `seed`: of our own search, another one for each robot."""
         self.slot, self.seed = slot, seed
         self.number = 0
+        # No round since our boot: where on the circle of numbers the fleet is, is not known yet.
+        self._fresh = True
         self.machine = StateMachine("plan negotiation", NEGOTIATION_TABLE, REST)
         self.ends_at_us = 0  # of the phase
         self.adopted: Rows | None = None  # the adopted plan, until the caller takes it
@@ -139,7 +141,7 @@ class PlanNegotiation:
 
     def wanted(self, offer: PlanOffer) -> bool:
         """Whether this is the call of a later round, which we have to join."""
-        return offer.replan > 0 and _newer(offer.round, self.number)
+        return offer.replan > 0 and (self._fresh or _newer(offer.round, self.number))
 
     def join(self, offer: PlanOffer, frozen: ProblemSnapshot, now_us: int) -> None:
         """Join the round that `offer` calls, with our own snapshot of the problem."""
@@ -147,7 +149,7 @@ class PlanNegotiation:
         self._begin(offer.round, offer.replan, frozen, now_us)
 
     def _begin(self, number: int, units: int, frozen: ProblemSnapshot, now_us: int) -> None:
-        self.number = number
+        self.number, self._fresh = number, False
         self.machine.fire(NegotiationEvent.BEGUN)
         self.ends_at_us = now_us + units * REPLAN_UNIT_US
         self._frozen, self._planner = frozen, RoutingPlanner(frozen.work)

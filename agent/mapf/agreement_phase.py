@@ -3,7 +3,8 @@
 Robots in each other's way (`agent/mapf/joint_plan_agreement.py`) and fleets on a grid
 (`agent/coverage/plan_agreement.py`) agree in the same four phases. What they send in them, and what
 a plan is, differs. Numbers of rounds are u16 on the wire and wrap around: the half of the circle
-ahead of our number is later, the other half is over.
+ahead of our number is later, the other half is over. A robot that has just booted does not know where
+on the circle the fleet is. Until it takes part in a round, every number is later for it.
 """
 
 from enum import Enum
@@ -28,11 +29,14 @@ def after(number: int) -> int:
     return (number + 1) % NUMBERS
 
 
-def ahead(heard: int, own: int) -> int | None:
+def ahead(heard: int, own: int, fresh: bool = False) -> int | None:
     """By how many rounds the number `heard` is later than our `own`; None for a round that is over.
+    `fresh`: we have taken part in no round since our boot.
 
-    >>> ahead(2, NUMBERS - 1), ahead(5, 5), ahead(4, 5)
-    (3, 0, None)
+    >>> ahead(2, NUMBERS - 1), ahead(5, 5), ahead(4, 5), ahead(40_000, 0), ahead(40_000, 0, fresh=True)
+    (3, 0, None, None, 40000)
     """
     later = (heard - own) % NUMBERS
+    if fresh:
+        return later or NUMBERS
     return later if later < NUMBERS // 2 else None

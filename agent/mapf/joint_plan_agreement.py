@@ -112,7 +112,7 @@ class JointPlanAgreement:
 
     def on_message(self, slot: int, m: AgreementMessage, now_us: int) -> None:
         """Handle an agreement message of another robot; one of a round that is over is ignored."""
-        later = ahead(m.round, self.round)
+        later = ahead(m.round, self.round, fresh=self.rounds == 0)
         if later is None:
             return  # a round that is over
         if later:

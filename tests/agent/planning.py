@@ -66,12 +66,14 @@ def play(
     seed: int,
     dies_streaming: bool = False,
     problem: ProblemSnapshot | None = None,
+    number: int = 0,
 ) -> list[PlanNegotiation]:
-    """Until all are at rest; those that live."""
+    """Until all are at rest; those that live. `number`: of the last round that the caller knows."""
     print(f"seed {seed}")
     rng = Random(seed)
     problem = frozen(robots, 12, seed) if problem is None else problem
     peers = {slot: PlanNegotiation(slot, seed + slot) for slot in range(robots)}
+    peers[0].number = number
     peers[0].call(problem, 1_000_000, 0)
     now_us = 0
     for _ in range(400):

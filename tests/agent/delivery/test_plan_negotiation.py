@@ -12,7 +12,7 @@ from agent.delivery.plan_negotiation import (
     digest_of,
 )
 from agent.delivery.task_registry import TaskRegistry, TransportTask
-from protocol.frames.delivery_frames import PlanRow
+from protocol.frames.delivery_frames import PlanOffer, PlanRow
 from tests.agent.planning import frozen, play, short_search
 from tests.state_tables import check_table
 
@@ -41,6 +41,15 @@ def test_when_the_elected_dies_the_next_is_elected(seed: int) -> None:
 def test_no_loss_keeps_anybody_in_a_round(seed: int) -> None:
     for peer in play(4, 0.3, seed):
         assert peer.phase is NegotiationPhase.REST
+
+
+@pytest.mark.parametrize("number", [1, 126, 127, 128, 200, 254, 255])
+def test_a_robot_that_restarts_joins_whatever_round_the_fleet_is_in(number: int) -> None:
+    """Found: it began at 0, so half of all numbers were over for it, and it adopted no plan."""
+    peers = play(2, 0.0, 1, number=number)
+    assert peers[0].adopted is not None and peers[1].adopted == peers[0].adopted
+    assert [peer.number for peer in peers] == [(number + 1) & 0xFF] * 2
+    assert not peers[1].wanted(PlanOffer(number, 4, 0, 0)), "from now on its own number counts"
 
 
 def test_rows_of_an_older_round_are_not_believed() -> None:

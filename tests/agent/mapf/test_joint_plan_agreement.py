@@ -2,8 +2,10 @@
 
 from random import Random
 
+import pytest
+
 from agent.interface.config import MS, S
-from agent.mapf.agreement_phase import AgreementPhase
+from agent.mapf.agreement_phase import NUMBERS, AgreementPhase
 from agent.mapf.joint_plan_agreement import JOINT_PLAN_TABLE, JointPlanAgreement, JointPlanEvent
 from agent.mapping.building import Floor
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
@@ -89,6 +91,17 @@ def test_two_that_call_at_once_have_called_one_round() -> None:
     assert [own.round for own in fleet.agreements] == [1, 1]
     assert [own.phase for own in fleet.agreements] == [AgreementPhase.GO] * 2
     assert fleet.agreements[0].plan == fleet.agreements[1].plan
+
+
+@pytest.mark.parametrize("number", [1, NUMBERS // 2 - 1, NUMBERS // 2, NUMBERS - 2, NUMBERS - 1])
+def test_a_robot_that_restarts_takes_part_in_whatever_round_the_fleet_is(number: int) -> None:
+    """Found: it began at 0, so half of all numbers were over for it, and the others waited for ever."""
+    fleet = two(0.0, 1)
+    fleet.agreements[0].round = number
+    fleet.agreements[0].call(0)
+    fleet.run(1.0)
+    assert {own.round for own in fleet.agreements} == {(number + 1) % NUMBERS}
+    assert [own.phase for own in fleet.agreements] == [AgreementPhase.GO] * 2
 
 
 def test_a_parked_robot_clears_the_way_and_returns() -> None:
