@@ -24,13 +24,20 @@ The contract:
 * `sense` and `drive` are called every 50 ms in the thread of the bus, and must not wait.
 * An OSError of `sense` or `drive` says that a device is gone for good. It ends the process with code 75,
   so that a supervisor starts it again. What comes back by itself is no error: `sense` returns None.
+* Any other exception is a fault of the driver: it ends the process with code 1 and one line.
 * `close` stands. A body can be opened again after it.
 
 `headland body-check` tries all of it on a body.
 """
 
+from collections.abc import Mapping
+from difflib import get_close_matches
 from importlib import import_module
 from importlib.util import find_spec
+from inspect import Parameter, signature
+from pathlib import Path
+from sysconfig import get_path
+from traceback import extract_tb
 from typing import Any, ClassVar, NamedTuple
 
 from agent.interface.effects import HALT, GatedDrive
@@ -130,10 +137,34 @@ class DryBody(RobotBody):
 
 PREFIX = __name__.removesuffix("agent.runtime.robot_body")  # in a wheel: `headland.`
 LAYERS = ("crdt", "protocol", "agent", "sim")
+OTHERS = (get_path("stdlib"), "<frozen")  # files in which no driver is
 
 
 class FactoryError(ValueError):
     """One line: why a factory that a robot file names cannot be used."""
+
+
+class OptionError(FactoryError):
+    """A factory does not take an option."""
+
+    def __init__(self, text: str, option: str) -> None:
+        super().__init__(text)
+        self.option = option
+
+
+def fault_text(problem: BaseException, file: str | None = None) -> str:
+    """An exception of a driver, and where it was raised: "KeyError: 'wheels' (rover.py:12)".
+
+    `file`: of the driver. Its last line in the traceback is named, although a library may have raised."""
+    frames = extract_tb(problem.__traceback__)
+    own = [frame for frame in frames if frame.filename == file]
+    own = (
+        own or [frame for frame in frames if not frame.filename.startswith(OTHERS)] or list(frames)
+    )
+    text = f"{type(problem).__name__}: {problem}" if str(problem) else type(problem).__name__
+    if isinstance(problem, SyntaxError) or not own:  # it names its file and line itself
+        return text
+    return f"{text} ({Path(own[-1].filename).name}:{own[-1].lineno})"
 
 
 def named(factory: str) -> Any:
@@ -142,21 +173,48 @@ def named(factory: str) -> Any:
     A module that Headland has is Headland's, although the working folder may have one of that name.
     """
     module, _, name = factory.partition(":")
+    if not module or not name:
+        raise FactoryError(f"{factory!r} is not MODULE:CLASS, or MODULE:FUNCTION")
     try:
         if PREFIX and module.split(".")[0] in LAYERS and _is_there(PREFIX + module):
             module = PREFIX + module
         return getattr(import_module(module), name)
     except (ImportError, AttributeError, ValueError) as problem:
-        raise FactoryError(f"{factory!r} cannot be imported: {problem}") from None
+        raise FactoryError(f"{factory!r} cannot be imported: {problem}") from problem
+    except Exception as problem:  # a module of a person raises what it likes
+        raise FactoryError(f"{factory!r} cannot be imported: {fault_text(problem)}") from problem
 
 
 def called(factory: str, *given: Any, **options: Any) -> Any:
-    """The result of a factory named "package.module:name". Raises FactoryError."""
+    """The result of a factory named "package.module:name". Raises FactoryError, and OSError and
+    ValueError of the factory: a device that is not there, and a value that is wrong."""
     make = named(factory)
+    _check_options(factory, make, options)
     try:
         return make(*given, **options)
-    except TypeError as problem:  # an option that it does not take
-        raise FactoryError(f"{factory!r}: {problem}") from None
+    except (OSError, ValueError):
+        raise
+    except TypeError as problem:
+        inside = problem.__traceback__ is not None and problem.__traceback__.tb_next is not None
+        said = fault_text(problem) if inside else str(problem)  # else an argument that is missing
+        raise FactoryError(f"{factory!r}: {said}") from problem
+    except Exception as problem:  # a factory of a person raises what it likes
+        raise FactoryError(f"{factory!r} raised {fault_text(problem)}") from problem
+
+
+def _check_options(factory: str, make: Any, options: Mapping[str, Any]) -> None:
+    """Raises OptionError."""
+    try:
+        takes = signature(make).parameters
+    except (TypeError, ValueError):  # of what is written in C, or is no function
+        return
+    if any(each.kind is Parameter.VAR_KEYWORD for each in takes.values()):
+        return
+    for option in options:
+        if option not in takes:
+            near = get_close_matches(option, takes, n=1)
+            hint = f"; did you mean {near[0]!r}?" if near else ""
+            raise OptionError(f"{factory!r} takes no option {option!r}{hint}", option)
 
 
 def _is_there(module: str) -> bool:

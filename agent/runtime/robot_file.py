@@ -61,6 +61,7 @@ from protocol.name import (
     DeviceFields,
 )
 
+VALUE_ERROR = ": value error, "  # how pydantic begins what a validator says
 LINE_MAX = 1000  # characters of a message
 WORKS = ("field", "warehouse", "navigation", "exploration", "coverage", "mission")
 
@@ -78,6 +79,12 @@ class AbsentError(RobotError):
     """A device of the machine is not there or does not answer: a later start may find it."""
 
     code = 75  # EX_TEMPFAIL of sysexits.h
+
+
+class DriverError(RobotError):
+    """A driver of a body has a fault: it raised what no driver is to raise, or returned no reading."""
+
+    code = 1  # it failed; a supervisor starts it again
 
 
 class Changes(NamedTuple):
@@ -217,7 +224,8 @@ class RobotFile(Table):
         try:
             found = cls(**{**document, "folder": folder})
         except ValidationError as problem:
-            raise RobotError(f"{name}: {first_error(problem, cls)}") from None
+            said = first_error(problem, cls).replace(VALUE_ERROR, ": ")
+            raise RobotError(f"{name}: {said}") from None
         except TypeError as problem:
             raise RobotError(f"{name}: {problem}") from None
         # A default number would let a machine wait for members that nobody has.

@@ -8,11 +8,14 @@ It ends on SIGTERM or Ctrl-C, with a farewell on the bus. `docs/use/robot.md` sa
 
 import argparse
 import asyncio
+import logging
 import secrets
 import sys
 from collections.abc import Callable, Mapping
+from ipaddress import ip_address
 from pathlib import Path
 from random import Random
+from traceback import clear_frames
 
 from agent.runtime.ready_kernels import use_ready_kernels
 
@@ -32,8 +35,22 @@ from agent.runtime.files.release_log import ReleaseLog, key_of, path_of
 from agent.runtime.gc_tuning import free_planning_memory, freeze_gc
 from agent.runtime.peer_factory import clock_zero_at_s, identity_of, keyring_of, make_peer
 from agent.runtime.peer_runner import PeerRunner
-from agent.runtime.robot_body import DeclaredMachine, DryBody, FactoryError, RobotBody
-from agent.runtime.robot_file import AbsentError, RobotBusTable, RobotError, RobotFile
+from agent.runtime.robot_body import (
+    DeclaredMachine,
+    DryBody,
+    FactoryError,
+    OptionError,
+    RobotBody,
+    fault_text,
+    named,
+)
+from agent.runtime.robot_file import (
+    AbsentError,
+    DriverError,
+    RobotBusTable,
+    RobotError,
+    RobotFile,
+)
 from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
@@ -41,6 +58,7 @@ from protocol.authentication import Keys
 from protocol.links.bus import CanBus, open_bus
 from protocol.links.socketcand_link import SocketcandLink
 
+MULTICAST = "udp_multicast"  # the interface of python-can whose channel is a multicast address
 TELL_AFTER_S = 2.0  # a person is told of a wait that is longer
 GOODBYE_S = 0.2  # for the farewell frame to leave
 LOST_LOOK_S = 1.0  # between two looks whether the interface of the bus is gone
@@ -48,9 +66,10 @@ WRONG = RobotError.code  # exit code of an error that a person has to mend; one 
 
 
 class AttendedBody(RobotBody):
-    """A body whose failures end its robot as an absent device does, so that a supervisor starts it again.
+    """A body whose failures end its robot with one line.
 
-    Each call raises AbsentError for an OSError of the driver."""
+    Each call raises AbsentError for an OSError of the driver, as for an absent device, so that a
+    supervisor starts the robot again, and DriverError for any other exception."""
 
     def __init__(self, body: RobotBody, slot: int) -> None:
         self.body, self.slot = body, slot
@@ -59,16 +78,26 @@ class AttendedBody(RobotBody):
     def sense(self, now_us: int) -> Observation | None:
         """The newest reading of the body."""
         try:
-            return self.body.sense(now_us)
-        except OSError as problem:
-            raise self._absent("sense", problem) from problem
+            seen: object = self.body.sense(now_us)
+        except Exception as problem:  # drivers raise what they like
+            raise self._failure("sense", problem) from problem
+        if seen is None or isinstance(seen, Observation):
+            return seen
+        self._failed = True
+        driver = type(driver_of(self.body))
+        code = driver.sense.__code__
+        where = f"{Path(code.co_filename).name}:{code.co_firstlineno}"
+        kind = type(seen).__name__
+        raise DriverError(
+            f"robot {self.slot}: body: sense returned no Observation but {kind} ({where})"
+        )
 
     def drive(self, command: GatedDrive, now_us: int) -> None:
         """Let the body obey."""
         try:
             self.body.drive(command, now_us)
-        except OSError as problem:
-            raise self._absent("drive", problem) from problem
+        except Exception as problem:  # drivers raise what they like
+            raise self._failure("drive", problem) from problem
 
     async def watch(self, peer: Peer) -> None:
         """Run what the body runs beside the robot."""
@@ -78,13 +107,28 @@ class AttendedBody(RobotBody):
         """Let the body stand. After another failure, one of this call says nothing new."""
         try:
             self.body.close()
-        except OSError as problem:
+        except Exception as problem:  # drivers raise what they like
             if not self._failed:
-                raise self._absent("close", problem) from problem
+                raise self._failure("close", problem) from problem
 
-    def _absent(self, call: str, problem: OSError) -> AbsentError:
+    def _failure(self, call: str, problem: Exception) -> RobotError:
         self._failed = True
-        return AbsentError(f"robot {self.slot}: body: {call}: {problem.strerror or problem}")
+        if isinstance(problem, OSError):
+            said = f"{call}: {problem.strerror or problem}"
+            return AbsentError(f"robot {self.slot}: body: {said}")
+        return driver_error(self.slot, call, self.body, problem)
+
+
+def driver_of(body: RobotBody) -> RobotBody:
+    """The body of a person, without one of ours round it."""
+    return body.body if isinstance(body, DryBody) else body
+
+
+def driver_error(slot: int, call: str, body: RobotBody | None, problem: Exception) -> DriverError:
+    """What an exception of a driver is for the person who has to mend it."""
+    module = None if body is None else sys.modules.get(type(driver_of(body)).__module__)
+    raised = fault_text(problem, getattr(module, "__file__", None))
+    return DriverError(f"robot {slot}: body: {call} raised {raised}")
 
 
 def keys_of(robot: RobotFile) -> Keys | None:
@@ -115,6 +159,10 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
 
     `answer_for_s`: until when the server has to answer; None: it is waited for, and a line says so."""
     options = table.options
+    if table.interface == MULTICAST and not _is_group(table.channel):
+        raise RobotError(
+            f"robot {slot}: bus.channel: {table.channel!r} is no multicast address, as 239.74.163.2 is"
+        )
     try:
         if table.interface != "socketcand":
             return open_bus(table.interface, table.channel, table.bitrate, **options)
@@ -122,6 +170,7 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
         host, port = str(options["host"]), int(options["port"])
         link = SocketcandLink(host, port, table.channel, rng)
     except Exception as problem:  # python-can interfaces raise what they like
+        _forget_half_opened(problem)
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         where = f"{table.interface} {table.channel}"
         # OSError: an adapter that is not plugged in, a link that is down.
@@ -141,6 +190,24 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
         link.close()
         raise
     return link
+
+
+def _is_group(channel: str) -> bool:
+    """Whether it is a multicast address."""
+    try:
+        return ip_address(channel).is_multicast
+    except ValueError:
+        return False
+
+
+def _forget_half_opened(problem: Exception) -> None:
+    """Free a bus that could not be opened, without python-can's line that nobody has closed it."""
+    log = logging.getLogger("can.bus")
+    disabled, log.disabled = log.disabled, True
+    try:
+        clear_frames(problem.__traceback__)
+    finally:
+        log.disabled = disabled
 
 
 async def _bus_before(end: asyncio.Event, robot: RobotFile) -> Bus | None:
@@ -170,20 +237,43 @@ def origin_of(robot: RobotFile) -> tuple[float, float] | None:
 
 async def opened_body(robot: RobotFile, *, dry: bool = False) -> RobotBody:
     """Its body, connected; with `dry` one that is never driven. Raises RobotError."""
-    slot = robot.robot.slot
+    slot, call = robot.robot.slot, "declare"
+    body: RobotBody | None = None
     try:
+        _check_class(robot)
         body = made(robot.body.plugin, robot.body.factory, slot, robot.body.options)
         body = DryBody(body) if dry else body
         body.declare(DeclaredMachine(robot.fleet.vehicle, origin_of(robot)))
+        call = "open"
         await body.open()
+    except RobotError:
+        raise
+    except OptionError as problem:
+        own = any(
+            each.slot == slot and problem.option in each.body_options for each in robot.machine
+        )
+        where = "body_options" if own else "body.options"
+        raise RobotError(f"robot {slot}: {where}: {problem}") from None
     except FactoryError as problem:
-        named = "plugin" if robot.body.factory is None else "factory"
-        raise RobotError(f"robot {slot}: body.{named}: {problem}") from None
+        key = "plugin" if robot.body.factory is None else "factory"
+        raise RobotError(f"robot {slot}: body.{key}: {problem}") from problem
     except OSError as problem:
         raise AbsentError(f"robot {slot}: body: {problem}") from None
     except ValueError as problem:
-        raise RobotError(f"robot {slot}: body: {problem}") from None
+        raise RobotError(f"robot {slot}: body: {problem}") from problem
+    except Exception as problem:  # drivers raise what they like
+        raise driver_error(slot, call, body, problem) from problem
     return body
+
+
+def _check_class(robot: RobotFile) -> None:
+    """Raises FactoryError where the factory of a body is a class of something else."""
+    factory = robot.body.factory
+    if factory is None:
+        return
+    make = named(factory)
+    if isinstance(make, type) and not issubclass(make, RobotBody):
+        raise FactoryError(f"{factory!r} makes no RobotBody")
 
 
 async def run_robot(
@@ -198,8 +288,8 @@ async def run_robot(
 
     `first_boot`: a new machine. Otherwise an empty memory counts as lost, and the robot stays latched
     until a person resets it. `dry`: its body is never driven. `started`: called once, when it takes
-    part. Raises RobotError before it takes part, AbsentError where a driver of its body or its bus fails
-    later, and whatever else ends its peer.
+    part. Raises RobotError before it takes part, AbsentError where a device of its body or its bus fails
+    later, DriverError where the driver of its body does, and whatever else ends its peer.
     """
     slot, keys = robot.robot.slot, keys_of(robot)
     journal, recalled = _journal(robot)

@@ -9,6 +9,7 @@ from tools.cli.panels import OPERATE, SET_UP
 from tools.common.options import PORT_MAX, Drive, Foxglove, Json, Metrics
 
 app = typer.Typer()
+LATITUDE_MAX, LONGITUDE_MAX = 90.0, 180.0  # degrees
 
 
 def _numbers(text: str, form: str) -> list[float]:
@@ -23,6 +24,8 @@ def _numbers(text: str, form: str) -> list[float]:
 
 def _place(text: str) -> tuple[float, float]:
     latitude, longitude = _numbers(text, "LATITUDE,LONGITUDE")
+    if not (abs(latitude) <= LATITUDE_MAX and abs(longitude) <= LONGITUDE_MAX):
+        raise typer.BadParameter(f"{text}: latitude is -90 to 90, longitude -180 to 180 degrees")
     return latitude, longitude
 
 

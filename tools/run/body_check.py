@@ -8,7 +8,6 @@ driver senses.
 import asyncio
 import json
 import time
-import traceback
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from itertools import combinations, pairwise
@@ -31,7 +30,7 @@ from agent.peer.place_jumps import (
     POSITION_ACCURACY_M,
 )
 from agent.runtime.body_plugins import made, plugins
-from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody
+from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody, fault_text
 from sim.files.strict_json import dumps
 from tools.common.exit_codes import INTERRUPTED, wrong
 from tools.common.findings import Finding, print_findings
@@ -84,9 +83,7 @@ def calling(name: str) -> Iterator[None]:
     except Exception as problem:
         if name == "open" and isinstance(problem, OSError):
             raise
-        frame = traceback.extract_tb(problem.__traceback__)[-1]
-        where = f"{Path(frame.filename).name}:{frame.lineno}"
-        raise WrongError(f"{name} raised {type(problem).__name__}: {problem} ({where})") from None
+        raise WrongError(f"{name} raised {fault_text(problem)}") from None
 
 
 def checked(seen: object) -> Observation | None:

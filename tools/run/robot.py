@@ -19,7 +19,7 @@ use_ready_kernels()  # before anything is imported that has kernels
 
 from agent.runtime.end_signals import on_closed_input, on_end
 from agent.runtime.peer_runner import PeerRunner
-from agent.runtime.robot_file import RobotError, RobotFile
+from agent.runtime.robot_file import DriverError, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, run_robot
 from tools.run.robot_lock import hold
 
@@ -51,6 +51,8 @@ def main() -> None:
     order = json.loads(sys.stdin.readline())
     try:
         asyncio.run(run(order))
+    except DriverError:
+        raise  # of our own body: the log of the launch has its traceback
     except RobotError as problem:
         print(problem, file=sys.stderr)
         sys.exit(WRONG)

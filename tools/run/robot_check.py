@@ -4,7 +4,6 @@ import asyncio
 import json
 import os
 import shutil
-import traceback
 from pathlib import Path
 
 from rich.console import Console
@@ -13,15 +12,16 @@ from shapely.geometry import Point
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.observation import Observation
 from agent.interface.ports import Confirming
+from agent.interface.vehicle import DriveTrain
 from agent.peer.place_jumps import AGE_MAX_US, JUMP_M, POSITION_ACCURACY_M
 from agent.peer.sense_freshness import blind_way_m, unusable
 from agent.runtime.declared_values import FleetTable
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.peer_runner import PeerRunner
-from agent.runtime.robot_body import RobotBody
+from agent.runtime.robot_body import RobotBody, fault_text
 from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
-from agent.runtime.robot_process import WRONG, keys_of, opened_body, opened_bus
+from agent.runtime.robot_process import WRONG, AttendedBody, keys_of, opened_body, opened_bus
 from agent.runtime.robot_work import work_of
 from tools.build.kernel_cache import WAIT
 from tools.common.exit_codes import wrong
@@ -57,6 +57,7 @@ async def _check(declared: RobotFile, as_json: bool) -> int:
     findings = [
         _file(declared),
         *_machine(declared),
+        *_hull(declared),
         _keys(declared),
         *kernels(declared),  # before the work, which compiles some
         _work(declared),
@@ -65,6 +66,7 @@ async def _check(declared: RobotFile, as_json: bool) -> int:
         await _bus(declared),
         *await _body(declared),
     ]
+    findings = _once(findings)
     bad = [finding for finding in findings if finding.ok is False]
     if as_json:
         said = {"ready": not bad, "findings": [finding._asdict() for finding in findings]}
@@ -74,6 +76,30 @@ async def _check(declared: RobotFile, as_json: bool) -> int:
         print_findings(console, findings)
         console.print("ready" if not bad else f"not ready: {', '.join(f.what for f in bad)}")
     return WRONG if bad else 0
+
+
+def _once(findings: list[Finding]) -> list[Finding]:
+    """Without what an earlier finding says: a field that is missing is missed by the body as well."""
+    said: set[str] = set()
+    kept = []
+    for finding in findings:
+        if finding.ok is not False or finding.found not in said:
+            kept.append(finding)
+        if finding.ok is False:
+            said.add(finding.found)
+    return kept
+
+
+def _hull(declared: RobotFile) -> list[Finding]:
+    """A word where the body that is kept clear of others has less width than its wheels."""
+    vehicle, radius_m = declared.fleet.vehicle, declared.fleet.radius_m
+    if vehicle.drive is DriveTrain.MECANUM or vehicle.track_m <= 2 * radius_m:
+        return []
+    text = (
+        f"radius_m {radius_m:g}: the hull is narrower than the wheels (track_m {vehicle.track_m:g}), "
+        "so others come too near"
+    )
+    return [Finding("hull", None, text)]
 
 
 def _file(declared: RobotFile) -> Finding:
@@ -176,7 +202,7 @@ async def _bus(declared: RobotFile) -> Finding:
 async def _body(declared: RobotFile) -> list[Finding]:
     name = declared.body.plugin or str(declared.body.factory)
     try:
-        body = await opened_body(declared, dry=True)
+        body = AttendedBody(await opened_body(declared, dry=True), declared.robot.slot)
         try:
             if "body" in declared.model_fields_set:
                 found = Finding("body", True, name)
@@ -188,10 +214,7 @@ async def _body(declared: RobotFile) -> list[Finding]:
     except RobotError as problem:
         return [Finding("body", False, str(problem))]
     except Exception as problem:  # drivers raise what they like
-        frame = traceback.extract_tb(problem.__traceback__)[-1]
-        where = f"{Path(frame.filename).name}:{frame.lineno}"
-        said = f"{name} raised {type(problem).__name__}: {problem} ({where})"
-        return [Finding("body", False, said)]
+        return [Finding("body", False, f"{name} raised {fault_text(problem)}")]
     return findings
 
 

@@ -5,6 +5,7 @@ It imports nothing that only a person needs: no library of the command line, and
 
 import asyncio
 import sys
+import traceback
 from contextlib import AbstractContextManager, nullcontext
 from importlib.util import find_spec
 from pathlib import Path
@@ -18,6 +19,7 @@ from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
 from tools.build.kernel_cache import WAIT
 from tools.common.exit_codes import INTERRUPTED, NO_ROOM
+from tools.common.verbosity import Verbosity
 from tools.run.needed_kernels import missing_kernels
 
 BLIND = (
@@ -64,6 +66,8 @@ def robot(
         with viewers:
             asyncio.run(until_told(declared, first_boot=first_boot, dry=dry))
     except RobotError as problem:
+        if Verbosity.verbose:
+            traceback.print_exc()
         print(f"headland: {problem}", file=sys.stderr)
         return problem.code
     except KeyboardInterrupt:

@@ -1,5 +1,6 @@
 """`headland robot` as a person calls it: what is missing, what runs, and nothing of the simulator."""
 
+import gc
 import json
 import signal
 import socket
@@ -13,6 +14,7 @@ from typing import Any
 from urllib.request import urlopen
 
 import pytest
+from typer.testing import CliRunner
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
@@ -22,6 +24,7 @@ from agent.runtime.robot_work import work_of
 from tests.tools.launching import ENVIRONMENT, ROOT
 from tools.build.kernel_cache import is_kept
 from tools.build.warmup import rehearse
+from tools.cli.robot_commands import app
 from tools.run import robot_check
 from tools.run.needed_kernels import NEEDED, TURNS
 from tools.run.robot_command import robot
@@ -161,6 +164,177 @@ def test_check_says_what_a_driver_raises(method: str, arguments: str, folder: Pa
     code, out, err = end(begin(folder, "fleet.toml", "--slot", "1", "--check"))
     assert code == 2 and "not ready: body" in out and "Traceback" not in err, out + err
     assert "raised KeyError: 'wheels' (mine.py:4)" in " ".join(out.split()), out
+
+
+MINE = """from agent.interface.observation import Observation
+from agent.runtime.robot_body import StandingBody
+class Mine(StandingBody):
+"""
+
+
+MULTICAST = 'interface = "udp_multicast"\nchannel = '
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("", '[body]\nfactory = "my_rover"', "body.factory: 'my_rover' is not MODULE:CLASS"),
+        ("", '[body]\nfactory = "json:"', "body.factory: 'json:' is not MODULE:CLASS"),
+        ("", '[body]\nfactory = "pathlib:Path"', "'pathlib:Path' makes no RobotBody"),
+        (
+            "", '[body]\nplugin = "standing"\noptions = { x_n = 1.0 }',
+            "robot 2: body.options: 'agent.runtime.robot_body:StandingBody' takes no option 'x_n'; "
+            "did you mean 'x_m'?",
+        ),
+        ("x_m = 5.0", "x_n = 5.0", "robot 2: body_options: "),
+        (
+            'interface = "virtual"\nchannel = "try"', f'{MULTICAST}"10.1.1.1"',
+            "robot 2: bus.channel: '10.1.1.1' is no multicast address, as 239.74.163.2 is",
+        ),
+        (
+            'interface = "virtual"\nchannel = "try"',
+            f'{MULTICAST}"239.74.163.2"\noptions = {{ hop_limit = "x" }}',
+            "bus: cannot open udp_multicast 239.74.163.2: ",
+        ),
+    ],
+)  # fmt: skip
+def test_a_wrong_word_of_the_file_is_one_line(
+    old: str, new: str, said: str, folder: Path, capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    """Some were the words of Python, and python-can added that a bus was not shut down."""
+    text = FILE.replace(old, new) if old else f"{FILE}{new}\n"
+    (folder / "fleet.toml").write_text(text)
+    assert robot(folder / "fleet.toml", Changes(slot=2), first_boot=True, dry=False) == 2
+    gc.collect()
+    err = capfd.readouterr().err
+    lines = [line for line in err.splitlines() if "does not see people" not in line]
+    assert [line for line in lines if "NO KEYS" not in line and said not in line] == [], err
+    assert sum(said in line for line in lines) == 1, err
+
+
+def test_python_can_says_nothing_of_a_bus_that_could_not_be_opened(
+    folder: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    bus = f'{MULTICAST}"239.74.163.2"\noptions = {{ hop_limit = "x" }}'
+    text = FILE.replace('interface = "virtual"\nchannel = "try"', bus)
+    (folder / "fleet.toml").write_text(text)
+    assert robot(folder / "fleet.toml", Changes(slot=2), first_boot=True, dry=False) == 2
+    gc.collect()
+    assert "shut down" not in caplog.text
+
+
+def test_an_empty_body_is_told_plainly(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """It was `body: value error, a body has ...`."""
+    (folder / "fleet.toml").write_text(FILE + "[body]\n")
+    assert robot(folder / "fleet.toml", Changes(slot=2), first_boot=True, dry=False) == 2
+    assert "fleet.toml: body: a body has either plugin or factory" in capsys.readouterr().err
+
+
+def test_check_says_once_that_the_field_is_missing(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = checked(folder, FILE + '[field]\nfile = "gone.geojson"\n', capsys)
+    assert code == 2 and found["work"][0] is False and "gone.geojson" in found["work"][1]
+    assert "body" not in found
+
+
+@pytest.mark.parametrize(
+    ("fleet", "noted"),
+    [
+        ('drive = "differential"\nradius_m = 0.1\ntrack_m = 1.0', True),
+        ('drive = "differential"\nradius_m = 0.5\ntrack_m = 1.0', False),
+        ('drive = "mecanum"\nradius_m = 0.1\ntrack_m = 1.0', False),
+    ],
+)
+def test_check_notes_a_hull_that_is_narrower_than_the_wheels(
+    fleet: str, noted: bool, folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code, found = checked(folder, FILE.replace("robots = 3", f"robots = 3\n{fleet}"), capsys)
+    assert code == 0 and ("hull" in found) == noted
+
+
+@pytest.mark.parametrize("command", ["body-check standing", "machine"])
+@pytest.mark.parametrize("origin", ["52,500", "91,5", "nan,5"])
+def test_an_origin_that_is_no_place_on_earth_is_refused(command: str, origin: str) -> None:
+    result = CliRunner().invoke(app, [*command.split(), "--origin", origin])
+    assert result.exit_code == 2 and "-90 to 90" in result.output
+
+
+@pytest.mark.parametrize("dry", [False, True])
+@pytest.mark.parametrize(
+    ("text", "code", "said"),
+    [
+        ("def broken(:", 2, "body.factory: 'mine:Mine' cannot be imported: SyntaxError: "),
+        ("raise KeyError('no')", 2, "cannot be imported: KeyError: 'no' (mine.py:1)"),
+        (
+            MINE + "    def __init__(self, slot):\n        {}['port']\n", 2,
+            "body.factory: 'mine:Mine' raised KeyError: 'port' (mine.py:5)",
+        ),
+        (
+            MINE + "    def __init__(self, slot):\n        None + 1\n", 2,
+            "'mine:Mine': TypeError: unsupported operand type(s) for +: 'NoneType' and 'int' (mine.py:5)",
+        ),
+        (
+            MINE + "    async def open(self):\n        {}['port']\n", 1,
+            "body: open raised KeyError: 'port' (mine.py:5)",
+        ),
+        (
+            MINE + "    def sense(self, now_us):\n        import json; json.loads(3)\n", 1,
+            "body: sense raised TypeError: the JSON object must be str, bytes or bytearray, not int "
+            "(mine.py:5)",
+        ),
+        (
+            MINE + "    def sense(self, now_us):\n        return 1.0, 2.0, 0.0\n", 1,
+            "body: sense returned no Observation but tuple (mine.py:4)",
+        ),
+        (
+            MINE + "    def drive(self, command, now_us):\n        {}['port']\n", 1,
+            "body: drive raised KeyError: 'port' (mine.py:5)",
+        ),
+    ],
+)  # fmt: skip
+def test_a_fault_of_a_driver_is_one_line_that_says_where(
+    text: str, code: int, said: str, dry: bool, folder: Path, capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:  # fmt: skip
+    """It was a traceback, and the exit code was 1 for what a person has to mend."""
+    (folder / "mine.py").write_text(text)
+    (folder / "fleet.toml").write_text(FILE + '[body]\nfactory = "mine:Mine"\n')
+    monkeypatch.syspath_prepend(str(folder))
+    monkeypatch.delitem(sys.modules, "mine", raising=False)
+    assert robot(folder / "fleet.toml", Changes(slot=0), first_boot=True, dry=dry) == code
+    lines = [line for line in capsys.readouterr().err.splitlines() if "robot 0: body" in line]
+    assert len(lines) == 1 and said in lines[0], lines
+    _, found = checked(folder, (folder / "fleet.toml").read_text(), capsys)
+    if "def drive" not in text:  # a check drives nothing
+        assert found["body"][0] is False and said in found["body"][1]
+
+
+def test_the_traceback_of_a_driver_is_told_with_v(folder: Path) -> None:
+    (folder / "mine.py").write_text(MINE + "    async def open(self):\n        {}['port']\n")
+    (folder / "fleet.toml").write_text(FILE + '[body]\nfactory = "mine:Mine"\n')
+    words = ("fleet.toml", "--slot", "0", "--first-boot")
+    for more, told in ((), False), (("-v",), True):
+        code, _, err = end(begin(folder, *words, *more))
+        assert code == 1 and ("Traceback" in err and "{}['port']" in err) == told, err
+        assert err.count("headland: robot 0: body: open raised KeyError: 'port' (mine.py:5)") == 1
+
+
+def test_the_log_of_a_launch_keeps_the_traceback_of_its_body(folder: Path) -> None:
+    (folder / "mine.py").write_text(MINE + "    async def open(self):\n        {}['port']\n")
+    order = {
+        "first_boot": True,
+        "robot": {
+            "name": "try", "fleet": {"robots": 1}, "body": {"factory": "mine:Mine"},
+            "robot": {"slot": 0, "journal": str(folder)},
+        },
+    }  # fmt: skip
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.run.robot"], input=json.dumps(order) + "\n", cwd=folder,
+        env={**ENVIRONMENT, "PYTHONPATH": f"{folder}:{ROOT}"}, capture_output=True, text=True,
+    )  # fmt: skip
+    assert done.returncode == 1 and "Traceback" in done.stderr, done.stderr
+    assert "DriverError: robot 0: body: open raised KeyError: 'port' (mine.py:5)" in done.stderr
 
 
 def test_a_plugin_of_another_package_is_found(folder: Path) -> None:
