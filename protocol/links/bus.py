@@ -7,7 +7,9 @@ start of a tool. So it is imported with the first bus, and not by a tool that fi
 import asyncio
 import logging
 import os
+import secrets
 import socket
+import string
 import sys
 import threading
 import time
@@ -26,8 +28,9 @@ if TYPE_CHECKING:
 # echo of the driver, the others by the receipt of the controller. `virtual` is a queue in this
 # process, so a frame is sent as soon as it is queued.
 CONFIRMING: Final = frozenset({"socketcan", "kvaser", "pcan", "vector", "virtual"})
-# Own frames that wait for their confirmation; above this number the oldest is dropped.
-UNCONFIRMED_MAX: Final = 512
+# Own frames that wait for their return; above this number the oldest is dropped.
+UNRETURNED_MAX: Final = 512
+MARK_SIZE: Final = 12  # letters, so that two of a fleet are never equal
 # Options of Linux that no module of Python names (linux/in.h, linux/in6.h).
 IP_MULTICAST_ALL: Final = 49
 IPV6_MULTICAST_ALL: Final = 29
@@ -92,12 +95,50 @@ class InterfaceErrors:
         return None
 
 
+class Loopback:
+    """Own frames that an interface returns without a mark of its own, as UDP multicast does.
+
+    Each carries a mark of this bus as its channel, and is expected back once. So a frame of another
+    device is heard, also if it has our address and equal data. The kernel returns a frame before it
+    leaves the machine, and also if no cable is plugged in. So a return confirms nothing
+    (`agent.interface.ports.Confirming`).
+    """
+
+    def __init__(self) -> None:
+        # Letters alone: loggers of python-can take digits at the end of a channel for its number.
+        self.mark = "".join(secrets.choice(string.ascii_lowercase) for _ in range(MARK_SIZE))
+        self._unreturned: deque[Frame] = deque(maxlen=UNRETURNED_MAX)
+
+    def sent(self, frame: Frame) -> None:
+        """The interface has taken a frame of ours."""
+        self._unreturned.append(frame)
+
+    def is_own(self, message: "can.Message") -> bool:
+        """Whether this is our own frame returned. Another one of the same is not."""
+        if message.channel != self.mark:
+            return False
+        return _taken(Frame(message.arbitration_id, bytes(message.data)), self._unreturned)
+
+
+def _taken(frame: Frame, waiting: deque[Frame]) -> bool:
+    """Take a returned frame out of those that wait; False if it is none of them. Those before it are
+    not returned any more."""
+    if frame not in waiting:
+        return False
+    while waiting.popleft() != frame:
+        pass
+    return True
+
+
 class CanBus:
     """Any python-can bus. Frames that cannot be used are counted; nothing here raises while
     running."""
 
-    def __init__(self, bus: "can.BusABC", confirms: bool = False) -> None:
-        """`confirms`: whether the bus was opened with `receive_own_messages`."""
+    def __init__(
+        self, bus: "can.BusABC", confirms: bool = False, loopback: Loopback | None = None
+    ) -> None:
+        """`confirms`: whether the bus was opened with `receive_own_messages`. `loopback`: how own frames
+        are recognised that the interface returns unmarked; None: it returns none."""
         import can
 
         # Without a type, mypyc takes the attribute for a name of the module, and makes none.
@@ -105,7 +146,8 @@ class CanBus:
         self.bus = bus
         self._direct_sent = hasattr(bus, "sent")
         self._confirmed: int | None = 0 if confirms else None
-        self._unconfirmed: deque[Frame] = deque(maxlen=UNCONFIRMED_MAX)
+        self._unconfirmed: deque[Frame] = deque(maxlen=UNRETURNED_MAX)
+        self._loopback = loopback
         self.ignored = 0  # error, remote and 11-bit frames
         self.refused = 0  # frames that the driver did not accept
         self._told = Health.ACTIVE  # health as reported by error frames
@@ -121,14 +163,18 @@ class CanBus:
         if self._submit is not None:
             taken = self._submit(frame)
         else:
+            loopback = self._loopback
             message = self._can.Message(
-                arbitration_id=frame.identifier, data=frame.data, is_extended_id=True, check=False
-            )
+                arbitration_id=frame.identifier, data=frame.data, is_extended_id=True, check=False,
+                channel=None if loopback is None else loopback.mark,
+            )  # fmt: skip
             try:
                 if self._confirmed is not None:
                     self._unconfirmed.append(frame)
                 self.bus.send(message, timeout=0)
                 taken = True
+                if loopback is not None:
+                    loopback.sent(frame)
             except (self._can.CanError, OSError, ValueError) as problem:
                 taken = False
                 self.errors.add_code(problem)
@@ -160,13 +206,13 @@ class CanBus:
     def _is_own(self, message: "can.Message") -> bool:
         """Whether this is our own frame returned. SocketCAN marks frames of other local programs
         too."""
+        if self._loopback is not None:
+            return self._loopback.is_own(message)
         if message.is_rx or self._confirmed is None:
             return False
         frame = Frame(message.arbitration_id, bytes(message.data))
-        if frame not in self._unconfirmed:
+        if not _taken(frame, self._unconfirmed):
             return False
-        while self._unconfirmed.popleft() != frame:
-            pass  # the driver did not confirm those
         self._confirmed += 1
         return True
 
@@ -267,6 +313,7 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
     if interface == "udp_multicast":
         _hear_own_group_alone(bus)
+        return CanBus(bus, loopback=Loopback())
     return CanBus(bus, bool(options.get("receive_own_messages")) and interface in CONFIRMING)
 
 

@@ -1,0 +1,103 @@
+"""A robot on UDP multicast, which returns its own frames to it."""
+
+import asyncio
+from collections.abc import Iterator
+from pathlib import Path
+from secrets import randbelow
+
+import can
+import pytest
+
+from agent.peer.inputs import Press
+from agent.runtime.peer_runner import PeerRunner
+from agent.runtime.robot_file import RobotFile
+from agent.runtime.robot_process import run_robot
+from agent.safety.stop_cause import StopCause
+from protocol.frames.codec import encode
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
+
+INTERFACE, LIMIT_S, LOOK_S = "udp_multicast", 30.0, 0.01
+BUTTON = (
+    200  # an address behind those of robots, so that a stop of a robot is named before its stop
+)
+
+
+@pytest.fixture
+def group() -> str:
+    """A channel of datagrams that reach this machine itself."""
+    name = f"239.74.166.{1 + randbelow(250)}"
+    try:
+        with can.Bus(name, INTERFACE) as out, can.Bus(name, INTERFACE) as back:
+            out.send(can.Message(arbitration_id=1, is_extended_id=True))
+            heard = back.recv(timeout=2.0)
+    except (OSError, can.CanError, ImportError) as problem:
+        pytest.skip(f"this machine has no multicast: {problem}")
+    if heard is None:
+        pytest.skip("this machine does not deliver its own multicast datagrams")
+    return name
+
+
+@pytest.fixture
+def plain(group: str) -> Iterator[can.BusABC]:
+    """Another device in the group."""
+    with can.Bus(group, INTERFACE) as bus:
+        yield bus
+
+
+def document(group: str, folder: Path) -> RobotFile:
+    return RobotFile.of(
+        {
+            "name": "multicast", "robot": {"slot": 0}, "fleet": {"robots": 1},
+            "bus": {"interface": INTERFACE, "channel": group},
+        }, "robot.toml", folder,
+    )  # fmt: skip
+
+
+def test_a_robot_does_not_take_its_own_stop_frame_for_the_button_of_another_maker(
+    group: str, plain: can.BusABC, tmp_path: Path
+) -> None:
+    """It stood for `IMPLEMENTS_STOP with address 128`, its own address. Another machine at that
+    address still stops it."""
+
+    async def main() -> None:
+        end, runners, loop = asyncio.Event(), list[PeerRunner](), asyncio.get_running_loop()
+        robot = document(group, tmp_path)
+        running = asyncio.create_task(
+            run_robot(robot, end, first_boot=True, started=runners.append)
+        )
+
+        async def turn() -> None:
+            assert not running.done(), running.result()
+            turn = loop.create_future()
+            loop.call_later(LOOK_S, turn.set_result, None)
+            await turn
+
+        async def held_by() -> str:
+            while (cause := StopCause.IMPLEMENTS_STOP) not in (found := dict(peer.safety.causes)):
+                await turn()
+            return found[cause]
+
+        def says(frame: Frame) -> None:
+            plain.send(can.Message(arbitration_id=frame.identifier, data=frame.data))
+
+        async with asyncio.timeout(LIMIT_S):
+            while not runners or runners[0].peer.address is None:
+                await turn()
+            peer = runners[0].peer
+            runners[0].operate(Press(Reason.PERSON_IN_FIELD))
+            stop = encode(AllImplementsStop(1, Switch.STOP), peer.address or 0)
+            while (heard := plain.recv(0.0)) is None or heard.arbitration_id != stop.identifier:
+                if heard is None:
+                    await turn()
+            assert bytes(heard.data) == stop.data
+            says(encode(AllImplementsStop(1, Switch.STOP), BUTTON))
+            assert await held_by() == f"address {BUTTON}"
+            says(encode(AllImplementsStop(2, Switch.PERMIT), BUTTON))
+            says(stop)
+            while await held_by() != f"address {peer.address}":
+                await turn()
+            end.set()
+            await running
+
+    asyncio.run(main())
