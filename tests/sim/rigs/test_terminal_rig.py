@@ -161,7 +161,7 @@ def test_a_release_that_is_asked_for_keeps_no_computer_busy_between_reset_and_re
     assert fleet.serving is not None
     peer, now_us, timers = fleet.serving.peer, fleet.now_us, 0
     for dot in list(peer.safety.stops.active):
-        peer.safety.clear_near(dot, "operator")
+        peer.safety.clear_near(dot, "operator", now_us)
     peer.step(ManualReset(), now_us)
     assert not peer.joining.joined
     while now_us < fleet.now_us + 200 * MS and timers < 1000:
