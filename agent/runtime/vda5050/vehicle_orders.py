@@ -124,9 +124,16 @@ def _is_ours(order_id: str) -> bool:
     return order_id.startswith(f"{NAME}/")
 
 
+def _kind_of(act: ActionState) -> str | None:
+    """What an action does. A vehicle need not say the type, so it is also in the ids of our actions."""
+    if act.action_type is None and _parcel_of(act.action_id) != NOTHING_ABOARD:
+        return act.action_id.split("/")[-2]
+    return act.action_type
+
+
 def _handling(state: VehicleState) -> ActionState | None:
     """The newest pick or drop of the order that a vehicle has; None: it has none."""
-    acts = [each for each in state.action_states if each.action_type in ("pick", "drop")]
+    acts = [each for each in state.action_states if _kind_of(each) in ("pick", "drop")]
     return acts[-1] if acts else None
 
 
@@ -190,7 +197,7 @@ class VehicleOrders:
             return
         if sent.parcel >= 0 and act is not None:
             if act.action_status is ActionStatus.FINISHED:
-                self._handled(sent, act.action_type == "drop")
+                self._handled(sent, _kind_of(act) == "drop")
             else:
                 self._failed_at_us = now_us
             self._learnt = act.action_id
@@ -216,7 +223,7 @@ class VehicleOrders:
         if parcel < 0 or not act.action_id.startswith(f"{state.order_id}/"):
             return
         self._learnt = act.action_id
-        if act.action_type == "drop":
+        if _kind_of(act) == "drop":
             self.load = parcel
         node = self._node(0, (at.x, at.y))
         self.machine.fire(OrderEvent.ORDERED)

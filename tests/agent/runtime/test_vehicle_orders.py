@@ -285,6 +285,42 @@ def test_a_parcel_is_picked_and_dropped_and_a_failure_changes_nothing() -> None:
     assert orders.load == -1 and orders.dropped == {7: (4.0, 1.0)}
 
 
+def untyped(state: VehicleState) -> VehicleState:
+    acts = [each.model_copy(update={"action_type": None}) for each in state.action_states]
+    return state.model_copy(update={"action_states": acts})
+
+
+def test_a_vehicle_that_does_not_say_types_of_actions_is_understood() -> None:
+    """Found: the type is optional in a state. Without it no pick ever ended, and the next was sent."""
+    orders = fresh()
+    act = STILL._replace(parcel_action=7)
+    pick = ordered(orders.want(act, (1.0, 1.0), 0))
+    orders.on_state(untyped(state(pick, ahead=False, status="RUNNING")), S)
+    assert orders.load == -1 and orders.want(act, (1.0, 1.0), S) is None
+    orders.on_state(untyped(state(pick, ahead=False)), 2 * S)
+    assert orders.load == 7
+    drop = ordered(orders.want(act, (4.0, 1.0), 3 * S))
+    at = AgvPosition(x=4.0, y=1.0, theta=0.0, map_id="hall", position_initialized=True)
+    runs = untyped(state(drop, ahead=False, status="RUNNING"))
+    during = fresh("during")
+    during.on_state(runs.model_copy(update={"agv_position": at}), 4 * S)
+    assert during.load == 7 and during.want(act, (4.0, 1.0), 4 * S) is None
+    for own in (orders, during):
+        own.on_state(untyped(state(drop, ahead=False)), 5 * S)
+        assert own.load == -1 and own.dropped == {7: (4.0, 1.0)}
+
+
+@pytest.mark.parametrize(
+    "name", ["", "headland", "headland/", "headland/7", "headland//7", "other/pick/7"]
+)
+def test_an_action_without_type_whose_id_is_no_pick_of_ours_is_none(name: str) -> None:
+    orders = fresh()
+    pick = ordered(orders.want(STILL._replace(parcel_action=7), (1.0, 1.0), 0))
+    strange = ActionState(action_id=name, action_status=ActionStatus.RUNNING)
+    orders.on_state(state(pick, ahead=False).model_copy(update={"action_states": [strange]}), S)
+    assert orders.phase is OrderPhase.FREE and orders.load == -1
+
+
 def test_a_program_that_forgot_learns_from_the_vehicle_what_is_aboard() -> None:
     orders = fresh()
     act = STILL._replace(parcel_action=7)
