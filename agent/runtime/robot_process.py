@@ -55,7 +55,7 @@ from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
 from agent.segments.segment_area import Area
 from protocol.authentication import Keys
-from protocol.links.bus import CanBus, open_bus
+from protocol.links.bus import GONE, CanBus, open_bus
 from protocol.links.socketcand_link import SocketcandLink
 
 MULTICAST = "udp_multicast"  # the interface of python-can whose channel is a multicast address
@@ -173,8 +173,10 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
         _forget_half_opened(problem)
         reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
         where = f"{table.interface} {table.channel}"
-        # OSError: an adapter that is not plugged in, a link that is down.
-        kind = AbsentError if isinstance(problem, OSError) else RobotError
+        # OSError: an adapter that is not plugged in, a link that is down. Of a multicast group it is the
+        # cause of another error.
+        gone = getattr(problem.__cause__, "errno", None) in GONE
+        kind = AbsentError if gone or isinstance(problem, OSError) else RobotError
         raise kind(f"robot {slot}: bus: cannot open {where}: {reason}") from None
     unanswered = f"no socketcand server answers at {host}:{port}"
     try:

@@ -41,6 +41,9 @@ LOST_S: Final = (
     3.0  # errors for this long, and no frame: the interface does not come back by itself
 )
 ERROR_GAP_S: Final = 1.0  # errors that are further apart are not the same one
+# A multicast group is joined again after this long in which frames are sent and none of them comes back.
+# The kernel returns a frame within a millisecond.
+DEAF_S: Final = 2.0
 TELL_EVERY_S: Final = 10.0  # between two lines about errors of reception
 RETRY_S: Final = 0.05  # a thread waits for this long after an error, so that it does not spin
 
@@ -101,23 +104,65 @@ class Loopback:
     Each carries a mark of this bus as its channel, and is expected back once. So a frame of another
     device is heard, also if it has our address and equal data. The kernel returns a frame before it
     leaves the machine, and also if no cable is plugged in. So a return confirms nothing
-    (`agent.interface.ports.Confirming`).
+    (`agent.interface.ports.Confirming`). But frames that are sent and do not come back say that the
+    socket is no member of its group any more. It loses that with the network interface, and an interface
+    that comes back is another one.
     """
 
-    def __init__(self) -> None:
+    def __init__(
+        self, opened: "Callable[[], can.BusABC]", clock: Callable[[], float] = time.monotonic
+    ) -> None:
+        """`opened`: opens the interface and joins the group. `clock`: seconds."""
+        self.opened, self.clock = opened, clock
         # Letters alone: loggers of python-can take digits at the end of a channel for its number.
         self.mark = "".join(secrets.choice(string.ascii_lowercase) for _ in range(MARK_SIZE))
         self._unreturned: deque[Frame] = deque(maxlen=UNRETURNED_MAX)
+        self._returns = False  # else this system returns none, and that says nothing
+        self._run_at_s: float | None = None  # since when frames are sent and none comes back
+        self._sent_at_s = 0.0  # when the newest frame was sent
+        self._told_at_s: float | None = None
 
     def sent(self, frame: Frame) -> None:
         """The interface has taken a frame of ours."""
+        now_s = self.clock()
+        # Returned frames of a process that was frozen may still wait to be read.
+        if self._run_at_s is None or now_s - self._sent_at_s > ERROR_GAP_S:
+            self._run_at_s = now_s
+        self._sent_at_s = now_s
         self._unreturned.append(frame)
 
     def is_own(self, message: "can.Message") -> bool:
         """Whether this is our own frame returned. Another one of the same is not."""
         if message.channel != self.mark:
             return False
-        return _taken(Frame(message.arbitration_id, bytes(message.data)), self._unreturned)
+        if not _taken(Frame(message.arbitration_id, bytes(message.data)), self._unreturned):
+            return False
+        self._returns, self._run_at_s = True, None
+        return True
+
+    @property
+    def deaf(self) -> bool:
+        """Whether frames were sent for `DEAF_S` and none came back."""
+        run_at_s = self._run_at_s
+        return self._returns and run_at_s is not None and self._sent_at_s - run_at_s >= DEAF_S
+
+    def joined_again(self) -> "can.BusABC | None":
+        """The interface, opened once more; None if that fails. `deaf` is true `DEAF_S` later at the
+        earliest."""
+        import can
+
+        self._run_at_s = None
+        bus, done = None, "joined the group again"
+        try:
+            bus = self.opened()
+            self._unreturned.clear()
+        except (can.CanError, OSError) as problem:
+            done = f"cannot join the group again: {problem}"
+        now_s = self.clock()
+        if self._told_at_s is None or now_s - self._told_at_s >= TELL_EVERY_S:
+            self._told_at_s = now_s
+            log.warning("bus: own frames do not come back: %s", done)
+        return bus
 
 
 def _taken(frame: Frame, waiting: deque[Frame]) -> bool:
@@ -153,9 +198,8 @@ class CanBus:
         self._told = Health.ACTIVE  # health as reported by error frames
         self.errors = InterfaceErrors()
         self._notifier: can.Notifier | None = None
-        self._read: tuple[asyncio.AbstractEventLoop, int] | None = (
-            None  # loop and file that it reads
-        )
+        # Loop, the file that it reads, and what it calls then.
+        self._read: tuple[asyncio.AbstractEventLoop, int, Callable[[], None]] | None = None
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
     def send(self, frame: Frame) -> bool:
@@ -175,6 +219,8 @@ class CanBus:
                 taken = True
                 if loopback is not None:
                     loopback.sent(frame)
+                    if loopback.deaf:
+                        self._join_again(loopback)
             except (self._can.CanError, OSError, ValueError) as problem:
                 taken = False
                 self.errors.add_code(problem)
@@ -253,7 +299,27 @@ class CanBus:
                 heard(message)
 
         loop.add_reader(file, readable)
-        self._read = loop, file
+        self._read = loop, file, readable
+
+    def _join_again(self, loopback: Loopback) -> None:
+        """Receive by a new socket, which is a member of its group."""
+        bus = loopback.joined_again()
+        if bus is None:
+            return
+        read = self._read
+        self._end_read()
+        self.bus.shutdown()
+        self.bus = bus
+        if read is not None:
+            loop, _, readable = read
+            self._read = loop, bus.fileno(), readable
+            loop.add_reader(bus.fileno(), readable)
+
+    def _end_read(self) -> None:
+        if self._read is not None:
+            loop, file, _ = self._read
+            loop.remove_reader(file)
+            self._read = None
 
     @property
     def lost(self) -> str | None:
@@ -266,10 +332,7 @@ class CanBus:
         if self._notifier is not None:
             self._notifier.stop()
             self._notifier = None
-        if self._read is not None:
-            loop, file = self._read
-            loop.remove_reader(file)
-            self._read = None
+        self._end_read()
         self.bus.shutdown()
 
 
@@ -304,6 +367,14 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
     raises the interface's exceptions."""
     import can
 
+    if interface == "udp_multicast":
+
+        def opened() -> "can.BusABC":
+            bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
+            _hear_own_group_alone(bus)
+            return bus
+
+        return CanBus(opened(), loopback=Loopback(opened))
     # The interface has no bit rate of its own. Without tcp_tune, TCP delays small frames.
     if interface == "socketcand":
         bus = can.Bus(interface=interface, channel=channel, tcp_tune=True, **options)
@@ -311,9 +382,6 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
         if interface in CONFIRMING:
             options.setdefault("receive_own_messages", True)
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
-    if interface == "udp_multicast":
-        _hear_own_group_alone(bus)
-        return CanBus(bus, loopback=Loopback())
     return CanBus(bus, bool(options.get("receive_own_messages")) and interface in CONFIRMING)
 
 

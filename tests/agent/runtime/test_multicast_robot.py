@@ -1,6 +1,9 @@
 """A robot on UDP multicast, which returns its own frames to it."""
 
 import asyncio
+import shutil
+import subprocess
+import sys
 from collections.abc import Iterator
 from pathlib import Path
 from secrets import randbelow
@@ -18,9 +21,8 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 
 INTERFACE, LIMIT_S, LOOK_S = "udp_multicast", 30.0, 0.01
-BUTTON = (
-    200  # an address behind those of robots, so that a stop of a robot is named before its stop
-)
+BUTTON = 200  # behind the addresses of robots, so that a robot that holds is named first
+EX_TEMPFAIL = 75  # `headland@.service` starts a robot again after this
 
 
 @pytest.fixture
@@ -101,3 +103,23 @@ def test_a_robot_does_not_take_its_own_stop_frame_for_the_button_of_another_make
             await running
 
     asyncio.run(main())
+
+
+def test_a_robot_that_is_started_before_its_network_interface_is_there_ends_with_code_75(
+    tmp_path: Path,
+) -> None:
+    """The code was 2, after which systemd does not start a robot again."""
+    namespace = ["unshare", "-rn"]
+    if shutil.which("unshare") is None or subprocess.run([*namespace, "true"]).returncode:
+        pytest.skip("no network of its own can be made here")
+    file = tmp_path / "robot.toml"
+    file.write_text(
+        'name = "absent"\n[fleet]\nrobots = 1\n[robot]\nslot = 0\njournal = "."\n'
+        f'[bus]\ninterface = "{INTERFACE}"\nchannel = "239.74.166.1"\n'
+    )
+    module = ["-P", "-m", "agent.runtime.robot_process", str(file), "--first-boot"]
+    found = subprocess.run(
+        [*namespace, sys.executable, *module], capture_output=True, text=True, timeout=120
+    )
+    assert found.returncode == EX_TEMPFAIL, found.stderr
+    assert "robot 0: bus: cannot open udp_multicast 239.74.166.1" in found.stderr

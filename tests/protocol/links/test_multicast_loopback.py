@@ -1,15 +1,24 @@
-"""UDP multicast returns a robot's own frames to it: they are recognised."""
+"""UDP multicast returns a robot's own frames to it: they are recognised, and missed."""
 
 import asyncio
+import json
+import os
+import shutil
+import socket
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
+from pathlib import Path
 from secrets import randbelow
 
 import can
 import pytest
 
 from protocol.frames.frame import Frame
-from protocol.links.bus import CanBus, open_bus
+from protocol.links.bus import DEAF_S, ERROR_GAP_S, CanBus, Loopback, open_bus
 
+SCRIPT = Path(__file__).with_name("multicast_in_namespace.py")
+NAMESPACE = ("unshare", "-rn")
 INTERFACE, LIMIT_S = "udp_multicast", 20.0
 STOP, LAST = Frame(0x0CFD0280, b"\x01\xff\xff\xff\xff\xff\xff\xf4"), Frame(0x18FF1081, b"last")
 
@@ -111,3 +120,119 @@ def test_a_frame_that_came_back_confirms_nothing(group: str) -> None:
         bus.close()
 
     asyncio.run(main())
+
+
+def leave(bus: can.BusABC, group: str) -> None:
+    """The socket is no member of its group any more, as after its network interface was removed."""
+    request = socket.inet_aton(group) + socket.inet_aton("0.0.0.0")
+    with socket.socket(fileno=os.dup(bus.fileno())) as same:
+        same.setsockopt(socket.IPPROTO_IP, socket.IP_DROP_MEMBERSHIP, request)
+
+
+class Trial:
+    """A bus in a group, and the clock of its loopback, which is set by hand."""
+
+    def __init__(self, group: str) -> None:
+        self.now_s = 0.0
+        self.bus, self.heard = open_bus(INTERFACE, group), list[Frame]()
+        self.bus.subscribe(self.heard.append)
+        loopback = self.bus._loopback
+        assert loopback is not None
+        self.loopback: Loopback = loopback
+        self.loopback.clock = lambda: self.now_s
+
+    async def returns(self) -> None:
+        """A frame of ours is sent and comes back."""
+        assert self.bus.send(STOP)
+        await until(lambda: not self.loopback._unreturned)
+
+    def sends_for(self, for_s: float, every_s: float = 0.125) -> None:
+        """Frames are sent all that time; what comes back is not read."""
+        for _ in range(round(for_s / every_s)):
+            self.now_s += every_s
+            assert self.bus.send(STOP)
+
+
+def test_a_bus_whose_own_frames_stop_coming_back_joins_its_group_again(
+    group: str, plain: can.BusABC
+) -> None:
+    """A robot was deaf for ever after its network interface was removed and came back."""
+
+    async def main() -> None:
+        trial = Trial(group)
+        await trial.returns()
+        for word in (b"once", b"twice"):
+            before = trial.bus.bus
+            leave(before, group)
+            trial.sends_for(DEAF_S)
+            assert trial.bus.bus is before, "not yet"
+            trial.sends_for(0.125)
+            assert trial.bus.bus is not before
+            said(plain, Frame(2, word))
+            await until(lambda word=word: Frame(2, word) in trial.heard)  # type: ignore[misc]
+            await trial.returns()
+        assert STOP not in trial.heard
+        trial.bus.close()
+
+    asyncio.run(main())
+
+
+def test_a_process_that_was_frozen_and_a_system_that_returns_nothing_do_not_join_again(
+    group: str,
+) -> None:
+    async def main() -> None:
+        trial = Trial(group)
+        before = trial.bus.bus
+        trial.sends_for(10 * DEAF_S)
+        assert trial.bus.bus is before, "no frame has ever come back"
+        await trial.returns()
+        for _ in range(5):
+            trial.sends_for(0.5)
+            trial.now_s += ERROR_GAP_S + 0.1  # frozen: what came back was not read
+        assert trial.bus.bus is before
+        trial.bus.close()
+
+    asyncio.run(main())
+
+
+def test_a_group_that_cannot_be_joined_again_is_tried_later(
+    group: str, plain: can.BusABC, caplog: pytest.LogCaptureFixture
+) -> None:
+    async def main() -> None:
+        trial = Trial(group)
+        await trial.returns()
+        opened, tries = trial.loopback.opened, 0
+
+        def fails() -> can.BusABC:
+            nonlocal tries
+            tries += 1
+            raise can.CanInitializationError("could not create or configure socket")
+
+        leave(trial.bus.bus, group)
+        trial.loopback.opened = fails
+        trial.sends_for(2 * DEAF_S + 0.25)
+        assert tries == 2
+        trial.loopback.opened = opened
+        trial.sends_for(DEAF_S + 0.125)
+        await trial.returns()
+        trial.bus.close()
+
+    asyncio.run(main())
+    assert len(caplog.records) == 1 and "cannot join the group again" in caplog.text
+
+
+def in_namespace(*words: str) -> "subprocess.CompletedProcess[str]":
+    """A program in a network of its own, which has no interface that is up."""
+    tried = [*NAMESPACE, "ip", "link", "add", "veth0", "type", "veth", "peer", "name", "veth1"]
+    if not all(map(shutil.which, ("unshare", "ip"))):
+        pytest.skip("no programs unshare and ip here")
+    if subprocess.run(tried, capture_output=True).returncode:
+        pytest.skip("this user cannot make a network with an interface")
+    return subprocess.run([*NAMESPACE, *words], capture_output=True, text=True, timeout=120)
+
+
+def test_a_network_interface_that_was_removed_and_came_back_is_heard_again() -> None:
+    found = in_namespace(sys.executable, "-P", str(SCRIPT), "239.74.167.1")
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout) == ["after", "before"]
+    assert "joined the group again" in found.stderr
