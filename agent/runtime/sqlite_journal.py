@@ -13,6 +13,9 @@ that were revealed. If it is further ahead, its mark cannot be trusted. In both 
 lost. A journal and a mark that are both replaced by older copies of themselves cannot be told from
 sound ones.
 
+An open file that is deleted, or moved away with its folder, can still be written, and nothing of that is
+there after a restart. So each write looks whether the paths still lead to the files that are open.
+
 After `headland keys rotate --running` the journal holds the fleet's secrets. So all its files are for
 their user alone from the first byte on, and those of an earlier version become so. SQLite gives its log
 and its index the mode of the database.
@@ -121,6 +124,7 @@ class SqliteJournal:
         self.path = path
         self.mark = Mark(path.with_name(path.name + MARK_SUFFIX))
         self._number: int | None = None  # of the newest write; None: not read yet
+        self._opened: dict[Path, tuple[int, int]] = {}  # device and inode of each file that is open
         make_private(path)
         try:
             self._database = sqlite3.connect(path, isolation_level=None, timeout=0.0)
@@ -149,6 +153,9 @@ class SqliteJournal:
             raise self._error(problem) from None
         try:  # only now, because what a link leads to may be no journal
             self.narrowed: Narrowed = narrow(_parts_of(path))
+            self._note(path)
+            real = path.resolve()  # SQLite puts its log beside the file that a link leads to
+            self._log = real.with_name(real.name + "-wal")
         except OSError:
             self._database.close()
             raise
@@ -199,7 +206,9 @@ class SqliteJournal:
         return records
 
     def write(self, records: Iterable[Persist]) -> None:
-        """Write all of the records or none; they are durable when this returns. Raises OSError."""
+        """Write all of the records or none; they are durable when this returns.
+
+        Raises OSError, also if a file of the journal was deleted or replaced while it was open."""
         if self._number is None:
             self.load()
         assert self._number is not None
@@ -220,6 +229,19 @@ class SqliteJournal:
             raise self._error(problem) from None
         self._number = number
         self.mark.set(number)
+        for part in (self.path, self._log, self.mark.path):
+            self._note(part)
+
+    def _note(self, part: Path) -> None:
+        """Note which file this is; raises OSError if it is another one than before, or none. An inode is
+        not used again while its file is open."""
+        try:
+            found = part.stat()
+        except FileNotFoundError:
+            raise OSError(f"{part}: it was deleted while it was open") from None
+        file = found.st_dev, found.st_ino
+        if self._opened.setdefault(part, file) != file:
+            raise OSError(f"{part}: it was replaced while it was open")
 
     def _rows(self) -> dict[str, bytes]:
         try:  # the check compares rows with their index, so it notices a missing row

@@ -1,17 +1,24 @@
 """The real journal on a real file: kills, power cuts, damage, full disks and second owners."""
 
+import shutil
 import sqlite3
 from pathlib import Path
 from random import Random
 
+import can
 import pytest
 
 from agent.interface.effects import Persist
+from agent.interface.lifecycle import State
 from agent.peer.journal_recovery import LOST
+from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import Mark, SqliteJournal, UnreadableError
+from agent.safety.stop_cause import StopCause
+from protocol.links.bus import CanBus
 from sim.chaos import power_cuts
 from sim.chaos.durability_rules import Tape, record
 from sim.chaos.sqlite_vfs_recorder import available
+from tests.agent.lone_peer import peer_in
 
 SEED = 11
 watched = pytest.mark.skipif(
@@ -159,3 +166,38 @@ def test_sqlite_is_told_to_be_durable(tmp_path: Path) -> None:
     assert isinstance(database, sqlite3.Connection)
     assert database.execute("PRAGMA journal_mode").fetchone() == ("wal",)
     assert database.execute("PRAGMA synchronous").fetchone() == (2,)
+
+
+@pytest.mark.parametrize("suffix", ["", "-wal", "-mark"])
+@pytest.mark.parametrize("replaced", [False, True])
+def test_a_file_that_is_deleted_or_replaced_while_it_is_open_is_a_failed_write(
+    suffix: str, replaced: bool, tmp_path: Path
+) -> None:
+    """Writes went on into a file without a name, and a restart had lost them."""
+    journal, _ = SqliteJournal.opened(tmp_path / "j")
+    journal.write([Persist("a", b"1")])
+    journal.write([Persist("a", b"2")])
+    part = tmp_path / f"j{suffix}"
+    image = part.read_bytes()
+    part.unlink()
+    if replaced:
+        part.write_bytes(image)
+    with pytest.raises(OSError, match="replaced" if replaced else "deleted"):
+        journal.write([Persist("a", b"3")])
+    journal.close()
+
+
+def test_a_robot_whose_folder_is_deleted_while_it_runs_stops_as_with_a_failed_disk(
+    tmp_path: Path,
+) -> None:
+    peer, folder = peer_in(State.WORKING, None), tmp_path / "state"
+    folder.mkdir()
+    journal, _ = SqliteJournal.opened(folder / "j")
+    with can.Bus("deleted-folder", interface="virtual") as ours:
+        runner = PeerRunner(peer, CanBus(ours), None, journal, clock=lambda: 0)
+        runner.perform([Persist("unit", b"1")])
+        assert StopCause.DISK_ERROR not in dict(peer.safety.causes)
+        shutil.rmtree(folder)
+        runner.perform([Persist("unit", b"2")])
+        assert StopCause.DISK_ERROR in dict(peer.safety.causes)
+    journal.close()
