@@ -10,6 +10,7 @@ import sysconfig
 import tomllib
 from importlib import import_module
 from importlib.metadata import version
+from itertools import chain
 from pathlib import Path
 from zipfile import ZipFile
 
@@ -17,6 +18,7 @@ import pytest
 
 from agent.runtime import robot_body
 from tools.build.wheel_backend import LAYERS, LayoutError, packed, renamed
+from tools.run.needed_kernels import MOTION, NEEDED, TURNS
 
 ROOT = Path(__file__).parents[3]
 SETUPTOOLS_MIN = 77  # reads `license = "Apache-2.0"`
@@ -93,7 +95,7 @@ def test_every_source_can_be_renamed() -> None:
 
 
 # Modules that are named in strings, which a wheel does not rename. `called` and `module_command` put
-# the package's name before them.
+# the package's name before them, and so does `named`.
 NAMED = {
     "agent.runtime.robot_body:StandingBody", "sim.record.remote_body:WorldBody", "tools.run.robot",
     "tools.cli.headland", "tools.chaos.fuzz_atheris", "agent.runtime.robot_body",
@@ -106,6 +108,7 @@ NAMED = {
     "tools.bench.prometheus_door", "tools.build.warmup", "tools.build.kernel_module",
     "tools.bench.bag_door", "tools.bench.ros2_field", "tools.cli.entrance",
     "tools.run.robot_viewers", "tools.bench.watched_launch",
+    *MOTION, *TURNS, *chain.from_iterable(NEEDED.values()),
 }  # fmt: skip
 
 
