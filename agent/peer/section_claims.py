@@ -63,6 +63,10 @@ class SectionClaims:
             self.current = section
         return key
 
+    def works(self, section: int) -> bool:
+        """Whether we have started this section and hold it."""
+        return self.current == section
+
     def _stays_ours(self, section: int) -> bool:
         return self.allocation.stays(section) and self.allocation.owner_of(section) == self.slot
 

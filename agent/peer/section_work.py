@@ -75,7 +75,7 @@ class SectionWork(Part):
         if section is None:
             return NOTHING
         key = self.claims.start(section)
-        if self.claims.current != section:
+        if not self.claims.works(section):
             return [Trace("claim", f"S{section}", "LOST", "", "at the start")]
         if self.mission is not None and ctx.here is not None:
             self.mission.begin(section, self.views.view(ctx.now_us))
@@ -104,7 +104,7 @@ class SectionWork(Part):
 
     def finish(self, section: int, now_us: int) -> Outputs:
         """The section being worked is done; nothing happens for another section."""
-        if self.claims.current != section:
+        if not self.claims.works(section):
             return NOTHING
         key = self.claims.finish()
         outputs = [] if key is None else [*self._announce(section, key, "done", now_us)]
