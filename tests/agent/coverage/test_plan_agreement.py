@@ -241,3 +241,15 @@ def test_every_phase_and_event() -> None:
         (free, begun, gather), (agree, begun, gather), (go, begun, gather),
         (gather, gathered, agree), (agree, changed, gather), (agree, agreed, go),
     })  # fmt: skip
+
+
+@pytest.mark.parametrize("number", [100, 40_000, 65_500])
+def test_a_robot_that_restarts_takes_part_in_whatever_round_its_fleet_is_in(number: int) -> None:
+    """It began at number 0, for which half of all numbers are over."""
+    table = Table(3)
+    for slot in (0, 1):
+        table.rounds[slot].round = number
+    table.run(30 * S)
+    assert all(r.phase is AgreementPhase.GO for r in table.rounds.values())
+    assert len(table.plans(0, 1, 2)) == 1
+    assert all(r.round >= number for r in table.rounds.values())

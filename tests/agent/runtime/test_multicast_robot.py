@@ -19,6 +19,7 @@ from agent.safety.stop_cause import StopCause
 from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
+from tests.multicast import reached
 
 INTERFACE, LIMIT_S, LOOK_S = "udp_multicast", 30.0, 0.01
 BUTTON = 200  # behind the addresses of robots, so that a robot that holds is named first
@@ -28,16 +29,7 @@ EX_TEMPFAIL = 75  # `headland@.service` starts a robot again after this
 @pytest.fixture
 def group() -> str:
     """A channel of datagrams that reach this machine itself."""
-    name = f"239.74.166.{1 + randbelow(250)}"
-    try:
-        with can.Bus(name, INTERFACE) as out, can.Bus(name, INTERFACE) as back:
-            out.send(can.Message(arbitration_id=1, is_extended_id=True))
-            heard = back.recv(timeout=2.0)
-    except (OSError, can.CanError, ImportError) as problem:
-        pytest.skip(f"this machine has no multicast: {problem}")
-    if heard is None:
-        pytest.skip("this machine does not deliver its own multicast datagrams")
-    return name
+    return reached(f"239.74.166.{1 + randbelow(250)}")
 
 
 @pytest.fixture

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from typing import Any
 
-import can
 import pytest
 
 from agent.interface.effects import GatedDrive
@@ -16,6 +15,7 @@ from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.robot_file import AbsentError, RobotError, RobotFile
 from agent.runtime.robot_process import run_robot
 from protocol.name import Name, fleet_name
+from tests.multicast import reached
 from tools.build.warmup import warm
 
 SCRIPT, LIMIT_S = Path(__file__).with_name("robots_without_simulator.py"), 150
@@ -64,18 +64,7 @@ def test_robots_on_a_virtual_bus_work_a_field_without_the_simulator(tmp_path: Pa
 @pytest.fixture
 def multicast() -> str:
     """A channel of datagrams that reach this machine itself."""
-    try:
-        with (
-            can.Bus(interface="udp_multicast", channel=MULTICAST) as out,
-            can.Bus(interface="udp_multicast", channel=MULTICAST) as back,
-        ):
-            out.send(can.Message(arbitration_id=1, is_extended_id=True))
-            heard = back.recv(timeout=2.0)
-    except (OSError, can.CanError, ImportError) as problem:
-        pytest.skip(f"this machine has no multicast: {problem}")
-    if heard is None:
-        pytest.skip("this machine does not deliver its own multicast datagrams")
-    return MULTICAST
+    return reached(MULTICAST)
 
 
 @pytest.mark.slow

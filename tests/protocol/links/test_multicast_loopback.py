@@ -16,6 +16,7 @@ import pytest
 
 from protocol.frames.frame import Frame
 from protocol.links.bus import DEAF_S, ERROR_GAP_S, CanBus, Loopback, open_bus
+from tests.multicast import reached
 
 SCRIPT = Path(__file__).with_name("multicast_in_namespace.py")
 NAMESPACE = ("unshare", "-rn")
@@ -37,16 +38,7 @@ async def until(holds: Callable[[], bool]) -> None:
 @pytest.fixture
 def group() -> str:
     """A channel of datagrams that reach this machine itself."""
-    name = f"239.74.165.{1 + randbelow(250)}"
-    try:
-        with can.Bus(name, INTERFACE) as out, can.Bus(name, INTERFACE) as back:
-            out.send(can.Message(arbitration_id=1, is_extended_id=True))
-            heard = back.recv(timeout=2.0)
-    except (OSError, can.CanError, ImportError) as problem:
-        pytest.skip(f"this machine has no multicast: {problem}")
-    if heard is None:
-        pytest.skip("this machine does not deliver its own multicast datagrams")
-    return name
+    return reached(f"239.74.165.{1 + randbelow(250)}")
 
 
 @pytest.fixture

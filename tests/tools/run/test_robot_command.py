@@ -518,7 +518,7 @@ def test_a_memory_that_cannot_be_kept_is_one_line(
     """A folder that was not there got a line on --first-boot and then one on its journal. Of one that
     cannot be written the check said that its disk is full."""
     if journal == "/proc" and not Path(journal).is_dir():
-        pytest.skip("another system")
+        pytest.skip("no /proc on this system")
     place = folder / journal
     text = f'{FILE}[robot]\nslot = 0\njournal = "{journal}"\n'
     (folder / "kept.toml").write_text(text)
