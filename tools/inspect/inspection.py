@@ -103,6 +103,10 @@ def _draw(inspector: Inspector, source: Path | None, picture: Path) -> int:
     from tools.inspect.screen import InspectScreen, draw
 
     frames = list(frames_of(source))
+    if picture.is_dir():
+        raise SourceError(f"--picture {picture}: is a folder; give the name of a file")
+    if not picture.absolute().parent.is_dir():  # said before the drawing
+        raise SourceError(f"--picture {picture}: {picture.parent} is not a folder")
     try:
         draw(InspectScreen(inspector, str(source), from_log(frames, inspector, True)), picture)
     except OSError as problem:

@@ -232,7 +232,8 @@ class InspectScreen(App[None]):
 
 
 def draw(screen: InspectScreen, path: Path, size: tuple[int, int] = (150, 42)) -> None:
-    """The screen at the end of its feed as an SVG, without a terminal."""
+    """The screen at the end of its feed as an SVG, without a terminal. Raises OSError."""
+    drawn: list[str] = []
 
     async def when_fed() -> None:
         while not screen.fed:
@@ -241,12 +242,14 @@ def draw(screen: InspectScreen, path: Path, size: tuple[int, int] = (150, 42)) -
         screen.call_after_refresh(finish)
 
     def finish() -> None:
-        drawn = screen.export_screenshot(title=screen.TITLE)
-        write_whole(path, FONT_FACE.sub("", drawn))  # nothing from elsewhere
+        drawn.append(screen.export_screenshot(title=screen.TITLE))
         screen.exit()
 
     screen.run_when_ready = when_fed
     screen.run(headless=True, size=size)
+    # Textual handles the errors of what it calls, so the file is written when the screen has ended.
+    for svg in drawn:
+        write_whole(path, FONT_FACE.sub("", svg))  # nothing from elsewhere
 
 
 def _in_order(name: str) -> tuple[str, int]:

@@ -18,6 +18,7 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
+from tools.cli.headland import main
 from tools.inspect.frame_feed import from_bus, from_log
 from tools.inspect.inspector import Inspector
 from tools.inspect.lifecycle_picture import edges_from, picture
@@ -119,6 +120,26 @@ def test_the_screen_as_a_picture(frames: list[tuple[int, Frame]], tmp_path: Path
     drawn = path.read_text()
     assert drawn.startswith("<svg") and "WORKING" in drawn and "TaskClaim" in drawn
     assert "@font-face" not in drawn and 'url("' not in drawn, "nothing is loaded from elsewhere"
+
+
+@pytest.mark.parametrize(
+    ("name", "code"), [("nodir/x.svg", 2), (".", 2), ("file/x.svg", 2), ("/dev/full", 75)]
+)
+def test_a_picture_that_cannot_be_written_is_one_line(
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+    name: str, code: int,
+) -> None:  # fmt: skip
+    if name == "/dev/full" and not Path(name).exists():
+        pytest.skip("no /dev/full on this system")
+    monkeypatch.chdir(tmp_path)
+    Path("file").touch()
+    Path("some.log").write_text("(0.000000) can0 18FEF180#0000000000000000\n")
+    with pytest.raises(SystemExit) as ended:
+        monkeypatch.setattr("sys.argv", ["headland", "inspect", "some.log", "--picture", name])
+        main()
+    told = capfd.readouterr()
+    assert ended.value.code == code and told.err.count("\n") == 1, told
+    assert told.err.startswith(f"headland: --picture {name}: ") and "Traceback" not in told.out
 
 
 def test_a_stop_is_large_and_a_paused_log_stands_still(frames: list[tuple[int, Frame]]) -> None:
