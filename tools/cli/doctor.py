@@ -15,6 +15,7 @@ from tools.build.compiled_core import place
 from tools.build.kernel_cache import kernels_kept
 from tools.cli.panels import CAN_FILES, can_defaults, version_text
 from tools.common.bus_address import AttachError, address_of_launch
+from tools.common.compiled_caches import kernels_not_kept
 from tools.common.extras import EXTRA_OF
 from tools.common.findings import Finding, print_findings
 
@@ -66,6 +67,11 @@ def _loopback() -> Finding:
 
 
 def _kernels() -> Finding:
+    if kernels_not_kept() and importlib.util.find_spec("numba") is not None:
+        said = (
+            "cannot be kept, no folder for them can be written: set NUMBA_CACHE_DIR to one that can"
+        )
+        return Finding("kernels", None, f"{said}; else every run takes 25 s longer")
     kept = kernels_kept()
     if kept is None:
         return Finding("kernels", None, "none: only the tools of the bus are installed")

@@ -1,5 +1,7 @@
 """Machine code that others could have written is not loaded."""
 
+import os
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -7,7 +9,22 @@ from pathlib import Path
 import pytest
 
 from tools.build import compiled_core
-from tools.common.compiled_caches import CACHE, ROOT, foreign_writer, guard_kernels
+from tools.common.compiled_caches import (
+    CACHE,
+    ROOT,
+    can_keep,
+    can_write,
+    foreign_writer,
+    guard_kernels,
+    place_kernels,
+)
+
+NOBODY = 65534
+AS_NOBODY = ["setpriv", f"--reuid={NOBODY}", f"--regid={NOBODY}", "--clear-groups"]
+by_root = pytest.mark.skipif(
+    not hasattr(os, "getuid") or os.getuid() != 0 or shutil.which("setpriv") is None,
+    reason="only root can be another user",
+)
 
 
 @pytest.mark.parametrize(
@@ -71,3 +88,67 @@ def test_the_command_says_it_in_one_line(tmp_path: Path) -> None:
         cwd=Path(__file__).parents[3],
     )  # fmt: skip
     assert done.returncode == 0 and done.stderr.count("others can write") == 1, done.stderr
+
+
+def test_a_folder_for_kernels_is_deleted_when_the_command_ends(tmp_path: Path) -> None:
+    shared, temporary = tmp_path / "shared", tmp_path / "temporary"
+    shared.mkdir()
+    shared.chmod(0o777)
+    temporary.mkdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", "--version"], capture_output=True, text=True,
+        check=False, timeout=120, cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin", CACHE: str(shared), "TMPDIR": str(temporary)},
+    )  # fmt: skip
+    assert done.returncode == 0 and "others can write" in done.stderr
+    assert not list(temporary.iterdir())
+
+
+def test_a_folder_that_is_not_there_can_be_written_where_it_can_be_made(tmp_path: Path) -> None:
+    assert can_write(tmp_path / "a" / "b")
+    (tmp_path / "file").touch()
+    assert not can_write(tmp_path / "file") and not can_write(tmp_path / "file" / "a")
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="other folders elsewhere")
+def test_ready_kernels_are_found_where_others_cannot_be_kept(tmp_path: Path) -> None:
+    beside = tmp_path / "agent" / "kernels" / "__pycache__"
+    beside.parent.mkdir(parents=True)
+    beside.touch()  # no folder, so nothing can be written there
+    environment = {"HOME": str(beside)}
+    assert not can_keep(environment, tmp_path)
+    beside.unlink()
+    beside.mkdir()
+    assert can_keep(environment, tmp_path) and not place_kernels(environment, tmp_path)
+    (beside / "kernels.json").write_text("{}")
+    (tmp_path / "agent" / "paths").mkdir()
+    (tmp_path / "agent" / "paths" / "__pycache__").touch()
+    environment["HOME"] = str(beside / "kernels.json")
+    assert place_kernels(environment, tmp_path)
+    assert Path(environment[CACHE], "kernels.json").read_text() == "{}"
+
+
+@by_root
+@pytest.mark.parametrize("wanted", ["numba", "matplotlib", "nothing"])
+def test_without_a_writable_cache_there_is_a_temporary_one(tmp_path: Path, wanted: str) -> None:
+    tmp_path.chmod(0o1777)
+    for above in tmp_path.parents[:2]:
+        above.chmod(0o711)
+    code = (
+        "import os, sys; sys.path.insert(0, sys.argv[1]); os.chdir('/')\n"
+        "from tools.common import compiled_caches as c; c.guard()\n"
+        "print(c._Kernels.not_kept, c.CACHE in os.environ, c.PICTURES in os.environ)\n"
+        "if sys.argv[2] == 'numba':\n"
+        "    import agent.field.plan_kernels\n"
+        "elif sys.argv[2] == 'matplotlib': import matplotlib\n"
+        "print(c.PICTURES in os.environ)\n"
+    )
+    done = subprocess.run(
+        [*AS_NOBODY, sys.executable, "-c", code, str(ROOT), wanted], capture_output=True, text=True,
+        check=False, timeout=120,
+        env={"PATH": "/usr/bin:/bin", "HOME": "/nonexistent", "TMPDIR": str(tmp_path)},
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["True", "True", "False", str(wanted == "matplotlib")]
+    assert done.stderr.count("\n") == (wanted == "numba"), done.stderr
+    assert not list(tmp_path.iterdir())
