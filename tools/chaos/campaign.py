@@ -4,9 +4,13 @@ A run is a pure function of its seed, so where it ran does not show in its resul
 """
 
 import os
+import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
 from contextlib import contextmanager, suppress
+from multiprocessing import parent_process
+from multiprocessing.connection import wait
+from threading import Thread
 from typing import Any
 
 CONNECT_S = "5s"
@@ -23,8 +27,14 @@ def workers(jobs: int = 0, cluster: str = "") -> Iterator[Executor]:
     Raises ClusterError.
     """
     if not cluster:
-        with ProcessPoolExecutor(jobs or os.cpu_count() or 1) as pool:
-            yield pool
+        with ProcessPoolExecutor(jobs or os.cpu_count() or 1, initializer=end_with_parent) as pool:
+            try:
+                yield pool
+            except BaseException:  # Ctrl-C too: what they compute is of no use any more
+                for worker in list((pool._processes or {}).values()):
+                    worker.terminate()
+                pool.shutdown(wait=False, cancel_futures=True)
+                raise
         return
     try:
         from distributed import Client
@@ -43,6 +53,22 @@ def workers(jobs: int = 0, cluster: str = "") -> Iterator[Executor]:
     finally:
         with suppress(OSError, TimeoutError):
             client.close()
+
+
+def end_with_parent() -> None:
+    """Called in a worker: signals end it without a word, and so does the end of its parent, even by
+    SIGKILL."""
+    for number in (signal.SIGINT, signal.SIGTERM):
+        signal.signal(number, signal.SIG_DFL)
+    parent = parent_process()
+    assert parent is not None, "this is a process of its own"
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    Thread(target=watch, daemon=True).start()
 
 
 def room(jobs: int = 0, cluster: str = "") -> int:

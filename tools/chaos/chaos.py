@@ -23,7 +23,7 @@ from sim.chaos.shrink import shrink
 from sim.chaos.verdict import RULES, Verdict, judge
 from sim.files.strict_json import dumps
 from sim.files.whole_file import write_whole
-from sim.scenarios.scenario import ScenarioError, load
+from sim.scenarios.scenario import SEED_MAX, ScenarioError, load
 from sim.scenarios.toml_writer import to_toml
 from tools.chaos.campaign import ClusterError, room, workers
 from tools.chaos.chaos_report import ReportError, figures, report
@@ -33,6 +33,7 @@ from tools.common.fingerprint import ROBOTS, fingerprint
 from tools.common.gc_collector import patient
 
 FAILED = 1
+DIGITS_MAX, SHOWN = 99, 40  # of a seed that is read, and of a wrong one that is printed
 KEEP_S = 30.0  # interval at which results are written: at most this much is lost with a process
 
 
@@ -144,8 +145,10 @@ def judge_file(path: Path, as_json: bool, golden: bool = False) -> int:
 
 def _range(text: str) -> range:
     first, colon, end = text.partition(":")
-    if not first.isdigit() or (colon and not end.isdigit()):
+    if not first.isdecimal() or (colon and not end.isdecimal()):
         raise ValueError(f"--seeds {text}: a seed, or FIRST:END as in 0:1000")
+    if max(len(first), len(end)) > DIGITS_MAX or max(int(first), int(end or 0) - 1) > SEED_MAX:
+        raise ValueError(f"--seeds {text[:SHOWN]}: the greatest seed is {SEED_MAX}")
     seeds = range(int(first), int(end) if colon else int(first) + 1)
     if not seeds:
         raise ValueError(f"--seeds {text}: there is no seed from {first} to before {end}")
@@ -170,6 +173,7 @@ def _campaign(
 ) -> tuple[list[Verdict], float]:  # fmt: skip
     """Verdicts in order of seeds, and their CPU seconds; stops handing out work when the time is over."""
     verdicts, cpu_s = list[Verdict](), 0.0
+    count = seeds.stop - seeds.start  # `len` has a limit that seeds have not
     kept_s = time.monotonic()
     end_s = kept_s + (seconds if seconds is not None else float("inf"))
     with (
@@ -197,7 +201,7 @@ def _campaign(
                 kept_s = time.monotonic()
                 keep(_in_a_row(verdicts, seeds.start), cpu_s)
             bad = sum(not verdict.ok for verdict in verdicts)
-            text = f"{profile}: {len(verdicts)} of {len(seeds)} seeds, {bad} failed"
+            text = f"{profile}: {len(verdicts)} of {count} seeds, {bad} failed"
             progress.update(bar, description=text)
     return sorted(verdicts, key=lambda verdict: verdict.seed), cpu_s
 

@@ -10,7 +10,6 @@ same seed keeps it without the bug; what that costs is part of the time.
 import json
 import time
 from collections.abc import Iterable
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Any
 
@@ -21,6 +20,7 @@ from sim.chaos.planted_bugs import MUTANTS, planted
 from sim.chaos.verdict import judge
 from sim.files.strict_json import dumps
 from sim.files.whole_file import write_whole
+from tools.chaos.campaign import workers
 from tools.common.fingerprint import fingerprint
 
 MUTANT_CPU_S = 600.0  # the budget within which every planted bug must be found
@@ -72,7 +72,7 @@ def hunt_all(
             rows = kept | {name: kept.get(name, row) for name, row in rows.items()}
     warm_up()  # so that no hunt pays for it
     end_s = time.monotonic() + (seconds if seconds is not None else float("inf"))
-    with ProcessPoolExecutor(jobs) as pool:
+    with workers(jobs) as pool:
         while time.monotonic() < end_s:
             waiting = [rows[name] for name in (only or MUTANTS) if _is_open(rows[name])]
             waiting.sort(key=lambda row: float(row["cpu_s"]))

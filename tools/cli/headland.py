@@ -10,7 +10,7 @@ import typer
 
 from tools.cli import bus_commands, keys, robot_commands, setup_commands, tasks
 from tools.cli import test_commands as trial_commands
-from tools.cli.one_line_errors import one_line_errors, tell_origin
+from tools.cli.one_line_errors import one_line_errors, tell_origin, terminated_as_interrupted
 from tools.cli.panels import (
     DEVELOP,
     LOOK,
@@ -499,7 +499,7 @@ def main() -> None:
     gc.set_threshold(GC_YOUNG)
     guard()
     try:
-        with one_line_errors():
+        with one_line_errors(), terminated_as_interrupted():
             asked = only_asked(app, sys.argv[1:])
             raise SystemExit(asked(prog_name="headland", standalone_mode=False))
     except typer.Abort:

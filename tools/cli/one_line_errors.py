@@ -1,7 +1,9 @@
 """Errors that a person can cause and no command handles: one line on stderr, and an exit code."""
 
 import os
+import signal
 import sys
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
@@ -10,13 +12,15 @@ from tools.common import extras
 from tools.common.exit_codes import INTERRUPTED, code_of, wrong
 from tools.common.verbosity import Verbosity
 
+STRICT = ("strict", "surrogateescape")  # the second in the C locale; neither writes any letter
+
 
 @contextmanager
 def one_line_errors() -> Iterator[None]:
     """A missing package of an extra, a full disk, a folder that is none, Ctrl-C, a name that is no
     text."""
     _open_streams()
-    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
+    if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors in STRICT:
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
     try:
         try:
@@ -36,6 +40,33 @@ def one_line_errors() -> Iterator[None]:
         print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
         _drop_output()
         raise SystemExit(code_of(problem)) from None
+
+
+@contextmanager
+def terminated_as_interrupted() -> Iterator[None]:
+    """The system's request to end (SIGTERM) ends a command as Ctrl-C does: its files are whole, its
+    processes end too, and its exit code is the same.
+
+    A signal that is ignored stays so. A process that was forked meanwhile ends by the signal."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    command = os.getpid()
+
+    def interrupt(number: int, frame: object) -> None:
+        if os.getpid() == command:
+            raise KeyboardInterrupt
+        signal.signal(number, signal.SIG_DFL)
+        os.kill(os.getpid(), number)
+
+    before = signal.getsignal(signal.SIGTERM)
+    if before == signal.SIG_DFL:
+        signal.signal(signal.SIGTERM, interrupt)
+    try:
+        yield
+    finally:
+        if before == signal.SIG_DFL:
+            signal.signal(signal.SIGTERM, before)
 
 
 def _open_streams() -> None:

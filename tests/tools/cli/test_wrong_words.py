@@ -126,6 +126,24 @@ def test_help_loads_nothing_heavy() -> None:
     assert done.stdout.strip() == "[]"
 
 
+def test_a_letter_that_the_c_locale_lacks_is_written_in_ascii(tmp_path: Path) -> None:
+    name = tmp_path / "F.geojson"
+    name.write_text(
+        '{"type":"Feature","properties":{"name":"\u00c4"},"geometry":{"type":"Polygon",'
+        '"coordinates":[[[0,0],[0.001,0],[0.001,0.001],[0,0.001],[0,0]]]}}', encoding="utf-8",
+    )  # fmt: skip
+    done = process(
+        "fields",
+        str(name),
+        LC_ALL="C",
+        PYTHONUTF8="0",
+        PYTHONCOERCECLOCALE="0",
+        PYTHONIOENCODING="",
+    )
+    assert done.returncode == 0 and "Traceback" not in done.stderr, done.stderr
+    assert done.stdout.startswith("\\xc4: "), done.stdout
+
+
 @pytest.mark.parametrize(("typed", "offered"), [("re", {"release", "report"}), ("bri", {"bridge"})])
 def test_the_shell_completes_words(typed: str, offered: set[str]) -> None:
     done = process(

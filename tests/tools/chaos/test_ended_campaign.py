@@ -1,0 +1,68 @@
+"""A campaign that is ended leaves no process behind; seeds that no run can have are refused at once."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from tools.chaos.chaos import _range, chaos
+
+ROOT = Path(__file__).parents[3]
+WAIT_S = 60.0  # for what takes three seconds on an idle machine
+
+
+def children(process: int) -> list[int]:
+    found = Path(f"/proc/{process}/task/{process}/children").read_text().split()
+    return [int(each) for each in found]
+
+
+def wait_until_gone(processes: list[int]) -> None:
+    end_s = time.monotonic() + WAIT_S
+    while alive := [each for each in processes if Path(f"/proc/{each}").exists()]:
+        assert time.monotonic() < end_s, f"these go on: {alive}"
+        time.sleep(0.05)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize("words", [[], ["--mutants"]])
+def test_workers_end_with_their_campaign(
+    tmp_path: Path, number: signal.Signals, words: list[str]
+) -> None:
+    command = subprocess.Popen(
+        [sys.executable, "-m", "tools.cli.headland", "chaos", "--seeds", "0:1000", "--jobs", "2",
+         "-o", str(tmp_path), *words],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    end_s = time.monotonic() + WAIT_S
+    while len(workers := children(command.pid)) < 2:
+        assert time.monotonic() < end_s and command.poll() is None
+        time.sleep(0.05)
+    time.sleep(0.5)  # by then they compute
+    command.send_signal(number)
+    _, said = command.communicate(timeout=WAIT_S)
+    wait_until_gone(workers)
+    assert command.returncode == (-number if number == signal.SIGKILL else 130)
+    assert "Traceback" not in said
+
+
+@pytest.mark.parametrize(
+    "seeds", ["0:99999999999999999999", "9223372036854775808", "0:" + "9" * 5000, "9" * 5000]
+)
+def test_the_greatest_seed_is_told(
+    seeds: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert chaos(seeds, "all", 1, None, tmp_path / "out", False, False) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "the greatest seed is 9223372036854775807" in said
+    assert not (tmp_path / "out").exists()
+
+
+def test_the_greatest_seed_is_one() -> None:
+    assert _range("0:9223372036854775808").stop == 2**63
