@@ -1,7 +1,9 @@
 """`headland fields`: what fields a file has, and what is wrong with which."""
 
 from pathlib import Path
+from typing import Final
 
+from agent.runtime.declared_values import FieldTable
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import fields_of, project
 from agent.runtime.files.printable_text import printable
@@ -9,6 +11,9 @@ from sim.files.strict_json import dumps
 from tools.common.exit_codes import WRONG, wrong
 
 HECTARE_M2 = 10_000.0
+WIDTH_M: Final = float(
+    FieldTable.model_fields["implement_width_m"].default
+)  # of a run of a field file
 
 
 def fields(file: Path, as_json: bool) -> int:
@@ -22,7 +27,12 @@ def fields(file: Path, as_json: bool) -> int:
         try:
             if name in broken:
                 raise broken[name]
-            hectares = project(file, name, outlines[name]).polygon.area / HECTARE_M2
+            polygon = project(file, name, outlines[name]).polygon
+            if polygon.buffer(-WIDTH_M / 2).is_empty:  # as `agent/field/field_division.py` judges
+                raise FieldFileError(
+                    f"{file}: {name} is nowhere as wide as the implement ({WIDTH_M} m)"
+                )
+            hectares = polygon.area / HECTARE_M2
             points = sum(map(len, outlines[name]))
             rows.append({"name": name, "hectares": round(hectares, 2), "points": points})
         except FieldFileError as problem:

@@ -25,6 +25,7 @@ from tools.cli.panels import (
 from tools.common.compiled_caches import guard
 from tools.common.exit_codes import INTERRUPTED, WRONG, code_of, wrong
 from tools.common.gc_collector import GC_YOUNG
+from tools.common.kind_words import KIND_WORDS
 from tools.common.options import (
     PORT_MAX,
     Bitrate,
@@ -47,10 +48,6 @@ from tools.run import coverage
 
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
 HELP = "A leaderless robot fleet on a CAN bus: every robot is a peer, none is in charge."
-KIND_WORDS = {  # of a scenario, in an error
-    "field": "a field", "errands": "a field of errands", "delivery": "a warehouse",
-    "exploration": "an arena", "grid": "a grid map", "protocol": "a fleet without a field",
-}  # fmt: skip
 WORDS = "Words such as beat, dot, lease and unit: docs/glossary.md in the repository."
 app = typer.Typer(
     help=HELP,
@@ -468,7 +465,7 @@ def mapf(
     """Drive a public MAPF instance with whole peers on a bus, judged from outside. Exit 0: no faults.
 
     Nobody plans for all: robots tell each other where they are and want to be, and agree. `--loss` is
-    a share of all frames from 0 to 1, `--crash` a number of robots.
+    a share of all frames from 0 to 0.9, `--crash` a number of robots.
     Example: headland mapf room-64-64-8.map room-64-64-8-random-1.scen --robots 1:50 --loss 0.02
     """
     from tools.build.compiled_core import use

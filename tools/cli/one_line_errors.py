@@ -20,6 +20,9 @@ def one_line_errors() -> Iterator[None]:
     """A missing package of an extra, a full disk, a folder that is none, Ctrl-C, a name that is no
     text."""
     _open_streams()
+    for size in ("COLUMNS", "LINES"):  # 0 says that it is unknown; rich would print nothing
+        if os.environ.get(size, "").strip(" 0") == "":
+            os.environ.pop(size, None)
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors in STRICT:
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
     try:

@@ -31,6 +31,9 @@ CAN_FILES = ("can.ini", "~/.canrc", "~/.can", "/etc/can.conf", "~/can.conf")
 CAN_KEYS = ("interface", "channel", "bitrate")
 # Options whose number is never negative: spans of time, and a factor of it.
 SPANS = {"--seconds", "--timeout", "--wait", "--delay", "--limit", "--since", "--speed"}
+# As `SEED_MAX` of sim/scenarios/scenario.py, whose import takes a second; a test compares them.
+SEED_MAX = 2**63 - 1
+SHOWN_MAX = 40  # characters of a wrong number
 # How a help says what a value is: typer's names of types, which differ by its version, and ours.
 KINDS = {
     r"<(?:list\[)?(?:int|float)(?: range)?\]?>": "<number>", r"<(?:list\[)?str\]?>": "<text>",
@@ -131,7 +134,15 @@ class _Number:
             raise typer.BadParameter(f"{value} is not a finite number", ctx, param)
         if isinstance(value, float) and value < 0 and not SPANS.isdisjoint(param.opts):
             raise typer.BadParameter(f"{value:g} is negative; it needs 0 or more", ctx, param)
+        if isinstance(value, int) and "--seed" in param.opts and not 0 <= value <= SEED_MAX:
+            raise typer.BadParameter(f"{_short(value)}: a seed is 0 to {SEED_MAX}", ctx, param)
         return value
+
+
+def _short(value: int) -> str:
+    """A number as it was written, or that it is too long for a line."""
+    text = str(value) if value.bit_length() < 4096 else "a longer number"  # `str` refuses those
+    return text if len(text) <= SHOWN_MAX else f"{text[:SHOWN_MAX]}..."
 
 
 class _PlainRecord:

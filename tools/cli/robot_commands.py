@@ -1,5 +1,6 @@
 """Commands for real machines: a robot as a process, the checks of its driver, a machine to try it on."""
 
+from math import isfinite
 from pathlib import Path
 from typing import Annotated
 
@@ -19,6 +20,8 @@ def _numbers(text: str, form: str) -> list[float]:
         values = []
     if len(values) != form.count(",") + 1:
         raise typer.BadParameter(f"not {form}: {text!r}")
+    if not all(map(isfinite, values)):
+        raise typer.BadParameter(f"{text}: these have to be finite numbers")
     return values
 
 

@@ -52,14 +52,11 @@ def add(
 
 def _house(scenario: str | None, interface: str, host: str, port: int) -> "Warehouse | None":
     from sim.scenarios.scenario import ScenarioError
-    from tools.common.bus_address import scenario_of_launch
-    from tools.operate.transport_order import house_of
+    from tools.operate.transport_order import house_of, launched_warehouse
 
-    scenario = scenario or scenario_of_launch(interface, host, port)
-    if scenario is None:
-        return None
     try:
-        return house_of(scenario)
+        scenario = scenario or launched_warehouse(interface, host, port)
+        return None if scenario is None else house_of(scenario)
     except ScenarioError as problem:
         raise SystemExit(wrong(problem)) from None
 

@@ -97,6 +97,8 @@ def fuzz(
     from tools.chaos.fuzz import replay as once
 
     if again is not None:
+        if len(targets or ()) != 1:
+            raise SystemExit(wrong("--input needs one target: headland fuzz TARGET --input FILE"))
         raise SystemExit(once((targets or [""])[0], again))
     named = list(targets or [])
     if files:

@@ -16,9 +16,11 @@ from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
+from sim.scenarios.scenario_kind import Kind, named
 from tools.common.bus_address import AttachError, scenario_of_launch
 from tools.common.bus_attach import attach
 from tools.common.exit_codes import wrong
+from tools.common.kind_words import KIND_WORDS
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of
@@ -40,7 +42,7 @@ def order(
     interface, _, _, host, port = where
     try:
         rows = _rows(pickup, dropoff, file)
-        scenario = scenario or scenario_of_launch(interface, host, port) or SHIPPED
+        scenario = scenario or launched_warehouse(interface, host, port) or SHIPPED
         house = house_of(scenario)
         orders = [
             TransportTask(_cell(house, row.pickup, scenario), _cell(house, row.dropoff, scenario))
@@ -81,6 +83,21 @@ def _point(text: str) -> tuple[float, float]:
             f"{text}: not a place; write X,Y in metres, for example 9.5,2.5"
         ) from None
     return x_m, y_m
+
+
+def launched_warehouse(interface: str, host: str, port: int) -> str | None:
+    """The scenario of the newest launch in this folder; None: another bus. Raises ScenarioError where
+    that launch has no tasks."""
+    name = scenario_of_launch(interface, host, port)
+    if name is None or (Path(name).is_absolute() and not Path(name).exists()):
+        return name  # its loader says what is wrong
+    kind = named(name).kind
+    if kind is not Kind.DELIVERY:
+        raise ScenarioError(
+            f"the newest launch, {Path(name).name}, is {KIND_WORDS[kind.value]} and has no tasks; "
+            "launch a warehouse first, or name one with --scenario"
+        )
+    return name
 
 
 def house_of(name: str) -> Warehouse:

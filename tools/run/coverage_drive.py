@@ -20,6 +20,7 @@ from tools.run.coverage_report import closed_off
 from tools.run.run_mission import ProgressBar, next_commands
 from tools.run.run_recorder import RunRecorder
 
+LOSS_MAX = 0.9
 LIMIT_FACTOR = 4.0  # multiple of the least time of one robot alone, plus a minute
 SILENCE = ("stop", "slow", "continue")
 
@@ -73,7 +74,7 @@ def setting_of(
     silence: str,
     turn_cost: float,
 ) -> CoverageSetup:
-    """A setup from the words of the command line. `loss` is a share of all frames from 0 to 1,
+    """A setup from the words of the command line. `loss` is a share of all frames from 0 to 0.9,
     `turn_cost` steps a quarter turn. Raises GridFileError if there are more robots than
     addresses."""
     if len(instance.starts) > PEERS_MAX:
@@ -82,6 +83,8 @@ def setting_of(
         raise GridFileError(f"--silence is one of {', '.join(SILENCE)}")
     if not 0.0 <= turn_cost <= TURN_COST_MAX:
         raise GridFileError(f"--turn-cost is 0 to {TURN_COST_MAX:.0f} steps")
+    if not 0.0 <= loss <= LOSS_MAX:
+        raise GridFileError(f"--loss is 0 to {LOSS_MAX:g}")
     cells = int((~instance.walls).sum())
     last_s = max((fault.at_s for fault in faults), default=0.0)
     limit_s = min(60.0 + last_s + LIMIT_FACTOR * cells * STEP_S, 86_400.0)
@@ -90,10 +93,16 @@ def setting_of(
             instance, seed=seed, faults=faults, loss=loss, silence=silence, turn_cost=turn_cost,
             time_limit_s=limit_s,
         )  # fmt: skip
-    except ValidationError:
-        raise GridFileError("--loss is 0 to 0.9") from None
+    except ValidationError as problem:
+        raise GridFileError(value_error(problem)) from None
     except ValueError as error:
         raise GridFileError(f"{instance.name}: {error}") from None
+
+
+def value_error(problem: ValidationError) -> str:
+    """The first value that a scenario cannot have, as one line."""
+    error = problem.errors()[0]
+    return f"{'.'.join(map(str, error['loc']))}: {error['msg']}"
 
 
 def driven(

@@ -52,6 +52,9 @@ def export(
 
 def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> int:
     """Write what was worked; the exit code."""
+    place = isoxml or geojson
+    if isoxml is not None and isoxml.suffix.lower() != ".zip" and isoxml.is_file():
+        return wrong(f"--isoxml {isoxml}: is a file; name a folder, or one that is to be made")
     try:
         if not (folder / RECORD).exists() and (folder / REPORT).exists():
             raise FieldFileError(
@@ -63,12 +66,13 @@ def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> 
             write_isoxml(record, isoxml)
             say(f"{isoxml}: ISO 11783-10 task data, {_told(record)}")
         if geojson is not None:
+            place = geojson
             write_geojson(record, geojson)
             say(f"{geojson}: GeoJSON, {_told(record)}")
     except FieldFileError as problem:
         return wrong(problem)
     except OSError as problem:
-        return wrong(f"{problem.filename}: {problem.strerror}", code_of(problem))
+        return wrong(f"{problem.filename or place}: {problem.strerror}", code_of(problem))
     return 0
 
 
@@ -90,6 +94,10 @@ def _bag(folder: Path, bag: Path, storage: Storage, say: Say) -> int:
 
 def _film(folder: Path, film: Path, say: Say) -> int:
     """Write a film; the exit code."""
+    if film.is_dir():
+        return wrong(f"--film {film}: is a folder; give the name of a file")
+    if not film.absolute().parent.is_dir():  # said before a minute of drawing
+        return wrong(f"--film {film}: {film.parent} is not a folder")
     try:
         recording = recorded(folder, None)
         with Progress(console=Console(stderr=True), transient=True) as progress:

@@ -1,11 +1,13 @@
 """`headland mapf`: whole peers on a public MAPF benchmark, by robots, lost frames and crashes."""
 
+import sys
 from collections.abc import Iterator
 from math import ceil
 from pathlib import Path
 from random import Random
 from typing import Any
 
+from pydantic import ValidationError
 from rich.console import Console
 from rich.table import Table
 
@@ -20,12 +22,12 @@ from sim.scenarios.coverage_setup import STEP_S
 from sim.scenarios.mapf_setup import MapfSetup
 from sim.scenarios.scenario import Crash, Fault
 from sim.world.path_judge import PathVerdict, judge_paths
+from tools.run.coverage_drive import LOSS_MAX, value_error
 from tools.run.run_mission import ProgressBar
 
 AGREED_S = 15.0  # by then a fleet of a hundred has found itself and drives: crashes come after it
 CRASHES_S = 60.0  # and within this
 LIMIT_FACTOR = 6.0  # of the time in which one robot would cross all rows and columns
-LOSS_MAX = 0.9
 PICTURES = (".png", ".svg", ".pdf")
 
 
@@ -84,6 +86,8 @@ def setting_of(mapf: MapfInstance, seed: int, loss: float, crashes: int) -> Mapf
         return MapfSetup.of(
             mapf, seed=seed, loss=loss, faults=faults, time_limit_s=float(ceil(limit_s))
         )
+    except ValidationError as problem:
+        raise GridFileError(value_error(problem)) from None
     except ValueError as error:
         raise GridFileError(f"{mapf.name}: {error}") from None
 
@@ -116,7 +120,12 @@ def reports(
     """One run for each number of robots, and its figures; the last one's paths are written."""
     for agents in counts:
         mapf = read(map_file, scenario, agents, seed)
-        setting = setting_of(mapf, seed, loss, min(crashes, agents - 1))
+        least = (
+            min(crashes, agents - 1) if len(counts) > 1 else crashes
+        )  # of one number it is wrong
+        if least < crashes:
+            print(f"headland: --crash {crashes}: {least} of {agents} robots crash", file=sys.stderr)
+        setting = setting_of(mapf, seed, loss, least)
         run = MapfRun(setting)
         with ProgressBar(Console(stderr=True), f"{mapf.name}, {agents} robots", run, "goals"):
             outcome = run.run()

@@ -2,6 +2,7 @@
 
 import itertools
 from collections.abc import Mapping, Sequence
+from math import ceil
 from pathlib import Path
 from typing import NamedTuple
 
@@ -19,6 +20,7 @@ SIDE_IN, LEGEND_IN = (
     9.0,
     1.6,
 )  # longest side of the field in the picture, and what is beside it, inches
+BESIDE_IN, LEGEND_LINE_IN = 0.9, 0.2  # title and axis of east; a line of the legend, inches
 # What can be marked, as matplotlib draws it.
 MARKS = {"crash": "x", "box": "s", "stop pressed": "8", "person, vehicle": "D"}
 
@@ -46,7 +48,12 @@ def draw_field(
     from matplotlib.collections import LineCollection
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=_size_in(field), dpi=110)
+    wide_in, high_in = _size_in(field)
+    lines = (
+        len(tracks) + len({what for what, *_ in marks}) + 2
+    )  # with the gate, and what is not worked
+    columns = ceil(lines / max(1, int((high_in - BESIDE_IN) / LEGEND_LINE_IN)))
+    figure = Figure(figsize=(wide_in + LEGEND_IN * (columns - 1), high_in), dpi=110)
     axes = figure.subplots()
     if missed is not None and len(missed):
         axes.plot(*missed.T, "s", color=LEFT, markersize=2, alpha=0.5, label="not worked", zorder=0)
@@ -89,7 +96,8 @@ def draw_field(
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.set_title(title)
-    axes.legend(loc="center left", bbox_to_anchor=(1.01, 0.5), fontsize=8)  # it covers no track
+    beside = (1.01, 0.5)  # it covers no track
+    axes.legend(loc="center left", bbox_to_anchor=beside, fontsize=8, ncols=columns)
     figure.tight_layout()
     with whole_file(out) as part:
         figure.savefig(part)
@@ -100,4 +108,4 @@ def _size_in(field: Field) -> tuple[float, float]:
     x_m, y_m = zip(*field.exterior, strict=True)
     wide_m, high_m = max(x_m) - min(x_m), max(y_m) - min(y_m)
     scale = SIDE_IN / max(wide_m, high_m, 1e-9)
-    return max(wide_m * scale, 3.0) + LEGEND_IN, max(high_m * scale, 3.0) + 0.9
+    return max(wide_m * scale, 3.0) + LEGEND_IN, max(high_m * scale, 3.0) + BESIDE_IN

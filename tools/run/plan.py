@@ -43,6 +43,8 @@ def plan(
     plans: list[WorkPlan] = []
     failed = False
     try:
+        if out is not None and out.is_file():
+            return wrong(f"--out {out}: is a file; name a folder, or one that is to be made")
         if out is not None:
             out.mkdir(parents=True, exist_ok=True)  # a wrong one is said before the planning
         record = None if done is None else read_work_geojson(done)

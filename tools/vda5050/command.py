@@ -68,12 +68,16 @@ async def _serve(
 ) -> None:  # fmt: skip
     warehouse = load_warehouse(scenario)
     house = Warehouse(floor_of(warehouse), Carrier(1.0, 0.0))
-    book = OrderBook(path)
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     on_end(loop, end.set)
     if seconds is not None:
         loop.call_later(seconds, end.set)
     bus = await stay_attached(*where, "vda5050")
+    try:
+        book = OrderBook(path)  # behind what may be refused: it makes a file
+    except (BookError, OSError):
+        bus.close()
+        raise
     try:
         named = FleetNames(
             interface, manufacturer, warehouse.name, warehouse.fleet.vehicle, version

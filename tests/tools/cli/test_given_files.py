@@ -367,6 +367,18 @@ def test_a21_every_field_of_a_file_can_be_listed(
     assert code == 0 and [row["name"] for row in rows] == [name for name, _ in fields]
 
 
+def test_a_field_that_no_run_takes_is_flagged(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    flat = [[5, 52], [5.001, 52], [5.002, 52], [5, 52]]
+    (tmp_path / "f.geojson").write_text(json.dumps({"type": "Polygon", "coordinates": [flat]}))
+    refused = Complaints(monkeypatch, capfd).of("run f.geojson", tmp_path).line
+    code, text, _, _ = measured(tmp_path, "fields", "f.geojson", "--json")
+    assert code == 2
+    for told in (refused, json.loads(text)[0]["wrong"]):
+        assert "is nowhere as wide as the implement (4.0 m)" in told
+
+
 def test_a9_the_published_sets_have_their_good_fields() -> None:
     shared = ROOT.parent / "shared" / "data" / "fields" / "isoxml-dotnet" / "partfields13.geojson"
     if not shared.is_file():

@@ -11,6 +11,7 @@ from typer.testing import CliRunner
 from tests.tools.cli.test_commands import headland
 from tools.cli.headland import app
 from tools.common.exit_codes import code_of
+from tools.run import export
 
 PATH_WRITE = Path.write_bytes
 
@@ -65,3 +66,18 @@ def test_a_place_that_cannot_be_written_stays_a_wrong_word(tmp_path: Path) -> No
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert code_of(PermissionError(errno.EACCES, "no")) == code_of(ValueError("no")) == 2
     assert code_of(OSError(errno.EDQUOT, "over quota")) == 75
+
+
+def test_an_export_names_the_file_that_takes_no_more(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A device has an error without a name, and `None` was printed for it."""
+
+    def full(record: object, path: Path) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(export, "read_work_geojson", lambda path: None)
+    monkeypatch.setattr(export, "_check", lambda folder: None)
+    monkeypatch.setattr(export, "write_geojson", full)
+    told = CliRunner().invoke(app, ["export", str(tmp_path), "--geojson", "/dev/full"])
+    assert (told.exit_code, told.stderr) == (75, "headland: /dev/full: No space left on device\n")

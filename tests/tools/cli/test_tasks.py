@@ -9,8 +9,10 @@ import pytest
 
 from sim.scenarios.delivery_scenario import TaskRow, read_tasks
 from sim.scenarios.scenario import ScenarioError
+from tests.tools.complaint import Complaints
 from tests.tools.launching import call
 from tests.tools.yard import CSV, KNOWN, SCENARIO, play
+from tools.common.bus_address import LAUNCH
 from tools.inspect import task_outcomes
 from tools.inspect.task_outcomes import TaskListener, list_tasks
 from tools.operate import transport_order
@@ -93,3 +95,15 @@ def test_the_list_of_tasks_is_one_document(
     assert list_tasks(None, ("virtual", "one list", 250_000, "", 0), True) == 0
     told = json.loads(capsys.readouterr().out)
     assert [row["task"] for row in told] == list(known)
+
+
+@pytest.mark.parametrize("words", ["task list", "task status 1", "task add 1,2 3,4"])
+def test_a_launch_of_a_field_is_told_to_have_no_tasks(
+    words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    launch = tmp_path / LAUNCH
+    launch.parent.mkdir(parents=True)
+    launch.write_text(json.dumps({"host": "127.0.0.1", "port": 1, "scenario": "small"}))
+    told = Complaints(monkeypatch, capfd).of(words, tmp_path)
+    assert told.code == 2
+    assert "the newest launch, small, is a field and has no tasks" in told.line

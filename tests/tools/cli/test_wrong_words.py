@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
+from sim.scenarios.scenario import SEED_MAX
 from tests.tools.complaint import Complaints
+from tools.cli import panels
 
 ROOT = Path(__file__).parents[3]
 NOISE = bytes(range(256)) * 8  # neither text nor any format of ours
@@ -98,6 +100,54 @@ def test_one_line(
 ) -> None:  # fmt: skip
     said = Complaints(monkeypatch, capfd).of(words.replace("TAKEN", taken), place)
     assert said.code in (1, 2), said
+
+
+SAID = [
+    ("coverage drive small.map --robots 2 --seed -5", "-5: a seed is 0 to 9223372036854775807"),
+    ("coverage solve small.map --robots 2 --seed -5", "-5: a seed is 0 to 9223372036854775807"),
+    ("mapf small.map --robots 2 --seed -5", "-5: a seed is 0 to 9223372036854775807"),
+    ("run small --seed 18446744073709551616", "a seed is 0 to 9223372036854775807"),
+    (f"run small --seed {'9' * 4000}", "a seed is 0 to 9223372036854775807"),
+    ("coverage drive small.map --robots 2 --loss 2", "--loss is 0 to 0.9"),
+    ("mapf small.map --robots 4 --crash 9", "--crash 9: 0 to 3 of 4 robots can crash"),
+    ("machine --place nan,0,0", "finite"),
+    ("machine --place 1e400,0,0", "finite"),
+    ("machine --origin 95,0", "latitude is -90 to 90"),
+    ("machine --origin nan,0", "finite"),
+    ("body-check standing --origin inf,0", "finite"),
+    ("fuzz --input file", "--input needs one target"),
+    ("fuzz frame sync --input file", "--input needs one target"),
+    ("plan small --out file", "--out file: is a file; name a folder"),
+    ("export folder --isoxml file", "--isoxml file: is a file; name a folder"),
+    ("export folder --film nowhere/x.gif", "--film nowhere/x.gif: nowhere is not a folder"),
+    ("export folder --film folder", "--film folder: is a folder"),
+]
+
+
+@pytest.mark.parametrize(("words", "said"), SAID)
+def test_the_line_says_what_is_wrong(
+    words: str, said: str, place: Path, monkeypatch: pytest.MonkeyPatch,
+    capfd: pytest.CaptureFixture[str],
+) -> None:  # fmt: skip
+    (place / "small.map").write_text("type octile\nheight 3\nwidth 3\nmap\n...\n...\n...\n")
+    told = Complaints(monkeypatch, capfd).of(words, place)
+    assert told.code == 2 and said in told.line and len(told.line) < 250, told.line
+
+
+def test_the_greatest_seed_is_that_of_scenarios() -> None:
+    assert panels.SEED_MAX == SEED_MAX
+
+
+def test_a_gateway_that_is_refused_leaves_no_book(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    told = Complaints(monkeypatch, capfd).of("vda5050 --broker mqtt://127.0.0.1", tmp_path)
+    assert told.code == 2 and not list(tmp_path.rglob("*")), told
+
+
+@pytest.mark.parametrize("columns", ["0", "00", ""])
+def test_no_columns_are_an_unknown_number(columns: str) -> None:
+    assert "oxted" in process("list", COLUMNS=columns, LINES=columns).stdout
 
 
 def process(*words: str, **environment: str) -> "subprocess.CompletedProcess[str]":

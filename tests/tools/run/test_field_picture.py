@@ -1,5 +1,6 @@
 """The picture of a field's run: what happened is marked, ground that was left is seen."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -45,3 +46,12 @@ def test_the_picture_has_the_form_of_the_field_and_shows_what_was_left(tmp_path:
                                     & (picture[..., 2] < 160)))  # fmt: skip
 
     assert red(marked) > red(plain) + 500
+
+
+def test_a_legend_of_the_largest_fleet_fits(tmp_path: Path) -> None:
+    """matplotlib said on stderr that its layout was not applied."""
+    field = FieldSetup(load("small")).field
+    rows = {slot: [(-30.0, 0.0, True), (30.0, 0.0, True)] for slot in range(108)}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        draw_field(field, rows, "t", tmp_path / "many.png")

@@ -6,9 +6,11 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from sim.files.grid_map import map_text, random_walls
+from sim.files.grid_map import GridFileError, map_text, random_walls
+from sim.files.mapf_scenario import MapfInstance
 from sim.world.path_judge import judge_paths
 from tools.cli.headland import app
+from tools.run import mapf
 
 
 @pytest.fixture
@@ -49,3 +51,20 @@ def test_what_is_wrong_is_one_line(map_file: Path, words: list[str], line: str) 
     done = CliRunner().invoke(app, ["mapf", *files, *options])
     assert done.exit_code == 2 and line in done.output, done.output
     assert len(done.output.strip().splitlines()) == 1
+
+
+def test_crashes_of_a_range_are_told_where_there_are_fewer_robots(
+    map_file: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    crashes: list[int] = []
+
+    def set_up(found: MapfInstance, seed: int, loss: float, count: int) -> None:
+        crashes.append(count)
+        raise GridFileError("no run is needed")
+
+    monkeypatch.setattr(mapf, "setting_of", set_up)
+    for counts in ([2, 9], [4, 9]):
+        with pytest.raises(GridFileError):
+            next(mapf.reports(map_file, None, counts, 1, 0.0, 3, None))
+    assert crashes == [1, 3]
+    assert capsys.readouterr().err == "headland: --crash 3: 1 of 2 robots crash\n"
