@@ -34,6 +34,8 @@ def machine(
             )
             return 0
         asyncio.run(_serve(body, origin, ports, host, seed, as_json))
+    except BrokenPipeError:
+        raise  # of what is printed, which no port mends
     except OSError as problem:
         why = f"{problem.strerror or problem}; choose other ports, or 0 for any free one"
         return wrong(f"{host}: {why}")

@@ -145,6 +145,19 @@ def test_a_gateway_that_is_refused_leaves_no_book(
     assert told.code == 2 and not list(tmp_path.rglob("*")), told
 
 
+def test_a_machine_without_a_reader_blames_no_port() -> None:
+    reader, writer = os.pipe()
+    os.close(reader)
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", "machine", "--gnss", "0", "--wheels", "0",
+         "--orders", "0"],
+        stdout=writer, stderr=subprocess.PIPE, text=True, check=False, timeout=60,
+        env={**os.environ, "PYTHONPATH": str(ROOT)},
+    )  # fmt: skip
+    os.close(writer)
+    assert (done.returncode, done.stderr) == (1, "")  # as of every command
+
+
 @pytest.mark.parametrize("columns", ["0", "00", ""])
 def test_no_columns_are_an_unknown_number(columns: str) -> None:
     assert "oxted" in process("list", COLUMNS=columns, LINES=columns).stdout
