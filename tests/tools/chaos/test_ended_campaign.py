@@ -1,6 +1,7 @@
 """A campaign that is ended leaves no process behind; seeds that no run can have are refused at once."""
 
 import os
+import select
 import signal
 import subprocess
 import sys
@@ -20,16 +21,20 @@ def children(process: int) -> list[int]:
     return [int(each) for each in found]
 
 
-def wait_until_gone(processes: list[int]) -> None:
-    end_s = time.monotonic() + WAIT_S
-    while alive := [each for each in processes if Path(f"/proc/{each}").exists()]:
-        assert time.monotonic() < end_s, f"these go on: {alive}"
-        time.sleep(0.05)
+def goes_on(command: "subprocess.Popen[str]", for_s: float) -> bool:
+    """Whether it still runs after this time."""
+    try:
+        command.wait(for_s)
+    except subprocess.TimeoutExpired:
+        return True
+    return False
 
 
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
-@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "number", [signal.SIGTERM, signal.SIGINT, signal.SIGKILL], ids=["SIGTERM", "SIGINT", "SIGKILL"]
+)
 @pytest.mark.parametrize("words", [[], ["--mutants"]])
 def test_workers_end_with_their_campaign(
     tmp_path: Path, number: signal.Signals, words: list[str]
@@ -42,12 +47,17 @@ def test_workers_end_with_their_campaign(
     )  # fmt: skip
     end_s = time.monotonic() + WAIT_S
     while len(workers := children(command.pid)) < 2:
-        assert time.monotonic() < end_s and command.poll() is None
-        time.sleep(0.05)
-    time.sleep(0.5)  # by then they compute
+        assert time.monotonic() < end_s and goes_on(command, 0.05)
+    assert goes_on(command, 0.5)  # by then they compute
+    alive = {os.pidfd_open(each) for each in workers}  # can be read when the process has ended
     command.send_signal(number)
     _, said = command.communicate(timeout=WAIT_S)
-    wait_until_gone(workers)
+    while alive:
+        ended, _, _ = select.select(alive, [], [], WAIT_S)
+        assert ended, "workers go on"
+        for each in ended:
+            alive.remove(each)
+            os.close(each)
     assert command.returncode == (-number if number == signal.SIGKILL else 130)
     assert "Traceback" not in said
 
