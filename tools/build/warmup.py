@@ -15,6 +15,7 @@ from rich.console import Console
 from sim.files.strict_json import dumps
 from tools.build.kernel_cache import kernels_kept
 from tools.common.child_process import module_command
+from tools.common.compiled_caches import end_with_temporary
 
 
 def _paths() -> None:
@@ -287,7 +288,9 @@ def warm_field() -> None:
         except BaseException:
             other.kill()
             raise
-    Thread(target=lambda: _beside(FIELD_LATER).wait(), daemon=True).start()
+    later = _beside(FIELD_LATER)
+    end_with_temporary(later)
+    Thread(target=later.wait, daemon=True).start()
 
 
 def _beside(names: Sequence[str]) -> "subprocess.Popen[bytes]":

@@ -17,10 +17,15 @@ from collections.abc import Callable, Iterable, Mapping, MutableMapping, Sequenc
 from importlib.abc import MetaPathFinder
 from pathlib import Path
 from types import ModuleType
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import subprocess
 
 CACHE = "NUMBA_CACHE_DIR"  # numba reads it when it is imported
 PICTURES = "MPLCONFIGDIR"  # and matplotlib this one
 READY = ("kernels.json", "headland_kernels*")  # what `agent/runtime/ready_kernels.py` looks for
+_made: set[str] = set()  # temporary folders of this process
 ROOT = Path(__file__).parents[2]
 
 
@@ -79,6 +84,7 @@ def temporary(prefix: str) -> str:
     from shutil import rmtree
 
     folder, maker = tempfile.mkdtemp(prefix=prefix), os.getpid()
+    _made.add(folder)
 
     def delete() -> None:
         if os.getpid() == maker:
@@ -86,6 +92,18 @@ def temporary(prefix: str) -> str:
 
     atexit.register(delete)
     return folder
+
+
+def end_with_temporary(process: "subprocess.Popen[bytes]") -> None:
+    """End a process that compiles kernels before their temporary folder is deleted: it would make the
+    folder again. Where kernels are kept it goes on."""
+
+    def end() -> None:
+        process.kill()
+        process.wait()
+
+    if os.environ.get(CACHE) in _made:
+        atexit.register(end)  # what is registered later is called earlier
 
 
 def can_write(folder: Path) -> bool:

@@ -4,6 +4,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 
 import pytest
@@ -128,12 +129,26 @@ def test_ready_kernels_are_found_where_others_cannot_be_kept(tmp_path: Path) -> 
     assert Path(environment[CACHE], "kernels.json").read_text() == "{}"
 
 
+@pytest.mark.parametrize("mode", [0o700, 0o777])
+def test_a_compiler_does_not_outlive_its_temporary_folder(tmp_path: Path, mode: int) -> None:
+    tmp_path.chmod(mode)
+    code = (
+        "import subprocess, sys; from tools.common import compiled_caches as c; c.guard()\n"
+        "child = subprocess.Popen([sys.executable, '-c', 'input()'], stdin=subprocess.PIPE,"
+        " stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)\n"
+        "c.end_with_temporary(child)\n"
+        "import atexit; atexit._run_exitfuncs(); print(child.poll())\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120, cwd=ROOT,
+        env={"PATH": "/usr/bin:/bin", "PYTHONPATH": str(ROOT), CACHE: str(tmp_path)},
+    )  # fmt: skip
+    assert done.stdout.split() == ["None" if mode == 0o700 else "-9"]
+
+
 @by_root
 @pytest.mark.parametrize("wanted", ["numba", "matplotlib", "nothing"])
-def test_without_a_writable_cache_there_is_a_temporary_one(tmp_path: Path, wanted: str) -> None:
-    tmp_path.chmod(0o1777)
-    for above in tmp_path.parents[:2]:
-        above.chmod(0o711)
+def test_without_a_writable_cache_there_is_a_temporary_one(wanted: str) -> None:
     code = (
         "import os, sys; sys.path.insert(0, sys.argv[1]); os.chdir('/')\n"
         "from tools.common import compiled_caches as c; c.guard()\n"
@@ -143,12 +158,14 @@ def test_without_a_writable_cache_there_is_a_temporary_one(tmp_path: Path, wante
         "elif sys.argv[2] == 'matplotlib': import matplotlib\n"
         "print(c.PICTURES in os.environ)\n"
     )
-    done = subprocess.run(
-        [*AS_NOBODY, sys.executable, "-c", code, str(ROOT), wanted], capture_output=True, text=True,
-        check=False, timeout=120,
-        env={"PATH": "/usr/bin:/bin", "HOME": "/nonexistent", "TMPDIR": str(tmp_path)},
-    )  # fmt: skip
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.split() == ["True", "True", "False", str(wanted == "matplotlib")]
-    assert done.stderr.count("\n") == (wanted == "numba"), done.stderr
-    assert not list(tmp_path.iterdir())
+    with tempfile.TemporaryDirectory() as folder:  # another user reaches none of pytest's
+        Path(folder).chmod(0o1777)
+        done = subprocess.run(
+            [*AS_NOBODY, sys.executable, "-c", code, str(ROOT), wanted], capture_output=True, text=True,
+            check=False, timeout=120,
+            env={"PATH": "/usr/bin:/bin", "HOME": "/nonexistent", "TMPDIR": folder},
+        )  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        assert done.stdout.split() == ["True", "True", "False", str(wanted == "matplotlib")]
+        assert done.stderr.count("\n") == (wanted == "numba"), done.stderr
+        assert not list(Path(folder).iterdir())
