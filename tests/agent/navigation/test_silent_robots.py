@@ -3,6 +3,7 @@
 from math import inf, pi
 from random import Random
 
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -30,6 +31,54 @@ def view(
 
 def beat(x_m: float, y_m: float, heard_at_us: int) -> Neighbour:
     return Neighbour(Pose(x_m, y_m, 0.0, 0.0, 1, False, 255), heard_at_us)
+
+
+DAY_US = 24 * 3600 * S
+
+
+@pytest.mark.parametrize("days", [1, 7, 12, 13, 100])
+def test_after_days_the_latest_place_of_a_silent_member_counts(days: int) -> None:
+    """Found: the clock of stamps stopped after twelve days. The easternmost place won from then on."""
+    bodies, booted, begin_us = SilentRobots(0, 0), SilentRobots(1, days * DAY_US), days * DAY_US
+    ends_at_us = begin_us + 20 * S
+    for now_us, x_m in ((begin_us, 8.0), (begin_us + 3600 * S, 2.0), (begin_us + 7200 * S, 5.0)):
+        ends_at_us = now_us + 20 * S
+        known = {2: beat(x_m, 4.0, now_us)}
+        bodies.observe(view(0, now_us, {0, 1, 2}, {}, known))
+        bodies.observe(view(0, ends_at_us, {0, 1}, {2: now_us}, known))
+        assert abs(bodies.dead[2][0] - x_m) < 1e-6
+    for word in bodies.outgoing(True, ends_at_us + S):
+        booted.on_message(FALLEN.unpack(FALLEN.pack(word)), ends_at_us + S)
+    booted.observe(view(1, ends_at_us + S, {0, 1}, {}, {}))
+    assert booted.dead == bodies.dead
+
+
+def test_a_member_that_lies_for_weeks_is_known_until_it_is_seen_to_have_gone() -> None:
+    bodies = [SilentRobots(0, 0), SilentRobots(1, 7 * S)]
+    lies, silent = {2: beat(1.0, 0.3, 10 * S)}, {2: 10 * S}
+    now_us = 0
+    for hour in range(1, 24 * 40):
+        now_us = hour * 3600 * S
+        for own in bodies:
+            own.observe(view(own.slot, now_us, {0, 1}, silent, lies))
+            for word in own.outgoing(False, now_us):
+                bodies[1 - own.slot].on_message(FALLEN.unpack(FALLEN.pack(word)), now_us)
+        assert bodies[0].dead == bodies[1].dead and 2 in bodies[0].dead
+    free = HERE._replace(ranges_m=(inf,) * 36)
+    bodies[0].observe(view(0, now_us + S, {0, 1}, silent, lies, free))
+    (word,) = bodies[0].outgoing(True, now_us + S)
+    bodies[1].on_message(FALLEN.unpack(FALLEN.pack(word)), now_us + S)
+    bodies[1].observe(view(1, now_us + S, {0, 1}, silent, lies))
+    assert bodies[0].dead == bodies[1].dead == {}
+
+
+def test_a_place_of_days_ago_is_forgotten_if_its_member_is_received() -> None:
+    bodies = SilentRobots(0, 0)
+    bodies.observe(view(0, 20 * S, {0}, {2: 10 * S}, {2: beat(3.0, 4.0, 10 * S)}))
+    bodies.observe(view(0, DAY_US, {0, 2}, {}, {}))
+    assert 2 in bodies.known, "it is told to robots that were away"
+    bodies.observe(view(0, 4 * DAY_US, {0, 2}, {}, {}))
+    assert not bodies.known and not list(bodies.outgoing(True, 4 * DAY_US))
 
 
 def test_who_has_restarted_is_told_where_a_silent_member_stands() -> None:
