@@ -11,7 +11,15 @@ from typing import NamedTuple
 from zlib import crc32
 
 from agent.interface.config import MS, S
-from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest, TaskOrder
+from crdt.digest import mix
+from protocol.frames.delivery_frames import (
+    BUCKET_TASKS,
+    CHECK_BITS,
+    ORDER_SALTS,
+    TASK_NUMBERS,
+    TaskBookDigest,
+    TaskOrder,
+)
 
 TASKS_MAX = 0x6000  # sections from here on are visits of charger bays
 assert TASK_NUMBERS <= TASKS_MAX
@@ -106,6 +114,7 @@ class TaskRegistry:
         self._due: dict[int, int] = {}  # task to send again, and from when
         self._heard_at_us: dict[int, int] = {}
         self._slot, self._turn = slot, slot
+        self._salt = slot % ORDER_SALTS  # another one in each round of the buckets
         # So that robots do not send in the same beat.
         self._digest_at_us = now_us + DIGEST_US + slot * 37 * MS
 
@@ -149,7 +158,7 @@ class TaskRegistry:
         return ()
 
     def _compare(self, message: TaskBookDigest, now_us: int) -> None:
-        bits, check = self._digest(message.bucket)
+        bits, check = self._digest(message.bucket, message.salt)
         if message.bits & ~bits and (
             now_us - self._asked_at_us.get(message.bucket, -AGAIN_US) >= AGAIN_US
         ):
@@ -163,14 +172,20 @@ class TaskRegistry:
             if lacking >> k & 1 and now_us - self._heard_at_us.get(task, -AGAIN_US) >= AGAIN_US:
                 self._due.setdefault(task, now_us + self._slot % 8 * 50 * MS)
 
-    def _digest(self, bucket: int) -> tuple[int, int]:
+    def _digest(self, bucket: int, salt: int) -> tuple[int, int]:
+        """Which tasks of a bucket we know, and the check of their orders. A CRC alone would not do: two
+        lists that have one CRC with a salt before them have one with every salt."""
         bits, found = 0, []
         for k in range(BUCKET_TASKS):
             order = self.tasks.get(bucket * BUCKET_TASKS + k)
             if order is not None:
                 bits |= 1 << k
                 found.append((k, *order))
-        return bits, crc32(repr(found).encode()) & 0xFF
+        return bits, mix(salt << 32 | crc32(repr(found).encode())) >> 64 - CHECK_BITS
+
+    def _told(self, bucket: int) -> TaskBookDigest:
+        bits, check = self._digest(bucket, self._salt)
+        return TaskBookDigest(bucket, self._salt, check, bits)
 
     def outgoing(self, now_us: int) -> Iterator[TaskOrder | TaskBookDigest]:
         """The frames that are due with our beat: repeated orders, and a digest."""
@@ -184,13 +199,12 @@ class TaskRegistry:
         if self._lacking:  # a digest that shows what we lack makes others repeat it
             bucket = next(iter(self._lacking))
             del self._lacking[bucket]
-            bits, check = self._digest(bucket)
-            yield TaskBookDigest(bucket, check, bits)
+            yield self._told(bucket)
         if now_us >= self._digest_at_us:
             self._digest_at_us = now_us + DIGEST_US
             # Empty buckets are left out. One order with a high number would delay all others.
             buckets = sorted({task // BUCKET_TASKS for task in self.tasks}) or [0]
             self._turn = (self._turn + 1) % len(buckets)
-            bucket = buckets[self._turn]
-            bits, check = self._digest(bucket)
-            yield TaskBookDigest(bucket, check, bits)
+            if self._turn == 0:
+                self._salt = (self._salt + 1) % ORDER_SALTS
+            yield self._told(buckets[self._turn])

@@ -5,6 +5,8 @@ from typing import NamedTuple
 from protocol.frames.layout import ROBOT, TOOL, FrameLayout, integer
 
 BUCKET_BITS = 8
+CHECK_BITS = 5
+ORDER_SALTS = 8  # of a TASK_BOOK frame, used in turn
 BUCKET_TASKS = 48  # of a TASK_BOOK frame
 TASK_NUMBERS = BUCKET_TASKS << BUCKET_BITS  # a task from here on has no bucket
 HASTENS = 1  # of a PLAN_OFFER frame
@@ -43,6 +45,7 @@ class TaskBookDigest(NamedTuple):
     """
 
     bucket: int
+    salt: int
     check: int
     bits: int
 
@@ -51,7 +54,8 @@ TASK_BOOK = FrameLayout(
     TaskBookDigest, "TASK_BOOK", pgn=0xFF21, priority=7, sender=ROBOT,
     fields=(
         integer("bucket", BUCKET_BITS, "tasks 48 * bucket to 48 * bucket + 47"),
-        integer("check", 8, "digest of the orders that it knows of them"),
+        integer("salt", 3, "mixed into the check: orders that collide with one salt differ with another"),
+        integer("check", CHECK_BITS, "digest of the orders that it knows of them"),
         integer("bits", BUCKET_TASKS, "bit i: task 48 * bucket + i is known"),
     ),
 )  # fmt: skip

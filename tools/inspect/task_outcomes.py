@@ -88,7 +88,7 @@ class TaskListener:
                 learned, last_s = len(self.orders), self._loop.time()
             for bucket in {task // BUCKET_TASKS for task in self.known - self.orders.keys()}:
                 mine = {t % BUCKET_TASKS for t in self.orders if t // BUCKET_TASKS == bucket}
-                self.operator.send(TaskBookDigest(bucket, 0, sum(1 << k for k in mine)))
+                self.operator.send(TaskBookDigest(bucket, 0, 0, sum(1 << k for k in mine)))
             await asyncio.sleep(ASK_S)
         await asyncio.sleep(ASK_S)  # the answers about registers may be under way
 

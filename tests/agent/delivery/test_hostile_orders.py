@@ -57,7 +57,7 @@ def test_a_robot_that_comes_late_learns_all_orders() -> None:
 
 def test_a_digest_that_shows_more_is_answered_once_in_a_while() -> None:
     book = TaskRegistry(1, {}, 0)
-    more = TaskBookDigest(5, 0, 1)
+    more = TaskBookDigest(5, 0, 0, 1)
     said = []
     for now_us in range(0, AGAIN_US, 50 * MS):
         book.on_message(more, now_us)

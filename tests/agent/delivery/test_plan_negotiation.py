@@ -12,7 +12,14 @@ from agent.delivery.plan_negotiation import (
     digest_of,
 )
 from agent.delivery.task_registry import TaskRegistry, TransportTask
-from protocol.frames.delivery_frames import PlanOffer, PlanRow
+from agent.interface.config import MS, S
+from protocol.frames.delivery_frames import (
+    BUCKET_TASKS,
+    ORDER_SALTS,
+    PlanOffer,
+    PlanRow,
+    TaskBookDigest,
+)
 from tests.agent.planning import frozen, play, short_search
 from tests.state_tables import check_table
 
@@ -81,6 +88,34 @@ def test_task_books_become_equal_whatever_is_lost(seed: int) -> None:
                         heard.on_message(said, step * 50_000)
     assert all(book.tasks == books[0].tasks for book in books)
     assert len(books[0].tasks) == 60 and books[0].tasks[7] == TransportTask(3, 4)
+
+
+def test_no_withdrawal_is_hidden_by_a_collision_of_digests() -> None:
+    """Found: a check of 8 bits without a salt was equal for one order in 256 and its withdrawal. A robot
+    that was off when the order was taken back never heard of it, and carried the parcel."""
+    for pickup in range(1_000):
+        order = TransportTask(pickup, 5)
+        books = [TaskRegistry(0, {0: order.taken_back}, 0), TaskRegistry(1, {0: order}, 0)]
+        for now_us in range(0, 10 * S, 250 * MS):
+            for book, other in (books, books[::-1]):
+                for said in list(book.outgoing(now_us)):
+                    other.on_message(said, now_us)
+            if books[0].tasks == books[1].tasks:
+                break
+        assert books[1].tasks[0].withdrawn, order
+
+
+@pytest.mark.parametrize("buckets", [1, 2, 8, 16])
+def test_each_bucket_is_told_with_all_salts(buckets: int) -> None:
+    order = TransportTask(1, 2)
+    book = TaskRegistry(3, {k * BUCKET_TASKS: order for k in range(buckets)}, 0)
+    told = {
+        (said.bucket, said.salt)
+        for second in range((ORDER_SALTS + 1) * buckets + 2)
+        for said in book.outgoing(second * S)
+        if isinstance(said, TaskBookDigest)
+    }
+    assert len(told) == buckets * ORDER_SALTS
 
 
 def test_every_phase_and_event() -> None:

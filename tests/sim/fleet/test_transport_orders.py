@@ -13,7 +13,7 @@ from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 
 
 def digest(tasks: set[int]) -> TaskBookDigest:
-    return TaskBookDigest(0, 0, sum(1 << task for task in tasks))
+    return TaskBookDigest(0, 0, 0, sum(1 << task for task in tasks))
 
 
 def test_an_order_is_repeated_until_two_robots_know_it() -> None:

@@ -518,7 +518,7 @@ def test_a_device_without_keys_may_ask_which_tasks_there_are() -> None:
 
     def ask(cluster: DeliveryFleet) -> None:
         if cluster.host.now_us() > 8 * S:  # the fleet is up
-            cluster.inject(TaskBookDigest(0, 0, 0))
+            cluster.inject(TaskBookDigest(0, 0, 0, 0))
 
     run = DeliveryRun(DeliverySetup(given))
     run.watch = ask
