@@ -135,8 +135,21 @@ class OccupancyMap:
         `values` are the 16 cells of the patch row by row, shape (16,); UNKNOWN says nothing of a
         cell. `level` is the confidence, `time` seconds of the fleet's clock.
         """
-        keys = np.where(values != UNKNOWN, base(self.order, level, time, observer) | values, 0)
+        keys = np.where(values != UNKNOWN, self.base(level, time, observer) | values, 0)
         return self.join(patch, keys)
+
+    def base(self, level: int, time: int, observer: int) -> int:
+        """The key of a record without its value, as `crdt.sighting.base`."""
+        return base(self.order, level, time, observer)
+
+    def stamp(self, level: int, time: int) -> tuple[int, int]:
+        """A level and a time as the wire has them."""
+        return level, time
+
+    def time_of(self, level: int, stamp: int, now: int) -> int:
+        """The time, in seconds, of a level and a `stamp` of as many seconds on the wire. `now`: what our
+        clock shows."""
+        return stamp
 
     def join(self, patch: int, keys: Keys) -> int:
         """Join the 16 `keys` of one patch, shape (16,), row by row; returns the number of changed
@@ -231,12 +244,15 @@ class OccupancyMap:
         """A hash of each patch, modulo 2**64; 0 if nothing is known of it."""
         if self._stale:
             rows = np.array(sorted(self._stale), dtype=np.int64)
-            keys = self._keys[rows]
+            keys = self._on_wire(self._keys[rows])
             names = rows[:, None] * CELLS + np.arange(CELLS)
             mixed = mix(mix(names.astype(np.uint64)) ^ keys.astype(np.uint64))
             self._sums[rows] = np.where(keys > 0, mixed, np.uint64(0)).sum(axis=1, dtype=np.uint64)
             self._stale.clear()
         return self._sums
+
+    def _on_wire(self, keys: Keys) -> Keys:
+        return keys
 
     @property
     def digest(self) -> int:
@@ -263,7 +279,7 @@ class OccupancyMap:
 
     def _key(self, record: int) -> int:
         value, level, time, observer = unpack(record)
-        return base(self.order, level, time, observer) | value
+        return self.base(level, time, observer) | value
 
     def serialize(self) -> bytes:
         """Equal maps give equal bytes."""

@@ -22,7 +22,8 @@ from typing import NamedTuple
 
 UNKNOWN, FREE, OBSTACLE = range(3)  # of a cell
 LEVELS = 16  # of confidence: level k is (k + 1) / 16
-# Seconds: two and a quarter hours of one exploration; after that, later is not newer.
+# Seconds: two and a quarter hours of one exploration; after that, later is not newer. A map of
+# obstacles that pass goes on (`crdt/passing_map.py`).
 TIME_MAX = (1 << 13) - 1
 OBSERVER_MAX = (1 << 5) - 1  # slots 0 to 31
 RECORD_BITS = 24

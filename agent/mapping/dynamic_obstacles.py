@@ -4,7 +4,8 @@
     hazards.path(at, goal)                  round all obstacles that are believed to stand now
 
 Observations are shared through the fleet's map (`crdt/occupancy.py`), cell by cell; the latest one
-wins. A record's observer is the owner of the obstacle, and its time is the birth. After
+wins, and the clock of the map has no end (`crdt/passing_map.py`). A record's observer is the owner of
+the obstacle, and its time is the birth. After
 `BELIEVED_S` without another observation it expires. A robot that sees that an obstacle has gone
 announces it. A grid of our own (`agent/mapping/occupancy_grid.py`) is made when the first obstacle
 turns up. Until then, paths are planned on the building plan that all robots share.
@@ -26,7 +27,8 @@ from agent.mapping.occupancy_grid import Obstacle, OccupancyGrid
 from agent.mapping.ray_evidence import LEAST, MOST
 from agent.motion.unexplained_echoes import BODY_M, UnexplainedEchoes
 from crdt.occupancy import Geometry
-from crdt.sighting import FREE, OBSTACLE, TIME_MAX, UNKNOWN, VALUE, base, unpack
+from crdt.passing_map import FIRST_LEVEL
+from crdt.sighting import FREE, OBSTACLE, RECORD_BITS, UNKNOWN, VALUE, unpack
 from protocol.sync.map_sync import MapSync, Values
 
 XY = tuple[float, float]
@@ -43,6 +45,7 @@ BODY = -1  # the obstacle number of a silent member; others are numbered by thei
 IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
 NOBODY: Mapping[int, XY] = {}
+assert SURE == FIRST_LEVEL
 UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
 
 
@@ -372,10 +375,10 @@ class ObstacleMap(LocalAndFleetMap):
             before, now = int(self._records[row, column]), int(keys[row, column])
             if before:
                 self.grid.remove(unpack(before).observer, cell)
-            record = unpack(now)
-            age_us = (
-                max(self.sync.clock.read(now_us) - record.time, 0) * self.sync.clock.tick_period_us
-            )
+            if not now:
+                continue  # so old that the map has dropped it
+            record, time = unpack(now), now >> RECORD_BITS
+            age_us = max(self.sync.clock.read(now_us) - time, 0) * self.sync.clock.tick_period_us
             if record.observer == self.sync.slot or record.value != OBSTACLE:
                 continue
             x_m, y_m = self.geometry.centre(row, column)
@@ -427,7 +430,7 @@ class ObstacleMap(LocalAndFleetMap):
         stands = seen & self._open[window] & (evidence == MOST)
         own = np.where(stands, OBSTACLE, np.where(evidence == LEAST, FREE, UNKNOWN))
         was = known & VALUE
-        old = (time - (known >> 11 & TIME_MAX)) >= REFRESH_S
+        old = (time - (known >> RECORD_BITS)) >= REFRESH_S
         worth = np.where(own == OBSTACLE, (was != OBSTACLE) | old, was == OBSTACLE)
-        mine = base(self.fleet.order, SURE, time, slot) | own
+        mine = self.fleet.base(SURE, time, slot) | own
         return np.where(worth & (mine > known), own, UNKNOWN)

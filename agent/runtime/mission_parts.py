@@ -32,8 +32,9 @@ from agent.pathfinding.pathfinding_mission import GoalWork
 from agent.runtime.declared_values import BatteryTable, FieldTable, FleetTable, WarehouseTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.hybrid_clock import HybridClock
-from crdt.occupancy import SIDE_MAX, OccupancyMap
-from crdt.sighting import OBSERVER_MAX, TIME_MAX, MergeOrder
+from crdt.occupancy import SIDE_MAX
+from crdt.passing_map import LAST_TIME, PassingMap
+from crdt.sighting import OBSERVER_MAX
 from protocol.sync.map_sync import MapSync
 
 Point = tuple[float, float]  # metres east and north
@@ -117,8 +118,8 @@ def obstacle_map(slot: int, robots: int, floor: Floor, now_us: int) -> MapSync |
     geometry = geometry_of(floor)
     if robots > OBSERVER_MAX + 1 or max(geometry[:2]) > SIDE_MAX:
         return None
-    clock = HybridClock(now_us, MAP_TICK_US, TIME_MAX)
-    return MapSync(slot, OccupancyMap(geometry, MergeOrder.LATEST_UPDATE), clock, now_us)
+    clock = HybridClock(now_us, MAP_TICK_US, LAST_TIME)
+    return MapSync(slot, PassingMap(geometry), clock, now_us)
 
 
 def navigation_parts(

@@ -33,7 +33,8 @@ MAP_PATCH = FrameLayout(
     fields=(
         integer("patch", 16, "its number along the Z-order curve"),
         integer("time", 13, "of the fleet's common clock", unit="s"),
-        integer("level", 4, "of confidence: (level + 1) / 16"),
+        integer("level", 4, "of confidence: (level + 1) / 16; of passing obstacles: 13 in the first lap "
+                "of the clock, and one more in each later lap, modulo 16 without 13"),
         integer("observer", 5, "slot"),
         integer("cells", 26, "16 digits to the base 3, the first cell lowest: 0 nothing said, 1 free, "
                 "2 obstacle", accepted=range(CODES)),

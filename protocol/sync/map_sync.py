@@ -131,9 +131,10 @@ class MapSync:
         return 0
 
     def _patch(self, slot: int, m: MapPatch, now_us: int) -> int:
-        self.clock.witness(m.time, now_us)
+        time = self.chart.time_of(m.level, m.time, self.clock.read(now_us))
+        self.clock.witness(time, now_us)
         values = decode_cells(m.cells)
-        changed = self.chart.apply(m.patch, values, m.level, m.time, m.observer)
+        changed = self.chart.apply(m.patch, values, m.level, time, m.observer)
         if changed:
             self._merged[slot] += changed
             self._recent[m.patch // FANOUT] = None
@@ -281,7 +282,8 @@ class MapSync:
             self._changed_at_us[patch] = now_us
             self._recent[patch // FANOUT] = None
             values = np.where(self.chart.patch(patch) > before, values, UNKNOWN)
-            return MapPatch(patch, time, level, self.slot, encode_cells(values))
+            level, stamp = self.chart.stamp(level, time)
+            return MapPatch(patch, stamp, level, self.slot, encode_cells(values))
         return None
 
     def _next_repair(self, now_us: int) -> Said | None:

@@ -9,6 +9,8 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import BELIEVED_S, DynamicObstacles
 from agent.mapping.ray_evidence import LEAST
+from agent.runtime.mission_parts import obstacle_map
+from protocol.frames.map_frames import MapPatch
 from protocol.sync.map_sync import MapSync
 from sim.scenarios.navigation_setup import NavigationSetup
 from sim.world.world import World
@@ -16,6 +18,7 @@ from sim.world.world import World
 HALL = Floor.drawn("\n".join(["." * 16] * 5), 1.0, 0.35)
 AT, GOAL = (2.5, 2.5), (13.5, 2.5)
 BOX = (5.5, 2.5)
+FAR_BOX = (10.5, 2.5)  # seen by the other robot
 
 
 class Two:
@@ -23,6 +26,7 @@ class Two:
 
     def __init__(self, floor: Floor = HALL, places: tuple[tuple[float, float], ...] = (AT, GOAL)):
         setting = NavigationSetup.made("two", floor, places, [[], []])
+        self.floor = floor
         self.world: World = setting.world()
         self.syncs: list[MapSync] = []
         for slot in range(2):
@@ -33,6 +37,18 @@ class Two:
         self.robots = [DynamicObstacles(floor, sync) for sync in self.syncs]
         self.looks = {0, 1}
         self.now_us = 0
+
+    def age(self, hours: float) -> None:
+        """The clock of the robots' map shows that they are on for so long."""
+        for sync in self.syncs:
+            sync.clock.witness(round(hours * 3600), self.now_us)
+
+    def restart(self, slot: int) -> None:
+        """A robot forgets everything, its clock too."""
+        sync = obstacle_map(slot, 2, self.floor, self.now_us)
+        assert sync is not None
+        sync.live(frozenset((0, 1)))
+        self.syncs[slot], self.robots[slot] = sync, DynamicObstacles(self.floor, sync)
 
     def elapse(self, seconds: float) -> None:
         until_us = self.now_us + round(seconds * S)
@@ -109,6 +125,50 @@ def test_what_still_stands_is_not_forgotten() -> None:
     two.world.add_box(*BOX, 0.6)
     two.elapse(BELIEVED_S + 5.0)
     assert two.robots[1].standing
+
+
+@pytest.mark.parametrize("hours", [0.0, 2.27, 3.0, 4.55, 40.0])
+def test_after_hours_what_comes_and_goes_is_known_to_all(hours: float) -> None:
+    """Found: after 2 h 17 min no time was later than another. What had gone stood for ever for robots
+    far off, and they never heard of what stood there again."""
+    two = Two()
+    two.age(hours)
+    for _ in range(2):
+        box = two.world.add_box(*BOX, 0.6)
+        two.elapse(3.0)
+        assert two.robots[0].standing and two.robots[1].standing and two.gap_m(1) > 0.6
+        two.world.remove_box(box)
+        two.elapse(3.0)
+        assert not two.robots[0].standing and not two.robots[1].standing
+    two.world.add_box(*BOX, 0.6)
+    two.elapse(BELIEVED_S + 5.0)
+    assert two.robots[1].standing, "it is told again while it stands"
+    assert two.syncs[0].chart.digest == two.syncs[1].chart.digest
+
+
+def test_a_robot_that_restarts_after_hours_learns_what_stands_and_is_heard() -> None:
+    two = Two()
+    two.age(10.3)
+    two.world.add_box(*BOX, 0.6)
+    two.elapse(3.0)
+    two.restart(1)
+    two.elapse(3.0)
+    assert two.robots[1].standing and two.gap_m(1) > 0.6
+    two.world.add_box(*FAR_BOX, 0.6)
+    two.elapse(3.0)
+    assert any(hypot(x - FAR_BOX[0], y - FAR_BOX[1]) < 0.7 for x, y in two.robots[0].reported())
+    assert two.syncs[0].chart.digest == two.syncs[1].chart.digest
+
+
+def test_what_a_restarted_robot_says_before_it_hears_others_does_not_move_their_clock() -> None:
+    two = Two()
+    two.age(10.3)
+    two.world.add_box(*BOX, 0.6)
+    two.elapse(3.0)
+    before = two.syncs[0].clock.read(two.now_us)
+    two.restart(1)
+    two.syncs[0].on_message(1, MapPatch(0, 5, 13, 1, 1), two.now_us)
+    assert two.syncs[0].clock.read(two.now_us) == before
 
 
 def test_a_robot_that_is_heard_later_is_no_box() -> None:
