@@ -21,6 +21,7 @@ from agent.peer.durable_records import (
     VOTE,
 )
 from agent.peer.key_renewal import FLEET_KEYS, RECORD
+from agent.peer.membership import SILENT_KEY
 from agent.peer.operator_directive import DIRECTIVE_KEY, SENT, WORKS
 from agent.peer.range_freshness import SCANNED, SCANS_KEY
 from agent.peer.sense_freshness import BELIEVED, DOUBTED, FROZEN_RECORD, PLACE_KEY
@@ -71,6 +72,7 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     PLACE_KEY: lambda raw: len(raw) == FROZEN_RECORD.size or raw in (BELIEVED, bytes((DOUBTED,))),
     SCANS_KEY: lambda raw: raw == SCANNED,
     DIRECTIVE_KEY: lambda raw: raw in (WORKS, SENT),
+    SILENT_KEY: lambda raw: list(raw) == sorted(set(raw)),
 }
 # Greatest numbers in the key; bytes.
 _FAMILIES: Mapping[str, tuple[tuple[int, ...], tuple[int, ...]]] = {

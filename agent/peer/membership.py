@@ -8,6 +8,9 @@ to silence is decided elsewhere (safety brakes, allocation waits for the lease).
 suspicion level and no vote: on one bus segment every node receives every other, so a second opinion
 would carry no information.
 
+Where the policy lets silence go on to limit the motion (`SilencePolicy.STOP`, `SLOW`), a robot keeps over
+a restart which members were silent. So a restart replaces no word of an operator.
+
 The oldest sign of life is searched only when it may have become silence, a few times a second. So a
 beat, which arrives a thousand times a second, costs only the write of its sender's newest pose.
 """
@@ -17,8 +20,8 @@ from enum import Enum, auto
 from typing import Any
 
 from agent.interface.config import FAREWELL_SPEED_M_S, GONE_QUIET_US, LEAVES_WITHIN_US
-from agent.interface.effects import Trace
-from agent.interface.identity import Identity
+from agent.interface.effects import Persist, Trace
+from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.instants import FOREVER_US, NEVER_US
 from agent.interface.observation import Neighbour
 from agent.peer import notices
@@ -47,6 +50,7 @@ FAREWELL_US = 250_000
 # A member that keeps sending after a farewell did not send that farewell itself. Further farewells
 # in its name are ignored for this long.
 DISBELIEVED_US = 10_000_000
+SILENT_KEY = "silent"  # of durable memory: the slots of silent members, ascending, a byte each
 
 
 class MemberStatus(Enum):
@@ -68,9 +72,12 @@ class Membership(Part):
         silence_for_us: int,
         safety: StopController,
         origins: Origins,
+        recalled: Mapping[str, bytes],
         now_us: int,
     ) -> None:
-        """`silence_for_us`: a member that is not received for longer is silent."""
+        """`silence_for_us`: a member that is not received for longer is silent. `recalled`: durable
+        memory as it was before the start; a robot whose policy lets silence hold it stands for the
+        members in `SILENT_KEY` as it did."""
         slot = self.slot = identity.slot
         assert slot in identity.members
         self.silence_for_us, self.safety, self.origins = silence_for_us, safety, origins
@@ -96,6 +103,13 @@ class Membership(Part):
         self._left_at_us: dict[int, int] = {}
         self._void_at_us: dict[int, int] = {}
         self._oldest_sign_at_us = now_us  # no sign of life in `last_sign_at_us` is older
+        self._keeps_silent = identity.silence is not SilencePolicy.CONTINUE
+        self._kept_silent = recalled.get(SILENT_KEY, b"")  # as on disk
+        if self._keeps_silent:
+            for member in self._kept_silent:
+                if member in self.standing:
+                    self._stand(member, MemberStatus.SILENT, now_us)
+            safety.members(self.live, self.silent, now_us)  # it has driven nothing yet: no effects
 
     @property
     def direct(self) -> Mapping[type[Any], DirectHandler]:
@@ -120,6 +134,13 @@ class Membership(Part):
 
     def changed(self) -> Outputs:
         """The live view changed, or is told again to the parts that depend on it."""
+        silent = bytes(sorted(self.silent))
+        if not self._keeps_silent or silent == self._kept_silent:
+            return self._told()
+        self._kept_silent = silent
+        return [*self._told(), Persist(SILENT_KEY, silent)]
+
+    def _told(self) -> Outputs:
         live, silent = self.live, self.silent
         seen = f"live {sorted(live)} silent {sorted(silent)}"
         changed = notices.MembershipChanged(live, silent)
@@ -212,7 +233,9 @@ class Membership(Part):
         return [*self.changed(), Trace("safety", "", "PERMITTED", "", said)]
 
     def _left(self, ctx: StepContext, notice: notices.Left) -> Outputs:
-        self.forget_all(ctx.now_us)
+        self.forget_all(
+            ctx.now_us
+        )  # not on disk: a farewell before a restart replaces no word either
         return NOTHING
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:

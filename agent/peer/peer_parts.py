@@ -116,7 +116,7 @@ class PeerParts:
         self.joining = NetworkJoin(identity, incarnation, rng, now_us)
         self.origins = Origins(identity.name)
         self.membership = Membership(
-            identity, beat.silence_for_us, self.safety, self.origins, now_us
+            identity, beat.silence_for_us, self.safety, self.origins, recalled, now_us
         )
         self._make_trust(keyring, now_us)
         for revoked in sorted(kept.revoked):

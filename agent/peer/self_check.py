@@ -18,13 +18,14 @@
 from collections.abc import Mapping
 from typing import Any, Final
 
-from agent.interface.config import ACTUATOR_TTL_US, BeaconTiming, S
+from agent.interface.config import ACTUATOR_TTL_US, MS, BeaconTiming, S
 from agent.interface.effects import HALT, Trace
 from agent.interface.instants import FOREVER_US, NEVER_US
 from agent.peer import inputs, notices
 from agent.peer.membership import Membership
 from agent.peer.network_join import NetworkJoin
 from agent.peer.part import NOTHING, DirectListener, Outputs, Part, StepContext
+from agent.safety.standard_stop import SAY_US
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.controller_health import Health
@@ -35,6 +36,9 @@ PASSIVE_US = 1 * S  # a burst of errors is shorter; a broken wire is not
 # Beats. Each of n others names us once in n beats, so the odds that all miss us this long are e^-20.
 ROUND_MAX = 20
 LATE_HOLD_US = 1 * S  # a robot whose control froze waits this long before it moves
+# A robot that was deaf, or has just booted, listens this long before it moves: a stop button that is
+# pressed says so once in `SAY_US`, and its frame waits for other frames.
+LISTEN_US: Final = SAY_US + 100 * MS
 # Frames up to this priority are queued even if no frame is sent: stops, resets, proofs.
 URGENT: Final = 3
 # One other frame is queued this often, to detect that a bus that lost its queue works again.
@@ -141,12 +145,13 @@ class SelfCheck(Part):
         return outputs
 
     def _holds_on(self, why: str, now_us: int) -> bool:
-        """Hold UNHEARD a silence timeout longer, so that stops queued with our frames arrive first."""
+        """Hold UNHEARD longer, so that stops arrive first: those queued with our frames, and those of
+        buttons that were pressed while we heard nothing."""
         if why or not self.safety.holds(StopCause.UNHEARD):
             self._well_at_us = None
             return bool(why)
         self._well_at_us = _first(self._well_at_us, now_us)
-        return now_us - self._well_at_us < self.beat.silence_for_us
+        return now_us - self._well_at_us < max(self.beat.silence_for_us, LISTEN_US)
 
     def _unheard(self, now_us: int) -> str:
         """Why our frames do not arrive, as far as we know; empty if they do."""

@@ -70,10 +70,11 @@ def peer_in(
     return peer
 
 
-def introduce(peer: Peer, address: int, slot: int, now_us: int = 0) -> None:
+def introduce(peer: Peer, address: int, slot: int, now_us: int = 0) -> list[Effect]:
     """Another robot of its fleet claims an address and says which member it is."""
-    peer.step(Heard(address, AddressClaimed(fleet_name("total", slot).pack())), now_us)
-    peer.step(Heard(address, Member(slot, 0, 1)), now_us)
+    claim = AddressClaimed(fleet_name("total", slot).pack())
+    heard = peer.step(Heard(address, claim), now_us)
+    return [*heard, *peer.step(Heard(address, Member(slot, 0, 1)), now_us)]
 
 
 def introduce_tools(peer: Peer, *addresses: int) -> Peer:

@@ -1,4 +1,5 @@
-"""What a restart must not make good: a place that had jumped, and a range sensor that had died."""
+"""What a restart must not make good: a place that had jumped, a range sensor that had died, a member
+that is silent."""
 
 from collections.abc import Callable
 from random import Random
@@ -13,11 +14,16 @@ from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
+from agent.peer.membership import SILENT_KEY
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import CREEP_M_S
 from protocol.controller_health import Health
-from protocol.frames.safety_frames import Command, OperatorCommand
-from tests.agent.lone_peer import Eager, introduce_tools
+from protocol.frames.fleet_frames import Pose
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import AllImplementsStop, Command, OperatorCommand, Switch
+from protocol.name import Name
+from tests.agent.lone_peer import Eager, introduce, introduce_tools
 
 OPERATOR = 250
 
@@ -32,13 +38,14 @@ Blind = Callable[[int, float, Drive], None]  # time, way in metres, command in f
 class Machine:
     """One robot with its disk. It drives as it is told, at once."""
 
-    def __init__(self) -> None:
+    def __init__(self, policy: SilencePolicy = SilencePolicy.CONTINUE) -> None:
         self.disk: dict[str, bytes] = {}
+        self.policy = policy
         self.now_us, self.sent, self.way_m = 0, 0, 0.0
         self.boot(first=True)
 
     def boot(self, first: bool = False) -> None:
-        identity = identity_of("total", 0, 3, 1, SilencePolicy.CONTINUE, first_boot=first)
+        identity = identity_of("total", 0, 3, 1, self.policy, first_boot=first)
         motion = HolonomicMotion(0, BodyLimits(0.8, 2.5, 1.5), FENCES)
         self.peer = make_peer(
             identity, Random(self.now_us), self.now_us, dict(self.disk),
@@ -214,3 +221,81 @@ def test_a_second_restart_before_the_first_place_does_not_forget_that_the_place_
     machine.boot()
     assert machine.until(machine.now_us + 5 * S, hung) == 0.0
     assert StopCause.PLACE_FROZEN in machine.held
+
+
+@pytest.mark.parametrize("phase_ms", range(0, 1000, 50))
+def test_a_robot_that_boots_beside_a_pressed_stop_button_does_not_drive(phase_ms: int) -> None:
+    """A button says its stop once a second. The robot drove 0.7 m before the first frame."""
+    machine, button, at_us = Machine(), 38, 0
+    name = Name(5, manufacturer=100, function=140, device_class=0).pack()
+
+    def press(end_at_us: int) -> float:
+        nonlocal at_us
+        way_m = 0.0
+        while machine.now_us < end_at_us:
+            if at_us <= machine.now_us:
+                heard = Heard(button, AllImplementsStop(1, Switch.STOP))
+                machine.perform(machine.peer.step(heard, machine.now_us))
+                at_us += 1 * S
+            way_m += machine.until(min(end_at_us, at_us), off_by(0.0))
+        return way_m
+
+    machine.peer.step(Heard(button, AddressClaimed(name)), 0)
+    press(3 * S + phase_ms * 1000)
+    machine.boot()
+    machine.peer.step(Heard(button, AddressClaimed(name)), machine.now_us)
+    assert press(machine.now_us + 3 * S) == 0.0
+    machine.until(at_us + 3 * S, off_by(0.0))
+    assert machine.until(machine.now_us + 2 * S, off_by(0.0)) > 1.0, "the button is gone"
+
+
+def with_a_silent_member(policy: SilencePolicy) -> Machine:
+    """A robot that drove beside robot 1, which has sent nothing for a second."""
+    machine = Machine(policy)
+    machine.until(2 * S, off_by(0.0))
+    beside(machine)
+    machine.until(machine.now_us + 1 * S, off_by(0.0))
+    assert StopCause.MEMBER_SILENT in machine.held
+    return machine
+
+
+def beside(machine: Machine) -> None:
+    """A second in which robot 1 is received."""
+    machine.perform(introduce(machine.peer, 140, 1, machine.now_us))
+    for _ in range(20):
+        pose = Heard(140, Pose(50.0, 50.0, 0.0, 0.0, 1, False, 0))
+        machine.perform(machine.peer.step(pose, machine.now_us))
+        machine.until(machine.now_us + 50_000, off_by(0.0))
+
+
+def test_a_member_that_is_silent_stays_silent_over_restarts() -> None:
+    """Robots that stand until an operator names the silent one drove after a restart."""
+    machine = with_a_silent_member(SilencePolicy.STOP)
+    for _ in range(3):
+        machine.boot()
+        assert machine.until(machine.now_us + 10 * S, off_by(0.0)) == 0.0
+        assert StopCause.MEMBER_SILENT in machine.held
+    beside(machine)
+    machine.until(machine.now_us + 100_000, off_by(0.0))
+    assert machine.disk[SILENT_KEY] == b"", "it is back"
+
+
+def test_a_member_that_was_waived_stays_waived_over_a_restart() -> None:
+    machine = with_a_silent_member(SilencePolicy.STOP)
+    machine.peer.membership.waive(1, machine.now_us)
+    machine.perform(machine.peer.membership.changed())
+    machine.boot()
+    assert machine.until(machine.now_us + 5 * S, off_by(0.0)) > 1.0
+
+
+def test_a_robot_that_creeps_beside_a_silent_member_creeps_after_a_restart() -> None:
+    machine = with_a_silent_member(SilencePolicy.SLOW)
+    machine.boot()
+    machine.until(machine.now_us + 5 * S, off_by(0.0))
+    assert StopCause.CREEP in machine.held
+    assert 0.0 < machine.until(machine.now_us + 5 * S, off_by(0.0)) <= 5.1 * CREEP_M_S
+
+
+def test_a_robot_that_goes_on_without_silent_members_keeps_none() -> None:
+    machine = with_a_silent_member(SilencePolicy.CONTINUE)
+    assert SILENT_KEY not in machine.disk

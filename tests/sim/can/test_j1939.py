@@ -207,6 +207,8 @@ async def test_a13_can_j1939_reads_our_faults_and_is_refused_to_clear_them() -> 
         reader.subscribe(lambda source, _, faults, __: heard.append((source, faults)))
         await bus.until(lambda: unit.ready and peer.joining.joined)
         await bus.until(lambda: len(heard) >= 2)  # nobody has asked
+        listens = StopCause.UNHEARD  # it has just booted
+        await bus.until(lambda: not peer.safety.holds(listens) and len(heard[-1][1]) == 1)
         causes = [cause for cause, _ in peer.safety.causes]
         assert causes == [
             StopCause.BOOT_UNCONFIRMED,
