@@ -69,6 +69,7 @@ class SelfCheck(Part):
         self._probed_at_us = now_us
         # before this, missing confirmations mean nothing: we just joined
         self._confirms_at_us = now_us
+        self._deaf_at_us = now_us  # the newest time at which we may have received nothing
 
     @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
@@ -85,6 +86,8 @@ class SelfCheck(Part):
                 self._sent_at_us = self._looked_at_us  # at that time or after it
             self._sent = sent
         self._looked_at_us = now_us
+        if health is OFF:
+            self._deaf_at_us = now_us
         if not self.joining.joined:
             self._confirms_at_us = now_us + self.beat.silence_for_us
         self.clogged = sent is not None and now_us >= max(self._stall_at_us, self._confirms_at_us)
@@ -146,12 +149,16 @@ class SelfCheck(Part):
 
     def _holds_on(self, why: str, now_us: int) -> bool:
         """Hold UNHEARD longer, so that stops arrive first: those queued with our frames, and those of
-        buttons that were pressed while we heard nothing."""
+        buttons that were pressed while we heard nothing. A robot that only claims its address again,
+        as it does after a reset, has heard all the time."""
+        if why and now_us >= self._confirms_at_us:
+            self._deaf_at_us = now_us
         if why or not self.safety.holds(StopCause.UNHEARD):
             self._well_at_us = None
             return bool(why)
         self._well_at_us = _first(self._well_at_us, now_us)
-        return now_us - self._well_at_us < max(self.beat.silence_for_us, LISTEN_US)
+        listens = now_us - self._deaf_at_us < LISTEN_US
+        return listens or now_us - self._well_at_us < self.beat.silence_for_us
 
     def _unheard(self, now_us: int) -> str:
         """Why our frames do not arrive, as far as we know; empty if they do."""

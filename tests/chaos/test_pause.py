@@ -2,7 +2,7 @@
 
 import asyncio
 from collections.abc import Awaitable, Callable
-from math import hypot
+from math import dist, hypot
 from pathlib import Path
 from random import Random
 
@@ -11,6 +11,7 @@ import pytest
 from agent.field.field_mission import FieldMission
 from agent.interface.lifecycle import State
 from agent.motion.obstacle_stop import ObstacleStop, QuestionState
+from agent.motion.path_tracker import PathTracker
 from agent.runtime.files.key_file import fresh, write
 from agent.safety.stop_cause import StopCause
 from protocol.frames.codec import decode_once
@@ -66,7 +67,7 @@ def put_box_before(cluster: Cluster, slot: int, ahead_m: float, side_m: float = 
 
 
 async def until_at_work(cluster: Cluster, slot: int, after_s: float = 12.0) -> None:
-    """On a swath, at speed, with room ahead."""
+    """On a swath, at speed, with room straight ahead."""
     loop = asyncio.get_running_loop()
     await elapse(after_s)
     while loop.time() < LIMIT_S:
@@ -76,6 +77,9 @@ async def until_at_work(cluster: Cluster, slot: int, after_s: float = 12.0) -> N
         tracker = mission.tracker
         if peer.state is State.WORKING and tracker is not None and mission.leg.units:
             left_m = tracker.total_m - tracker.along_m
+            if isinstance(tracker, PathTracker):
+                corner_m = dist(tracker.next_corner, cluster.world.body(slot).position)
+                left_m = min(left_m, corner_m)
             if left_m > 12.0 and cluster.world.body(slot).speed_m_s > 2.0:
                 return
         await elapse(0.05)
