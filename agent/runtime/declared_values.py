@@ -182,8 +182,8 @@ _NOT = {
 
 # What a value out of its range should be, by pydantic's name of the error; braces: values that it tells.
 _BOUNDS = {
-    "greater_than_equal": "should be {ge:g} or more", "greater_than": "should be more than {gt:g}",
-    "less_than_equal": "should be {le:g} or less", "less_than": "should be less than {lt:g}",
+    "greater_than_equal": "should be {ge} or more", "greater_than": "should be more than {gt}",
+    "less_than_equal": "should be {le} or less", "less_than": "should be less than {lt}",
     "too_short": "should have {min_length} or more items, has {actual_length}",
     "too_long": "should have {max_length} or fewer items, has {actual_length}",
     "string_too_short": "should have {min_length} or more characters",
@@ -224,7 +224,8 @@ def first_error(problem: ValidationError, model: type[BaseModel], text: str = ""
     if error["type"] in _NOT:
         return f"{where}: {_NOT[error['type']]}: {_said(error['input'])}{tail}"
     if error["type"] in _BOUNDS:
-        told = _BOUNDS[error["type"]].format(**context)
+        bounds = {key: f"{at:g}" if isinstance(at, float) else at for key, at in context.items()}
+        told = _BOUNDS[error["type"]].format(**bounds)
         counted = "" if "has" in told.split() else f", not {_said(error['input'])}"
         return f"{where}: {told}{counted}{tail}"
     message = error["msg"][0].lower() + error["msg"][1:]

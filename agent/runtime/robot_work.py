@@ -199,7 +199,12 @@ def _mission(robot: RobotFile, now_us: int) -> Work:
     """A mission of the user's own. Raises FactoryError."""
     table = robot.mission
     assert table is not None
-    made = called(table.factory, robot.robot.slot, robot.fleet.robots, now_us, **table.options)
+    try:
+        made = called(table.factory, robot.robot.slot, robot.fleet.robots, now_us, **table.options)
+    except FactoryError:
+        raise
+    except (OSError, ValueError) as problem:  # as its own code raises them, for its options
+        raise FactoryError(f"{table.factory!r}: {problem}") from None
     if not isinstance(made, MissionParts):
         raise FactoryError(f"{table.factory!r} makes no MissionParts")
     text = f"{robot.name} {table.model_dump_json()}"

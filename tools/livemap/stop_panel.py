@@ -11,7 +11,7 @@ from protocol.frames.safety_frames import Command, Reason
 from tools.common.bus_address import AttachError
 from tools.operate.estop import press
 from tools.operate.operator_device import KnownRobot, Operator
-from tools.operate.reset import LISTEN_S, STEP_S, operator_keyring, release
+from tools.operate.reset import LISTEN_S, STEP_S, held_still, operator_keyring, release
 
 CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
 RELEASE_S = 5.0
@@ -128,12 +128,13 @@ class Panel:
         self._listeners.append(operator)
         try:
             await operator.listen(LISTEN_S, stops=True)
-            cleared, _ = operator.shown.named
+            shown, _ = operator.shown.named
             left = await (self._reset(operator, start) if reset else self._start(operator))
+            still = await held_still(operator) if left else frozenset()
         finally:
             self._listeners.remove(operator)
         return {
-            "cleared": [".".join(map(str, dot)) for dot in cleared] if reset else [],
+            "cleared": [".".join(map(str, d)) for d in shown if d not in still] if reset else [],
             "late": left, "heard": bool(operator.live), "signed": keyring is not None,
             "started": start,
         }  # fmt: skip

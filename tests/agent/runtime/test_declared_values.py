@@ -11,6 +11,7 @@ from agent.runtime.declared_values import FleetTable, first_error
 class Values(BaseModel):
     speed_m_s: float = Field(default=1.0, gt=0, le=4)
     port: int = Field(default=1, ge=1, lt=65536)
+    seed: int = Field(default=1, ge=0, le=2**63 - 1)
     route: list[tuple[float, float]] = Field(default=[(0.0, 0.0)], min_length=1, max_length=3)
     name: Annotated[str, Field(min_length=1, max_length=8)] = "a"
 
@@ -22,6 +23,7 @@ class Values(BaseModel):
         ({"speed_m_s": 0.0}, "speed_m_s: should be more than 0, not 0.0"),
         ({"port": 70000}, "port: should be less than 65536, not 70000"),
         ({"port": 0}, "port: should be 1 or more, not 0"),
+        ({"seed": 2**63}, "seed: should be 9223372036854775807 or less, not 9223372036854775808"),
         ({"route": []}, "route: should have 1 or more items, has 0"),
         ({"route": [(1, 2)] * 4}, "route: should have 3 or fewer items, has 4"),
         ({"route": [(1, 2, 3)]}, "route.0: should have 2 or fewer items, has 3"),

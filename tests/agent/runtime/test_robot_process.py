@@ -11,9 +11,11 @@ import pytest
 
 from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
+from agent.runtime.peer_factory import NO_MISSION, MissionParts
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.robot_file import AbsentError, RobotError, RobotFile
 from agent.runtime.robot_process import run_robot
+from agent.runtime.robot_work import work_of
 from protocol.name import Name, fleet_name
 from tests.multicast import reached
 from tools.build.warmup import warm
@@ -146,6 +148,21 @@ def test_a_robot_that_cannot_start_says_so_in_one_line(
     )  # fmt: skip
     assert done.returncode == 2, done.stderr
     assert says in done.stderr and done.stderr.count("\n") == 1, done.stderr
+
+
+def with_rows(slot: int, robots: int, now_us: int, rows: int) -> MissionParts:
+    if rows < 1:
+        raise ValueError(f"rows = {rows}: one row or more")
+    return NO_MISSION
+
+
+def test_a_mission_that_refuses_its_options_says_so_in_one_line() -> None:
+    """A ValueError of its factory was a traceback."""
+    mission = {"factory": f"{__name__}:with_rows", "options": {"rows": 0}}
+    robot = RobotFile.of({**GOOD, "mission": mission}, "r.toml", Path())
+    with pytest.raises(RobotError) as problem:
+        work_of(robot, 0, {})
+    assert str(problem.value).endswith("with_rows': rows = 0: one row or more")
 
 
 def test_the_name_of_a_robot_is_that_of_its_file() -> None:

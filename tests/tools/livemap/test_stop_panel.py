@@ -9,7 +9,8 @@ from agent.interface.lifecycle import State
 from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.frame import Frame
-from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.safety_frames import EmergencyStop, Reason
+from protocol.frames.work_frames import StateSyncRequest
 from sim.fleet.virtual_clock import elapse, run_virtual
 from tools.livemap.stop_panel import CONFIRM_S, Panel, PanelError
 
@@ -105,5 +106,33 @@ def test_a_press_ends_a_release_that_is_under_way() -> None:
         second = asyncio.create_task(robots.panel.release(keyless=True, reset=True, start=False))
         await robots.run(CONFIRM_S)
         assert (await second)["late"] == [0] and (await pressed)["stopped"] == [0]
+
+    run_virtual(story())
+
+
+class KeyedRobots(Robots):
+    """Robots that tell the stop that holds them, and obey no release without a tag."""
+
+    HELD = EmergencyStop(1, 7, 9, Reason.OPERATOR_INTERVENTION, echo=True)
+
+    def send(self, frame: Frame) -> bool:
+        _, message = decode(frame)
+        if isinstance(message, StateSyncRequest) and self.latched:
+            told = encode(self.HELD, 128)
+            asyncio.get_running_loop().call_soon(self.panel.hear, self._now_s, told)
+        return True
+
+
+def test_a_stop_that_robots_hold_after_a_release_was_not_cleared() -> None:
+    """The page named every stop that was shown as cleared, also where no robot was released."""
+
+    async def story() -> None:
+        robots = KeyedRobots()
+        robots.latched = True
+        await robots.run(1.0)
+        done = asyncio.create_task(robots.panel.release(keyless=True, reset=True, start=False))
+        await robots.run(CONFIRM_S)
+        answer = await done
+        assert answer["late"] == [0] and answer["cleared"] == []
 
     run_virtual(story())
