@@ -29,7 +29,7 @@ from agent.motion.pushed_ahead import PushedAhead
 from agent.motion.right_of_way import RightOfWay
 from agent.motion.sensed_walls import fences_of
 from agent.motion.stopping_zone import StoppingZone
-from agent.motion.unexplained_echoes import UnexplainedEchoes
+from agent.motion.unexplained_echoes import UnexplainedEchoes, thinned
 
 # The margins grow with the accuracy of our own place: 19 of 20 places are within two deviations. Walls
 # that the range sensors see are where they are seen, whatever the place is.
@@ -256,8 +256,10 @@ class HolonomicMotion(MotionController):
         if not self.strange:
             return rows
         combined_m = self.limits.radius_m + MARGIN_M + _place_error_m(here)
+        free = max(NEIGHBOURS_MAX - len(rows), NEIGHBOURS_MAX // 2)
         seen: list[tuple[float, ...]] = [
-            (x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0) for x, y in self.strange
+            (x - here.x_m, y - here.y_m, 0.0, 0.0, combined_m, 1.0)
+            for x, y in thinned(self.strange, free)
         ]
         both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
         return both[:NEIGHBOURS_MAX]

@@ -5,7 +5,7 @@ a person put down. An echo is unexplained if it lies off every known wall and ev
 """
 
 from collections.abc import Iterable, Sequence
-from math import cos, inf, nan, pi, sin, sqrt
+from math import cos, dist, inf, nan, pi, sin, sqrt
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,9 @@ from agent.kernels.kernel import njit
 Point = tuple[float, float]  # metres east and north in the field
 Floats = NDArray[np.float64]
 NO_WALLS = np.empty((0, 4))
+# Where more echoes are near than ORCA takes, one of several that are so near to each other stands for
+# all: first within the one distance, then within twice as much, up to the other.
+THIN_MIN_M, THIN_MAX_M = 0.1, 0.4
 WALL_M = 0.12  # an echo this near to a wall is the wall: errors of range and position
 # An echo this near to a body is the body: its beat is rounded, and it has moved since.
 BODY_M = 0.25
@@ -100,3 +103,21 @@ class UnexplainedEchoes:
         known = [(x, y, self.radius_m + BODY_M) for x, y in bodies]
         found = echoes(here, reach_m, known, self.walls)
         return [(x, y) for x, y in found[~np.isnan(found[:, 0])].tolist()]
+
+
+def thinned(points: list[Point], most: int) -> list[Point]:
+    """At most `most` of these echoes, if so few say the same.
+
+    `points`: (x, y) metres in the order of rays. A sensor of many rays sees a box as dozens of echoes.
+    As so many neighbours they would hide from ORCA the robots behind it. More than `most` are returned
+    where they are far apart.
+    """
+    apart_m = THIN_MIN_M
+    kept = points
+    while len(kept) > most and apart_m <= THIN_MAX_M:
+        kept = points[:1]
+        for point in points[1:]:
+            if dist(point, kept[-1]) >= apart_m:
+                kept.append(point)
+        apart_m *= 2.0
+    return kept
