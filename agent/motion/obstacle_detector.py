@@ -27,6 +27,9 @@ GroundCell = tuple[int, int]  # a square of the ground: one point is remembered 
 REACTION_S: Final = (ACTUATOR_TTL_US + CONTROL_PERIOD_US) / S  # until a halt is in force
 MARGIN_M: Final = 0.6  # distance left between the hull and the obstacle
 BESIDE_M: Final = 0.15  # margin kept on either side; ORCA's margin
+PASSING_M: Final = (
+    0.1  # what is left of it beside a confirmed obstacle, which a robot passes slowly
+)
 # An echo this near to a fence is the fence: maps and poses are not perfect.
 FENCE_TOLERANCE_M: Final = 0.25
 ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats
@@ -127,11 +130,15 @@ class ObstacleDetector:
         """Distance from our middle beyond which obstacles do not matter yet."""
         return self.radius_m + MARGIN_M + self.stopping_m(speed_m_s)
 
-    def ahead(self, here: Observation, velocity: Point, reach_m: float) -> Detection | None:
+    def ahead(
+        self, here: Observation, velocity: Point, reach_m: float, beside_to_m: float = 0.0
+    ) -> Detection | None:
         """The nearest remembered point in the strip that the hull will pass; None for a velocity of
         zero.
 
-        `velocity`: direction of the strip. `reach_m`: its length from our middle.
+        `velocity`: direction of the strip. `reach_m`: its length from our middle. `beside_to_m`: up
+        to this far from our middle along the strip, points that the hull passes at `PASSING_M` or
+        more are left out.
         """
         speed_m_s = hypot(*velocity)
         if speed_m_s == 0.0:
@@ -142,6 +149,8 @@ class ObstacleDetector:
             dx_m, dy_m = x_m - here.x_m, y_m - here.y_m
             along_m, across_m = dx_m * ux + dy_m * uy, abs(dy_m * ux - dx_m * uy)
             if not 0.0 < along_m <= reach_m or across_m > self.radius_m + BESIDE_M:
+                continue
+            if along_m <= beside_to_m and across_m >= self.radius_m + PASSING_M:
                 continue
             free_m = max(0.0, along_m - self.radius_m)
             if best is None or free_m < best.free_m:

@@ -35,6 +35,9 @@ ASK_US: Final = 1 * S  # repeat interval of the question, for operators that con
 NEAR_M: Final = 3.0  # within this distance of the obstacle a robot that goes round it creeps
 CREEP_M_S: Final = 1.0  # walking pace
 KEEP_M: Final = 0.25  # a robot that goes round stops this far from an obstacle ahead
+PASSING_M_S: Final = (
+    0.3  # beside points that are within the margin of the hull; it stops within 0.1 m
+)
 STUCK_US: Final = 4 * S  # a robot that is slower than this for this long asks again
 STUCK_M_S: Final = 0.05
 AHEAD_US: Final = 100 * MS  # time to accelerate until the next check is in force
@@ -191,15 +194,28 @@ class ObstacleStop:
         self, wanted: Drive, here: Observation, sighting: Detection, may_move: bool, now_us: int
     ) -> tuple[Drive, list[Effect]]:
         """Drive past a confirmed obstacle, never too fast to stop before it."""
-        room_m = max(0.0, sighting.free_m - KEEP_M)
-        most_m_s = sqrt(2 * self.limits.acceleration_m_s2 * room_m) / 2
-        drive = _at_most(wanted, min(most_m_s, CREEP_M_S))
+        if sighting.free_m > KEEP_M:
+            most_m_s = min(self._slow_m_s(sighting.free_m), CREEP_M_S)
+        else:  # it is beside us, or it will be
+            most_m_s = self._beside_m_s(wanted, here)
+        drive = _at_most(wanted, most_m_s)
         if hypot(drive.vx_m_s, drive.vy_m_s) > STUCK_M_S or not may_move:
             self._moved_at_us = now_us
         if now_us - self._moved_at_us < STUCK_US:
             return drive, []
         self._moved_at_us = now_us
         return HALT, self._ask(here, self._motions(wanted, here), sighting, now_us)
+
+    def _slow_m_s(self, free_m: float) -> float:
+        """A speed at which it stops `KEEP_M` before an obstacle, with half of the way to spare."""
+        return sqrt(2 * self.limits.acceleration_m_s2 * max(0.0, free_m - KEEP_M)) / 2
+
+    def _beside_m_s(self, wanted: Drive, here: Observation) -> float:
+        """How fast the hull may pass points that are beside it, or will be."""
+        reach_m, beside_to_m = self.lookout.reach_m(PASSING_M_S), self.limits.radius_m + KEEP_M
+        way = wanted.vx_m_s, wanted.vy_m_s
+        seen = self.lookout.ahead(here, way, reach_m, beside_to_m)
+        return PASSING_M_S if seen is None else min(PASSING_M_S, self._slow_m_s(seen.free_m))
 
     def _slowed(self, wanted: Drive, here: Observation) -> Drive:
         places = map(middle, self.things)

@@ -3,13 +3,15 @@
 from math import inf
 
 import numpy as np
+import pytest
 
 from agent.interface.effects import HALT
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
-from agent.motion.obstacle_detector import ObstacleDetector
+from agent.motion.obstacle_detector import GRAIN_M, ObstacleDetector
 from agent.motion.obstacle_stop import (
     FREE_US,
+    PASSING_M_S,
     QUESTION_TABLE,
     REPORT,
     ObstacleStop,
@@ -71,3 +73,38 @@ def test_a_robot_without_scans_does_not_see_that_an_obstacle_has_gone() -> None:
     for now_us in range(10 * FREE_US, 12 * FREE_US, FREE_US // 10):
         stop.watch(HALT, clear, {}, False, now_us)
     assert not stop.asking
+
+
+def past_a_point(x_m: float, y_m: float) -> float:
+    """How fast a robot that goes round a confirmed obstacle drives east past its nearest point, m/s."""
+    lookout = ObstacleDetector(0.35, 2.0, np.empty((0, 4)), StoppingZone(0.35, 2.0))
+    stop = ObstacleStop(0, BodyLimits(0.35, 1.0, 2.0), lookout)
+    stop.machine.fire(QuestionEvent.BLOCKED)
+    grain = (round(x_m / GRAIN_M), round(y_m / GRAIN_M))
+    lookout.points = {grain: ((x_m, y_m), 0)}
+    stop.go_round("a test", 0)
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, (9.0,) * 36)
+    wanted = HALT._replace(vx_m_s=0.9)
+    seen = lookout.ahead(here, (0.9, 0.0), 3.0)
+    if seen is None:
+        return 0.9
+    return stop._creep(wanted, here, seen, True, 0)[0].vx_m_s
+
+
+@pytest.mark.parametrize(
+    ("at_m", "at_least_m_s", "at_most_m_s"),
+    [
+        ((0.05, -0.49), 0.2, PASSING_M_S),  # beside the hull
+        ((0.55, -0.49), 0.2, PASSING_M_S),  # soon beside it
+        ((0.55, -0.40), 0.0, 0.0),  # nearer than the hull may pass
+        ((0.55, 0.0), 0.0, 0.0),
+        ((1.2, 0.0), 0.3, 1.0),
+        ((1.2, -0.49), 0.3, 1.0),
+    ],
+)
+def test_a_robot_gets_past_what_is_within_the_margin_of_its_side(
+    at_m: tuple[float, float], at_least_m_s: float, at_most_m_s: float
+) -> None:
+    """It stood beside a corner of the obstacle, 15 cm from its hull, and asked again and again: in one of
+    four runs of `visitor`."""
+    assert at_least_m_s <= past_a_point(*at_m) <= at_most_m_s

@@ -109,9 +109,11 @@ def test_distance_to_a_polyline() -> None:
 
 
 @pytest.mark.slow
-def test_m19_robots_stand_before_a_person_indoors_and_ask() -> None:
+@pytest.mark.parametrize("seed", [1, 2, 5, 9])
+def test_m19_robots_stand_before_a_person_indoors_and_ask(seed: int) -> None:
     """One goes on when the way is free, the other by an operator's word; none drives round by itself."""
-    run = NavigationRun(setting_of(cast(NavigationScenario, load_mission("visitor"))))
+    given = cast(NavigationScenario, load_mission("visitor"))
+    run = NavigationRun(setting_of(given.changed(seed=seed)))
     outcome = run.run()
     assert outcome.finished and not outcome.contacts
     for slot, until_s in ((0, 23.0), (1, 40.0)):
