@@ -44,6 +44,7 @@ LEFT_S = 0.5  # silence after a farewell until it is believed: ten beats
 # Echoes of one robot that are checked for one stop: a forger has 8 guesses of 2^-16.
 ECHOES_TRIED = 8
 NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
+LEAST_S = 1e-6  # a shorter rest is no time: added to a virtual clock it may be lost in rounding
 ASK_S = 0.25
 ASKED_S = 2.0  # a release that is asked for is said twice a second
 
@@ -248,11 +249,11 @@ class Operator:
         loop = asyncio.get_running_loop()
         await self.device.held()
         end_s = loop.time() + seconds
-        while loop.time() < end_s:
+        while (left_s := end_s - loop.time()) > LEAST_S:
             self.ask_who()
             if stops:
                 self.ask_stops()
-            await asyncio.sleep(min(ASK_S, max(end_s - loop.time(), 0.0)))
+            await asyncio.sleep(min(ASK_S, left_s))
         self.now_s = loop.time()
 
     def ask_work(self) -> None:
