@@ -27,9 +27,8 @@ GroundCell = tuple[int, int]  # a square of the ground: one point is remembered 
 REACTION_S: Final = (ACTUATOR_TTL_US + CONTROL_PERIOD_US) / S  # until a halt is in force
 MARGIN_M: Final = 0.6  # distance left between the hull and the obstacle
 BESIDE_M: Final = 0.15  # margin kept on either side; ORCA's margin
-PASSING_M: Final = (
-    0.1  # what is left of it beside a confirmed obstacle, which a robot passes slowly
-)
+# What is left of it beside a confirmed obstacle, which a robot passes slowly.
+PASSING_M: Final = 0.1
 # An echo this near to a fence is the fence: maps and poses are not perfect.
 FENCE_TOLERANCE_M: Final = 0.25
 ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats

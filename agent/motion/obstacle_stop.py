@@ -35,9 +35,8 @@ ASK_US: Final = 1 * S  # repeat interval of the question, for operators that con
 NEAR_M: Final = 3.0  # within this distance of the obstacle a robot that goes round it creeps
 CREEP_M_S: Final = 1.0  # walking pace
 KEEP_M: Final = 0.25  # a robot that goes round stops this far from an obstacle ahead
-PASSING_M_S: Final = (
-    0.3  # beside points that are within the margin of the hull; it stops within 0.1 m
-)
+# Beside points that are within the margin of the hull. From this speed it stops within 0.1 m.
+PASSING_M_S: Final = 0.3
 STUCK_US: Final = 4 * S  # a robot that is slower than this for this long asks again
 STUCK_M_S: Final = 0.05
 AHEAD_US: Final = 100 * MS  # time to accelerate until the next check is in force

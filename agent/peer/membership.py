@@ -233,9 +233,8 @@ class Membership(Part):
         return [*self.changed(), Trace("safety", "", "PERMITTED", "", said)]
 
     def _left(self, ctx: StepContext, notice: notices.Left) -> Outputs:
-        self.forget_all(
-            ctx.now_us
-        )  # not on disk: a farewell before a restart replaces no word either
+        # Not on disk: a farewell before a restart replaces no word of an operator either.
+        self.forget_all(ctx.now_us)
         return NOTHING
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
