@@ -13,7 +13,7 @@ from agent.interface.identity import SilencePolicy
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
-from agent.peer.inputs import BusState, Heard, Sensed, Start, Timer
+from agent.peer.inputs import BusState, Heard, Leave, Sensed, Start, Timer
 from agent.peer.membership import SILENT_KEY
 from agent.runtime.peer_factory import MissionParts, identity_of, make_peer
 from agent.safety.stop_cause import StopCause
@@ -40,8 +40,8 @@ class Machine:
 
     def __init__(self, policy: SilencePolicy = SilencePolicy.CONTINUE) -> None:
         self.disk: dict[str, bytes] = {}
-        self.policy = policy
-        self.now_us, self.sent, self.way_m = 0, 0, 0.0
+        self.policy, self.unplugged = policy, False
+        self.now_us, self.sent, self.confirmed, self.way_m = 0, 0, 0, 0.0
         self.boot(first=True)
 
     def boot(self, first: bool = False) -> None:
@@ -60,7 +60,9 @@ class Machine:
             then_us = max(self.now_us + 1, self.peer.due_at_us)
             self.way_m += self.told.vx_m_s * (then_us - self.now_us) / S
             self.now_us = then_us
-            self.peer.step(BusState(Health.ACTIVE, True, self.sent), then_us)
+            if not self.unplugged:
+                self.confirmed = self.sent
+            self.peer.step(BusState(Health.ACTIVE, True, self.confirmed), then_us)
             if self.peer.wants_observation(then_us):
                 self.perform(self.peer.step(Sensed(sense(then_us, self.way_m, self.told)), then_us))
             self.perform(self.peer.step(Timer(), then_us))
@@ -249,6 +251,18 @@ def test_a_robot_that_boots_beside_a_pressed_stop_button_does_not_drive(phase_ms
     assert machine.until(machine.now_us + 2 * S, off_by(0.0)) > 1.0, "the button is gone"
 
 
+def test_a_robot_that_was_unplugged_listens_before_it_drives() -> None:
+    """A button that was pressed meanwhile says so within a second."""
+    machine = Machine()
+    machine.until(3 * S, off_by(0.0))
+    machine.unplugged = True
+    machine.until(5 * S, off_by(0.0))
+    assert StopCause.UNHEARD in machine.held
+    machine.unplugged = False
+    assert machine.until(6 * S, off_by(0.0)) == 0.0
+    assert machine.until(8 * S, off_by(0.0)) > 1.0
+
+
 def with_a_silent_member(policy: SilencePolicy) -> Machine:
     """A robot that drove beside robot 1, which has sent nothing for a second."""
     machine = Machine(policy)
@@ -278,6 +292,16 @@ def test_a_member_that_is_silent_stays_silent_over_restarts() -> None:
     beside(machine)
     machine.until(machine.now_us + 100_000, off_by(0.0))
     assert machine.disk[SILENT_KEY] == b"", "it is back"
+
+
+def test_a_farewell_before_a_restart_replaces_no_word_of_an_operator() -> None:
+    machine = with_a_silent_member(SilencePolicy.STOP)
+    machine.perform(machine.peer.step(Leave(), machine.now_us))
+    machine.until(machine.now_us + 1 * S, off_by(0.0))
+    assert machine.peer.membership.silent == frozenset()
+    machine.boot()
+    assert machine.until(machine.now_us + 5 * S, off_by(0.0)) == 0.0
+    assert StopCause.MEMBER_SILENT in machine.held
 
 
 def test_a_member_that_was_waived_stays_waived_over_a_restart() -> None:
