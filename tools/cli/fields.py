@@ -11,9 +11,8 @@ from sim.files.strict_json import dumps
 from tools.common.exit_codes import WRONG, wrong
 
 HECTARE_M2 = 10_000.0
-WIDTH_M: Final = float(
-    FieldTable.model_fields["implement_width_m"].default
-)  # of a run of a field file
+# The implement with which a field file is run.
+WIDTH_M: Final = float(FieldTable.model_fields["implement_width_m"].default)
 
 
 def fields(file: Path, as_json: bool) -> int:

@@ -9,12 +9,13 @@ from rich.console import Console
 
 from agent.coverage.team import TURN_COST_MAX
 from agent.interface.config import PEERS_MAX
+from agent.runtime.declared_values import first_error
 from sim.files.grid_map import GridFileError, Instance
 from sim.files.strict_json import dumps
 from sim.files.whole_file import write_whole
 from sim.runs.coverage_run import CoverageOutcome, CoverageRun
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
-from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition
+from sim.scenarios.scenario import Crash, Fault, Heal, Join, Partition, Scenario
 from tools.common.result_table import fact_table
 from tools.run.coverage_report import closed_off
 from tools.run.run_mission import ProgressBar, next_commands
@@ -94,15 +95,9 @@ def setting_of(
             time_limit_s=limit_s,
         )  # fmt: skip
     except ValidationError as problem:
-        raise GridFileError(value_error(problem)) from None
+        raise GridFileError(first_error(problem, Scenario)) from None
     except ValueError as error:
         raise GridFileError(f"{instance.name}: {error}") from None
-
-
-def value_error(problem: ValidationError) -> str:
-    """The first value that a scenario cannot have, as one line."""
-    error = problem.errors()[0]
-    return f"{'.'.join(map(str, error['loc']))}: {error['msg']}"
 
 
 def driven(

@@ -12,6 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from agent.interface.config import PEERS_MAX
+from agent.runtime.declared_values import first_error
 from sim.files.grid_map import GridFileError, Walls, map_text, read_map
 from sim.files.mapf_paths import path_text
 from sim.files.mapf_scenario import MapfInstance, drawn_scenario, read_scenario
@@ -20,9 +21,9 @@ from sim.files.whole_file import write_whole
 from sim.runs.mapf_run import MapfOutcome, MapfRun
 from sim.scenarios.coverage_setup import STEP_S
 from sim.scenarios.mapf_setup import MapfSetup
-from sim.scenarios.scenario import Crash, Fault
+from sim.scenarios.scenario import Crash, Fault, Scenario
 from sim.world.path_judge import PathVerdict, judge_paths
-from tools.run.coverage_drive import LOSS_MAX, value_error
+from tools.run.coverage_drive import LOSS_MAX
 from tools.run.run_mission import ProgressBar
 
 AGREED_S = 15.0  # by then a fleet of a hundred has found itself and drives: crashes come after it
@@ -87,7 +88,7 @@ def setting_of(mapf: MapfInstance, seed: int, loss: float, crashes: int) -> Mapf
             mapf, seed=seed, loss=loss, faults=faults, time_limit_s=float(ceil(limit_s))
         )
     except ValidationError as problem:
-        raise GridFileError(value_error(problem)) from None
+        raise GridFileError(first_error(problem, Scenario)) from None
     except ValueError as error:
         raise GridFileError(f"{mapf.name}: {error}") from None
 
@@ -120,9 +121,8 @@ def reports(
     """One run for each number of robots, and its figures; the last one's paths are written."""
     for agents in counts:
         mapf = read(map_file, scenario, agents, seed)
-        least = (
-            min(crashes, agents - 1) if len(counts) > 1 else crashes
-        )  # of one number it is wrong
+        # Where one number of robots was asked for, too many crashes are an error.
+        least = min(crashes, agents - 1) if len(counts) > 1 else crashes
         if least < crashes:
             print(f"headland: --crash {crashes}: {least} of {agents} robots crash", file=sys.stderr)
         setting = setting_of(mapf, seed, loss, least)

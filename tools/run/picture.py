@@ -49,9 +49,8 @@ def draw_field(
     from matplotlib.figure import Figure
 
     wide_in, high_in = _size_in(field)
-    lines = (
-        len(tracks) + len({what for what, *_ in marks}) + 2
-    )  # with the gate, and what is not worked
+    # Two more than tracks and marks: the gate, and what is not worked.
+    lines = len(tracks) + len({what for what, *_ in marks}) + 2
     columns = ceil(lines / max(1, int((high_in - BESIDE_IN) / LEGEND_LINE_IN)))
     figure = Figure(figsize=(wide_in + LEGEND_IN * (columns - 1), high_in), dpi=110)
     axes = figure.subplots()
