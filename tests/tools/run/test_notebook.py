@@ -197,6 +197,7 @@ def test_units_are_in_the_names_of_columns() -> None:
 
 
 def test_a_mission_of_ones_own_is_a_fleet_s() -> None:
+    pytest.importorskip("pandas", reason="the extra frames is not installed")
     example = runpy.run_path(str(EXAMPLES / "posts.py"))
     fleet = hl.Fleet("small", robots=3, mission=example["SoilSamples"])
     run = fleet.play(seed=2)
