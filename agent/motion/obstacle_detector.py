@@ -40,6 +40,7 @@ BEYOND_M: Final = 0.4  # a ray that reaches this much further than a point has p
 # fence was noise. No ray reaches `BEYOND_M` further than a point in the strip before a fence.
 AT_FENCE_M: Final = 0.2
 # Such a ray ends at least this much before the point or behind it, or it ends where it meets the fence.
+# One that ends at a known robot ends behind the point.
 NEARER_M: Final = 0.1
 LOOK_M: Final = 0.1  # between places of a way that is looked at for fences
 FINE_LOOK_M: Final = 0.02  # the same round the end of a ray
@@ -96,7 +97,7 @@ class ObstacleDetector:
         if not here.ranges_m:
             return None
         if self.points:
-            self._forget(here, now_us)
+            self._forget(here, neighbours, now_us)
             self._explain(here, neighbours, now_us)
         if not self.points and not self._is_strange(here, motions, neighbours, now_us):
             return None
@@ -185,7 +186,20 @@ class ObstacleDetector:
         now_us: int,
     ) -> list[Point]:
         """The echoes that neither a robot nor a fence explains."""
-        left = echoes
+        left = self._off_robots(echoes, here, neighbours, now_us)
+        if not left or self.fences.size == 0:
+            return left
+        return [e for e in left if gap_m(e[0], e[1], self.fences) > FENCE_TOLERANCE_M]
+
+    def _off_robots(
+        self,
+        echoes: Sequence[Point],
+        here: Observation,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> list[Point]:
+        """The echoes that no robot explains."""
+        left = list(echoes)
         near_m = self.radius_m + ROBOT_TOLERANCE_M
         for slot, (pose, heard_at_us) in neighbours.items():
             if not left:
@@ -200,9 +214,7 @@ class ObstacleDetector:
             way_m = pose.speed_m_s * age_s
             course = cos(pose.course_rad), sin(pose.course_rad)
             left = [e for e in left if _gap_m(e, (pose.x_m, pose.y_m), course, way_m) > near_m]
-        if not left or self.fences.size == 0:
-            return list(left)
-        return [e for e in left if gap_m(e[0], e[1], self.fences) > FENCE_TOLERANCE_M]
+        return left
 
     # ---------------------------------------------------------------- memory
 
@@ -210,7 +222,7 @@ class ObstacleDetector:
         for x_m, y_m in strange:
             self.points[floor(x_m / GRAIN_M), floor(y_m / GRAIN_M)] = ((x_m, y_m), now_us)
 
-    def _forget(self, here: Observation, now_us: int) -> None:
+    def _forget(self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int) -> None:
         """Drop points that both rays beside them have passed, and points that are too old."""
         count = len(here.ranges_m)
         step_rad = 2 * pi / count
@@ -220,7 +232,11 @@ class ObstacleDetector:
             turn = (atan2(dy_m, dx_m) - here.heading_rad) / step_rad
             beside = floor(turn) % count, ceil(turn) % count
             passed = distance_m < WATCH_M and (
-                all(self._passes(here, k, distance_m) for k in beside)
+                all(
+                    self._passes(here, k, distance_m)
+                    or self._passes_to_robot(here, k, distance_m, neighbours, now_us)
+                    for k in beside
+                )
                 or (
                     all(self._ends_at_fence(here, k) for k in beside)
                     and self._is_behind(here, dx_m, dy_m)
@@ -237,6 +253,22 @@ class ObstacleDetector:
         if not self._ends_at_fence(here, ray):
             return False
         return abs(range_m - distance_m) > NEARER_M or self._meets_fence(here, ray)
+
+    def _passes_to_robot(
+        self,
+        here: Observation,
+        ray: int,
+        distance_m: float,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> bool:
+        """Whether a ray shows that nothing is at this distance before the robot at which it ends."""
+        range_m = here.ranges_m[ray]
+        if range_m == inf or range_m <= distance_m + NEARER_M:
+            return False
+        ux, uy = _direction(here, ray)
+        end = here.x_m + range_m * ux, here.y_m + range_m * uy
+        return not self._off_robots([end], here, neighbours, now_us)
 
     def _ends_at_fence(self, here: Observation, ray: int) -> bool:
         range_m = here.ranges_m[ray]

@@ -47,6 +47,23 @@ def test_what_stands_beside_a_robot_stays_in_mind() -> None:
     assert detector.observe(here, AHEAD, {1: beside}, 1 * S) is not None
 
 
+@pytest.mark.parametrize("before_m", [0.36, 0.38, 0.6])
+def test_noise_before_a_robot_is_forgotten_when_the_scan_is_right_again(before_m: float) -> None:
+    """Found by `headland chaos`, profile rays, seed 106000098: an echo that noise had put 0.37 m before a
+    robot stayed, because no ray reached `BEYOND_M` further. Both robots stood for good (L5)."""
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), StoppingZone(RADIUS_M, 1.5))
+    here, robot = observation(), Neighbour(Pose(*BODY, 0.0, 0.0, State.IDLE, False, 0), 0)
+    true = here.ranges_m
+    near_m = true[0] - before_m
+    noisy = here._replace(ranges_m=(near_m, *true[1:]))
+    assert detector.observe(noisy, AHEAD, {1: robot}, 0) is not None
+    assert detector.observe(here, AHEAD, {1: robot}, 50_000) is None and not detector.points
+    # What is there stays.
+    thing = here._replace(ranges_m=(near_m, near_m, *true[2:-1], near_m))
+    assert detector.observe(thing, AHEAD, {1: robot}, 100_000) is not None
+    assert detector.observe(thing, AHEAD, {1: robot}, 150_000) is not None
+
+
 @pytest.mark.parametrize("off_m", [-0.6, -0.3, 0.3, 0.6])
 def test_noise_at_a_fence_is_forgotten_when_the_scan_is_right_again(off_m: float) -> None:
     """Found by `headland chaos`, profile rays, seed 1025: echoes that noise had put before a fence or
