@@ -27,6 +27,9 @@ UNEXPLAINED_M: Final = 0.1
 LATE_S: Final = 0.2
 ACCURACIES: Final = 2.0  # standard deviations of the place
 LEVER_M: Final = 2.0
+# With more than this share of it unexplained, a displacement may have begun. In the meantime a push moves
+# a robot by 7 cm.
+DOUBTFUL_SHARE: Final = 0.25
 EXPLAINED_SHARE: Final = 0.5  # of the way: the velocity follows the way
 FOLLOWED_FOR_US: Final = 10 * S  # it failed after as long as this without, and longer than any push
 
@@ -47,6 +50,9 @@ class DisplacementDetector:
         self._explained: Point = (0.0, 0.0)
         self._turned_rad = 0.0  # forgotten as the sums
         self._follows_for_us = 0  # how long the velocity has followed the way; 0: it does not
+        self.doubtful = (
+            False  # whether a displacement may have begun that `observe` does not see yet
+        )
 
     def observe(self, here: Observation, now_us: int) -> bool:
         """Whether the robot was displaced since the last call, or not long before. Call it in every
@@ -65,7 +71,9 @@ class DisplacementDetector:
             self._turned_rad = 0.0
         elif at_us != sensed_at_us:
             self._add(before, here, at_us - sensed_at_us)
-        return hypot(*step_m) > reach_m or self._unexplained(here.position_accuracy_m)
+        share = self._unexplained_share(here.position_accuracy_m)
+        self.doubtful = share > DOUBTFUL_SHARE
+        return hypot(*step_m) > reach_m or share > 1.0
 
     def _add(self, before: Observation, here: Observation, passed_for_us: int) -> None:
         """Add the step from one observation to the next to the sums."""
@@ -93,11 +101,12 @@ class DisplacementDetector:
         way_m = hypot(*self._way)
         return (vector[0] * self._way[0] + vector[1] * self._way[1]) / way_m if way_m else 0.0
 
-    def _unexplained(self, accuracy_m: float) -> bool:
-        """Whether the place has changed by more than the velocity explains."""
+    def _unexplained_share(self, accuracy_m: float) -> float:
+        """By how much more the place has changed than the velocity explains, as a share of what it need
+        not explain."""
         if not self._follows_for_us:
-            return False
+            return 0.0
         rest_m = self._way[0] - self._explained[0], self._way[1] - self._explained[1]
         allowed_m = self._late_m + ACCURACIES * accuracy_m + LEVER_M * abs(self._turned_rad)
         # Where the place lags behind the velocity, as a frozen one does, no ground was passed.
-        return hypot(*rest_m) > allowed_m and self._along_m(rest_m) > 0.0
+        return hypot(*rest_m) / allowed_m if self._along_m(rest_m) > 0.0 else 0.0

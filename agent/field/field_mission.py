@@ -109,6 +109,8 @@ class FieldMission(Mission):
         self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector(speed_m_s, deceleration_m_s2)
+        # Units that were passed while a displacement may have begun. They count once there was none.
+        self.doubted: list[int] = []
         self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
@@ -175,6 +177,7 @@ class FieldMission(Mission):
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self.heading_to = self.field.section(section), None
         self.worked.clear()
+        self.doubted.clear()
         self.retried.clear()
         self.advanced = False
         self.headway.begin()
@@ -217,13 +220,14 @@ class FieldMission(Mission):
         assert self.section is not None
         self.choosing.observe(view)
         self._look_round(view)
-        wish, covered = self._drive(view)
+        wish, passed = self._drive(view)
+        covered = self._undoubted(passed)
         self.worked.update(covered)
         missing = self._missing(view)
         if not missing:
             self.section = None
             return _covering(wish, covered, True, True)
-        if self.tracker is None and not self.legs:
+        if self.tracker is None and not self.legs and not self.doubted:
             self.legs = self._legs(self.section, view)
             self.headway.again()
         self.advanced = self.advanced or bool(covered)
@@ -245,6 +249,26 @@ class FieldMission(Mission):
             return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
         rest_for_s = max(missing * self.field.unit_m, self._left_m) / self.speed_m_s
         return _covering(wish, covered, False, rest_for_s < NEAR_END_S)
+
+    def _undoubted(self, passed: list[int]) -> list[int]:
+        """The units that count now, of those passed in this period and before.
+
+        A push is seen only after it has moved the robot by decimetres. A unit whose end it reached
+        meanwhile was not worked to its end.
+        """
+        if self.shove.doubtful:
+            self.doubted += passed
+            return []
+        covered = self.doubted + passed if self.doubted else passed
+        self.doubted = []
+        return covered
+
+    def _on_displaced(self) -> None:
+        """The robot did not drive the way by which its place changed."""
+        if self.doubted:
+            self.missed = self.doubted[-1]
+            self.doubted = []
+        self.on_implement_raised()
 
     def _leaves_out(self, view: FleetView) -> bool:
         """Whether the next unit is out of reach beside an obstacle that an operator confirmed."""
@@ -346,7 +370,7 @@ class FieldMission(Mission):
         here = view.here
         covered: list[int] = []
         if self.shove.observe(here, view.now_us):
-            self.on_implement_raised()
+            self._on_displaced()
         while True:
             if self.tracker is None:
                 if not self.legs:
@@ -603,7 +627,7 @@ class FieldMission(Mission):
 
     def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
         """The stretches left to work; `last`: include those that come last."""
-        mine = self.worked if self.section is section else frozenset[int]()
+        mine = self.worked.union(self.doubted) if self.section is section else frozenset[int]()
         blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
         return [
             working_leg(points, units, self._leads(section, units))

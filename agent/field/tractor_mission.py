@@ -163,7 +163,7 @@ class TractorMission(FieldMission):
         here = VehiclePose(view.here.x_m, view.here.y_m, view.here.heading_rad)
         covered: list[int] = []
         if self.shove.observe(view.here, view.now_us):
-            self.on_implement_raised()
+            self._on_displaced()
         self._notice_stuck(view, here)
         while True:
             if self.follow is None and not self._next(view, here, only_approach):

@@ -90,6 +90,29 @@ def test_a_person_who_pushes_the_robot_that_stands_is_noticed() -> None:
     assert drive.on(2.0, 0.0, 1.0)
 
 
+@pytest.mark.parametrize("speed_m_s", [0.4, 1.5, 2.5])
+def test_l5_a_push_is_doubted_before_it_is_seen(speed_m_s: float) -> None:
+    """Found by `headland chaos`, profile steered, seed 106000090: a robot was pushed across the end of a
+    unit, which it counted before it had noticed the push. 0.4 m of it were left."""
+    drive = Drive()
+    drive.on(5.0, speed_m_s)
+    assert not drive.shove.doubtful
+    drive.on(2 * PERIOD_S, speed_m_s, 1.5)
+    assert drive.shove.doubtful
+    assert drive.on(1.0, speed_m_s) == [] and not drive.shove.doubtful
+
+
+def test_driving_with_a_receiver_of_2_cm_is_not_doubted() -> None:
+    drive = Drive(noise_m=0.02)
+    for speed_m_s in (2.5, 0.0, 0.5, 2.5, 1.0):
+        drive.on(4.0, speed_m_s)
+        doubted = 0
+        for _ in range(100):
+            drive.on(PERIOD_S, speed_m_s)
+            doubted += drive.shove.doubtful
+        assert doubted < 20, "of 100 periods"
+
+
 @pytest.mark.parametrize("late", [0, 2, 4])
 @pytest.mark.parametrize("noise_m", [0.0, 0.02])
 def test_driving_is_no_push_whatever_the_receiver(late: int, noise_m: float) -> None:

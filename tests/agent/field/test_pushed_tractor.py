@@ -68,7 +68,7 @@ def test_a_tractor_alone_works_its_rows_one_after_the_other() -> None:
     assert worked() == [*range(UNITS), *range(UNITS, 2 * UNITS)]
 
 
-@pytest.mark.parametrize("from_m", [26.0, 31.5, 37.0])
+@pytest.mark.parametrize("from_m", [26.0, 29.6, 31.5, 34.8, 37.0])
 def test_l5_a_tractor_that_is_pushed_along_its_row_works_that_ground_again(from_m: float) -> None:
     """Three tractors in `small` that were pushed 34 times, slower than their wheels drive, left 50 m2."""
 
