@@ -61,6 +61,10 @@ class Unseen(NamedTuple):
             self.turned_rad + later.turned_rad,
         )
 
+    def without(self, way_m: float) -> "Unseen":
+        """The same with so much less way."""
+        return self._replace(way_m=max(self.way_m - way_m, 0.0))
+
 
 NOTHING_UNSEEN: Final = Unseen()
 

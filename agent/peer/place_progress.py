@@ -43,6 +43,9 @@ FALLS: Final = 2
 WANDERS: Final = 3.0
 STEP_M: Final = 0.02  # of the expected way, between two places that are kept
 SETTLES_US: Final = 1 * S  # five fixes of a slow receiver
+# Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
+# Where the most counts, wheels may have as much more.
+ACCELERATION_SHARE: Final = 0.5
 # Between the command and the heading. A differential drive that is off by more drives slowly
 # (`pivot_course`).
 ALIGNED_RAD: Final = radians(15.0)
@@ -95,6 +98,7 @@ class PlaceProgress:
         self.hung: Nowhere | None = None  # where the place leads nowhere at present
         self._tried = False  # again, and has not led on since
         self._moved_at_us = 0
+        self._fastest_m_s = 0.0  # of the body at most, as its wheels were told and can speed up
         # How the body may have moved at most since the place fell back, if the newest place is a jump: a
         # receiver that answers again says where the body has driven meanwhile.
         self.made_up: Unseen = NOTHING_UNSEEN
@@ -126,6 +130,11 @@ class PlaceProgress:
     def is_right(self) -> bool:
         """Whether the place led elsewhere, so that its changes are those of the body."""
         return self.hung is not None and self.hung.elsewhere
+
+    @property
+    def way_m(self) -> float:
+        """How far the body can have driven at most, since the start."""
+        return self._now.way_m
 
     def unseen(self, speed_m_s: float) -> Unseen:
         """How the body may have moved at most since the oldest kept place, and drives now."""
@@ -193,7 +202,7 @@ class PlaceProgress:
         self._now = _Kept(
             now.gone_x_m + dx_m, now.gone_y_m + dy_m,
             now.expected_x_m + share * drive.vx_m_s, now.expected_y_m + share * drive.vy_m_s,
-            now.way_m + FASTER * told_m_s * passed_for_s,
+            now.way_m + self._most_m_s(here, told_m_s, limits, passed_for_s) * passed_for_s,
             now.wandered_m + hypot(dx_m, dy_m),
             now.falls + self._falls(step_m, gained_m, sensed_m),
         )  # fmt: skip
@@ -229,6 +238,17 @@ class PlaceProgress:
         )
         self._moved_at_us = here.sensed_at_us
         return f"told to drive {expected_m:.2f} m, gained {gained_m:.2f} m"
+
+    def _most_m_s(
+        self, here: Observation, told_m_s: float, limits: BodyLimits, passed_for_s: float
+    ) -> float:
+        """How fast the body can have been driven in this period."""
+        gained_m_s = limits.acceleration_m_s2 / ACCELERATION_SHARE * passed_for_s
+        lost_m_s = limits.acceleration_m_s2 * ACCELERATION_SHARE * passed_for_s
+        was_m_s, most_m_s = self._fastest_m_s, FASTER * told_m_s
+        could_m_s = max(was_m_s, hypot(here.vx_m_s, here.vy_m_s)) + gained_m_s
+        self._fastest_m_s = max(min(most_m_s, could_m_s), was_m_s - lost_m_s)
+        return min(most_m_s, could_m_s)
 
     def _falls(self, expected_m: float, gained_m: float, sensed_m: float) -> bool:
         """Whether the place begins to go back by more than the body says that it does, in this period."""

@@ -39,7 +39,7 @@ from agent.peer.place_jumps import (
     PlaceJumps,
     Unseen,
 )
-from agent.peer.place_progress import Nowhere, PlaceProgress
+from agent.peer.place_progress import ACCELERATION_SHARE, Nowhere, PlaceProgress
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S
@@ -55,9 +55,6 @@ TURNED_RAD: Final = radians(1.0)  # if the heading changes more, it is not froze
 # the commanded turn is expected, because nothing is known of how fast a body begins to turn.
 FROZEN_RAD: Final = radians(20.0)
 TURNS_SHARE: Final = 0.5
-# Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
-# Where the most counts, wheels may have as much more.
-ACCELERATION_SHARE: Final = 0.5
 # Durable: whether the place has jumped, is frozen and led nowhere, a sum of these. If it is frozen, the
 # place follows, (x, y) in millimetres, and the course to where it led nowhere, in milliradians.
 PLACE_KEY, BELIEVED = "place", b"\0"
@@ -131,6 +128,7 @@ class Senses(Part):
         self._drive: Drive = HALT  # the command in force since the last period
         self._anchor: Observation | None = None  # the last observation at which the place changed
         self._anchor_at_us = 0
+        self._anchor_way_m = 0.0  # by then, of the place's progress
         self._periods = 0  # observations since the anchor
         self._changed = False  # whether the place changed in this period
         self._expected_m_s = 0.0  # speed expected since the anchor
@@ -347,11 +345,13 @@ class Senses(Part):
             return "the place led nowhere"
         start_at_us = sensed_at_us if self._compared_at_us is None else self._compared_at_us
         passed_for_us = sensed_at_us - start_at_us
+        # What it was told since the anchor is counted once: `_since` has it.
+        counted_m = progress.way_m - self._anchor_way_m
         wrong = progress.look(
             here, self._drive, self.limits, self._acceleration_m_s2, passed_for_us
         )
         if progress.made_up is not NOTHING_UNSEEN:
-            self._unseen = self._unseen.then(progress.made_up)
+            self._unseen = self._unseen.then(progress.made_up.without(counted_m))
         if wrong:
             self._drive_on(here, sensed_at_us)
             self._since = self._since.then(progress.unseen(self._since.speed_m_s))
@@ -378,6 +378,7 @@ class Senses(Part):
             before_m_s = self._step_m_s if anchor and passed_for_us <= AGE_MAX_US else 0.0
             self._expected_m_s, self._step_m_s = max(step_m_s, before_m_s), step_m_s
             self._anchor, self._anchor_at_us = here, sensed_at_us
+            self._anchor_way_m = self.progress.way_m
             self._periods = 0
             self._expected = (0.0, 0.0)
             self._turn_frozen = False

@@ -109,6 +109,12 @@ MENDED = {
     ("stop", 104000389): "agent/safety/stop_controller.py",
     # A place came back from a jump while it was late, along the way on which the body braked.
     ("stalls", 104000407): "sim/chaos/fault_profiles.py",
+    # An echo that noise had put just before another robot stayed in mind, and both stood for good.
+    ("rays", 106000098): "agent/motion/obstacle_detector.py",
+    # A robot was pushed across the end of a unit, which counted before the push was noticed.
+    ("steered", 106000090): "agent/field/displacement_detector.py",
+    # What wheels had been told in vain counted twice, so a jump was believed.
+    ("traffic", 106000207): "agent/peer/place_progress.py",
 }
 
 

@@ -500,6 +500,29 @@ def test_a_frozen_place_that_drifts_slowly_is_frozen(drift_m_s: float) -> None:
     assert robot.x_m - hung_x_m <= SPEED_M_S * 0.2
 
 
+def test_a_jump_after_wheels_that_did_not_obey_is_a_jump() -> None:
+    """Found by `headland chaos`, profile traffic, seed 106000207: a robot that stood was told to drive in
+    vain for half a second, and its place then jumped by 3.0 m. It believed that, because what it had been
+    told counted twice: since its place last changed, and since its place last fell back. It worked 7 m
+    beside its row (L5)."""
+    robot = Robot().periods(10)
+    assert robot.told != HALT
+    stands_m, fell_at_us = robot.x_m, robot.now_us + 2 * CONTROL_PERIOD_US
+
+    def stands(seen: Observation) -> Observation:
+        fell_m = 0.02 if robot.now_us > fell_at_us else 0.0
+        return seen._replace(x_m=stands_m - fell_m, vx_m_s=0.0)
+
+    robot.spoilt = stands
+    while robot.told != HALT:
+        robot.period()
+    assert robot.held == {StopCause.PLACE_FROZEN}
+    robot.periods(100)
+    robot.spoilt = lambda seen: stands(seen)._replace(y_m=3.0)
+    robot.periods(1)
+    assert robot.held == {StopCause.PLACE_LOST}
+
+
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("noise_m", [0.0, 0.004, 0.01, 0.02])
 def test_a_body_that_is_stuck_is_noticed_beside_the_noise_of_its_receiver(
