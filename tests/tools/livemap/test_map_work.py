@@ -234,12 +234,19 @@ def by_key(page: "Chrome", selector: str) -> None:
 
 
 def by_touch(page: "Chrome", selector: str) -> None:
-    """One finger on its middle. Whatever lies over it gets the finger."""
-    until(page, f"document.querySelector({selector!r})?.checkVisibility()")
-    x, y = page.execute_script(
-        f"const e = document.querySelector({selector!r}); e.scrollIntoView({{block: 'nearest'}});"
-        "const b = e.getBoundingClientRect(); return [b.x + b.width / 2, b.y + b.height / 2];"
-    )
+    """One finger on its middle, once nothing lies over that and the page moves it no more."""
+    page.execute_script("delete window.wasAt")
+    until(page, f"""(() => {{
+        const e = document.querySelector({selector!r});
+        if (!e?.checkVisibility()) return false;
+        e.scrollIntoView({{block: 'nearest'}});
+        const b = e.getBoundingClientRect(), x = b.x + b.width / 2, y = b.y + b.height / 2;
+        const stands = window.wasAt?.[0] === x && window.wasAt[1] === y;
+        window.wasAt = [x, y];
+        const top = document.elementFromPoint(x, y);
+        return stands && top && (e.contains(top) || top.closest("label")?.control === e);
+    }})()""")  # fmt: skip
+    x, y = page.execute_script("return window.wasAt")
     point = [{"x": x, "y": y, "id": 1}]
     page.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchStart", "touchPoints": point})
     page.execute_cdp_cmd("Input.dispatchTouchEvent", {"type": "touchEnd", "touchPoints": []})
@@ -273,9 +280,8 @@ def test_an_operator_s_round(fleet: Live, folder: Path, hand: str) -> None:
         if phone:
             act(page, "#layers-open")
         act(page, "#nearer")
-        until(
-            page, "headland.field.moved"
-        )  # a new layout fits the map only while nobody has moved it
+        # A new layout fits the map only while nobody has moved it.
+        until(page, "headland.field.moved")
         if phone:
             pinch(page, 160, 60)
         act(page, "#fit")
