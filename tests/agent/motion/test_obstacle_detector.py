@@ -64,6 +64,19 @@ def test_noise_before_a_robot_is_forgotten_when_the_scan_is_right_again(before_m
     assert detector.observe(thing, AHEAD, {1: robot}, 150_000) is not None
 
 
+def test_what_stands_behind_a_robot_or_before_another_body_stays_in_mind() -> None:
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), StoppingZone(RADIUS_M, 1.5))
+    here, robot = observation(), Neighbour(Pose(*BODY, 0.0, 0.0, State.IDLE, False, 0), 0)
+    behind = 4.0, 0.0
+    detector.points[16, 0] = (behind, 0)
+    detector.observe(here, AHEAD, {1: robot}, 50_000)
+    assert (behind, 0) in detector.points.values(), "no ray gets there"
+    detector.points.clear()
+    detector.points[4, 0] = ((1.15, 0.0), 0)
+    detector.observe(here, AHEAD, {}, 50_000)
+    assert (4, 0) in detector.points, "the rays may end at the flank of the same body"
+
+
 @pytest.mark.parametrize("off_m", [-0.6, -0.3, 0.3, 0.6])
 def test_noise_at_a_fence_is_forgotten_when_the_scan_is_right_again(off_m: float) -> None:
     """Found by `headland chaos`, profile rays, seed 1025: echoes that noise had put before a fence or
