@@ -304,7 +304,10 @@ class Senses(Part):
         here = self.here
         if old:
             return []
-        wrong = NOT_ON_MAP if here is None else self._unfit(here) or self._jumped(here, now_us)
+        wrong = NOT_ON_MAP if here is None else self._unfit(here)
+        if here is not None and (not wrong or self._shows_jumps(here)):
+            jumped = self._jumped(here, now_us)
+            wrong = wrong or jumped
         if wrong:
             self._lost_at_us = now_us
         elif not self.safety.holds(StopCause.PLACE_LOST):
@@ -321,6 +324,13 @@ class Senses(Part):
         if self._no_velocity:
             return NO_VELOCITY
         return _inaccurate(here, self.accuracy_max_m)
+
+    def _shows_jumps(self, here: Observation) -> bool:
+        """Whether the place is accurate enough to notice a jump by it, if not for the mission.
+
+        If a place jumped that is too inaccurate to work by, and was accurate again, it would pass for the
+        end of a gap, and its return would be a jump for ever."""
+        return self._on_map and not self._no_velocity and not _inaccurate(here, POSITION_ACCURACY_M)
 
     def _jumped(self, here: Observation, now_us: int) -> str:
         """Why the body cannot have driven to this accurate place; empty if it can."""

@@ -115,6 +115,8 @@ MENDED = {
     ("steered", 106000090): "agent/field/displacement_detector.py",
     # What wheels had been told in vain counted twice, so a jump was believed.
     ("traffic", 106000207): "agent/peer/place_progress.py",
+    # A place jumped while it was too inaccurate for the field, so that nobody compared it.
+    ("senses", 107000097): "agent/peer/sense_freshness.py",
 }
 
 

@@ -500,6 +500,29 @@ def test_a_frozen_place_that_drifts_slowly_is_frozen(drift_m_s: float) -> None:
     assert robot.x_m - hung_x_m <= SPEED_M_S * 0.2
 
 
+def test_a_jump_is_noticed_by_a_place_that_is_too_inaccurate_to_work_by() -> None:
+    """Found by `headland chaos`, profile senses, seed 107000097: a place drifted, so that it was too
+    inaccurate for the field, and jumped by a metre meanwhile. When its accuracy was back the jump passed
+    for what the robot had driven, and the true place was a jump for ever (L5)."""
+    robot = driving()
+    robot.peer.senses.accuracy_max_m = 0.08
+    robot.spoilt = lambda seen: seen._replace(position_accuracy_m=0.1)
+    robot.periods(10)
+    assert robot.held == {StopCause.PLACE_LOST}
+
+    def jumped(seen: Observation) -> Observation:
+        return seen._replace(x_m=seen.x_m + 0.85, y_m=0.5)
+
+    robot.spoilt = lambda seen: jumped(seen)._replace(position_accuracy_m=0.1)
+    robot.periods(20)
+    robot.spoilt = jumped
+    robot.periods(60)
+    assert robot.held == {StopCause.PLACE_LOST} and robot.v_m_s == 0.0
+    robot.spoilt = lambda seen: seen
+    robot.periods(STEADY_US // CONTROL_PERIOD_US + 20)
+    assert not robot.held and robot.v_m_s > 0.5
+
+
 def test_a_jump_after_wheels_that_did_not_obey_is_a_jump() -> None:
     """Found by `headland chaos`, profile traffic, seed 106000207: a robot that stood was told to drive in
     vain for half a second, and its place then jumped by 3.0 m. It believed that, because what it had been
