@@ -20,12 +20,13 @@ from agent.field.section_choice import SectionChooser
 from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
+from agent.interface.config import LEASE_US, S
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
 from agent.motion.path_tracker import FollowedWay, PathTracker
 from agent.paths.route import Route
-from crdt import Progress
+from crdt import Phase, Progress
 
 ASTRAY_M: Final = 4.0  # further from its line than this swath width, a robot replans its way back
 NEAR_END_S: Final = 5.0  # claim the next section when this much work is left
@@ -40,6 +41,11 @@ REST_M: Final = (
 )
 SOON_M: Final = 6.0  # nearer than this to its work, a robot announces its implement
 WAITING_M: Final = 0.1  # this far before its first unit, a robot that drifts sideways waits
+DOUBTED_US: Final = 1 * S  # a push at walking speed is seen after 0.7 s at most
+# Units under silent bodies are given up only after this time, as long as others leave a standing owner
+# its sections: a robot restarts within it, and a loose plug is found.
+SILENT_FOR_US: Final = 3 * LEASE_US
+UNDER_A_BODY: Final = "a silent robot is on the rest"  # for the trace
 # Further off a way without work, a robot heads for the next corner, if it is in sight. Back to the line
 # it would meet those again that pushed it off.
 AIM_M: Final = 0.1
@@ -109,8 +115,10 @@ class FieldMission(Mission):
         self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
         self.shove = DisplacementDetector(speed_m_s, deceleration_m_s2)
-        # Units that were passed while a displacement may have begun. They count once there was none.
+        # Units that were passed while a displacement may have begun, and since when they wait. They count
+        # once there was none.
         self.doubted: list[int] = []
+        self.doubted_at_us = 0
         self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
@@ -144,7 +152,7 @@ class FieldMission(Mission):
 
     def choose(self, view: FleetView) -> ClaimRequest | None:
         rest_for_s = 0.0 if self.section is None else self._left_m / self.speed_m_s
-        return self.choosing.choose(view, self._own_end(view), rest_for_s)
+        return self.choosing.choose(view, self._own_end(view), rest_for_s, self._waiting(view))
 
     def _own_end(self, view: FleetView) -> Point:
         if self.legs:
@@ -179,6 +187,7 @@ class FieldMission(Mission):
         self.worked.clear()
         self.doubted.clear()
         self.retried.clear()
+        self.missed = None
         self.advanced = False
         self.headway.begin()
         self.parking.forget()
@@ -200,6 +209,7 @@ class FieldMission(Mission):
     def idle(self, view: FleetView) -> MotionRequest:
         """No work for us: stand still, but not where a robot works or will work."""
         self.heading_to = None
+        self._look_round(view)
         before = self.parking.spot
         self.parking.observe(view)
         spot = self.parking.spot
@@ -215,15 +225,21 @@ class FieldMission(Mission):
 
     def work(self, view: FleetView) -> MotionRequest:
         if self.section is None:  # resumed after a stop or a sync that forgot the geometry
-            (section,) = view.allocation.assigned_sections(view.slot)[:1]
-            self.begin(section, view)
+            held = view.allocation.assigned_sections(view.slot)
+            begun = [s for s in held if view.allocation.phase_of(s) is Phase.STARTED]
+            self.begin((begun or held)[0], view)
         assert self.section is not None
         self.choosing.observe(view)
         self._look_round(view)
         wish, passed = self._drive(view)
-        covered = self._undoubted(passed)
+        covered = self._undoubted(passed, view.now_us)
         self.worked.update(covered)
         missing = self._missing(view)
+        if not missing and self._rest_waits(view):
+            self.given_up_why = UNDER_A_BODY
+            self.choosing.gave_back(self.section.id, self.section.units, view.now_us)
+            self.abandon()
+            return wish._replace(covered=tuple(covered), tool_on=False, given_up=True)
         if not missing:
             self.section = None
             return _covering(wish, covered, True, True)
@@ -250,15 +266,20 @@ class FieldMission(Mission):
         rest_for_s = max(missing * self.field.unit_m, self._left_m) / self.speed_m_s
         return _covering(wish, covered, False, rest_for_s < NEAR_END_S)
 
-    def _undoubted(self, passed: list[int]) -> list[int]:
+    def _undoubted(self, passed: list[int], now_us: int) -> list[int]:
         """The units that count now, of those passed in this period and before.
 
         A push is seen only after it has moved the robot by decimetres. A unit whose end it reached
-        meanwhile was not worked to its end.
+        meanwhile was not worked to its end. What is not seen within `DOUBTED_US` is no push: a velocity
+        that is always a little too low must not hold units back.
         """
-        if self.shove.doubtful:
+        if self.shove.doubtful and (passed or self.doubted):
+            if not self.doubted:
+                self.doubted_at_us = now_us
             self.doubted += passed
-            return []
+            if now_us - self.doubted_at_us < DOUBTED_US:
+                return []
+            passed = []
         covered = self.doubted + passed if self.doubted else passed
         self.doubted = []
         return covered
@@ -338,6 +359,56 @@ class FieldMission(Mission):
             if unit not in self.worked and not progress.has(section.id, unit):
                 blocked += 1
         return section.units - known - blocked
+
+    def _left_over(self, section: Section, view: FleetView) -> bool:
+        """Whether units are left, silent bodies are on some of them, and none can be worked now."""
+        bodies = self.blockage.units(section, things_too=False)
+        if not bodies:
+            return False
+        blocked = self.blockage.units(section, things_too=True) if view.leave_out else bodies
+        mine = self.worked if self.section is section else frozenset[int]()
+        left = [
+            unit
+            for unit in range(section.units)
+            if unit not in mine and not view.progress.has(section.id, unit)
+        ]
+        return not bodies.isdisjoint(left) and blocked.issuperset(left)
+
+    def _waiting(self, view: FleetView) -> frozenset[int]:
+        """The free sections of which only units under silent bodies are left, while there is hope for
+        these: a silent robot may come back, and one behind a cut has driven on.
+
+        A section that is DONE stays so. So they are ended as they are only if nothing else is left to do,
+        and all silent robots have been silent for long.
+        """
+        if not self.blockage.bodies:
+            return frozenset()
+        phase_of = view.allocation.phase_of
+        begun = [s for s in self.field.sections if phase_of(s.id) is not Phase.DONE]
+        waiting = frozenset(
+            s.id for s in begun if phase_of(s.id) is Phase.FREE and self._left_over(s, view)
+        )
+        if len(waiting) == len(begun) and self._are_silent_for_long(view):
+            return frozenset()
+        return waiting
+
+    def _rest_waits(self, view: FleetView) -> bool:
+        """Whether to give our section back instead of ending it, because of units under silent bodies."""
+        assert self.section is not None
+        if not self._left_over(self.section, view):
+            return False
+        phase_of = view.allocation.phase_of
+        others = [
+            s
+            for s in self.field.sections
+            if s is not self.section and phase_of(s.id) is not Phase.DONE
+        ]
+        ends = all(phase_of(s.id) is Phase.FREE and self._left_over(s, view) for s in others)
+        return not (ends and self._are_silent_for_long(view))
+
+    def _are_silent_for_long(self, view: FleetView) -> bool:
+        newest_at_us = max(view.fell_silent_at_us.values(), default=view.now_us - SILENT_FOR_US)
+        return view.now_us - newest_at_us >= SILENT_FOR_US
 
     def _look_round(self, view: FleetView) -> None:
         """Update the obstructions in the field and replan if they changed."""
@@ -628,7 +699,7 @@ class FieldMission(Mission):
     def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
         """The stretches left to work; `last`: include those that come last."""
         mine = self.worked.union(self.doubted) if self.section is section else frozenset[int]()
-        blocked = self._blocked(view, last) if self.section is section else frozenset[int]()
+        blocked = self.blockage.units(section, things_too=view.leave_out or not last)
         return [
             working_leg(points, units, self._leads(section, units))
             for points, units in section.stretches(

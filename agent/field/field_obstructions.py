@@ -47,7 +47,7 @@ class FieldObstructions:
         self.route, self.radius_m = route, radius_m
         self.body_m, self.pass_m = 2 * radius_m + beside_m, 2 * radius_m + PASS_M
         self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
-        self.way = route  # the route planner with all obstructions
+        self._way: Route | None = route  # the route planner with all obstructions; None: to be made
         self.things: frozenset[Point] = frozenset()
         self.coasting = StoppingZone(radius_m, deceleration_m_s2)
         self.bodies: tuple[Point, ...] = ()  # where silent members may stand
@@ -71,6 +71,8 @@ class FieldObstructions:
         same = silent == self._silent and bodies == self.bodies and view.things == self.things
         if same and not left:
             return frozenset()
+        if self.things - view.things:
+            self._out_of_reach.clear()  # of an obstacle that has left, perhaps
         # If places were seen to be free, the current path still does.
         new = view.things - self.things if silent == self._silent and not left else None
         self._silent, self.bodies, self.things = silent, bodies, view.things
@@ -120,13 +122,23 @@ class FieldObstructions:
 
     def _plan(self) -> None:
         self._units.clear()
-        self.way = self.route
-        if self.bodies:
-            self.way = self.way.round(self.bodies, self.pass_m)
-        if self.things:
-            self.way = self.way.round(sorted(self.things), self.radius_m + THING_M)
-        if self.standing:
-            self.way = self.way.round(self._stand, self.pass_m)
+        self._way = None
+
+    @property
+    def way(self) -> Route:
+        """The route planner with all obstructions, made when it is needed: in a large field that takes
+        longer than a control period."""
+        way = self._way
+        if way is None:
+            way = self.route
+            if self.bodies:
+                way = way.round(self.bodies, self.pass_m)
+            if self.things:
+                way = way.round(sorted(self.things), self.radius_m + THING_M)
+            if self.standing:
+                way = way.round(self._stand, self.pass_m)
+            self._way = way
+        return way
 
     def path(self, start: Point, goal: Point, view: FleetView) -> tuple[Point, ...]:
         """A path from start to goal round all obstructions, and round idle robots that stand on it.
@@ -189,6 +201,8 @@ class FieldObstructions:
             if things_too:
                 bodies += [(Spot(at), self.radius_m + THING_M) for at in self.things]
                 bodies += [(Spot(at), self.unit_m) for at in self._stand]
+            rows = [LineString(swath) for swath in section.swaths]
+            bodies = [b for b in bodies if any(row.distance(b[0]) < b[1] for row in rows)]
             self._units[key] = frozenset(
                 unit
                 for unit, line in enumerate(section.unit_lines)

@@ -56,13 +56,17 @@ class SectionChooser:
         # it to; and when this was noted.
         self._due: tuple[int, dict[tuple[int, int], int]] = (0, {})
 
-    def choose(self, view: FleetView, end: Point, rest_for_s: float = 0.0) -> ClaimRequest | None:
+    def choose(
+        self, view: FleetView, end: Point, rest_for_s: float = 0.0,
+        waiting: frozenset[int] = frozenset(),
+    ) -> ClaimRequest | None:  # fmt: skip
         """The section to claim next, with our bid; None if there is none for us now.
 
-        `end`: where we will be free, (x, y) metres. `rest_for_s`: until then.
+        `end`: where we will be free, (x, y) metres. `rest_for_s`: until then. `waiting`: free sections
+        that cannot be worked at present.
         """
         self._reserve(view)
-        taken = {s for sections in self.reserved.values() for s in sections}
+        taken = waiting.union(*self.reserved.values())
         self.observe(view)
         free = [
             job
@@ -84,7 +88,7 @@ class SectionChooser:
                     mine, key=lambda job: min(hypot(e[0] - end[0], e[1] - end[1]) for e in job.ends)
                 ),
             )
-        return self._orphan(view)
+        return self._orphan(view, waiting)
 
     def observe(self, view: FleetView) -> None:
         """Note which owners stand still. Call it while we work, too.
@@ -234,7 +238,7 @@ class SectionChooser:
             if slot not in self.reserved:
                 self.reserved[slot] = [job.section for job in self._plan.get(slot, [])]
 
-    def _orphan(self, view: FleetView) -> ClaimRequest | None:
+    def _orphan(self, view: FleetView, waiting: frozenset[int]) -> ClaimRequest | None:
         """A section of a silent or standing member, if only sections that such members own or
         planned are left; or one of our own that we could not give back.
         """
@@ -242,7 +246,8 @@ class SectionChooser:
             if view.now_us - view.fell_silent_at_us[slot] < LEASE_US:
                 continue
             for section in reversed(self.reserved.get(slot, [])):
-                if view.allocation.phase_of(section) is Phase.FREE:
+                free = view.allocation.phase_of(section) is Phase.FREE and section not in waiting
+                if free and not self._left_to_others(section, view):
                     return self._bid(view, self._job(view, section))
             for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
                 if view.allocation.stays(section):

@@ -15,7 +15,7 @@ from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import WorkLeg
 from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
-from agent.interface.mission import STILL, FleetView, MotionRequest
+from agent.interface.mission import STILL, THERE_M, FleetView, MotionRequest
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.tractor_escape import EscapeManoeuvre
 from agent.motion.tractor_tracker import (
@@ -108,15 +108,25 @@ class TractorMission(FieldMission):
     def begin(self, section: int, view: FleetView) -> None:
         going, legs = self.heading_to == section, self.legs
         super().begin(section, view)
-        if going and legs:
+        if going and legs and not self._is_stale(legs, self.field.section(section), view):
             self.legs = legs  # the approach led to the first of them
         else:
             self.follow, self.joined = None, False
         self.tracker = self.follow
 
+    def _is_stale(self, legs: list[WorkLeg], section: Section, view: FleetView) -> bool:
+        """Whether legs that were planned before have units that are covered or blocked now."""
+        blocked = self.blockage.units(section, things_too=True)
+        units = [unit for leg in legs for unit in leg.units]
+        return any(unit in blocked or view.progress.has(section.id, unit) for unit in units)
+
     def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         """Drive to the goal, (x, y) metres; final directions are tried one after another."""
         self._look_round(view)
+        off_m = hypot(goal[0] - view.here.x_m, goal[1] - view.here.y_m)
+        if self.joined and off_m > THERE_M and view.now_us >= self._again_at_us:
+            # It gave way to others shortly before the end, or was pushed since.
+            self.heading_to, self._again_at_us = None, view.now_us + AGAIN_US
         if self.heading_to != goal:
             self.heading_to, self.follow, self.joined = goal, None, False
             away_rad = heading_of((view.here.x_m, view.here.y_m), goal)

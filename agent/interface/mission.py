@@ -8,7 +8,7 @@ the peer sends with its next beat.
 from abc import ABC, abstractmethod
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import inf
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from agent.interface.lifecycle import State
 from agent.interface.observation import Neighbour, Observation
@@ -65,6 +65,7 @@ class MotionRequest(NamedTuple):
 
 
 STILL = MotionRequest(0.0, 0.0)
+THERE_M: Final = 0.5  # a robot within this distance of its goal has arrived
 
 
 class CoveredUnits(NamedTuple):

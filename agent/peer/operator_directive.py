@@ -12,7 +12,7 @@ from typing import Any
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Persist, Send, Trace
-from agent.interface.mission import STILL, FleetView, Mission, MotionRequest
+from agent.interface.mission import STILL, THERE_M, FleetView, Mission, MotionRequest
 from agent.peer import inputs, notices
 from agent.peer.obstacle_hold import ObstacleHold
 from agent.peer.part import (
@@ -41,7 +41,6 @@ DIRECTED = (
     Command.SET_GOAL,
 )
 DIRECTIVE_KEY, WORKS, SENT = "directive", b"\0", b"\1"  # durable: whether it is sent to a place
-THERE_M = 0.5  # within this distance of the goal it has arrived
 GOAL_LIFE_US = 2 * S  # coordinates wait this long for the order that uses them
 
 

@@ -33,12 +33,12 @@ class Row:
         self.counted: list[tuple[int, float, int]] = []  # unit, place east, time
         self.farthest_m = self.back_m = 0.0
         self.finished = False
+        self.told_share = 1.0  # of its velocity that it senses
 
     @property
     def view(self) -> FleetView:
-        here = Observation(
-            self.x_m, self.y_m, 0.0, self.vx_m_s, self.vy_m_s, sensed_at_us=self.now_us
-        )
+        vx_m_s, vy_m_s = self.told_share * self.vx_m_s, self.told_share * self.vy_m_s
+        here = Observation(self.x_m, self.y_m, 0.0, vx_m_s, vy_m_s, sensed_at_us=self.now_us)
         crdt, live = FieldAllocationCRDT(), frozenset({0})
         return FleetView(0, self.now_us, here, crdt, self.progress, live, {}, {})
 
@@ -107,6 +107,16 @@ def test_l5_a_unit_whose_end_was_passed_by_a_push_is_worked_again_at_once() -> N
     row.until(lambda: False)
     assert sorted(row.units) == [0, 1, 2] and row.back_m > UNIT_M - 1.0
     assert row.units.index(0) < row.units.index(2), "before the robot drives on"
+
+
+def test_a_velocity_that_is_always_too_low_holds_no_units_back() -> None:
+    """By 8 %: a wheel that is larger than the driver says."""
+    row = Row()
+    row.told_share = 0.92
+    row.until(lambda: False)
+    assert row.units == [0, 1, 2]
+    for unit, at_m, _ in row.counted:
+        assert at_m - (FROM_M + (unit + 1) * UNIT_M) < 3.0
 
 
 def test_a_unit_that_was_doubted_counts_for_its_own_section_only() -> None:
