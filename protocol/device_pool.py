@@ -10,6 +10,7 @@ from typing import Any, Final, NamedTuple
 from protocol.device_description import OFFSET_X, OFFSET_Y, TYPE_SECTION, VERSION_4, WIDTH
 
 CONNECTOR: Final = 6  # type of a device element
+ELEMENT_MAX: Final = 0xFFF  # 12 bits in process data
 OBJECTS_MAX: Final = 4096  # in one pool; large sprayers have about 500
 LABEL_BYTES: Final = 7
 # No boom is wider than about 60 m. Each 5 cm of ground under a section takes memory, so that a section
@@ -150,6 +151,8 @@ def _read(data: bytes, version: int) -> DevicePool:
             case b"DET":
                 element_kind, title = reader.take("B"), reader.text()
                 element, parent = reader.take("H"), reader.take("H")
+                if element > ELEMENT_MAX:
+                    raise ValueError("a number that no command has room for")
                 children = tuple(reader.take("H") for _ in range(reader.take("H")))
                 elements[element] = Element(element, element_kind, title, parent, children)
             case b"DPD":

@@ -204,6 +204,15 @@ class FleetTime:
         self.known = True
         return jumps
 
+    def begins_again(self, ticks: int, now_us: int) -> bool:
+        """Whether the fleet was switched off and began another time; then used ticks are forgotten.
+
+        Only for an answer to a question of just now, and for a device that tells no time."""
+        if not self.known or ticks >= self.at(now_us) - BACK or not self.possible(ticks):
+            return False
+        self.known = False
+        return True
+
     def nearest(self, moment: int, now_us: int) -> int:
         """The ticks nearest to now. `moment`: their low bits, as a proof carries them."""
         now, period = self.at(now_us), 1 << MOMENT_BITS
@@ -451,7 +460,7 @@ class ToolProofs:
         self._batch = ProofBatch(device, self._keys, self._time)
         self._answers = TimeAnswers(self._keys)
         self._question: TimeQuestion | None = None
-        self._asked = 0
+        self._asked, self._asked_at_us = 0, -TOOL_TIME_US
         self._learned_at_us = -TOOL_TIME_US
 
     def renew(self, keys: Keys, badge: Badge | None) -> None:
@@ -467,6 +476,8 @@ class ToolProofs:
         if isinstance(message, FleetTimeTold):
             ticks = self._answers.hear(source, message, self._question)
             if ticks is not None:
+                if now_us - self._asked_at_us <= S and self._time.begins_again(ticks, now_us):
+                    self._batch.rekey()
                 self._time.learn(ticks, now_us)
                 if self._time.known:
                     self._learned_at_us = now_us
@@ -484,6 +495,7 @@ class ToolProofs:
         if proof is not None:
             said.append(proof)
         if now_us - self._learned_at_us >= TOOL_TIME_US:
+            self._asked_at_us = now_us
             said.append(self._ask())
         return said
 

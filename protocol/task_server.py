@@ -244,7 +244,9 @@ class TaskServer:
             client.version = min(max(data[1], VERSION_3), self.version)
             return []
         if kind == POOL:
-            return [_said(source, self._take(client, data[1:]))]
+            before = client.active
+            answer = _said(source, self._take(client, data[1:]))
+            return [answer, ClientLost(source)] if before and not client.active else [answer]
         pool, absent = client.pool, b"\xff" * 7
         match kind:
             case 0x00:

@@ -33,6 +33,10 @@ TERMINAL_SILENT_US: Final = 3 * S  # without a status the terminal is gone
 # For one answer; the standard's T2 of the transport is 1,250 ms.
 TERMINAL_ANSWER_US: Final = 1500 * MS
 TERMINAL_UPLOAD_US: Final = 10 * S  # until the end of a pool is answered
+# A terminal that refused the pool is asked again after this time, doubled each time up to the other. The
+# pool at each of its statuses would be a fifth of the bus.
+REFUSED_US: Final = 30 * S
+REFUSED_MAX_US: Final = 600 * S
 CHANGE_GAP_US: Final = 150 * MS  # between two changes: a text takes eight frames
 PROBE_US: Final = 800 * MS  # a number is said again: a terminal that was restarted does not answer
 CHANGES_MAX: Final = 64  # that wait; each line waits once
@@ -141,6 +145,8 @@ class TerminalClient:
         self._changes: deque[bytes] = deque()
         self._change_at_us = self._probe_at_us = 0
         self._unanswered_at_us: int | None = None  # of the oldest change without an answer
+        self._awaited = 0  # function of that change
+        self._refused_for_us = self._call_again_at_us = 0  # after a pool that was refused
         self._redraws = False  # what is sent is the picture alone
         self._refuses: int | None = None  # address of a terminal that took no picture alone
 
@@ -157,10 +163,10 @@ class TerminalClient:
         due = [self._heard_at_us + TERMINAL_SILENT_US, self._maintain_at_us]
         if self.state is not SHOWN:
             due.append(self._due_at_us)
-        else:
+        elif self._unanswered_at_us is None:
             due.append(self._change_at_us if self._changes else self._probe_at_us)
-            if self._unanswered_at_us is not None:
-                due.append(self._unanswered_at_us + TERMINAL_ANSWER_US)
+        else:
+            due.append(self._unanswered_at_us + TERMINAL_ANSWER_US)
         return min(due)
 
     def serve(self, wanted: bool, now_us: int) -> list[TerminalOutput]:
@@ -191,7 +197,8 @@ class TerminalClient:
         if function == SOFT_KEY:
             return self._key(data)
         if function in (CHANGE_NUMBER, CHANGE_MASK, CHANGE_TEXT):
-            self._unanswered_at_us = None
+            if function == self._awaited:
+                self._unanswered_at_us = None
             return []
         answered = {
             MEMORY: (GET_MEMORY, self._memory), FONTS: (GET_FONTS, self._fonts),
@@ -208,20 +215,27 @@ class TerminalClient:
         late = self.state is not SHOWN and now_us >= self._due_at_us
         if self._unanswered_at_us is not None:
             late = now_us >= self._unanswered_at_us + TERMINAL_ANSWER_US
-        if late or now_us >= self._heard_at_us + TERMINAL_SILENT_US:
+        silent = now_us >= self._heard_at_us + TERMINAL_SILENT_US
+        if silent:
+            self._refused_for_us = self._call_again_at_us = 0
+        if late or silent:
             self._lose()
             return self._call(now_us)
         outputs: list[TerminalOutput] = []
         if now_us >= self._maintain_at_us:
             outputs.append(self._maintenance(now_us))
+        if (
+            self._unanswered_at_us is not None
+        ):  # one change at a time: a lost one brings the screen again
+            return outputs
         if self.state is SHOWN and not self._changes and now_us >= self._probe_at_us:
             body = pack("<BHBI", CHANGE_NUMBER, COVERED, 0xFF, self.shown.covered_percent)
             self._changes.append(body)
         if self.state is SHOWN and self._changes and now_us >= self._change_at_us:
             self._change_at_us, self._probe_at_us = now_us + CHANGE_GAP_US, now_us + PROBE_US
-            if self._unanswered_at_us is None:
-                self._unanswered_at_us = now_us
-            outputs.append(TerminalData(self._changes.popleft()))
+            change = self._changes.popleft()
+            self._unanswered_at_us, self._awaited = now_us, change[0]
+            outputs.append(TerminalData(change))
         return outputs
 
     def upload(self, pool: bytes, shown: ShownScreen, now_us: int) -> list[TerminalOutput]:
@@ -257,6 +271,10 @@ class TerminalClient:
         """Change what differs; each change is said in its turn."""
         if self.state is not SHOWN or self._changes:
             return
+        missing = len(self.shown.rows) - len(
+            wanted.rows
+        )  # lines of the pool for which there is no robot now
+        wanted = wanted._replace(rows=(*wanted.rows, *[""] * missing))
         for k, (row, before) in enumerate(zip(wanted.rows, self.shown.rows, strict=False)):
             if row != before:
                 self._changes.append(_changed_text(FIRST_ROW + k, padded(row, ROW_CHARACTERS)))
@@ -278,6 +296,10 @@ class TerminalClient:
     def _status(self, source: int, now_us: int) -> list[TerminalOutput]:
         if self.state is not AWAY and source != self.server:
             return []
+        if source != self.server or now_us >= self._heard_at_us + TERMINAL_SILENT_US:
+            self._refused_for_us = self._call_again_at_us = (
+                0  # it may be another one, or a repaired one
+            )
         self.server, self._heard_at_us = source, now_us
         return self._call(now_us)
 
@@ -285,6 +307,8 @@ class TerminalClient:
         """Begin the log-in, if it is our turn and a terminal is there."""
         heard = self.server is not None and now_us < self._heard_at_us + TERMINAL_SILENT_US
         if self.state is not AWAY or not self.serves or not heard:
+            return []
+        if now_us < self._call_again_at_us:
             return []
         self._machine.fire(TerminalEvent.CALLED)
         first = TerminalData(pack("<BBBIB", MAINTENANCE, 1, CLIENT_VERSION, 0xFFFF_FFFF, 0xFF))
@@ -294,7 +318,7 @@ class TerminalClient:
 
     def _memory(self, data: bytes, now_us: int) -> list[TerminalOutput]:
         if data[2]:
-            self._lose()
+            self._refused(now_us)
             return []
         self._machine.fire(TerminalEvent.SPACE)
         return self._ask(bytes((GET_FONTS,)), now_us)
@@ -314,9 +338,12 @@ class TerminalClient:
         if data[1]:
             if self._redraws:
                 self._refuses = self.server
-            self._lose()
+                self._lose()
+            else:
+                self._refused(now_us)
             return []
         self._machine.fire(TerminalEvent.POOL_RIGHT)
+        self._refused_for_us = 0
         self.screens += not self._redraws
         self._redraws = False
         self._changes.clear()
@@ -329,6 +356,11 @@ class TerminalClient:
     def _maintenance(self, now_us: int) -> TerminalOutput:
         self._maintain_at_us = now_us + MAINTENANCE_US
         return TerminalData(pack("<BBBIB", MAINTENANCE, 0, CLIENT_VERSION, 0xFFFF_FFFF, 0xFF))
+
+    def _refused(self, now_us: int) -> None:
+        self._lose()
+        self._refused_for_us = min(max(2 * self._refused_for_us, REFUSED_US), REFUSED_MAX_US)
+        self._call_again_at_us = now_us + self._refused_for_us
 
     def _lose(self) -> None:
         self._machine.fire(TerminalEvent.GONE)

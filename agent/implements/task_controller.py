@@ -180,6 +180,11 @@ class TaskController:
                 case ClientLost(source):
                     self.implements.pop(source, None)
                     self._settles_at_us.pop(source, None)
+                    self._asks = deque(
+                        q
+                        for q in self._asks
+                        if not (isinstance(q, ServerMessage) and q.destination == source)
+                    )
                 case ValueTold(source, key, number) if source in self.implements:
                     self.implements[source].heard(key, number)
         return frames

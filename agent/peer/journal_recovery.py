@@ -20,7 +20,7 @@ from agent.peer.durable_records import (
     U64,
     VOTE,
 )
-from agent.peer.key_renewal import FLEET_KEYS, RECORD
+from agent.peer.key_renewal import FLEET_KEYS, RECORD_SIZES
 from agent.peer.membership import SILENT_KEY
 from agent.peer.operator_directive import DIRECTIVE_KEY, SENT, WORKS
 from agent.peer.range_freshness import SCANNED, SCANS_KEY
@@ -67,7 +67,7 @@ _VALUES: Mapping[str, Callable[[bytes], bool]] = {
     STOPS_KEY: _parses(StopSet.deserialize),
     FAR_KEY: _parses(RemoteStopSet.deserialize),
     COUNTER_KEY: _size(*COUNTER_BYTES),
-    FLEET_KEYS: _size(RECORD.size),
+    FLEET_KEYS: _size(*RECORD_SIZES),
     HOLD_KEY: lambda raw: raw in (FREE, HELD, LATCHED),
     PLACE_KEY: lambda raw: len(raw) == FROZEN_RECORD.size or raw in (BELIEVED, bytes((DOUBTED,))),
     SCANS_KEY: lambda raw: raw == SCANNED,

@@ -15,20 +15,32 @@ from agent.peer import notices
 from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
 from agent.safety.command_authentication import CommandAuthority
 from protocol.authentication import KEY_SIZE, Keys
+from protocol.ciphers import derived_key
 from protocol.frames.key_frames import KeyPart, KeysHeld, KeySwitch
 from protocol.rekeying import ALWAYS_S, NOBODY, PartsOf, Rekeying
 
 FLEET_KEYS = "keys"  # the record in durable memory
-RECORD = Struct(f"<H{KEY_SIZE}s16s")  # generation, secret, one bit for each revoked slot
+# Generation, secret, one bit for each revoked slot, and which own key the secret was sealed for. Robots
+# before did not write the last one.
+RECORD_BEFORE = Struct(f"<H{KEY_SIZE}s16s")
+RECORD = Struct(f"{RECORD_BEFORE.format}8s")
+RECORD_SIZES: Final = RECORD_BEFORE.size, RECORD.size
 ANSWER_SPACING_US: Final = S // 5
 
 
 class KeptKeys:
     """What durable memory holds of keys that were given to the fleet after its key files were made."""
 
-    def __init__(self, recalled: Mapping[str, bytes]) -> None:
+    def __init__(self, recalled: Mapping[str, bytes], given: Keys | None) -> None:
+        """`given`: of the key file. What was given with other own keys is void: the owner has made new
+        ones, because the old ones are in wrong hands, it may be."""
         raw = recalled.get(FLEET_KEYS, b"")
-        generation, secret, bits = RECORD.unpack(raw) if len(raw) == RECORD.size else (0, b"", b"")
+        own = None if given is None else given.own
+        if len(raw) == RECORD.size and raw[-8:] != own_name(own):
+            raw = b""
+        generation, secret, bits = 0, b"", b""
+        if len(raw) in RECORD_SIZES:
+            generation, secret, bits = RECORD_BEFORE.unpack(raw[: RECORD_BEFORE.size])
         self.rekeying = Rekeying(generation, secret) if generation else None
         number = int.from_bytes(bits, "little")
         self.revoked = frozenset(slot for slot in range(128) if number >> slot & 1)
@@ -41,11 +53,16 @@ class KeptKeys:
         return kept.keys._replace(own=given.own)
 
 
-def record(rekeying: Rekeying, revoked: frozenset[int]) -> Persist:
-    """What makes the keys of a fleet durable."""
-    bits = sum(1 << slot for slot in revoked)
-    value = RECORD.pack(rekeying.generation, rekeying.secret, bits.to_bytes(16, "little"))
+def record(rekeying: Rekeying, revoked: frozenset[int], own: bytes | None) -> Persist:
+    """What makes the keys of a fleet durable. `own`: the robot's own key."""
+    bits = sum(1 << slot for slot in revoked).to_bytes(16, "little")
+    value = RECORD.pack(rekeying.generation, rekeying.secret, bits, own_name(own))
     return Persist(FLEET_KEYS, value)
+
+
+def own_name(own: bytes | None) -> bytes:
+    """Eight bytes that tell which own key this is, and nothing else about it."""
+    return bytes(8) if own is None else derived_key(own, b"headland kept keys", 8)
 
 
 class KeyRenewal(Part):
@@ -80,9 +97,13 @@ class KeyRenewal(Part):
         found = None if self._parts is None else self._parts.hear(header.source, m)
         if found is None:
             return NOTHING
-        if found.generation > self.generation:
+        # Recorded parts of an older generation replace no newer ones. An owner that begins again uses a
+        # number twice.
+        held_already = 0 if self._next is None else self._next.generation
+        if found.generation > self.generation and found.generation >= held_already:
             self._next = found
-        held = next((r for r in (self._now, self._next) if r == found), None)
+        # After a restart a robot does not know which robot its keys revoked.
+        held = next((r for r in (self._now, self._next) if r and r[:2] == found[:2]), None)
         return NOTHING if held is None else self._confirm(held, ctx.now_us)
 
     def _hear_switch(self, ctx: StepContext, header: Header, m: KeySwitch) -> Outputs:
@@ -103,7 +124,7 @@ class KeyRenewal(Part):
         compromised_at_us = None if new.void_for_s == ALWAYS_S else now_us - new.void_for_s * S
         if new.revoked != NOBODY:
             self.revoked |= {new.revoked}
-        outputs.append(record(new, self.revoked))
+        outputs.append(record(new, self.revoked, keys.own))
         outputs.append(notices.KeysChanged(keys, new.revoked, compromised_at_us))
         said = f"revoked robot {new.revoked}" if new.revoked != NOBODY else "rotated"
         outputs.append(Trace("keys", "", "SWITCHED", str(new.generation), said))

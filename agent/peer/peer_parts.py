@@ -93,7 +93,8 @@ class PeerParts:
         self.allocation = FieldAllocationCRDT(identity.field_hash)
         units = mission.section_units if mission else {}
         self.progress = Progress(units)
-        kept, vouchers = KeptKeys(recalled), None
+        given = None if keyring is None else keyring.keys
+        kept, vouchers = KeptKeys(recalled, given), None
         if keyring is not None:
             keyring.rekey(kept.newest(keyring.keys))
             vouchers = Vouchers(slot, keyring.keys.generation)

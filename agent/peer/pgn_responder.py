@@ -126,10 +126,15 @@ class PgnResponder(Part):
         if not ctx.joined or due_at_us is None or ctx.now_us < due_at_us:
             return NOTHING
         outputs = list(_sends(self.transport.on_tick(ctx.now_us)))
+        return [*outputs, *self._resumed(ctx.now_us)]
+
+    def _resumed(self, now_us: int) -> list[Effect]:
+        """Messages that waited for one that has ended."""
+        outputs: list[Effect] = []
         waiting = list(self._waiting)
         self._waiting.clear()
         for pgn, content, destination in waiting:
-            outputs += self.sends(pgn, content, destination, ctx.now_us)
+            outputs += self.sends(pgn, content, destination, now_us)
         return outputs
 
     def _request(self, ctx: StepContext, header: Header, m: Request) -> Outputs:
@@ -166,7 +171,11 @@ class PgnResponder(Part):
             return NOTHING
         if isinstance(m, TransportManagement) and m.pgn in UNREAD and _announces(m):
             return NOTHING
+        sessions = self.transport.sessions
         out, arrived = self.transport.on_message(source, destination, m, now_us)
+        sent = list(_sends(out))
+        if self._waiting and self.transport.sessions < sessions:
+            sent += self._resumed(now_us)
         if arrived is not None:
             self.inbox.append(arrived)
             if arrived.pgn == COMPONENT_PGN and source < NULL_ADDRESS:
@@ -175,8 +184,8 @@ class PgnResponder(Part):
             if arrived.pgn == COMMANDED_ADDRESS_PGN and len(arrived.data) == COMMANDED_SIZE:
                 name = int.from_bytes(arrived.data[:8], "little")
                 if name == self._name:
-                    return [*_sends(out), notices.AddressCommanded(arrived.data[8])]
-        return _sends(out)
+                    return [*sent, notices.AddressCommanded(arrived.data[8])]
+        return sent
 
     def _asked(self, ctx: StepContext, header: Header, pgn: int) -> Sequence[Effect]:
         source, destination = header.source, header.destination

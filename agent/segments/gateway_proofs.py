@@ -52,7 +52,7 @@ class GatewayProofs:
         self._batch: ProofBatch | None = None
         self._address: int | None = None
         self._question: TimeQuestion | None = None
-        self._asked = 0
+        self._asked, self._asked_at_us = 0, now_us - 2 * S
         self._ask_at_us = now_us
 
     def rekey(self, keys: Keys, now_us: int) -> None:
@@ -77,6 +77,11 @@ class GatewayProofs:
         if kind is FleetTimeTold:
             ticks = self._answers.hear(source, message, self._question)
             if ticks is not None:
+                fresh = now_us - self._asked_at_us <= S
+                if fresh and self.checker.time.begins_again(ticks, now_us):
+                    self.checker.rekey(self.keys.keys)
+                    if self._batch is not None:
+                        self._batch.rekey()
                 self.checker.time.learn(ticks, now_us)
             return ()
         if kind not in HELD_KINDS or (kind is StateSyncRequest and message.scope == STOPS):
@@ -138,6 +143,7 @@ class GatewayProofs:
         if batch.due_at_us is not None and batch.due_at_us <= now_us:
             covered += self._sealed(batch, address, now_us)
         if now_us >= self._ask_at_us:
+            self._asked_at_us = now_us
             covered.append(Send(self._ask(number), source=address))
             known = self.checker.time.known
             self._ask_at_us = now_us + (1 << 40 if known else ASK_US)

@@ -64,14 +64,68 @@ def test_the_first_change_is_maintained_and_answered() -> None:
     said = []
     for now_us in range(0, S, 50 * MS):
         client.on_message(VT, STATUS, now_us)
-        said += sent(client.on_timer(now_us))
-        tell(client, "B3 FFFF 0410 00", now_us)
+        now = sent(client.on_timer(now_us))
+        said += now
+        for data in now:
+            tell(client, f"{data[0]:02X} FFFF 0410 00", now_us)
     assert [data[0] for data in said[:3]] == [0xB3, 0xAD, 0xB3]
     assert said[0][1:5] == bytes.fromhex("A30F 3000") and said[0][5:14] == b"1 stopped"
     assert said[1] == bytes.fromhex("AD 0000 E903 FFFFFF"), "the alarm mask"
     assert said[2][1:5] == bytes.fromhex("0410 1800") and said[2][5:15] == b"0 STOP_DOT"
     (maintenance,) = (data for data in sent(client.on_timer(S)) if data[0] == 0xFF)
     assert maintenance == bytes.fromhex("FF 00 03 FFFFFFFF FF")
+
+
+def test_a_text_without_its_own_answer_brings_the_screen_again() -> None:
+    """Found by a review: any answer passed for those of all changes, so a line that got lost was shown as
+    it had been, for ever: latched robots as IDLE."""
+    client = shown()
+    client.show(SHOWN._replace(rows=("0 STOP_DOT", "1 STOP_DOT")), 0)
+    said = []
+    for now_us in range(0, 3 * S, 50 * MS):
+        client.on_message(VT, STATUS, now_us)
+        said += sent(client.on_timer(now_us))
+        tell(client, "A8 0004 FF 0C000000", now_us)  # of a number, to which nothing was said
+        if client.state is not TerminalState.SHOWN:
+            break
+    assert client.state is TerminalState.MEMORY
+    assert [data[0] for data in said].count(0xB3) == 1, "one change at a time"
+
+
+def test_lines_without_a_robot_are_emptied() -> None:
+    """Found by a review: after a revocation the last line told what was true before, for ever."""
+    client = shown()
+    client.show(ShownScreen(("1 IDLE",), 12), 0)
+    said = []
+    for now_us in range(0, S, 50 * MS):
+        client.on_message(VT, STATUS, now_us)
+        now = sent(client.on_timer(now_us))
+        said += now
+        for data in now:
+            tell(client, f"{data[0]:02X} FFFF 0410 00", now_us)
+    texts = [data[5:].decode().strip() for data in said if data[0] == 0xB3]
+    assert texts == ["1 IDLE", ""]
+
+
+def test_a_terminal_that_refuses_the_pool_gets_it_ever_less_often() -> None:
+    """Found by a review: it got the pool at each of its statuses, a fifth of the bus."""
+    client = TerminalClient()
+    client.serve(True, 0)
+    pools = []
+    for now_us in range(0, 400 * S, 250 * MS):
+        outputs = client.on_message(VT, STATUS, now_us)
+        outputs += client.on_timer(now_us)
+        if any(data[0] == 0xC0 for data in sent(outputs)):
+            tell(client, "C0 04 00", now_us)
+            tell(client, "C3 FFFFFFFF 7F 7F 0F", now_us)
+            tell(client, "C7 01 02 0F F000 F000", now_us)
+            client.upload(b"pool", SHOWN, now_us)
+            client.uploaded()
+            tell(client, "12 01 0410 FFFF 02", now_us)
+            pools.append(now_us // S)
+    assert pools == [0, 30, 90, 210]
+    client.on_message(VT, STATUS, 500 * S)
+    assert client.state is TerminalState.MEMORY, "it was away, and may have been repaired"
 
 
 def test_keys_are_told_and_sent_back() -> None:

@@ -1,11 +1,13 @@
 """A fleet with keys on two segments: what an attacker on one of them does through the gateways."""
 
 from collections.abc import Iterator
+from random import Random
 
 import can
 import pytest
 
 from agent.peer.inputs import ClaimSection
+from agent.runtime.peer_factory import MissionParts, identity_of, keyring_of, make_peer
 from agent.segments.gateway import Publish
 from agent.segments.segment_parts import remote_segments_of
 from agent.segments.work_relay import BLOCK, REGISTER
@@ -226,3 +228,33 @@ def test_a_gateway_with_the_keys_of_before_a_rotation_is_not_believed(fleet: Seg
             assert runner.gateway.proofs is not None
             runner.gateway.proofs.rekey(Keys(KEYS.master, None), fleet.event_loop.now_us())
     assert fleet.run(15 * S, lambda: all_know_done(fleet, LENT)), f"seed {SEED}"
+
+
+def reboot(fleet: SegmentFleet, number: int, day: int) -> None:
+    """All robots of a segment are switched off, and on again. They draw another time."""
+    for slot in range(fleet.robots):
+        fleet.runners.pop((number, slot)).bus.close()
+    fleet.run(5 * S)
+    for slot in range(fleet.robots):
+        name = f"segment {number}"
+        identity = identity_of(name, slot, fleet.robots, FIELD_HASH, first_boot=True)
+        rng = Random(f"{day}/{number}/{slot}")
+        peer = make_peer(
+            identity, rng, fleet.event_loop.now_us(), parts=MissionParts(),
+            keyring=keyring_of(KEYS, slot, rng.randbytes(16)), area=fleet.areas[number],
+            backbone=fleet.policy,
+        )  # fmt: skip
+        bus = CanBus(can.Bus(interface="fieldbus", channel=fleet.channel(number)))
+        runner = fleet.event_loop.make_runner(peer, bus, None, None, None)
+        fleet.event_loop.start(runner)
+        fleet.runners[number, slot] = runner
+
+
+@pytest.mark.parametrize("day", [12, 13, 14])
+def test_a_gateway_believes_robots_that_were_switched_off_over_night(
+    fleet: SegmentFleet, day: int
+) -> None:
+    """Found by a review: every second time their new time was smaller, and it ignored them for good."""
+    reboot(fleet, 2, day)
+    fleet.run(20 * S)
+    assert not any(remote_segments_of(peer).alone for peer in fleet.peers(2))
