@@ -45,6 +45,10 @@ SPANS = {
 SHAPES = ("star", "comb", "letter_u", "neck", "islands")
 SLOW = Span(40.0, 450.0)  # by tractors 160 s without faults, in one of these shapes up to 185 s
 
+# Under the policy continue, others work on beside a silent robot. Cuts and deaths last until they have
+# worked what is left beside it.
+APART = Span(80.0, 350.0)
+
 CLOSE_S = 3.0  # links stay bad for seconds: a fault within this time falls into the trouble
 
 # No effect without a world.
@@ -161,6 +165,11 @@ PROFILES = {
                                         "vehicle": 0.5},
                        "bodies that steer: pushes, boxes, dead robots, presses, people",
                        drives=("ackermann", "differential")),
+    "apart": Profile((2, 4), (1, 6), {"partition": 3.0, "crash": 2.0, "crash_working": 2.0,
+                                      "bus_off": 1.0, "freeze": 1.0, "one_way": 0.5, "join": 0.5,
+                                      "estop": 0.5, "reset": 0.5, "loss": 0.5, "blind": 0.5},
+                     "fields under the policy continue: cuts and deaths beside which others work on",
+                     silence="continue"),
     "protocol": Profile((2, 8), (3, 30), {k: w for k, w in EVERYTHING.items() if k not in BODIES},
                         "every kind of fault, without a world: more hours, longer runs", "drill"),
     "press": Profile((2, 4), (2, 8), {"burst": 4.0, "estop": 2.0, "reset": 4.0, "haste": 2.0,
@@ -219,6 +228,8 @@ def draw(seed: int, profile: str = "all") -> Scenario:
     attacked, profile = profile.endswith(FORGER), profile.removesuffix(FORGER)
     kind, rng = PROFILES[profile], Random(f"{seed}/trouble/{profile}")
     robots, span = rng.randint(*kind.robots), SPANS[kind.mission]
+    if kind.mission == "field" and kind.silence == "continue":
+        span = APART
     names = sorted(kind.weights)
     faults: list[Fault] = []
     for name in rng.choices(names, [kind.weights[n] for n in names], k=rng.randint(*kind.faults)):
@@ -241,7 +252,8 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         name = Random(f"{seed}/field/{profile}").choice(kind.scenarios)
         field = load(name).changed(robots, seed)
         drive = Random(f"{seed}/drive/{profile}").choice(kind.drives)
-        fleet = field.fleet.model_copy(update={"keys": keys, "drive": drive})
+        policy = {"silence": kind.silence}
+        fleet = field.fleet.model_copy(update={"keys": keys, "drive": drive, **policy})
         return with_faults(field.model_copy(update={"fleet": fleet}), faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
 
@@ -304,6 +316,8 @@ def _starts_from(fault: Fault) -> float | None:
 
 def span_of(scenario: Scenario) -> Span:
     """When calm begins and the run ends, by the mission of the scenario, its field and its bodies."""
+    if scenario.mission == "field" and scenario.fleet.silence == "continue":
+        return APART
     is_slow = scenario.fleet.drive != "mecanum" or scenario.name in SHAPES
     return SLOW if scenario.mission == "field" and is_slow else SPANS[scenario.mission]
 

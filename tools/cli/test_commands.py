@@ -13,7 +13,8 @@ from tools.common.told_wait import told_loading
 # The names of `sim.chaos.fault_profiles.PROFILES`, whose import takes a second; a test compares them.
 PROFILES = (
     "all, bus, crash, stop, body, senses, fixes, stalls, rays, implement, corners, shapes, steered, "
-    "protocol, press, devices, strangers, claims, split, flood, traffic, forged, forged_field or stolen."
+    "apart, protocol, press, devices, strangers, claims, split, flood, traffic, forged, forged_field or "
+    "stolen."
 )
 ATTACKED = "With +forger at its end: in a fleet with keys, with an attacker on the bus."
 app = typer.Typer()
