@@ -75,6 +75,13 @@ class BadgeBook:
         self._before: dict[int, Badge] = {}  # told before that, and another one
         self._proven_at_us: dict[int, int] = {}
 
+    def correct(self, clock_zero_at_s: int | None) -> None:
+        """The computer has learnt the date since. A date never goes back, so that an expired badge
+        stays so."""
+        known = self._clock_zero_at_s
+        if clock_zero_at_s is not None and (known is None or clock_zero_at_s > known):
+            self._clock_zero_at_s = clock_zero_at_s
+
     def hear(self, told: OperatorBadge, now_us: int) -> None:
         """A badge that a device, or somebody in its name, tells."""
         proven_at_us = self._proven_at_us.get(told.device)

@@ -120,8 +120,15 @@ class EndRelease(NamedTuple):
     """The release is over, whether robots still hold stops or not."""
 
 
+class DateTold(NamedTuple):
+    """What this computer's clock says now. `clock_zero_at_s`: the time of day, seconds since 1970, when
+    `now_us` was 0; None: unknown."""
+
+    clock_zero_at_s: int | None
+
+
 OperatorCall = (
     Press | ManualReset | Start | Hold | ClaimSection | ReleaseSection | Finish | Cover | Leave
     | ReleaseStops | EndRelease
 )  # fmt: skip
-Input = Received | Heard | Sensed | Timer | BusState | DiskFailed | OperatorCall
+Input = Received | Heard | Sensed | Timer | BusState | DiskFailed | DateTold | OperatorCall

@@ -11,8 +11,8 @@ from typing import Any, Final
 
 from agent.interface.config import S
 from agent.interface.effects import Persist, Send, Trace
-from agent.peer import notices
-from agent.peer.part import NOTHING, Handler, Header, Outputs, Part, StepContext
+from agent.peer import inputs, notices
+from agent.peer.part import NOTHING, DirectListener, Handler, Header, Outputs, Part, StepContext
 from agent.safety.command_authentication import CommandAuthority
 from protocol.authentication import KEY_SIZE, Keys
 from protocol.ciphers import derived_key
@@ -92,6 +92,16 @@ class KeyRenewal(Part):
             KeySwitch: self._hear_switch,
             KeysHeld: lambda ctx, header, m: NOTHING,  # the owner's tool reads it
         }
+
+    @property
+    def listens_direct(self) -> Mapping[type[Any], DirectListener]:
+        return {inputs.DateTold: self._date}
+
+    def _date(self, fact: inputs.DateTold, now_us: int) -> Outputs:
+        ring = self.authority.keyring
+        if ring is not None:
+            ring.badges.correct(fact.clock_zero_at_s)
+        return NOTHING
 
     def _hear_part(self, ctx: StepContext, header: Header, m: KeyPart) -> Outputs:
         found = None if self._parts is None else self._parts.hear(header.source, m)

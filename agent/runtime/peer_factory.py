@@ -9,7 +9,7 @@ from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 from random import Random
 from time import time
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.mission import Mission
@@ -24,6 +24,9 @@ from protocol.operator_badges import BadgeBook
 from protocol.sync.map_sync import MapSync
 from protocol.units import S
 
+KNOWN_FROM_S: Final = (
+    1_792_972_800  # 2026-10-26: a computer that says an earlier date does not know it
+)
 NO_MEMORY: Mapping[str, bytes] = {}
 
 
@@ -94,9 +97,11 @@ def keyring_of(
     return Keyring(keys, sender, lot, badges=BadgeBook(clock_zero_at_s))
 
 
-def clock_zero_at_s(now_us: int) -> int:
-    """The time of day of this computer when `now_us` was 0, seconds since 1970."""
-    return round(time()) - now_us // S
+def clock_zero_at_s(now_us: int) -> int | None:
+    """The time of day of this computer when `now_us` was 0, seconds since 1970; None: it does not
+    know it, as without a battery before a network tells it."""
+    now_s = round(time())
+    return None if now_s < KNOWN_FROM_S else now_s - now_us // S
 
 
 def make_peer(

@@ -25,6 +25,7 @@ if __name__ == "__main__":
 from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.ports import Bus
+from agent.peer.inputs import DateTold
 from agent.peer.peer import Peer
 from agent.runtime.body_plugins import made
 from agent.runtime.end_signals import on_end
@@ -61,6 +62,7 @@ from protocol.links.socketcand_link import SocketcandLink
 MULTICAST = "udp_multicast"  # the interface of python-can whose channel is a multicast address
 TELL_AFTER_S = 2.0  # a person is told of a wait that is longer
 GOODBYE_S = 0.2  # for the farewell frame to leave
+DATE_EACH_S = 60.0  # between two looks at the computer's date
 LOST_LOOK_S = 1.0  # between two looks whether the interface of the bus is gone
 WRONG = RobotError.code  # exit code of an error that a person has to mend; one line says what it is
 
@@ -335,6 +337,13 @@ async def _until_lost(bus: Bus) -> str:
     return bus.lost
 
 
+async def tell_date(runner: PeerRunner) -> None:
+    """Tell the date again and again: a computer without a battery learns it after the start."""
+    while True:
+        runner.operate(DateTold(clock_zero_at_s(PeerRunner.now_us())))
+        await asyncio.sleep(DATE_EACH_S)
+
+
 async def _take_part(
     runner: PeerRunner,
     body: RobotBody,
@@ -349,6 +358,7 @@ async def _take_part(
     watching = asyncio.create_task(body.watch(runner.peer))
     ending = asyncio.create_task(end.wait())
     losing = asyncio.create_task(_until_lost(bus))
+    dating = asyncio.create_task(tell_date(runner))
     if started is not None:
         started(runner)
     await asyncio.wait({running, ending, losing}, return_when=asyncio.FIRST_COMPLETED)
@@ -359,7 +369,7 @@ async def _take_part(
         await asyncio.sleep(GOODBYE_S)
         running.cancel()
     lost = losing.result() if losing.done() else None
-    for task in (ending, watching, losing):
+    for task in (ending, watching, losing, dating):
         task.cancel()
     (failure,) = await asyncio.gather(running, return_exceptions=True)
     if isinstance(failure, OSError):  # the body or the bus: it may be there at the next start

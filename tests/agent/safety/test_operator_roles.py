@@ -1,11 +1,15 @@
 """Roles and expiry of operators' keys, checked by a robot at each act."""
 
 from collections.abc import Sequence
+from random import Random
 
 import pytest
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Effect, Send
+from agent.interface.identity import Identity, SilencePolicy
+from agent.peer.inputs import DateTold
+from agent.runtime import peer_factory
 from agent.safety.command_authentication import NEEDS, CommandAuthority, role_for
 from protocol.authentication import BAD_MAX, BAD_WINDOW_US, WINDOW, AnySigned, Keyring, Keys
 from protocol.frame_proofs import FIRST, FleetTime, ProofChecker, ProofKeys, TimeAnswers, ToolProofs
@@ -20,6 +24,7 @@ from protocol.frames.safety_frames import (
     OperatorCommand,
 )
 from protocol.frames.trust_frames import OperatorBadge, Proof, TimeQuestion
+from protocol.name import fleet_name
 from protocol.operator_badges import (
     ALL_ROLES,
     DAY_S,
@@ -244,3 +249,42 @@ def test_bad_tags_in_an_operators_name_hold_back_a_release_and_no_stop(badge: Ba
     later_us = now_us + 2 * BAD_WINDOW_US
     introduce(robot, person, later_us)
     assert robot.believes(signed(person, SAID["reset"]), DEVICE, later_us)
+
+
+@pytest.mark.parametrize("day_at_start", [None, TODAY - 60])
+def test_a_date_that_the_computer_learns_later_ends_badges(day_at_start: int | None) -> None:
+    """Found by a review: a robot took the date once, at its start. On a computer without a battery, the
+    keys of a person who had left were believed for as long as it ran."""
+    robot = authority(day_at_start)
+    assert robot.keyring is not None
+    person = device(Badge(DEVICE, ALL_ROLES, TODAY - 30))
+    robot.keyring.badges.correct(TODAY * DAY_S)
+    introduce(robot, person, S)
+    reset = signed(person, SAID["MANUAL_RESET"])
+    assert not robot.believes(reset, DEVICE, S)
+    robot.keyring.badges.correct((TODAY - 60) * DAY_S)
+    robot.keyring.badges.correct(None)
+    assert robot.keyring.badges.day(0) == TODAY, "it never goes back"
+
+
+def test_a_robot_is_told_the_date_and_an_impossible_one_is_none(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    identity = Identity(
+        0,
+        frozenset({0, 1}),
+        fleet_name("date", 0),
+        1,
+        SilencePolicy.STOP,
+        started=True,
+        first_boot=True,
+    )
+    monkeypatch.setattr(peer_factory, "time", lambda: 1000.0)
+    assert peer_factory.clock_zero_at_s(5 * S) is None, "a clock that began with the computer"
+    ring = peer_factory.keyring_of(FLEET, 0, b"lot", peer_factory.clock_zero_at_s(5 * S))
+    peer = peer_factory.make_peer(identity, Random(1), 0, keyring=ring)
+    assert ring is not None and ring.badges.day(0) is None
+    today_s = float(peer_factory.KNOWN_FROM_S + DAY_S)
+    monkeypatch.setattr(peer_factory, "time", lambda: today_s)
+    peer.step(DateTold(peer_factory.clock_zero_at_s(5 * S)), 5 * S)
+    assert ring.badges.day(5 * S) == today_s // DAY_S
