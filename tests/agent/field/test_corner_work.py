@@ -125,7 +125,7 @@ def test_a_robot_that_is_pushed_back_at_a_corner_swings_round_it_again(units: in
     assert covered == list(range(units)) and missed_m2 < 0.05
 
 
-# One seed of 2,000, 483 for one, leaves 0.16 m2. Its robot is pushed back by nearly 180 degrees, so that its
+# One seed of 2,000, such as 483, leaves 0.16 m2. Its robot is pushed back by nearly 180 degrees, and its
 # courses of 5 cm do not show which way round the bar swings.
 PUSHED_BACK_M2 = 0.25
 
