@@ -43,7 +43,7 @@ def master(peer: Peer) -> bytes | None:
 
 
 class Owner:
-    """Who says to a robot what the owner's tool does, or what somebody has recorded of it."""
+    """Says to a robot what the tool of the owner says, or a recording of it."""
 
     def __init__(self, peer: Peer) -> None:
         self.keys, self.now_us = peer.named.keys, 10 * S
