@@ -58,16 +58,22 @@ def shown() -> TerminalClient:
     return client
 
 
-def test_the_first_change_is_maintained_and_answered() -> None:
-    client = shown()
-    client.show(SHOWN._replace(rows=("0 STOP_DOT", "1 IDLE"), alarm="1 stopped"), 0)
-    said = []
+def changed(client: TerminalClient) -> list[bytes]:
+    """What the client says in a second to a terminal that answers each change."""
+    said: list[bytes] = []
     for now_us in range(0, S, 50 * MS):
         client.on_message(VT, STATUS, now_us)
         now = sent(client.on_timer(now_us))
         said += now
         for data in now:
             tell(client, f"{data[0]:02X} FFFF 0410 00", now_us)
+    return said
+
+
+def test_the_first_change_is_maintained_and_answered() -> None:
+    client = shown()
+    client.show(SHOWN._replace(rows=("0 STOP_DOT", "1 IDLE"), alarm="1 stopped"), 0)
+    said = changed(client)
     assert [data[0] for data in said[:3]] == [0xB3, 0xAD, 0xB3]
     assert said[0][1:5] == bytes.fromhex("A30F 3000") and said[0][5:14] == b"1 stopped"
     assert said[1] == bytes.fromhex("AD 0000 E903 FFFFFF"), "the alarm mask"
@@ -96,13 +102,7 @@ def test_lines_without_a_robot_are_emptied() -> None:
     """Found by a review: after a revocation the last line told what was true before, for ever."""
     client = shown()
     client.show(ShownScreen(("1 IDLE",), 12), 0)
-    said = []
-    for now_us in range(0, S, 50 * MS):
-        client.on_message(VT, STATUS, now_us)
-        now = sent(client.on_timer(now_us))
-        said += now
-        for data in now:
-            tell(client, f"{data[0]:02X} FFFF 0410 00", now_us)
+    said = changed(client)
     texts = [data[5:].decode().strip() for data in said if data[0] == 0xB3]
     assert texts == ["1 IDLE", ""]
 
