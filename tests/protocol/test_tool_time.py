@@ -57,19 +57,27 @@ def test_a_desk_is_believed_after_its_fleet_was_switched_off(seed: int) -> None:
     assert all(believed(rig, tool, 2))
 
 
-def test_an_answer_of_long_ago_sets_no_time_back() -> None:
-    """A recorded answer, or one that an attacker held back."""
+@pytest.mark.parametrize(("held_back_for_us", "set_back"), [(0, True), (2 * S, False)])
+def test_only_an_answer_of_just_now_sets_the_time_back(
+    held_back_for_us: int, set_back: bool
+) -> None:
+    """One that an attacker held back may be of any age."""
     rig = KeyedRig(1)
     tool = desk(rig)
     assert all(believed(rig, tool, 1))
-    knows = tool._time.at(rig.now_us)
-    assert not tool._time.begins_again(knows, rig.now_us)
-    tool._asked_at_us = rig.now_us - 2 * S
     for slot in list(rig.peers):
         rig.boot(slot)
-    rig.recorded.clear()
     rig.run_for(8 * S)
-    for frame in list(rig.recorded):
+    rig.forge(AddressClaimed(tool_name(5).pack()), ADDRESS)
+    before = tool._time.at(0)
+    order = TaskOrder(2, 1, 2)
+    for said in (order, *tool.after(order, ADDRESS, rig.now_us)):
+        rig.forge(said, ADDRESS)
+    rig.recorded.clear()
+    rig.run_for(500 * MS)
+    answers = list(rig.recorded)
+    rig.run_for(held_back_for_us)
+    for frame in answers:
         source, message = decode(frame)
         tool.hear(source, message, rig.now_us)
-    assert tool._time.at(rig.now_us) >= knows
+    assert (tool._time.at(0) < before) is set_back
