@@ -216,7 +216,8 @@ class StopRelay:
             enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
             if said.left <= 0 or enough or self._leader_sent(dot):
                 del self._repeated[dot]
-                if said.left <= 0 and self.halted(now_us)[1] == 0:
+                live, halted = self.halted(now_us)
+                if said.left <= 0 and live and not halted:
                     self.disbelieved.add(dot)  # without a valid tag it held only while it was sent
                 continue
             self._repeated[dot] = Repetition(said.left - 1, now_us + STOP_REPEAT_US, said.told)

@@ -1,0 +1,41 @@
+"""For how long a gateway repeats a stop of another segment to the robots of its own."""
+
+from agent.interface.config import MS, S
+from agent.segments.stop_relay import AGAIN_US, LIVE_US, StopRelay
+from protocol.frames.segment_frames import FleetStop
+
+ROBOT = 0x80  # bus address
+STOP = FleetStop(segment=1, slot=3, incarnation=1, counter=1)
+BEAT_US = 100 * MS
+
+
+def sent(relay: StopRelay, begins_at_us: int, for_us: int, beats: bool) -> int:
+    """How many stops are sent; with `beats` to a robot that drives on."""
+    frames = 0
+    for now_us in range(begins_at_us, begins_at_us + for_us, MS):
+        if beats and now_us % BEAT_US == 0:
+            relay.on_pose(ROBOT, False, now_us)
+        frames += len(relay.on_tick(now_us))
+    return frames
+
+
+def relay_with_stop() -> StopRelay:
+    relay = StopRelay(2, 0)
+    relay.leads = True
+    relay.on_backbone_stops([STOP], 0)
+    return relay
+
+
+def test_a_stop_that_came_while_no_robot_was_heard_is_sent_to_the_first_one_that_drives() -> None:
+    """The gateway was off its bus for a few seconds, or the robots were switched off."""
+    relay = relay_with_stop()
+    assert sent(relay, 0, 4 * S, beats=False)
+    assert sent(relay, 4 * S, AGAIN_US, beats=True), "it does not know the stop"
+
+
+def test_a_stop_that_no_robot_obeys_is_not_sent_for_good() -> None:
+    """A press with a wrong tag, or one that the robots know as cleared."""
+    relay = relay_with_stop()
+    assert sent(relay, 0, 4 * S, beats=True)
+    assert not sent(relay, 4 * S, 4 * S, beats=True)
+    assert not sent(relay, 8 * S + 2 * LIVE_US, 4 * S, beats=True)
