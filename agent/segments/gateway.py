@@ -260,7 +260,9 @@ class Gateway:
         term = summary.heard.get(self.segment, 0)
         if self.candidacy.number is not None and term > self.candidacy.term:
             self.candidacy.on_fence(term, now_us)
-        self.border.on_digest(header.segment, summary.shared.get(self.segment, 0))
+        # Else what we send is lost, and repairs would become rare.
+        if self.segment in summary.heard:
+            self.border.on_digest(header.segment, summary.shared.get(self.segment, 0))
         if summary.stops == self.stops.digest:
             del self._stops_differ[header.segment]
             return

@@ -129,6 +129,20 @@ def test_a_link_that_carries_one_way_is_known_and_still_carries_stops(fleet: Seg
     assert fleet.run(S, lambda: all_latched(fleet, 1, 2, 3))
 
 
+def test_work_done_behind_a_one_way_link_is_told_as_soon_as_it_carries_again() -> None:
+    """However long that lasted: the other side could begin the finished section meanwhile."""
+    fleet = SegmentFleet(2, 2, SEED, candidates=1, home=10)
+    assert fleet.run(8 * S, lambda: fleet.joined)
+    fleet.backbone.deaf = {(1, 2)}
+    fleet.run(4 * S)
+    fleet.finish(1, 0, 9)
+    fleet.run(70 * S)
+    assert not fleet.borders_equal
+    fleet.backbone.heal()
+    assert fleet.run(5 * S, lambda: fleet.borders_equal), f"seed {SEED}"
+    fleet.end()
+
+
 def test_a_gateway_that_dies_is_replaced_and_takes_no_stop_with_it(fleet: SegmentFleet) -> None:
     dead = fleet.leader(2)
     assert dead is not None
