@@ -109,6 +109,8 @@ class GatewayElection:
             self._heard[number] = now_us, message.lot
             if message.term > self.term:
                 self.election.fence(message.term - 1, now_us)
+        elif self.number is None:
+            return  # without a number it has no vote; it learns the term from beats
         elif isinstance(message, LeaderElectionVote) and message.election == SEGMENT_GATEWAY:
             self.election.heard(number, message, self._live)
 

@@ -12,7 +12,8 @@ from agent.segments.gateway_election import (
     CandidateState,
     GatewayElection,
 )
-from protocol.frames.segment_frames import GatewayBeat
+from protocol.frames.fleet_frames import LeaderElectionVote
+from protocol.frames.segment_frames import SEGMENT_GATEWAY, GatewayBeat
 from tests.state_tables import check_table
 
 
@@ -58,3 +59,15 @@ def test_a_candidate_too_many_stays_without_an_address_until_one_falls_silent() 
     for _ in range(8):
         turn(candidates, next(times))
     assert late.number == NUMBERS[2]
+
+
+def test_a_candidate_that_still_listens_hears_the_votes_of_others() -> None:
+    """It is switched on while the second gateway elects itself, because the first one died."""
+    own = GatewayElection(7, 7, 0)
+    for term in (0, 3):
+        vote = LeaderElectionVote(SEGMENT_GATEWAY, term, NUMBERS[1], 0, 9)
+        own.on_message(NUMBERS[1], vote, BEAT_US)
+    other = GatewayElection(9, 9, 0)
+    for now_us in range(LISTEN_US, 12 * LISTEN_US, BEAT_US):
+        turn([own, other], now_us)
+    assert [own.number, other.number] == [NUMBERS[0], NUMBERS[1]]
