@@ -213,7 +213,9 @@ class Gateway:
                 self.chart.on_message(slot, message, now_us)
         elif isinstance(message, TaskClaim | StateSyncResponse | WorkProgress):
             before = self.sync.replica.version
-            self.sync.on_message(-1 if slot is None else slot, message, now_us)
+            # Another gateway may have the number that we take, took, or have not given up yet.
+            sender = -1 if slot is None or slot == self.sync.slot else slot
+            self.sync.on_message(sender, message, now_us)
             if self.sync.replica.version != before:
                 self.border.on_message(message, number is not None)
 
