@@ -138,10 +138,14 @@ class Election:
         gained, self._live = live - self._live, live
         if self.leader is not None and self.leader.slot not in live:
             self._open(self.term + 1)
-        if self.slot not in self.votes:
-            return self._vote(live)
+        first = self.slot not in self.votes
+        vote = self._vote(live) if first or gained else None
         self._count(live)
-        return self._next_term(live) or (self._vote(live) if gained else None)
+        if self.leader is not None and self.leader.slot not in live:
+            # It fell silent before it had all of these votes, so no view will change for it again.
+            self._open(self.term + 1)
+            return self._vote(live)
+        return (None if first else self._next_term(live)) or vote
 
     def receive(
         self, voter: int, vote: LeaderElectionVote, live: frozenset[int]

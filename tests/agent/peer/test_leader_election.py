@@ -159,3 +159,15 @@ def test_after_a_restart_in_the_last_term_a_robot_keeps_its_vote() -> None:
         dict([DurableRecords.vote(TERM_MAX - 1, 1)]), first_boot=False, rng=Random(1)
     )
     assert before.term == TERM_MAX and before.voted is None
+
+
+def test_votes_for_a_member_that_fell_silent_before_it_led_make_no_leader_for_good() -> None:
+    """Robot 2 heard robot 1 and voted for it. Robot 1 fell silent, and did not lead before."""
+    election = Election(1, 2, 0)
+    both, alone = frozenset({1, 2}), frozenset({2})
+    election.see(0)
+    election.tick(both, SETTLE_US)
+    assert election.leader is None, "the vote of robot 1 is missing"
+    election.see(2 * SETTLE_US)
+    election.tick(alone, 3 * SETTLE_US)
+    assert election.leader == (1, 2)
