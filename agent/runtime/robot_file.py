@@ -52,6 +52,7 @@ from agent.runtime.declared_values import (
 )
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
 from agent.runtime.files.printable_text import one_line
+from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.name import (
     FUNCTION,
     MANUFACTURER,
@@ -104,7 +105,8 @@ class RobotTable(Table):
 
     slot: int = Field(ge=0, lt=PEERS_MAX)
     journal: str = "."  # folder of its durable memory
-    segment: int = Field(default=0, ge=0)  # of a fleet of several segments; 0: there are no others
+    # Of a fleet of several segments; 0: there are no others.
+    segment: int = Field(default=0, ge=0, le=SEGMENT_MAX)
 
 
 class DeviceTable(Table):

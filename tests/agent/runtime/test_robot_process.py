@@ -102,6 +102,7 @@ GOOD: dict[str, Any] = {"name": "n", "robot": {"slot": 0}, "fleet": {"robots": 2
             {"robot": {"slot": 0, "jurnal": "x"}},
             "robot.jurnal: unknown key; did you mean 'journal'",
         ),
+        ({"robot": {"slot": 0, "segment": 40_000}}, "robot.segment: "),
         ({"fleet": {"robots": 0}}, "fleet.robots: "),
         ({"fleet": {"speed_m_s": 1.0}}, "fleet.robots: is missing"),
         ({"field": {"file": "f"}, "mission": {"factory": "a:b"}}, "a robot has one work"),
