@@ -20,6 +20,7 @@ from agent.runtime.gc_tuning import freeze_gc
 from agent.segments.gateway import Gateway, Publish
 from agent.segments.map_relay import MapRelay
 from agent.segments.segment_area import Area, SegmentPlace
+from crdt.allocation import SECTION_MAX
 from protocol.backbone_messages import BackboneKind
 from protocol.controller_health import Health
 from protocol.frames.segment_frames import SEGMENT_MAX
@@ -84,15 +85,40 @@ def read_area(segment: int, file: Path | None) -> Area:
         told = read_toml(file, SETTINGS_BYTES_MAX)
         return Area(
             segment,
-            int(told.get("home", 0)),
-            {int(row["section"]): frozenset(map(int, row["to"])) for row in told.get("lent", ())},
+            _number(told.get("home", 0), 0, SECTION_MAX),
             {
-                int(row["section"]): SegmentPlace(int(row["of"]), int(row["there"]))
+                _section(row["section"]): frozenset(_other(each, segment) for each in row["to"])
+                for row in told.get("lent", ())
+            },
+            {
+                _section(row["section"]): SegmentPlace(
+                    _other(row["of"], segment), _section(row["there"])
+                )
                 for row in told.get("borrowed", ())
             },
         )
     except (ValueError, KeyError, TypeError, AssertionError) as problem:
         raise AttachError(f"{file} does not describe an area: {problem}") from None
+
+
+def _number(said: Any, least: int, greatest: int) -> int:
+    """A number that the messages of the backbone can carry. Raises ValueError."""
+    number = int(said)
+    if not least <= number <= greatest:
+        raise ValueError(f"{said} is not from {least} to {greatest}")
+    return number
+
+
+def _section(said: Any) -> int:
+    return _number(said, 0, SECTION_MAX)
+
+
+def _other(said: Any, segment: int) -> int:
+    """The number of another segment. Raises ValueError."""
+    number = _number(said, 1, SEGMENT_MAX)
+    if number == segment:
+        raise ValueError(f"segment {segment} shares no section with itself")
+    return number
 
 
 def read_map(segment: int, arena: str, now_us: int) -> MapRelay | None:

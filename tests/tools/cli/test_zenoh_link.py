@@ -26,6 +26,7 @@ from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import fleet_name
 from tests.tools.certificates import Authority
 from tools.cli.bridge import bridge, read_area
+from tools.common.bus_address import AttachError
 
 LIMIT_S = 20.0
 
@@ -304,3 +305,21 @@ def test_an_area_from_its_file(tmp_path: Path) -> None:
     )
     area = read_area(1, file)
     assert area.neighbours == (2,) and area.borrowed[40] == (2, 0) and area.lent[39] == {2}
+
+
+@pytest.mark.parametrize(
+    "said",
+    [
+        "home = 100000",
+        "home = 40\nlent = [{ section = 39, to = [70000] }]",
+        "home = 40\nlent = [{ section = 39, to = [1] }]",
+        "home = 40\nborrowed = [{ section = 40, of = 2, there = 70000 }]",
+        "home = 40\nborrowed = [{ section = 40, of = 0, there = 0 }]",
+    ],
+)
+def test_an_area_that_no_message_can_tell_is_refused(tmp_path: Path, said: str) -> None:
+    """The gateway could not send its summaries, or the others could not read them."""
+    file = tmp_path / "area.toml"
+    file.write_text(said)
+    with pytest.raises(AttachError, match="does not describe an area"):
+        read_area(1, file)
