@@ -175,7 +175,7 @@ class FleetCoordinationEngine:
         self._task.add_done_callback(self._ended)
         try:
             await self._wait(lambda: peer.lifecycle.state is not State.DISCONNECTED, JOIN_TIMEOUT_S)
-        except TimeoutError:
+        except (TimeoutError, asyncio.CancelledError):
             await self._cancel()
             raise
 

@@ -405,3 +405,20 @@ def test_an_engine_that_has_failed_lets_no_machine_drive() -> None:
         assert not engine.failure and engine.speed_limit_m_s == 0.0
 
     play(2, story)
+
+
+def test_a_start_that_was_cancelled_leaves_nothing_running() -> None:
+    """The program gave up after a tenth of a second. The next start has to join, too."""
+
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        await engines[1].stop()
+        with pytest.raises(TimeoutError):
+            async with asyncio.timeout(0.1):
+                await engines[1].start()
+        assert (
+            engines[1].speed_limit_m_s == 0.0 and engines[1].get_current_state() == "DISCONNECTED"
+        )
+        await engines[1].start()
+        assert engines[1].get_current_state() != "DISCONNECTED"
+
+    play(2, story)
