@@ -263,7 +263,8 @@ class CanBus:
         return True
 
     def subscribe(self, callback: Callable[[Frame], None]) -> None:
-        """Pass every data frame to the callback, in the running loop's thread."""
+        """Pass every data frame to the callback, in the running loop's thread. An earlier callback hears
+        nothing more."""
         direct = getattr(self.bus, "subscribe", None)
         if direct is not None:
             direct(callback)
@@ -286,6 +287,9 @@ class CanBus:
         except NotImplementedError:
             file = -1
         if file < 0:  # read by a thread
+            # Of an engine that was restarted: python-can refuses a second one.
+            if self._notifier is not None:
+                self._notifier.stop()
             self._notifier = self._can.Notifier(self.bus, [Passed(heard, self.errors, loop)])
             return
 

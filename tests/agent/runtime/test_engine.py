@@ -422,3 +422,19 @@ def test_a_start_that_was_cancelled_leaves_nothing_running() -> None:
         assert engines[1].get_current_state() != "DISCONNECTED"
 
     play(2, story)
+
+
+def test_an_engine_is_stopped_and_started_on_a_bus_that_a_thread_reads() -> None:
+    """As those of python-can are that have no file to wait for; here in real time."""
+
+    async def main() -> str:
+        with can.Bus(interface="virtual", channel=f"engines {next(numbers)}") as bus:
+            engine = FleetCoordinationEngine("tractor_000", CanBus(bus), members=2)
+            for _ in range(2):
+                await engine.start()
+                state = engine.get_current_state()
+                await engine.stop()
+            engine.bus.close()
+            return state
+
+    assert asyncio.run(main()) == "IDLE"
