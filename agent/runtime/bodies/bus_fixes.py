@@ -9,7 +9,8 @@
 | 65267 | place |
 | 65256 | heading and speed |
 
-Only the first sender of places is believed, and the first of 127250: two receivers are metres apart.
+Only the first sender of places is believed, and the first of 127250: two receivers are metres apart. Who
+says that it has no place, or no heading from true north, is no such sender.
 129025 and 65267 have no time. Their age is that of their arrival, and what is late does not show.
 """
 
@@ -79,7 +80,7 @@ class BusFixes:
         self.source: int | None = None  # address of the receiver
         self.compass: int | None = None  # address of what sends headings by 127250
         self.counts: Counter[str] = Counter()  # messages by PGN, and "malformed", "another device"
-        self._fast = FastPackets()
+        self._fast: dict[int, FastPackets] = {}  # by sender, until the receiver is known
         self._rapid_at_us = -RAPID_FOR_US
         self._utc_at_us = -1
 
@@ -91,15 +92,13 @@ class BusFixes:
         read = READERS.get(frame.pgn)
         if read is None:
             return None
-        if self.source is None and frame.pgn in (POSITION, VEHICLE_POSITION, GNSS):
-            self.source = frame.source
-        if frame.pgn == HEADING and self.compass is None:
-            self.compass = frame.source
-        if frame.source != (self.compass if frame.pgn == HEADING else self.source):
+        believed = self.compass if frame.pgn == HEADING else self.source
+        may_be = believed is None and frame.pgn in (HEADING, POSITION, VEHICLE_POSITION, GNSS)
+        if frame.source != believed and not may_be:
             self.counts["another device"] += 1
             return None
         if frame.pgn == GNSS:
-            whole = self._fast.take(GNSS, data)
+            whole = self._fast.setdefault(frame.source, FastPackets()).take(GNSS, data)
             if whole is None:
                 return None
             data = whole
@@ -107,6 +106,11 @@ class BusFixes:
         if not read(self, data, arrived_at_us):
             self.counts["malformed"] += 1
             return None
+        if frame.pgn == HEADING:
+            self.compass = frame.source
+        elif self.source is None and (frame.pgn != GNSS or self._utc_at_us >= 0):
+            self.source = frame.source
+            self._fast = {}
         return self.fixes.whole(arrived_at_us)
 
     def _position(self, data: bytes, arrived_at_us: int) -> bool:

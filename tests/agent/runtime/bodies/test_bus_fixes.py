@@ -38,9 +38,11 @@ def messages(pgn: int, source: int = RECEIVER, **fields: Any) -> list[can.Messag
     return found
 
 
-def gnss(kind: str, at: clock, latitude: float = 52.0, longitude: float = 5.0) -> list[can.Message]:
+def gnss(
+    kind: str, at: clock, latitude: float = 52.0, longitude: float = 5.0, source: int = RECEIVER
+) -> list[can.Message]:
     return messages(
-        129029, sid=1, date=None, time=at, latitude=latitude, longitude=longitude, altitude=12.0,
+        129029, source, sid=1, date=None, time=at, latitude=latitude, longitude=longitude, altitude=12.0,
         gnssType="GPS", method=kind, integrity="No integrity checking", numberOfSvs=17, hdop=0.6,
         pdop=1.0, geoidalSeparation=46.0, referenceStations=0,
     )  # fmt: skip
@@ -112,6 +114,43 @@ def test_a_second_receiver_and_a_second_compass_are_not_believed() -> None:
     taken(into, place(52.0, 5.0), 0)
     assert taken(into, heading(2.0, source=41), 0) == []
     assert into.counts["another device"] == 2
+
+
+def test_who_says_that_it_has_no_place_is_not_the_receiver() -> None:
+    """A display without an antenna was heard first, and no place was believed for good."""
+    none = b"\xff" * 8
+    for pgn, data in ((129025, b"\xff\xff\xff\x7f" * 2), (65267, none)):
+        into = fixes(0.03)
+        assert into.take(Identifier(6, pgn, 255, 99).pack(), data, 0) is None
+        taken(into, gnss("no GNSS", clock(1, 2, 3), source=98), 0)
+        taken(into, place(52.0, 5.0), 3 * S)
+        assert into.source == RECEIVER
+        (seen,) = taken(into, heading(0.0), 3 * S)
+        assert seen.position_accuracy_m == 0.03
+        assert taken(into, place(53.0, 5.0, source=99), 3 * S) == []
+
+
+def test_fast_packets_of_two_senders_are_kept_apart_before_a_receiver_is_known() -> None:
+    into = fixes()
+    pairs = zip(
+        gnss("no GNSS", clock(1, 2, 3), source=98), gnss("RTK float", clock(1, 2, 3)), strict=True
+    )
+    for pair in pairs:
+        taken(into, pair, 0)
+    assert into.source == RECEIVER
+    (seen,) = taken(into, heading(0.0), 0)
+    assert seen.position_accuracy_m == 0.4
+
+
+def test_a_magnetic_compass_is_not_the_one_that_is_believed() -> None:
+    into = fixes(0.03)
+    magnetic = messages(
+        127250, 40, sid=1, heading=2.0, deviation=None, variation=None, reference="Magnetic"
+    )
+    taken(into, magnetic, 0)
+    taken(into, place(52.0, 5.0), 0)
+    (seen,) = taken(into, heading(radians(90.0)), 0)
+    assert seen.heading_rad == pytest.approx(0.0, abs=1e-4) and into.compass == RECEIVER
 
 
 def test_j1939_places_and_bearings() -> None:
