@@ -17,7 +17,7 @@ which is the shortest difference seen between arrival and time: what arrives lat
 from collections import Counter
 from collections.abc import Callable
 from datetime import time as Clock
-from math import inf
+from math import inf, isfinite
 from typing import Any, Final
 
 try:
@@ -72,13 +72,13 @@ class NmeaFixes:
                 self.counts["invalid"] += 1
             elif kind in ("HDT", "THS"):
                 degrees = sentence.headingT if kind == "HDT" else sentence.headt
-                self.fixes.take_heading(course_rad(float(degrees)), arrived_at_us)
+                self.fixes.take_heading(course_rad(_number(degrees)), arrived_at_us)
             elif kind == "GST":
-                worst_m = max(float(sentence.stdLat), float(sentence.stdLong))
+                worst_m = max(_number(sentence.stdLat), _number(sentence.stdLong))
                 self.fixes.take_accuracy(worst_m, arrived_at_us)
             elif kind in ("VTG", "RMC"):
                 self._take_velocity(sentence, arrived_at_us)
-        except (TypeError, ValueError, AttributeError):  # an empty field
+        except (TypeError, ValueError, AttributeError):  # an empty field, or "nan"
             self.counts["malformed"] += 1
             return None
         return self.fixes.whole(arrived_at_us)
@@ -92,18 +92,26 @@ class NmeaFixes:
         self._utc = utc
         if gga.quality in ACCURACY_M:
             at_us = self.sensed_at_us(self.utc_at_us, arrived_at_us)
-            self.fixes.take_place(float(gga.lon), float(gga.lat), at_us)
+            self.fixes.take_place(_number(gga.lon), _number(gga.lat), at_us)
             self.fixes.take_kind(gga.quality, arrived_at_us)
 
     def _take_velocity(self, sentence: Any, arrived_at_us: int) -> None:
         rmc = sentence.msgID == "RMC"
-        speed_m_s = float(sentence.spd) * KNOT_M_S if rmc else float(sentence.sogk) * KMH_M_S
+        speed_m_s = _number(sentence.spd) * KNOT_M_S if rmc else _number(sentence.sogk) * KMH_M_S
         course = sentence.cog if rmc else sentence.cogt
         if course in ("", None):  # receivers leave it out below a walking pace
             to_rad = self.fixes.heading_rad
         else:
-            to_rad = course_rad(float(course))
+            to_rad = course_rad(_number(course))
         self.fixes.take_speed(speed_m_s, to_rad, arrived_at_us)
+
+
+def _number(field: Any) -> float:
+    """The value of a field. Raises TypeError or ValueError if it is no finite number."""
+    value = float(field)
+    if not isfinite(value):
+        raise ValueError(f"{field!r} is no finite number")
+    return value
 
 
 def _says_invalid(sentence: Any) -> bool:

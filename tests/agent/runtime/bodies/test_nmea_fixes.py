@@ -196,6 +196,25 @@ def test_a_heading_that_says_that_it_is_none_is_none(mode: str) -> None:
     assert taken.take(sentence("GNTHS,90.0,A"), 0) is not None
 
 
+@pytest.mark.parametrize("word", ["nan", "inf"])
+def test_a_field_that_is_not_a_number_is_malformed(word: str) -> None:
+    """Programs print "nan" for what they do not know. A heading of "nan" could reach the wheels."""
+    taken = fixes()
+    lines = (
+        f"GNHDT,{word},T",
+        f"GNGST,123519.20,1,1,1,1,{word},1,1",
+        f"GNVTG,{word},T,,M,1.0,N,1.8,K,A",
+        f"GNVTG,90.0,T,,M,1.0,N,{word},K,A",
+    )
+    for line in lines:
+        assert taken.take(sentence(line), S) is None
+    assert taken.counts["malformed"] == len(lines)
+    assert taken.take(gga(), S) is None, "without a heading"
+    seen = taken.take(hdt(90.0), S)
+    assert seen is not None and seen.position_accuracy_m == 0.02
+    assert (seen.x_m, seen.vx_m_s, seen.vy_m_s) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
+
+
 def test_a_velocity_that_says_that_it_is_none_is_none() -> None:
     taken = fixes()
     taken.take(sentence("GNRMC,123511.00,V,5200.0,N,00500.0,E,200.0,90.0,010126,,,N"), 0)
