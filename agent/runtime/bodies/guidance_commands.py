@@ -25,6 +25,7 @@ WHEEL_SPEED, GROUND_SPEED = 0xFE48, 0xFE49
 PRIORITY: Final = 3
 COMMAND_US: Final = 100 * MS  # the rate of the standard; a halt is said at once
 INFO_AGE_MAX_US: Final = 500 * MS  # five messages of the tractor
+SPEED_AGE_MAX_US: Final = 500 * MS  # the same of its speed
 CURVATURE_STEP: Final = 0.25  # 1/km per bit
 CURVATURE_OFFSET: Final = 8032.0  # 1/km
 CURVATURE_BITS_MAX: Final = 0xFAFF
@@ -42,7 +43,7 @@ class GuidanceCommands:
         """`steering`, `speed`: whether these are commanded at all."""
         self.wheelbase_m, self.steering, self.speed = wheelbase_m, steering, speed
         self.source: int | None = None  # address of the tractor
-        self.machine_speed_m_s: float | None = None  # as the tractor measures it, signed
+        self._machine_speed: tuple[float, int] | None = None  # metres a second, signed, and when
         self._ready_at_us = -INFO_AGE_MAX_US - 1
         self._ready = False
         self._said_at_us = -COMMAND_US
@@ -63,7 +64,13 @@ class GuidanceCommands:
             (speed,) = unpack_from("<H", data)
             if speed <= SPEED_BITS_MAX:
                 sign = -1.0 if data[7] & 3 == REVERSE else 1.0
-                self.machine_speed_m_s = sign * speed / 1000
+                self._machine_speed = sign * speed / 1000, now_us
+
+    def machine_speed_m_s(self, now_us: int) -> float | None:
+        """The speed as the tractor measures it, metres a second, negative backwards; None if it has said
+        none within 0.5 s."""
+        told = self._machine_speed
+        return None if told is None or now_us - told[1] > SPEED_AGE_MAX_US else told[0]
 
     def ready(self, now_us: int) -> bool:
         """Whether the tractor may be commanded now."""

@@ -20,7 +20,7 @@ from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain
 from agent.motion.wheel_kinematics import WheelBase, WheelDrive
-from agent.runtime.bodies.bus_fixes import COURSE_SPEED, DIRECTION_SPEED, BusFixes
+from agent.runtime.bodies.bus_fixes import BusFixes
 from agent.runtime.bodies.guidance_commands import GuidanceCommands
 from agent.runtime.bodies.nmea_body import FIRST_S, LATENCY_MS, LOOK_S, in_field
 from agent.runtime.bodies.position_fixes import ReceiverClock
@@ -169,16 +169,15 @@ class IsobusBody(RobotBody):
         self.guidance.take(frame.identifier, frame.data, now_us)
         here = self.fixes.take(frame.identifier, frame.data, now_us)
         if here is not None:
-            self._newest = self._with_speed(here)
+            self._newest = self._with_speed(here, now_us)
         elif self.claim is not None:
             self._network(frame, now_us)
 
-    def _with_speed(self, here: Observation) -> Observation:
+    def _with_speed(self, here: Observation, now_us: int) -> Observation:
         """The tractor's own speed, where the receiver tells none."""
         assert self.fixes is not None and self.guidance is not None
-        told = self.fixes.counts[str(COURSE_SPEED)] + self.fixes.counts[str(DIRECTION_SPEED)]
-        speed_m_s = self.guidance.machine_speed_m_s
-        if told or speed_m_s is None:
+        speed_m_s = self.guidance.machine_speed_m_s(now_us)
+        if self.fixes.fixes.knows_velocity(now_us) or speed_m_s is None:
             return here
         heading = here.heading_rad
         return here._replace(vx_m_s=speed_m_s * cos(heading), vy_m_s=speed_m_s * sin(heading))

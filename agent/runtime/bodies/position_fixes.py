@@ -138,6 +138,11 @@ class PositionFixes:
         """The newest heading, radians; 0.0 without one."""
         return 0.0 if self._heading is None else self._heading[0]
 
+    def knows_velocity(self, now_us: int) -> bool:
+        """Whether the receiver has told its velocity within `VELOCITY_AGE_MAX_US`."""
+        velocity = self._velocity
+        return velocity is not None and now_us - velocity[2] <= VELOCITY_AGE_MAX_US
+
     def whole(self, now_us: int) -> Observation | None:
         """The observation that is complete now; None if there is none."""
         place, heading = self._place, self._heading

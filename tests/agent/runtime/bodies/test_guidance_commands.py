@@ -86,9 +86,10 @@ def test_a_halt_is_said_at_once_and_speeds_are_taken() -> None:
     assert guidance.commands(wheels(1.0), 1.0, US, 50 * MS) == [], "each 100 ms"
     assert guidance.commands(wheels(0.0), 1.0, US, 60 * MS)[1].data[:2] == b"\0\0"
     guidance.take(0x0CFE4800 | TRACTOR, bytes.fromhex("DC05 00000000 FF FC"), 0)
-    assert guidance.machine_speed_m_s == -1.5
+    assert guidance.machine_speed_m_s(0) == -1.5
     guidance.take(0x0CFE4900 | TRACTOR, bytes.fromhex("E803 00000000 FF FD"), 0)
-    assert guidance.machine_speed_m_s == 1.0
+    assert guidance.machine_speed_m_s(0) == 1.0
+    assert guidance.machine_speed_m_s(501 * MS) is None
 
 
 class Tractor:
@@ -177,6 +178,46 @@ def test_a_tractor_is_brought_to_a_line_and_stands_when_its_switch_goes_off(
         bus.shutdown()
 
     asyncio.run(story())
+
+
+NO_VELOCITY = (0x09F8021C, b"\xff" * 8)  # 129026 of a receiver that knows neither course nor speed
+BACK_1_5_M_S = (0x0CFE4800 | TRACTOR, bytes.fromhex("DC05 00000000 FF FC"))
+
+
+def listening(monkeypatch: pytest.MonkeyPatch, clock: dict[str, int]) -> Any:
+    """A body that only listens, and whose place has been told once."""
+    monkeypatch.setattr("agent.runtime.bodies.isobus_body._now_us", lambda: clock["us"])
+    body: Any = IsobusBody(1, "tractor bus", "virtual", accuracy_m=0.02, origin=(0.0, 0.0))
+    body.declare(DeclaredMachine(Vehicle(drive=DriveTrain.ACKERMANN), None))
+    hears(body, Tractor().frames())
+    return body
+
+
+def hears(body: Any, frames: list[tuple[int, bytes]]) -> None:
+    for identifier, data in frames:
+        body._heard(Frame(identifier, data))
+
+
+def test_a_receiver_that_knows_no_velocity_does_not_hide_the_speed_of_the_tractor(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    body = listening(monkeypatch, {"us": S})
+    hears(body, [NO_VELOCITY, BACK_1_5_M_S, *Tractor().frames()])
+    here = body.sense(S)
+    assert hypot(here.vx_m_s, here.vy_m_s) == pytest.approx(1.5)
+
+
+def test_the_last_speed_of_a_tractor_that_says_none_any_more_is_forgotten(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    clock = {"us": S}
+    body = listening(monkeypatch, clock)
+    hears(body, [BACK_1_5_M_S])
+    for _ in range(20):
+        clock["us"] += 50 * MS
+        hears(body, Tractor().frames())  # which stands
+    here = body.sense(clock["us"])
+    assert (here.vx_m_s, here.vy_m_s) == (0.0, 0.0)
 
 
 def test_it_is_a_plug_in_for_steered_machines() -> None:
