@@ -23,6 +23,14 @@ def number(name: str, value: object, least: float = -inf, most: float = inf) -> 
     return float(value)
 
 
+def flag(name: str, value: object) -> bool:
+    """The value of an option that is true or false. Raises ValueError, one line, for all else: a text
+    would count as true, "false" too."""
+    if not isinstance(value, bool):
+        raise ValueError(f"options.{name}: {value!r} is neither true nor false")
+    return value
+
+
 def antenna(ahead_m: object, left_m: object) -> tuple[float, float]:
     """Where an antenna is, metres ahead and left of the middle of the body. Raises ValueError."""
     return (

@@ -28,6 +28,7 @@ from agent.runtime.option_values import (
     LATENCY_MAX_MS,
     accuracy,
     antenna,
+    flag,
     number,
     origin_or_none,
 )
@@ -66,10 +67,10 @@ class IsobusBody(RobotBody):
         origin: tuple[float, float] | None = None,
     ) -> None:
         """`interface`, `channel`: of python-can. `steering`, `speed`: whether they are commanded. The
-        others are those of the body `nmea`."""
+        others are those of the body `nmea`. Raises ValueError."""
         self.slot, self.interface, self.channel = slot, interface, channel
         self.origin = origin_or_none(origin)
-        self.wanted = (steering, speed)
+        self.wanted = (flag("steering", steering), flag("speed", speed))
         self.antenna_m = antenna(antenna_ahead_m, antenna_left_m)
         self.latency_us = round(number("latency_ms", latency_ms, 0.0, LATENCY_MAX_MS) * MS)
         self.accuracy_m = accuracy(accuracy_m)

@@ -44,6 +44,16 @@ def test_a_number_that_makes_no_sense_is_one_line_and_no_exception_later(
             IsobusBody(0, "can0", **options)
 
 
+@pytest.mark.parametrize("name", ["steering", "speed"])
+@pytest.mark.parametrize("value", ["false", "no", 0, 1, None])
+def test_a_tractor_is_not_commanded_because_of_a_word(name: str, value: Any) -> None:
+    """steering = "false" in a robot file steered the tractor: a text counts as true."""
+    with pytest.raises(ValueError, match=rf"\Aoptions\.{name}: [^\n]+\Z"):
+        IsobusBody(0, "can0", **{name: value})
+    body = IsobusBody(0, "can0", steering=False, speed=True)
+    assert body.wanted == (False, True)
+
+
 def test_other_bodies_check_their_options_too() -> None:
     with pytest.raises(ValueError, match="antenna_left_m"):
         ReplayBody(0, "log", antenna_left_m="1")  # type: ignore[arg-type]
