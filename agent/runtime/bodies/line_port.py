@@ -19,6 +19,13 @@ from typing import Any, Final, Protocol
 
 from agent.interface.config import ACTUATOR_TTL_US, S
 
+try:
+    from termios import error as terminal_error
+except ImportError:  # not on every system
+    TERMINAL_ERRORS: tuple[type[Exception], ...] = ()
+else:
+    TERMINAL_ERRORS = (terminal_error,)  # of a serial port that is gone: it is no OSError
+
 CONNECT_S: Final = 2.0
 AGAIN_S: Final = 0.5  # between two attempts to connect
 LOOK_S: Final = 0.2  # the thread ends within this after `close`
@@ -33,6 +40,11 @@ PROBES: Final = {
 DISCARD: Final = struct.pack("ii", 1, 0)  # SO_LINGER: closing drops what was not sent
 LINE_MAX: Final = 1024  # bytes; a sentence has 82
 BAUD: Final = 115_200
+BAUD_MAX: Final = 4_000_000
+# What a device raises that is gone, is being closed by the other thread, or does not open any more.
+DEVICE_ERRORS: Final[tuple[type[Exception], ...]] = (
+    OSError, ValueError, TypeError, *TERMINAL_ERRORS,
+)  # fmt: skip
 Taken = Callable[[bytes, int], None]  # a line without its end, and its arrival, microseconds
 
 
@@ -124,7 +136,7 @@ class LinePort:
                     count = stream.send(line)
             else:
                 count = 0 if stream is None else stream.write(line)
-        except (OSError, ValueError):  # a closed serial port
+        except DEVICE_ERRORS:
             count = 0
         self._unsent.add(count, now_us)
         self.dropped += count != len(line)
@@ -144,7 +156,7 @@ class LinePort:
                 rest, heard_at_s = b"", 0.0
                 try:
                     self._stream = self._opens()
-                except OSError:
+                except DEVICE_ERRORS:
                     self._end.wait(AGAIN_S)
                 continue
             silent = self.receives and heard_at_s and time.monotonic() - heard_at_s > SILENCE_S
@@ -158,7 +170,7 @@ class LinePort:
                 chunk = self._chunk(self._stream)
             except BlockingIOError:
                 continue
-            except (OSError, ValueError):
+            except DEVICE_ERRORS:
                 chunk = b""
             if not chunk:  # it is gone
                 self._drop()
@@ -191,7 +203,7 @@ class LinePort:
         if stream is None:
             return
         if discard:
-            with suppress(OSError, ValueError):
+            with suppress(*DEVICE_ERRORS):
                 if isinstance(stream, socket.socket):
                     stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, DISCARD)
                 else:
@@ -203,7 +215,7 @@ def _queued(stream: Any) -> int:
     """Bytes that a device has not taken, as far as the system says; else 0."""
     if stream is None:
         return 0
-    with suppress(OSError, ValueError):  # it cannot say, or is closed, which `write` notices
+    with suppress(*DEVICE_ERRORS):  # it cannot say, or is closed, which `write` notices
         if not isinstance(stream, socket.socket):
             return int(getattr(stream, "out_waiting", 0))
         if sys.platform == "linux" and stream.type == socket.SOCK_STREAM:
@@ -218,8 +230,8 @@ def _opener(address: str) -> Callable[[], DeviceStream]:
     kind, _, rest = address.partition(":")
     if kind == "serial" and rest:
         path, _, baud = rest.partition("@")
-        if baud and not baud.isdecimal():
-            raise ValueError(f"{address!r}: {baud!r} is no baud rate")
+        if baud and not (baud.isdecimal() and len(baud) < 9 and 0 < int(baud) <= BAUD_MAX):
+            raise ValueError(f"{address!r}: {baud!r} is no baud rate up to {BAUD_MAX}")
         return lambda: _serial(path, int(baud or BAUD))
     host, _, port = rest.removeprefix("//").rpartition(":")
     if kind not in ("tcp", "udp") or not port.isdecimal() or not 0 < int(port) < 1 << 16:
@@ -257,4 +269,7 @@ def _serial(path: str, baud: int) -> DeviceStream:
         import serial
     except ImportError:
         raise OSError("serial ports need an extra: pip install 'headland[nmea]'") from None
-    return serial.Serial(path, baud, timeout=0, write_timeout=0)  # type: ignore[no-any-return]
+    try:
+        return serial.Serial(path, baud, timeout=0, write_timeout=0)  # type: ignore[no-any-return]
+    except TERMINAL_ERRORS as problem:  # it went away while it was opened
+        raise OSError(*problem.args) from None

@@ -3,8 +3,10 @@
 import select
 import socket
 import sys
+import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
+from typing import Any
 
 import pytest
 
@@ -116,8 +118,9 @@ def test_nothing_there_is_one_line(opened: Open) -> None:
 
 
 @pytest.mark.parametrize(
-    "address", ["", "tcp://host", "tcp://host:0", "http://host:80", "serial:", "serial:/dev/x@fast"]
-)
+    "address", ["", "tcp://host", "tcp://host:0", "http://host:80", "serial:", "serial:/dev/x@fast",
+     "serial:/dev/x@0", "serial:/dev/x@99999999999"],
+)  # fmt: skip
 def test_an_address_of_another_form_is_refused(address: str) -> None:
     with pytest.raises(ValueError, match=r"is not|is no"):
         LinePort(address, lambda line, at_us: None)
@@ -137,6 +140,69 @@ def test_a_serial_port_is_read_and_written() -> None:
     assert lines.get(timeout=LIMIT_S) == b"$GNHDT,1.0,T*1B"
     assert port.write(b"told\n") and os.read(device, 100) == b"told\n"
     port.close()
+    os.close(device)
+    os.close(name)
+
+
+@pytest.mark.parametrize("at", ["reset_output_buffer", "reset_input_buffer"])
+def test_a_serial_port_that_goes_while_it_is_used_is_opened_again(
+    at: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """What pyserial raises then is no OSError. It ended the thread: nothing was ever read again."""
+    pytest.importorskip("serial", reason="the extra nmea is not installed")
+    import os
+    import pty
+    import termios
+
+    device, name = pty.openpty()
+    lines: SimpleQueue[bytes] = SimpleQueue()
+    port = LinePort(f"serial:{os.ttyname(name)}", lambda line, at_us: lines.put(line), True)
+    monkeypatch.setattr(line_port, "LOOK_S", 0.01)
+    monkeypatch.setattr(line_port, "AGAIN_S", 0.01)
+    port.open()
+    os.write(device, b"one\n")
+    assert lines.get(timeout=LIMIT_S) == b"one"
+    failed: SimpleQueue[str] = SimpleQueue()
+    gone = iter([termios.error(5, "Input/output error"), termios.error(5, "Input/output error")])
+    flush = termios.tcflush
+
+    def tcflush(fd: int, queue: int) -> None:
+        """As of an adapter that is unplugged: a port in use, or one that is just opened."""
+        wanted = termios.TCOFLUSH if at == "reset_output_buffer" else termios.TCIFLUSH
+        if queue == wanted and (problem := next(gone, None)) is not None:
+            failed.put(at)
+            raise problem
+        flush(fd, queue)
+
+    monkeypatch.setattr(termios, "tcflush", tcflush)
+    monkeypatch.setattr(line_port, "SILENCE_S", 0.01)
+    assert failed.get(timeout=LIMIT_S) == at
+    monkeypatch.setattr(line_port, "SILENCE_S", LIMIT_S)
+    ends_at_s = time.monotonic() + LIMIT_S
+    while lines.empty():
+        assert time.monotonic() < ends_at_s, "nothing is read any more"
+        os.write(device, b"two\n")
+        select.select([], [], [], 0.01)
+    assert lines.get() == b"two"
+    port.close()
+    os.close(device)
+    os.close(name)
+
+
+def test_a_serial_port_that_the_other_thread_is_closing_takes_no_line() -> None:
+    """pyserial says that it is open for a moment after its file is gone. The drive raised TypeError."""
+    pytest.importorskip("serial", reason="the extra nmea is not installed")
+    import os
+    import pty
+
+    device, name = pty.openpty()
+    port = LinePort(f"serial:{os.ttyname(name)}", lambda line, at_us: None)
+    stream: Any = port._opens()
+    port._stream = stream
+    kept, stream.fd = stream.fd, None
+    assert not port.write(b"told\n") and port.dropped == 1
+    stream.fd = kept
+    stream.close()
     os.close(device)
     os.close(name)
 
