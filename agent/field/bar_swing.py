@@ -10,7 +10,7 @@ later, and all of them have to agree.
 """
 
 from itertools import pairwise
-from math import atan2, ceil, hypot, inf, pi
+from math import atan2, ceil, hypot, inf, pi, radians
 from typing import Final
 
 from agent.field.section_shares import Point
@@ -21,6 +21,8 @@ BEGUN_EACH_M: Final = 0.005
 COURSES: Final = 10
 # A turn of more than 170 degrees is reversing, at which the bar does not swing.
 REVERSED_COS: Final = -0.985
+# Reversing leaves out what such a turn has less than half a turn. More than this in all is ground left.
+LEFT_OUT_RAD: Final = radians(5.0)
 # A course that is nearer to the line than this tells how often the bar has turned; at right angles to
 # the line it could be either of two ways.
 NEAR_COS: Final = 0.7
@@ -46,7 +48,7 @@ class Course:
         self._forwards_on: Line | None = None  # the segment on which it last drove forwards
 
     def moves(self, at: Point, moved_m: float, line: "Line", first: "Line") -> bool:
-        """Whether the bar has turned the long way round since the last call.
+        """Whether the bar has turned the long way round since the last call, or left out an angle.
 
         `at`: where the robot is now, (x, y) metres. `moved_m`: since the last call. `line`: where it
         is on its leg, and `first`: the beginning of that."""
@@ -80,11 +82,10 @@ class Course:
             return False  # it has not turned yet: towards such a corner is backwards on its segment
         # Seen along the line, whether the robot drives forwards or backwards.
         off_rad = atan2((ux * cy - uy * cx) / along, 1.0)
-        before, self._half_turns = (
-            self._half_turns,
-            round((self._turned_rad - line_rad - off_rad) / pi),
-        )
-        return before is not None and before != self._half_turns
+        more_rad = self._turned_rad - line_rad - off_rad
+        before, self._half_turns = self._half_turns, round(more_rad / pi)
+        left_out = abs(more_rad - self._half_turns * pi) > LEFT_OUT_RAD
+        return left_out or (before is not None and before != self._half_turns)
 
 
 # A segment: the angle by which the leg has turned since its beginning, its direction, a unit vector, and
