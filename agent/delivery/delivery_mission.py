@@ -125,7 +125,7 @@ class DeliveryMission(NavigationMission):
     def _stranded(self, view: FleetView) -> bool:
         """Whether we cannot begin more tasks: updates unreachable tasks and checks our progress."""
         at, now_us = (view.here.x_m, view.here.y_m), view.now_us
-        if self.cut_off.due(now_us):
+        if self.cut_off.due(now_us, self.dispatch.book.added):
             self.cut_off.observe(at, self._goals(view), now_us)
             self.dispatch.cut = self.cut_off.sections
         charging = self.section is not None and self.section >= TASKS_MAX and self._handling_at_us

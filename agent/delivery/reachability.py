@@ -1,6 +1,7 @@
 """Places that a robot cannot reach at present by any path: enclosed by bodies and other obstacles.
 
-Boxes are removed and people step aside, so only places cut off for a while count. A robot does not
+Boxes are removed and people step aside, so a place behind them counts only when it is cut off for a
+while. Walls of the plan stay, so a place behind them counts at once. A robot does not
 begin a task that it knows to be cut off. A fleet with only such tasks left reports that and is done.
 """
 
@@ -25,15 +26,19 @@ class Reachability:
         self.hazards = hazards
         self.sections: frozenset[int] = frozenset()
         self._cut_off_at_us: dict[int, int] = {}
-        self._look_at_us = 0
+        self._look_at_us, self._orders = 0, 0
         self._stood: tuple[Point, int] = ((0.0, 0.0), 0)  # where, and since when
 
-    def due(self, now_us: int) -> bool:
-        """Whether it is time to call `observe`."""
-        return now_us >= self._look_at_us
+    def due(self, now_us: int, orders: int) -> bool:
+        """Whether it is time to call `observe`. `orders`: how many have been added or changed; a new
+        one is looked at before anybody bids for it.
+        """
+        fresh, self._orders = orders != self._orders, orders
+        return fresh or now_us >= self._look_at_us
 
     def observe(self, at: Point, goals: Mapping[int, Sequence[Point]], now_us: int) -> None:
-        """Update `sections`, the ones that have been out of reach for `CUT_OFF_US`.
+        """Update `sections`, the ones that have been out of reach for `CUT_OFF_US`, or that are behind
+        walls of the plan.
 
         `at`: our position. `goals`: for each section the places that must all be reachable; (x, y)
         metres.
@@ -43,10 +48,13 @@ class Reachability:
         reached = self.hazards.reaches(at, [place for _, place in places])
         cut = {section for (section, _), there in zip(places, reached, strict=True) if not there}
         self._cut_off_at_us = {section: self._cut_off_at_us.get(section, now_us) for section in cut}
+        left = [(section, place) for section in sorted(cut) for place in goals[section]]
+        planned = self.hazards.reaches(at, [place for _, place in left], on_plan=True)
+        walled = {section for (section, _), there in zip(left, planned, strict=True) if not there}
         self.sections = frozenset(
             section
             for section, start_at_us in self._cut_off_at_us.items()
-            if now_us - start_at_us > CUT_OFF_US
+            if section in walled or now_us - start_at_us > CUT_OFF_US
         )
 
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:

@@ -141,11 +141,11 @@ class DynamicObstacles:
             found = None if place is None else self.map.grid.plan(at, place)
         return None if found is None else tuple(found)
 
-    def reaches(self, at: XY, goals: Sequence[XY]) -> list[bool]:
+    def reaches(self, at: XY, goals: Sequence[XY], on_plan: bool = False) -> list[bool]:
         """For each goal, whether it can be reached, or approached near enough, round all current
-        obstacles.
+        obstacles. `on_plan`: round the walls of the plan alone.
         """
-        standing = self.map is not None and self.map.standing
+        standing = self.map is not None and self.map.standing and not on_plan
         parts = self.map.parts() if standing and self.map is not None else self.floor.parts
         mine, there = self._beside(at, parts), np.zeros(len(goals), dtype=np.bool_)
         if len(goals) and len(mine):  # most are in our own region: one lookup for all of them

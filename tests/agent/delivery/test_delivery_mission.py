@@ -98,3 +98,25 @@ def test_a_robot_with_a_parcel_whose_order_it_forgot_charges_when_it_is_low() ->
 def test_what_is_aboard_need_not_be_picked_up() -> None:
     assert stop_names([7], [TASKS_MAX + 1, 5], 7) == ["D7", "C1", "P5", "D5"]
     assert stop_names([], [5, 11, TASKS_MAX + 1], -1) == ["P5", "D5", "P11", "D11", "C1"]
+
+
+@pytest.mark.parametrize("ordered_first", [True, False])
+def test_a_transport_across_a_wall_of_the_plan_is_never_begun(ordered_first: bool) -> None:
+    """Found: for 15 s it counted as within reach. A lone robot fetched the parcel and stood with it for
+    ever, and the orders after it waited."""
+    across = TransportTask(2, 7)  # a wall is between them
+    floor = Floor.drawn("....#....", 1.0, 0.3)
+    home = Warehouse(floor, Carrier(1.0, 0.0), [], {0: across} if ordered_first else {})
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    for k in range(120):
+        seen = view(k * S // 20)
+        if k == 80 and not ordered_first:
+            mission.on_message(None, TaskOrder(0, *across), seen.now_us)
+        mission.on_control_period(seen, State.IDLE)
+        assert mission.choose(seen) is None
+    assert 0 in mission.cut_off.sections, "people are told that it cannot be done"
+    mission.on_message(None, TaskOrder(1, 2, 3), 6 * S)
+    for k in range(120, 140):
+        mission.on_control_period(view(k * S // 20), State.IDLE)
+    choice = mission.choose(view(7 * S))
+    assert choice is not None and choice.section == 1
