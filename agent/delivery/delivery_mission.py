@@ -296,6 +296,7 @@ class DeliveryMission(NavigationMission):
     def _go(self, goal: Point) -> None:
         if goal != self.goal:
             self.goal, self._tracker, self._handling_at_us = goal, None, None
+            self.cut_off.forget(UNDER_WAY)
 
     def work(self, view: FleetView) -> MotionRequest:
         self._idle_at_us = None
@@ -311,7 +312,7 @@ class DeliveryMission(NavigationMission):
             return MotionRequest(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
         if self._hopeless(section) or self._taken_back(section):
             return self._given_up(section, view)
-        if UNDER_WAY in self.cut_off.sections and self._load != section < TASKS_MAX:
+        if self._way_is_cut(section, view):
             return self._missing(section, view)
         self._go(self._goal(section, view))
         if self._search_ends(section, view):
@@ -358,6 +359,13 @@ class DeliveryMission(NavigationMission):
         if section >= TASKS_MAX:
             section = TASKS_MAX + self.house.bay_of(section)
         return section in self.cut_off.sections and section != self._load
+
+    def _way_is_cut(self, section: int, view: FleetView) -> bool:
+        """Whether the place where we look for a parcel is out of reach, and the arm does not see the
+        parcel from here.
+        """
+        fetching = self._load != section < TASKS_MAX and section not in view.here.parcels
+        return fetching and self.goal is not None and UNDER_WAY in self.cut_off.sections
 
     def _beside(self, view: FleetView) -> bool:
         """Whether a body, perhaps an unknown one, blocks our place, but the arm reaches over it."""
@@ -431,6 +439,7 @@ class DeliveryMission(NavigationMission):
         assert self.goal is not None
         self._handling_at_us = None
         if self.whereabouts.looked(task, self.goal):
+            self._go(self._pickup(task, view))
             return MotionRequest(0.0, 0.0)
         return self._given_up(task, view)
 

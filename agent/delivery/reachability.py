@@ -57,6 +57,11 @@ class Reachability:
             if section in walled or now_us - start_at_us > CUT_OFF_US
         )
 
+    def forget(self, section: int) -> None:
+        """The place of this section is another one now: what is known of it begins anew."""
+        self._cut_off_at_us.pop(section, None)
+        self.sections -= {section}
+
     def stands_still(self, at: Point, busy: bool, now_us: int) -> bool:
         """Once each control period: whether a busy robot has stood for `STANDSTILL_US`.
 

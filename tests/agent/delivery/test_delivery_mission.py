@@ -120,3 +120,26 @@ def test_a_transport_across_a_wall_of_the_plan_is_never_begun(ordered_first: boo
         mission.on_control_period(view(k * S // 20), State.IDLE)
     choice = mission.choose(view(7 * S))
     assert choice is not None and choice.section == 1
+
+
+def test_the_search_for_a_parcel_goes_on_after_a_place_that_cannot_be_reached() -> None:
+    """Found: the robot stood for ever, and noted the same place again twenty times a second."""
+    floor = Floor.drawn("....#....", 1.0, 0.3)
+    home = Warehouse(floor, Carrier(1.0, 0.0), [], {0: TransportTask(1, 3)})
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    allocation = FieldAllocationCRDT()
+    allocation.claim(0, 0)
+    allocation.start(0, 0)
+    mission.begin(0, view(0))
+    at = (0.5, 0.5)
+    for k in range(60 * 20):
+        seen = view(k * S // 20)._replace(allocation=allocation)
+        seen = seen._replace(here=seen.here._replace(x_m=at[0], y_m=at[1]))
+        mission.on_control_period(seen, State.WORKING)
+        if mission.work(seen).given_up:
+            break
+        if mission.goal is not None and mission.goal[0] < 4.0:  # it drives there, up to the wall
+            at = mission.goal
+    else:
+        pytest.fail(f"it stands at {at} and wants to go to {mission.goal}")
+    assert not mission.whereabouts.searching(0), "it has looked everywhere"
