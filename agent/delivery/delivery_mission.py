@@ -417,9 +417,11 @@ class DeliveryMission(NavigationMission):
         seen = view.here.parcels.get(task)
         if seen is None or seen.on_robot:
             return False
-        pickup, dropoff = self.house.trip(self.dispatch.book.tasks[task])
+        order = self.dispatch.book.tasks[task]
+        pickup, dropoff = self.house.trip(order)
         carried = self._told_aboard == task or view.progress.bits(task, 0) & 1
-        if not carried and hypot(pickup[0] - seen.x_m, pickup[1] - seen.y_m) < UNTOUCHED_M:
+        untouched = hypot(pickup[0] - seen.x_m, pickup[1] - seen.y_m) < UNTOUCHED_M
+        if not carried and (untouched or order.withdrawn):  # then nobody knows where the pickup was
             return False
         return hypot(dropoff[0] - seen.x_m, dropoff[1] - seen.y_m) < REACH_M
 

@@ -11,7 +11,7 @@ from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.observation import Observation
+from agent.interface.observation import Observation, VisibleParcel
 from agent.mapping.building import Floor
 from crdt import FieldAllocationCRDT, Progress
 from protocol.frames.delivery_frames import TaskOrder
@@ -143,3 +143,23 @@ def test_the_search_for_a_parcel_goes_on_after_a_place_that_cannot_be_reached() 
     else:
         pytest.fail(f"it stands at {at} and wants to go to {mission.goal}")
     assert not mission.whereabouts.searching(0), "it has looked everywhere"
+
+
+def test_a_transport_between_neighbouring_cells_that_was_taken_back_is_not_delivered() -> None:
+    """Found by drawn orders: the parcel at its pickup lies within reach of its dropoff, and the robot on
+    its way said that it was delivered."""
+    beside = TransportTask(1, 2)
+    mission = DeliveryMission(
+        0, Warehouse(FLOOR, Carrier(1.0, 0.0), [], {0: beside}), (0.5, 0.5), 1.0, 1.6, 0, 1
+    )
+    allocation = FieldAllocationCRDT()
+    allocation.claim(0, 0)
+    allocation.start(0, 0)
+    seen = view(0)._replace(allocation=allocation)
+    seen = seen._replace(here=seen.here._replace(parcels={0: VisibleParcel(1.5, 0.5, False)}))
+    mission.begin(0, seen)
+    mission.on_control_period(seen, State.WORKING)
+    assert not mission.work(seen).finished
+    mission.on_message(None, TaskOrder(0, *beside.taken_back), 0)
+    request = mission.work(seen)
+    assert request.given_up and not request.finished
