@@ -2,7 +2,8 @@
 
 A robot that knows a task missing in another robot's digest repeats its order, unless another robot
 has just done so. A robot that misses a task of another robot's digest answers with its own digest of
-those tasks, because it would not come to them by itself.
+those tasks, because it would not come to them by itself. A device that means to order transports asks for
+the highest number with an empty digest of the last bucket, because a round of all digests takes minutes.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping
@@ -28,6 +29,8 @@ AGAIN_US = 400 * MS  # an order received within this time is not repeated
 KEY, LAYOUT = "order/", Struct("<HH")  # of a durable record: pickup, dropoff
 # The pickup of an order that was taken back. No floor has this cell, and the greatest wins the join.
 WITHDRAWN = 0xFFFF
+LAST_BUCKET = TASK_NUMBERS // BUCKET_TASKS - 1
+HIGHEST_ASKED = TaskBookDigest(LAST_BUCKET, 0, 0, 0)  # robots answer with their highest bucket
 NO_TASKS: Mapping[int, "TransportTask"] = {}
 ORDERS_A_BEAT = 2  # so that a late joiner of 500 tasks does not fill the bus
 
@@ -159,11 +162,13 @@ class TaskRegistry:
 
     def _compare(self, message: TaskBookDigest, now_us: int) -> None:
         bits, check = self._digest(message.bucket, message.salt)
-        if message.bits & ~bits and (
-            now_us - self._asked_at_us.get(message.bucket, -AGAIN_US) >= AGAIN_US
-        ):
+        fresh = now_us - self._asked_at_us.get(message.bucket, -AGAIN_US) >= AGAIN_US
+        if message.bits & ~bits and fresh:
             self._asked_at_us[message.bucket] = now_us
             self._lacking[message.bucket] = None
+        elif message.bucket == LAST_BUCKET and not message.bits | bits and self.tasks and fresh:
+            self._asked_at_us[message.bucket] = now_us
+            self._lacking[max(self.tasks) // BUCKET_TASKS] = None
         lacking = bits & ~message.bits
         if not lacking and bits == message.bits and check != message.check:
             lacking = bits  # one number, two tasks: send ours, so that all take the greater one

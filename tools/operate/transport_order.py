@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 
 from agent.delivery.cost_matrix import Carrier
-from agent.delivery.task_registry import TransportTask
+from agent.delivery.task_registry import HIGHEST_ASKED, TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.runtime.files.key_file import KeyFileError
 from protocol.frame_proofs import ToolProofs
@@ -27,6 +27,7 @@ from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
 
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
+ASKED = 6  # times in it, as frames may be lost, for the highest number that is used
 CONFIRM_S = 5.0
 SHIPPED = "warehouse"  # whose map is taken where nothing says which
 REFUSED = 1
@@ -131,7 +132,9 @@ async def _order(
 
     bus.subscribe(hear)
     try:
-        await asyncio.sleep(LISTEN_S)
+        for _ in range(ASKED):
+            device.send(HIGHEST_ASKED)
+            await asyncio.sleep(LISTEN_S / ASKED)
         if not desk.robots:
             raise AttachError(
                 "no delivering fleet is heard on this bus: headland run warehouse --live"

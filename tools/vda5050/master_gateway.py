@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from agent.delivery.task_outcome import TaskPhase, outcome_of
-from agent.delivery.task_registry import TASKS_MAX
+from agent.delivery.task_registry import HIGHEST_ASKED, TASKS_MAX
 from agent.delivery.warehouse import Warehouse
 from agent.interface.ports import Bus
 from agent.interface.vehicle import Vehicle
@@ -130,6 +130,7 @@ class MasterGateway:
                     ):
                         self.operator.ask_who()
                         self.operator.ask_work()
+                        self.operator.send(HIGHEST_ASKED)  # orders get numbers above all others
                 for port in self.ports.values():
                     self._observe(port)
                     port.tell(now_s, self)

@@ -4,7 +4,8 @@ import time
 
 import pytest
 
-from agent.delivery.task_registry import WITHDRAWN, TaskRegistry, TransportTask
+from agent.delivery.task_registry import HIGHEST_ASKED, WITHDRAWN, TaskRegistry, TransportTask
+from agent.interface.config import MS, S
 from protocol.frames.delivery_frames import TASK_NUMBERS, TaskBookDigest, TaskOrder
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed
@@ -116,3 +117,22 @@ def test_an_order_is_found_among_thousands_at_once() -> None:
     for _ in range(2_000):
         assert desk.number_of(index) == 19_999
     assert time.process_time() - begun_at_s < 0.5, "was 0.9 s"
+
+
+@pytest.mark.parametrize("tasks", [200, 1500])
+def test_a_device_that_comes_late_takes_no_number_that_is_used(tasks: int) -> None:
+    """Found: robots tell 48 numbers a second, so in 3 s a device heard a part of them. Its order took the
+    number of another one: that one was lost, or ours counted as delivered where that one was."""
+    given = {number: TransportTask(1, 2) for number in range(tasks)}
+    books = [TaskRegistry(slot, given, 0) for slot in range(2)]
+    for listens_at_us in range(60 * S, 100 * S, 7 * S):
+        desk = TransportClient()
+        for now_us in range(listens_at_us, listens_at_us + 3 * S, 50 * MS):
+            if now_us == listens_at_us:
+                for book in books:
+                    book.on_message(HIGHEST_ASKED, now_us)
+            for source, book in enumerate(books):
+                for message in book.outgoing(now_us):
+                    desk.hear(source, message)
+        desk.order([TransportTask(5, 6)])
+        assert desk.numbers == [tasks]
