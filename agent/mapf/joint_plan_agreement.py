@@ -29,7 +29,7 @@ from numpy.typing import NDArray
 
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import CALM_US, AgreementPhase, after, ahead
-from agent.mapf.lacam import JointPlan, Precedence, planned
+from agent.mapf.lacam import JointPlan, Precedence, planned, search
 from agent.mapf.lattice import FINE, Lattice, components
 from agent.mapf.linear_assignment import assigned
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
@@ -395,7 +395,13 @@ def _plan_of(
     goals = [g if component[g] == component[s] else s for s, g in zip(starts, goals, strict=True)]
     if len(set(goals)) < len(goals):
         return None
-    return planned(near, starts, goals, salt)
+    found = planned(near, starts, goals, salt)
+    # In a ring nobody can be overtaken and come back behind. Robots without a goal then end elsewhere.
+    wanted = [k for k, p in enumerate(places) if p.goal != p.node and goals[k] != starts[k]]
+    if found is None and wanted and len(wanted) < len(places):
+        steps = search(near, starts, goals, [0.0] * len(places), salt, wanted=wanted)
+        found = None if steps is None else planned(near, starts, steps[-1].tolist(), salt)
+    return found
 
 
 def seats(

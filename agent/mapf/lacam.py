@@ -54,6 +54,7 @@ def search(
     urgency: Sequence[float],
     salt: int = 0,
     most: int = STEPS_MAX,
+    wanted: Sequence[int] | None = None,
 ) -> list[Ints] | None:
     """Configurations from starts to goals, one step after the other, each (robots,) nodes; None:
     there is no plan, or none was found.
@@ -61,11 +62,13 @@ def search(
     `near`: the lattice, (nodes, 4). The nodes of `starts` are distinct, and so are those of
     `goals`. `urgency`: a weight for each robot, the greatest goes first, equal ones in their order.
     `salt` varies how ties are broken. `most`: the number of configurations that are searched.
+    `wanted`: indices of the robots that must come to their goals, others may end anywhere; None: all.
     """
     first, last = np.array(starts, dtype=np.int32), np.array(goals, dtype=np.int32)
     assert len(set(starts)) == len(starts) and len(set(goals)) == len(goals)
     far = ways(near, last)
     count = len(starts)
+    must = np.arange(count) if wanted is None else np.array(wanted, dtype=np.int64)
     if any(far[i, first[i]] == NOWHERE for i in range(count)):
         return None
     # Ties are broken by the longer remaining distance, then by order.
@@ -78,7 +81,7 @@ def search(
         if not stack:
             return None
         here = stack[-1]
-        if np.array_equal(here.at, last):
+        if np.array_equal(here.at[must], last[must]):
             return _steps(here)
         if not here.tree:
             stack.pop()

@@ -6,7 +6,13 @@ import pytest
 
 from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import NUMBERS, AgreementPhase
-from agent.mapf.joint_plan_agreement import JOINT_PLAN_TABLE, JointPlanAgreement, JointPlanEvent
+from agent.mapf.joint_plan_agreement import (
+    JOINT_PLAN_TABLE,
+    JointPlanAgreement,
+    JointPlanEvent,
+    Participant,
+    plan_of,
+)
 from agent.mapping.building import Floor
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 from sim.scenarios.building_generator import CORRIDOR
@@ -203,3 +209,20 @@ def test_every_phase_and_event() -> None:
         (gather, gathered, agree), (agree, agreed, go), (go, arrived, free),
         (agree, withdrawn, free),
     })  # fmt: skip
+
+
+def test_an_idle_robot_in_a_ring_lets_another_one_past_and_ends_elsewhere() -> None:
+    """Found by drawn faults: it had to come back to its place, which is behind the one that it let past.
+    There is no such plan, so the robot with a parcel called rounds for ever."""
+    lattice = Floor.drawn("......\n.####.\n......", 1.0, 0.3).lattice
+    stands: list[Point] = [(5.5, 0.5), (3.5, 2.5), (0.5, 0.5), (1.5, 0.5)]
+    goal = lattice.nearest((0.5, 1.5))
+    places = []
+    for at in stands:
+        node, detail = lattice.encode(at)
+        places.append(Participant(node, node, AgreementReply.GRANT, detail))
+    places[3] = places[3]._replace(goal=goal)
+    plan = plan_of(lattice, tuple(places), (), 0)
+    assert plan is not None
+    assert plan.routes[3][-1] == goal
+    assert len({route[-1] for route in plan.routes}) == len(stands)
