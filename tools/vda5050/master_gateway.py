@@ -305,6 +305,7 @@ class MasterGateway:
         return f"not confirmed by {', '.join(self.serial(robot.slot) for robot in late)}"
 
     async def _cancel(self, port: "_Port") -> str | None:
+        self._observe(port)  # another device may have used its number
         vehicle, booked = port.vehicle, port.vehicle.booked
         if booked is None or not vehicle.busy:
             return "noOrderToCancel: there is no order"

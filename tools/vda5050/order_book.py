@@ -29,7 +29,7 @@ class BookedOrder(NamedTuple):
 
 
 class OrderBook:
-    """The newest order of each vehicle, and every task number that an order ever had."""
+    """The newest order of each vehicle, and the task of every order, by the number that it has."""
 
     def __init__(self, path: Path) -> None:
         """Read what is there. Raises BookError, OSError."""
@@ -59,6 +59,15 @@ class OrderBook:
             raise BookError(f"{self.path}: a line is no record of an order: {problem}") from None
 
     def _take(self, booked: BookedOrder) -> None:
+        before = self.orders.get(booked.slot)
+        if (
+            before is not None
+            and before.number is not None
+            and before.order.order_id == booked.order.order_id
+        ):
+            # Another device's order may have that number now. Recalled under it, too, this one would be
+            # ordered twice.
+            self.tasks.pop(before.number, None)
         self.orders[booked.slot] = booked
         if booked.number is not None and booked.task is not None:
             self.tasks[booked.number] = booked.task

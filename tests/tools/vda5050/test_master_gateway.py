@@ -12,6 +12,7 @@ pytest.importorskip("vda5050.validation", reason="pip install vda5050-sdk: it ha
 
 from agent.delivery.cost_matrix import Carrier
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase
+from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.interface.vehicle import Vehicle
 from agent.mapping.building import Floor
@@ -126,6 +127,58 @@ def test_an_order_that_cannot_be_booked_is_refused_and_the_next_record_is_whole(
     again = OrderBook(tmp_path / "book.jsonl")
     again.close()
     assert again.orders[0].order.order_id == WHOLE.order_id
+
+
+def test_an_order_that_lost_its_number_is_one_transport_also_after_a_restart(
+    tmp_path: Path,
+) -> None:
+    """The book kept the lost number as well. After a restart it was ordered, lost and numbered again."""
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, told)
+        port = gateway.ports[0]
+        gateway.order(port, WHOLE)
+        (said,) = gateway.desk.due()
+        other = said._replace(dropoff=said.dropoff + 1)  # the greater order keeps the number
+        gateway.desk.hear(128, other)
+        gateway._observe(port)
+        assert port.vehicle.booked is not None and port.vehicle.booked.number == said.task + 1
+        await left(gateway)
+
+        again = OrderBook(tmp_path / "book.jsonl")
+        desk = TransportClient(max(again.tasks) + 1)
+        for number, task in again.tasks.items():
+            desk.recall(number, task)
+        desk.hear(128, other)
+        assert [each.task for each in desk.due()] == [said.task + 1]
+        again.close()
+
+    asyncio.run(story())
+
+
+def test_a_cancelled_order_that_has_just_lost_its_number_is_taken_back(tmp_path: Path) -> None:
+    """The action failed without a word, and the parcel was carried."""
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, told)
+        port = gateway.ports[0]
+        gateway.order(port, WHOLE)
+        (said,) = gateway.desk.due()
+        cancel = Action(action_type="cancelOrder", action_id="c1", blocking_type=BlockingType.HARD)
+        gateway.act(port, InstantActions(actions=[cancel]))
+        gateway.desk.hear(128, said._replace(dropoff=said.dropoff + 1))
+        async with asyncio.timeout(WAIT_S):
+            while port.vehicle.booked is None or not port.vehicle.booked.cancelled:
+                await asyncio.wait(gateway.working, timeout=0.01)
+        gateway._observe(port)
+        (again,) = gateway.desk.due()
+        assert again.task == said.task + 1 and TransportTask(again.pickup, again.dropoff).withdrawn
+        assert port.vehicle.booked is not None and port.vehicle.booked.cancelled
+        await left(gateway)
+
+    asyncio.run(story())
 
 
 def test_an_order_for_which_no_number_is_left_is_refused(tmp_path: Path) -> None:
