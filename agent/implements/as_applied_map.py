@@ -98,7 +98,8 @@ class AsAppliedMap:
         low = np.floor((corners.min(axis=0) - self.origin) / self.part_m).astype(np.int64)
         high = np.floor((corners.max(axis=0) - self.origin) / self.part_m).astype(np.int64)
         low = np.maximum(low, 0)
-        if (high < low).any() or high[0] // PARTS >= UNITS_MAX or high[1] // PARTS >= ROWS_MAX:
+        high = np.minimum(high, np.array((UNITS_MAX, ROWS_MAX)) * PARTS - 1)
+        if (high < low).any():
             return np.empty((0, 2), np.int64)
         if int(np.prod(high - low + 1)) > PARTS_MAX:
             self.too_large += 1

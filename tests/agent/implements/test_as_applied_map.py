@@ -66,3 +66,16 @@ def test_a_piece_of_ground_of_kilometres_is_not_painted_and_takes_no_memory() ->
     boom = 1000.0 + wide * 70.0 / 1500.0  # the widest boom, aslant
     large.paint(boom)
     assert large.too_large == 1
+
+
+def test_a_boom_that_reaches_beyond_the_last_cell_paints_what_is_on_the_map() -> None:
+    """All of it was lost: work along the east or north edge of a field whose size fills all cells."""
+    for wide_m, deep_m in ((2558.0, 100.0), (100.0, 8190.0)):
+        ground = AsAppliedMap(box(0.0, 0.0, wide_m, deep_m), Progress())
+        assert ground.cell_m == 0.25
+        corner = np.array((wide_m, deep_m))
+        boom = corner + np.array([[-6.0, -3.0], [6.0, -3.0], [6.0, -1.0], [-6.0, -1.0]])
+        if deep_m > wide_m:
+            boom = corner + np.array([[-3.0, 6.0], [-3.0, -6.0], [-1.0, -6.0], [-1.0, 6.0]])
+        assert ground.paint(boom)
+        assert not ground.needs(np.array([corner - 2.0]))[0]
