@@ -32,8 +32,8 @@ from protocol.authentication import Keys
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 from protocol.name import fleet_name
-from tools.common.bus_address import AttachError
-from tools.common.bus_attach import attach
+from tools.common.bus_address import CHANNEL, AttachError
+from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
 
@@ -198,9 +198,12 @@ def task_controller(
     line on stderr says (AttachError)."""
 
     async def serve() -> None:
-        own = attach(*bus)
+        own = await stay_attached(*bus, "tc")
+        other: Bus | None = None
         try:
-            other = attach("socketcand", bus[1], bus[2], *fleet) if fleet[1] else None
+            if fleet[1]:
+                channel = bus[1] if bus[0] == "socketcand" else CHANNEL
+                other = await stay_attached("socketcand", channel, bus[2], *fleet, "tc's map")
             try:
                 await _serve(
                     boundary, fleet_keys, (own, other), machine, hitch_m, accuracy_m, memory,

@@ -5,13 +5,16 @@ import json
 import signal
 from asyncio.subprocess import Process
 from pathlib import Path
-from typing import Any
+from random import Random
+from typing import Any, Final
 
 import pytest
 
+from protocol.links.socketcand_link import SocketcandLink
 from sim.rigs.implements_rig import CONDENSED_MAKER, SPRAYER, Sprayer
 from tests.tools.launching import WAIT_S, call, start
 
+TC_STATUS: Final = 0xFE
 j1939 = pytest.importorskip("j1939", reason="can-j1939 is not installed")
 
 FIELD = {
@@ -99,6 +102,35 @@ def test_an_implement_of_another_stack_logs_in(tmp_path: Path) -> None:
             assert await controller.wait() == 0
         finally:
             await asyncio.to_thread(implement.stop)
+            for process in (controller, hub):
+                if process is not None and process.returncode is None:
+                    process.kill()
+                    await process.wait()
+
+    asyncio.run(story())
+
+
+@pytest.mark.slow
+def test_it_is_attached_again_when_its_bus_comes_back(tmp_path: Path) -> None:
+    """It was deaf for good, and shared no map, until a person started it again."""
+    (tmp_path / "north.geojson").write_text(json.dumps(FIELD))
+
+    async def story() -> None:
+        hub, controller = await start(tmp_path, "hub", "--port", "0", "--json"), None
+        try:
+            port = str((await _line(hub))["port"])
+            controller = await start(tmp_path, "tc", "north.geojson", "--port", port, "--json")
+            assert await _line(controller) == {"event": "ready", "address": 247}
+            hub.kill()
+            await hub.wait()
+            hub = await start(tmp_path, "hub", "--port", port, "--json")
+            await _line(hub)
+            link, heard = SocketcandLink("127.0.0.1", int(port), "can0", Random(1)), asyncio.Event()
+            link.subscribe(lambda frame: heard.set() if frame.data[0] == TC_STATUS else None)
+            async with asyncio.timeout(WAIT_S):
+                await heard.wait()
+            link.close()
+        finally:
             for process in (controller, hub):
                 if process is not None and process.returncode is None:
                     process.kill()
