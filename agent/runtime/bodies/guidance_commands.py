@@ -55,8 +55,9 @@ class GuidanceCommands:
         if len(data) < 8:
             return
         if frame.pgn == MACHINE_INFO:
-            if self.source not in (None, frame.source) and self.ready(now_us):
-                return  # a second tractor on the bus is not ours
+            heard = now_us - self._ready_at_us <= INFO_AGE_MAX_US
+            if self.source not in (None, frame.source) and heard:
+                return  # a second tractor on the bus is not ours, also while ours is not ready
             lockout, ready, switch = data[2] & 3, data[2] >> 2 & 3, data[4] >> 6 & 3
             self.source, self._ready_at_us = frame.source, now_us
             self._ready = lockout == NOT_ACTIVE and ready == YES and switch == YES

@@ -79,6 +79,22 @@ def test_it_lets_go_when_the_switch_goes_off_or_the_tractor_falls_silent() -> No
     assert guidance.let_go(US) == []
 
 
+def test_the_switch_of_another_device_does_not_engage_a_tractor_whose_own_is_off() -> None:
+    """It was taken for the tractor as soon as that was not ready, and then it counted alone."""
+    guidance, other = commands(), 0x0CACFF00 | 19
+    off = READY[:4] + b"\x00" + READY[5:]
+    for now_us in range(0, S, 100 * MS):
+        guidance.take(INFO, off, now_us)
+        guidance.take(other, READY, now_us + 10 * MS)
+        assert guidance.commands(wheels(1.0), 1.0, US, now_us + 20 * MS) == []
+    guidance.take(INFO, READY, S)
+    steer, _ = guidance.commands(wheels(1.0), 1.0, US, S)
+    assert steer.identifier >> 8 & 0xFF == TRACTOR
+    moved_at_us = S + 501 * MS  # the tractor has another address now
+    guidance.take(other, READY, moved_at_us)
+    assert len(guidance.commands(wheels(1.0), 1.0, US, moved_at_us)) == 2
+
+
 def test_a_halt_is_said_at_once_and_speeds_are_taken() -> None:
     guidance = commands()
     guidance.take(INFO, READY, 0)
