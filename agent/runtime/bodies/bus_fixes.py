@@ -10,7 +10,8 @@
 | 65256 | heading and speed |
 
 Only the first sender of places is believed, and the first of 127250: two receivers are metres apart. Who
-says that it has no place, or no heading from true north, is no such sender.
+says that it has no place, or no heading from true north, is no such sender. Each is followed to another
+address, where it was heard to claim one (ISO 11783-5).
 129025 and 65267 have no time. Their age is that of their arrival, and what is late does not show.
 """
 
@@ -23,8 +24,11 @@ from typing import Final
 from agent.interface.config import S
 from agent.interface.observation import Observation
 from agent.runtime.bodies.position_fixes import ACCURACY_M, PositionFixes, course_rad
-from protocol.frames.identifier import Identifier
+from protocol.frames.identifier import NULL_ADDRESS, Identifier
+from protocol.frames.messages import GROUP_OF
+from protocol.frames.network_frames import AddressClaimed
 
+CLAIM_PGN: Final = GROUP_OF[AddressClaimed].pgn
 POSITION, COURSE_SPEED, GNSS, HEADING = 129025, 129026, 129029, 127250  # NMEA 2000
 VEHICLE_POSITION, DIRECTION_SPEED = 65267, 65256  # J1939-71
 FAST_MAX: Final = 223  # bytes of a fast packet: 6 and 31 times 7
@@ -61,6 +65,23 @@ class FastPackets:
         return bytes(so_far[:length])
 
 
+class _Sender:
+    """The one device that is believed. It is known by its NAME, once it was heard to claim an address."""
+
+    def __init__(self) -> None:
+        self.address: int | None = None  # None: no device is believed yet
+        self.name: int | None = None
+
+    def claimed(self, address: int, name: int) -> None:
+        """A device with this NAME claims an address: ours has moved, or another one has its place."""
+        if self.name == name:
+            self.address = address
+        elif self.address == address and self.name is None:
+            self.name = name
+        elif self.address == address:
+            self.address = NULL_ADDRESS  # until ours claims the next one
+
+
 class BusFixes:
     """Takes the frames of one receiver among those of a bus."""
 
@@ -77,8 +98,8 @@ class BusFixes:
         """
         self.fixes = PositionFixes(to_metres, antenna_m, accuracy_m)
         self.sensed_at_us, self.latency_us = sensed_at_us, latency_us
-        self.source: int | None = None  # address of the receiver
-        self.compass: int | None = None  # address of what sends headings by 127250
+        self.receiver, self.compass = _Sender(), _Sender()  # the compass sends headings by 127250
+        self._names: dict[int, int] = {}  # address -> NAME of the device that has claimed it last
         self.counts: Counter[str] = Counter()  # messages by PGN, and "malformed", "another device"
         self._fast: dict[int, FastPackets] = {}  # by sender, until the receiver is known
         self._rapid_at_us = -RAPID_FOR_US
@@ -89,12 +110,19 @@ class BusFixes:
         none.
         """
         frame = Identifier.unpack(identifier)
+        if frame.pgn == CLAIM_PGN and len(data) == 8:
+            name = int.from_bytes(data, "little")
+            self._names[frame.source] = name
+            for sender in (self.receiver, self.compass):
+                sender.claimed(frame.source, name)
+            return None
         read = READERS.get(frame.pgn)
         if read is None:
             return None
-        believed = self.compass if frame.pgn == HEADING else self.source
-        may_be = believed is None and frame.pgn in (HEADING, POSITION, VEHICLE_POSITION, GNSS)
-        if frame.source != believed and not may_be:
+        sender = self.compass if frame.pgn == HEADING else self.receiver
+        unknown = sender.address is None
+        may_be = unknown and frame.pgn in (HEADING, POSITION, VEHICLE_POSITION, GNSS)
+        if frame.source != sender.address and not may_be:
             self.counts["another device"] += 1
             return None
         if frame.pgn == GNSS:
@@ -106,11 +134,10 @@ class BusFixes:
         if not read(self, data, arrived_at_us):
             self.counts["malformed"] += 1
             return None
-        if frame.pgn == HEADING:
-            self.compass = frame.source
-        elif self.source is None and (frame.pgn != GNSS or self._utc_at_us >= 0):
-            self.source = frame.source
-            self._fast = {}
+        if unknown and (frame.pgn != GNSS or self._utc_at_us >= 0):
+            sender.address, sender.name = frame.source, self._names.get(frame.source)
+            if sender is self.receiver:
+                self._fast = {}
         return self.fixes.whole(arrived_at_us)
 
     def _position(self, data: bytes, arrived_at_us: int) -> bool:

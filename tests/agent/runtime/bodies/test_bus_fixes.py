@@ -124,7 +124,7 @@ def test_who_says_that_it_has_no_place_is_not_the_receiver() -> None:
         assert into.take(Identifier(6, pgn, 255, 99).pack(), data, 0) is None
         taken(into, gnss("no GNSS", clock(1, 2, 3), source=98), 0)
         taken(into, place(52.0, 5.0), 3 * S)
-        assert into.source == RECEIVER
+        assert into.receiver.address == RECEIVER
         (seen,) = taken(into, heading(0.0), 3 * S)
         assert seen.position_accuracy_m == 0.03
         assert taken(into, place(53.0, 5.0, source=99), 3 * S) == []
@@ -137,7 +137,7 @@ def test_fast_packets_of_two_senders_are_kept_apart_before_a_receiver_is_known()
     )
     for pair in pairs:
         taken(into, pair, 0)
-    assert into.source == RECEIVER
+    assert into.receiver.address == RECEIVER
     (seen,) = taken(into, heading(0.0), 0)
     assert seen.position_accuracy_m == 0.4
 
@@ -150,7 +150,34 @@ def test_a_magnetic_compass_is_not_the_one_that_is_believed() -> None:
     taken(into, magnetic, 0)
     taken(into, place(52.0, 5.0), 0)
     (seen,) = taken(into, heading(radians(90.0)), 0)
-    assert seen.heading_rad == pytest.approx(0.0, abs=1e-4) and into.compass == RECEIVER
+    assert seen.heading_rad == pytest.approx(0.0, abs=1e-4) and into.compass.address == RECEIVER
+
+
+def claim(address: int, name: int) -> list[can.Message]:
+    identifier = Identifier(6, 0xEE00, 255, address).pack()
+    return [can.Message(arbitration_id=identifier, data=name.to_bytes(8, "little"))]
+
+
+@pytest.mark.parametrize("known_before", [True, False])
+def test_a_receiver_is_followed_when_an_implement_with_another_one_takes_its_address(
+    known_before: bool,
+) -> None:
+    """Its own places were ignored for good, and those of the implement were taken for them."""
+    into, ours, other = fixes(), 0xA0_00_00_00_00_00_00_02, 0xA0_00_00_00_00_00_00_01
+    if known_before:
+        taken(into, claim(RECEIVER, ours), 0)
+    taken(into, place(52.0, 5.0), 0)
+    taken(into, heading(0.0), 0)
+    taken(into, claim(RECEIVER, ours), 0)
+    taken(into, claim(RECEIVER, other), S)
+    taken(into, place(52.001, 5.0), S)
+    assert taken(into, heading(0.0), S) == []
+    taken(into, claim(99, ours), S)
+    taken(into, place(52.0, 5.0, source=99), S)
+    (seen,) = taken(into, heading(0.0, source=99), S)
+    assert seen.y_m == pytest.approx(0.0, abs=0.01)
+    taken(into, place(52.001, 5.0), S)
+    assert taken(into, heading(0.0), S) == []
 
 
 def test_j1939_places_and_bearings() -> None:
