@@ -56,6 +56,7 @@ def read_isoxml(
             if broken is None:
                 raise
             broken[name] = problem
+            known.add(name)
             continue
         for k, part in enumerate(parts):
             label = name if len(parts) == 1 else f"{name} part {k}"

@@ -121,6 +121,14 @@ def test_the_encoding_mark_and_names_twice(tmp_path: Path) -> None:
     assert list(read_isoxml(tmp_path)) == ["Acre", "Acre (PFD2)"]
 
 
+def test_a_broken_field_does_not_hide_another_one_of_its_name(tmp_path: Path) -> None:
+    broken = partfield(polygon(line(SQUARE[:2])))
+    path = write(tmp_path, task_data(broken, partfield(polygon(line(SQUARE)), number=2)))
+    assert read_boundary(path, "Acre (PFD2)").polygon.area > 0
+    with pytest.raises(FieldFileError, match="a ring of 2 points"):
+        read_boundary(path, "Acre")
+
+
 def numbers(point: str) -> str:
     return task_data(partfield(polygon(line([point, *SQUARE[1:]]))))
 
