@@ -25,6 +25,7 @@ from tools.operate.order import ANSWERS
 
 # Between the places of two robots: a body is up to 1.6 m wide, and ORCA keeps them apart.
 ROOM_M = 2.0
+LEAVES = frozenset(("set-goal", "go-home"))  # orders after which a robot is no longer where it was
 
 
 class AuthorizedOrder(NamedTuple):
@@ -152,7 +153,8 @@ class _Scales:
 
     def _room(self, place: Point, mover: int | None) -> None:
         for other in self.fleet.live:
-            if other.slot == mover or any(o.slot == other.slot for o in self.orders):
+            leaves = any(o.slot == other.slot and o.what in LEAVES for o in self.orders)
+            if other.slot == mover or leaves:
                 continue
             there = other.goal or (other.x_m, other.y_m)
             stands = other.goal is not None or other.state != "WORKING"

@@ -44,6 +44,21 @@ def test_the_file_has_a_hundred_and_dangerous_ones() -> None:
     assert {reason.name for reason in QuestionReason} == set(asked) and asked.count("UNSAFE") >= 10
 
 
+@pytest.mark.parametrize("verb", ["stop", "start", "send"])
+def test_no_robot_is_sent_to_where_another_one_stays(verb: str) -> None:
+    """Any order for the other robot in the same phrase was taken for one to leave."""
+    fleet = FleetNow({n: RobotNow(n, "IDLE", 10.0 * n, 0.0) for n in range(3)}, {})
+    places = Places({"shed": (10.0, 0.0), "gate": (50.0, 0.0)})
+    phrase = {"send": "send robot 1 to gate"}.get(verb, f"{verb} robot 1")
+    intents = read(f"{phrase} and send robot 2 to shed", places)
+    assert not isinstance(intents, Question)
+    result = weigh(intents, fleet, places)
+    if verb == "send":
+        assert isinstance(result, Authorization) and len(result.orders) == 2
+    else:
+        assert isinstance(result, Question) and result.reason is QuestionReason.UNSAFE
+
+
 def test_the_document_counts_as_the_file_does() -> None:
     text = (Path(__file__).parents[3] / "docs" / "measured" / "operator.md").read_text()
     asked = sum(case.asks is not None for case in FILE.known)
