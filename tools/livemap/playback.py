@@ -23,6 +23,7 @@ AGES = 16  # snapshots thin out with age: the gap round one is at least its age 
 EVENTS_MAX = 512  # most marks on the time line; more cannot be distinguished
 FAST = 1  # level of zlib: a snapshot in a millisecond, in a fifth of its size
 NOTE_US = 500_000  # of recorded time between two looks for events
+QUIET_US = 5_000_000  # without a frame or an intent: nothing changes any more until the next one
 LOOK = 512  # rows between two looks at the clock
 
 
@@ -94,10 +95,8 @@ class Index:
                 self.snapshots[-1].t_us + SNAPSHOT_US if self.snapshots else recording.begin_at_us
             )
             left_s = end_s - perf_counter()
-            if (
-                reader.read(min(due_at_us, reader.t_us + NOTE_US, recording.end_at_us), left_s)
-                and reader.t_us >= due_at_us
-            ):
+            to_us = min(due_at_us, reader.t_us + NOTE_US, recording.end_at_us)
+            if reader.read(self._over_quiet(to_us), left_s) and reader.t_us >= due_at_us:
                 state = zlib.compress(pickle.dumps(reader.watcher, pickle.HIGHEST_PROTOCOL), FAST)
                 self.snapshots.append(Snapshot(reader.t_us, reader.frame, state))
                 if recording.forgets:
@@ -107,6 +106,22 @@ class Index:
             not recording.forgets and self.snapshots and self.snapshots[0].frame < recording.first
         ):
             self.snapshots.pop(0)
+
+    def _over_quiet(self, to_us: int) -> int:
+        """`to_us`, or the end of a long silence, over which one step leads.
+
+        The clock of a logger may be set by decades between two frames.
+        """
+        reader, recording = self.reader, self.recording
+        frame, intents = max(reader.frame, recording.first), recording.intents
+        at = bisect_right(intents, reader.t_us, key=lambda note: note[0])
+        latest_us = recording.t_us(frame - 1) if frame > recording.first else recording.begin_at_us
+        next_us = recording.t_us(frame)
+        if at > 0:
+            latest_us = max(latest_us, intents[at - 1][0])
+        if at < len(intents):
+            next_us = min(next_us, intents[at][0])
+        return max(to_us, next_us - 1) if reader.t_us - latest_us > QUIET_US else to_us
 
     def _thin(self) -> None:
         """As many in each doubling of age: about 250 of a day."""

@@ -40,3 +40,33 @@ def test_a_silence_and_the_takeover_of_a_section_are_told() -> None:
     assert [text for text in told if text in wanted] == wanted, told
     silent = next(event for event in index.events if event.text == wanted[0])
     assert silent.at_s == pytest.approx(1.9, abs=0.2), "when it was heard last"
+
+
+def test_a_clock_that_is_set_in_a_log_does_not_fill_the_memory_of_the_map() -> None:
+    recording = Recording()
+    set_at_us = 1_700_000_000_000_000
+    for slot in (0, 1):
+        recording.write(0, encode(Member(slot, 1, 0), 0x80 + slot))
+        beats(recording, slot, 1_000, 2_000_000)
+    beats(recording, 0, set_at_us, set_at_us + 2_000_000)
+    index = Index(recording)
+    for _ in range(20):
+        index.work(0.05)
+    assert index.complete and len(index.snapshots) < 10
+    told = [event.text for event in index.events]
+    assert told == ["robot 0 falls silent", "robot 1 falls silent", "robot 0 is heard again"]
+    assert index.events[-1].at_s == pytest.approx(set_at_us / 1e6, abs=0.6)
+
+
+def test_intents_while_the_bus_is_silent_are_looked_at() -> None:
+    recording = Recording()
+    for slot in (0, 1):
+        recording.write(0, encode(Member(slot, 1, 0), 0x80 + slot))
+        beats(recording, slot, 1_000, 2_000_000)
+    for at_us in range(100_000_000, 104_000_000, 200_000):
+        for slot in (0, 1):
+            recording.tell(at_us, {"slot": slot, "hears": []})
+    beats(recording, 0, 200_000_000, 201_000_000)
+    index = Index(recording)
+    index.work(1e9)
+    assert "bus split: 0 | 1" in [event.text for event in index.events]
