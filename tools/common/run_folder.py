@@ -18,9 +18,9 @@ RUNS = Path("runs")
 LATEST, LAUNCH = "latest", "launch"
 # What runs, launches, explorations and their reports write into their folder.
 WRITTEN = (
-    "report.json", "report.html", "report/*.png", "report/*.csv", "can.log", "can.[1-9]*.log",
-    "run.mcap", "run.[1-9]*.mcap", "trace.jsonl", "field.png", "work.geojson", "warehouse.png",
-    "maps.png", "maps.gif", "fleet.md", "robot_*.png", "scene.json",
+    "report.json", "report.html", "report/*.png", "report/*.svg", "report/*.csv", "can.log",
+    "can.[1-9]*.log", "run.mcap", "run.[1-9]*.mcap", "trace.jsonl", "field.png", "work.geojson",
+    "warehouse.png", "maps.png", "maps.gif", "film.gif", "fleet.md", "robot_*.png", "scene.json",
 )  # fmt: skip
 QUEUE = "queue.json"  # in the folder of a launch: goals of `headland say` that wait for a robot
 LOCK = (

@@ -70,6 +70,15 @@ def test_b3_a_folder_that_is_named_is_emptied_of_runs_only(folder: Path) -> None
         pass
 
 
+def test_the_film_and_the_report_of_an_earlier_run_do_not_stay(folder: Path) -> None:
+    mine = folder / "mine"
+    (mine / "report").mkdir(parents=True)
+    for name in ("scene.json", "film.gif", "report.html", "report/stops.svg", "report/stops.csv"):
+        (mine / name).write_text("of the first")
+    with folder_for(mine, "x"):
+        assert {p.name for p in mine.rglob("*") if p.is_file()} == {"lock"}
+
+
 HOLDS = """
 import sys
 from pathlib import Path
