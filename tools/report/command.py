@@ -80,12 +80,18 @@ def _place(source: Path) -> Path:
 
 
 def write(out: Path, evidence: "RunEvidence", found: "Sequence[Chapter]") -> None:
-    """The page, and the folder of its name beside it. OSError."""
+    """The page, and the folder of its name beside it. OSError.
+
+    Files of chapters that only an earlier report at this place had are removed."""
     from tools.report.page import page
 
     folder = out.with_suffix("")
     folder.mkdir(parents=True, exist_ok=True)
+    again = out.is_file()
     for chapter in found:
+        if again:
+            for suffix in (".svg", ".csv"):
+                (folder / f"{chapter.name}{suffix}").unlink(missing_ok=True)
         if chapter.picture is not None:
             write_whole(folder / f"{chapter.name}.svg", chapter.picture.svg)
         if chapter.values is not None:

@@ -258,6 +258,20 @@ def test_a_log_alone(run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[st
     assert "run.mcap" in text and "is not known here" in text and "No report.json" in text
 
 
+def test_a_second_report_at_one_place_keeps_nothing_of_the_first(run: Path, tmp_path: Path) -> None:
+    out = tmp_path / "page.html"
+    assert report(run / "can.log", out, False) == 0
+    assert (tmp_path / "page" / "stops.csv").is_file()
+    quiet = CandumpWriter(tmp_path / "quiet.log")
+    for number in range(20):
+        quiet.write(number * 100_000, encode(Pose(0.0, 0.0, 0.0, 0.0, 1, False, 255), 0x80))
+    quiet.close()
+    (tmp_path / "page" / "notes.txt").write_text("of a person")
+    assert report(tmp_path / "quiet.log", out, False) == 0
+    left = {path.name for path in (tmp_path / "page").iterdir()}
+    assert "notes.txt" in left and not left & {"stops.csv", "stops.svg"}, left
+
+
 def test_a_log_in_which_nobody_is_a_robot(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
