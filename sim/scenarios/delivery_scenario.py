@@ -88,7 +88,7 @@ class DeliveryFile(DeliveryScenario):
 def is_warehouse(name: str) -> bool:
     """Whether a name is that of a warehouse; errors in the file are reported when it is loaded."""
     path = Path(name)
-    if not path.suffix and not path.exists():
+    if not path.suffix and not path.is_file():
         path = WAREHOUSES / f"{name}.toml"
     if path.suffix != ".toml" or not path.is_file():
         return False

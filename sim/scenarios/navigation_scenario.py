@@ -8,7 +8,6 @@
 `headland run` accepts these as well as the scenarios of fields.
 """
 
-from pathlib import Path
 from random import Random
 from typing import Literal
 
@@ -22,10 +21,10 @@ from agent.runtime.declared_values import XY, FieldTable, FloorTable, Table
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from sim.scenarios.scenario import (
-    FIELD_FILES,
     SHIPPED,
     Scenario,
     ScenarioError,
+    is_field_source,
     load,
     load_kind,
     read_document,
@@ -65,8 +64,7 @@ class NavigationScenario(Scenario):
 
 def load_mission(name: str) -> Scenario:
     """Load any scenario that `headland run` accepts; its `mission` selects the kind."""
-    path = Path(name)
-    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+    if is_field_source(name):
         return load(name)
     document, _ = read_document(name, SHIPPED)
     kind = NavigationScenario if document.get("mission") == "errands" else Scenario

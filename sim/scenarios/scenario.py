@@ -523,11 +523,25 @@ def shipped(folder: Path = SHIPPED) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
+def is_field_source(name: str) -> bool:
+    """Whether a name is that of a field file or of a folder of task data.
+
+    A folder without task data does not hide a scenario of its name that ships: the page `small.html` of
+    a report has its pictures in a folder `small`.
+    """
+    path = Path(name)
+    if path.suffix.lower() in FIELD_FILES or not path.is_dir():
+        return path.suffix.lower() in FIELD_FILES
+    if not any(name in shipped(folder) for folder in (SHIPPED, ARENAS, WAREHOUSES)):
+        return True
+    return any(each.name.upper().startswith("TASKDATA") for each in path.iterdir())
+
+
 def load(name: str) -> Scenario:
     """A scenario by file, by the name of a shipped one, or a field file with defaults for the
     rest."""
     path = Path(name)
-    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+    if is_field_source(name):
         title = path.resolve().stem[:64] or "field"
         document = {"name": title, "field": {"file": path.name}}
         return _validate(document, name, path.parent, Scenario)
@@ -549,7 +563,7 @@ def read_document(name: str, folder: Path) -> tuple[dict[str, Any], Path]:
 def _read(name: str, folder: Path) -> tuple[dict[str, Any], Path, str]:
     """The same, and the text of the file."""
     path = Path(name)
-    if not path.suffix and not path.exists() and (folder / f"{name}.toml").exists():
+    if not path.suffix and not path.is_file() and (folder / f"{name}.toml").exists():
         path = folder / f"{name}.toml"
     if not path.exists():
         raise ScenarioError(

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from agent.runtime.files.given_file import SCENARIO_BYTES_MAX, GivenFileError, read_toml
-from sim.scenarios.scenario import ARENAS, FIELD_FILES, SHIPPED, WAREHOUSES, shipped
+from sim.scenarios.scenario import ARENAS, SHIPPED, WAREHOUSES, is_field_source, shipped
 
 GRID_FILES = (".map", ".mcpp")
 FOLDERS = {"arenas": ARENAS, "warehouses": WAREHOUSES}  # of names that two kinds share
@@ -40,9 +40,9 @@ def named(name: str) -> Named:
     path = Path(name)
     if path.suffix.lower() in GRID_FILES:
         return Named(Kind.GRID, name)
-    if path.is_dir() or path.suffix.lower() in FIELD_FILES:
+    if is_field_source(name):
         return Named(Kind.FIELD, name)
-    if not path.suffix and not path.exists():
+    if not path.suffix and not path.is_file():
         path = _shipped_path(name)
     try:
         mission = read_toml(path, SCENARIO_BYTES_MAX).get("mission", "field")

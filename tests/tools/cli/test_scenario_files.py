@@ -25,6 +25,21 @@ def test_the_scenario_says_which_kind_it_is(name: str, kind: Kind) -> None:
     assert named(name).kind is kind
 
 
+def test_the_pictures_of_a_report_do_not_hide_the_scenario_of_their_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`run.report("small.html")` of the page about Python makes a folder `small`."""
+    monkeypatch.chdir(tmp_path)
+    names = ["small", "rooms", "warehouse", "ring"]
+    kinds = [named(name).kind for name in names]
+    for name in names:
+        (tmp_path / name).mkdir()
+    assert [named(name).kind for name in names] == kinds
+    assert scenario_check.check(names, False) == 0, capsys.readouterr().err
+    (tmp_path / "small" / "TASKDATA.XML").write_text("<x/>")
+    assert scenario_check.check(["small"], False) == 2, "the task data is a field of a person"
+
+
 def test_everything_that_ships_is_listed_and_right(capsys: pytest.CaptureFixture[str]) -> None:
     assert scenario_files.list_shipped(True) == 0
     rows = json.loads(capsys.readouterr().out)
