@@ -5,6 +5,7 @@ Nothing here loads what runs need, which would take most of the time.
 
 import re
 from pathlib import Path
+from shlex import quote
 
 from rich.console import Console
 from rich.markup import escape
@@ -87,5 +88,6 @@ def new(file: Path, like: str, as_json: bool) -> int:
         print(dumps({"written": [str(path) for path in written], "like": like}))
     else:
         print(f"{', '.join(map(str, written))}: a copy of {like}; its keys: docs/use/scenario.md")
-        print(f"next:\n  headland check {file}\n  headland run {file}")
+        words = quote(str(file))  # as a shell reads it
+        print(f"next:\n  headland check {words}\n  headland run {words}")
     return 0

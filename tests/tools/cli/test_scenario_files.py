@@ -61,6 +61,14 @@ def test_a_new_scenario_is_right_as_it_is_written(
     assert scenario_files.new(Path("own/mine.toml"), like, False) == 2, "nothing is replaced"
 
 
+def test_the_next_commands_of_a_name_with_a_space_can_be_pasted(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert scenario_files.new(Path("my field.toml"), "small", False) == 0
+    assert "headland run 'my field.toml'" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
