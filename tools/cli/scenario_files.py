@@ -3,6 +3,7 @@
 Nothing here loads what runs need, which would take most of the time.
 """
 
+import json
 import re
 from pathlib import Path
 from shlex import quote
@@ -62,7 +63,8 @@ def new(file: Path, like: str, as_json: bool) -> int:
             raise ScenarioError(f"{file}: a scenario file ends in .toml")
         source = ships[like]
         text = read_text(source, SCENARIO_BYTES_MAX)
-        text = re.sub(r'^name = ".*"', f'name = "{file.stem[:64]}"', text, count=1, flags=re.M)
+        line = f"name = {json.dumps(file.stem[:64], ensure_ascii=False)}"  # escaped as in TOML
+        text = re.sub(r'^name = ".*"', lambda _: line, text, count=1, flags=re.M)
         beside = [
             name for name in FILE_KEY.findall(text) if not (SHIPPED / name).exists()
         ]  # what ships with fields is found anyway

@@ -69,6 +69,15 @@ def test_the_next_commands_of_a_name_with_a_space_can_be_pasted(
     assert "headland run 'my field.toml'" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("name", ['a"b.toml', r"a\1b.toml", r"a\qb.toml", "ä ö.toml"])
+def test_a_new_scenario_may_have_any_name(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    assert scenario_files.new(Path(name), "small", False) == 0
+    assert scenario_check.check([name], False) == 0
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
