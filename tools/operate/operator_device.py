@@ -67,6 +67,7 @@ class KnownRobot:
     report: OperatorReport | None = None  # the newest, since it was last forgotten
     question: OperatorReport | None = None  # that it is asking or waiting about
     tried: int = 0  # echoes whose tag was looked at
+    asked_s: float = NOT_HEARD_S  # when it last asked for a proof, so what came before was refused
     # When it last said that somebody asks for a release at the terminal that it serves.
     release_asked_s: float = NOT_HEARD_S
 
@@ -140,6 +141,8 @@ class Operator:
             return
         robot = self.robots[slot]
         robot.heard_s = now_s
+        if isinstance(message, Challenge) and message.asked == self.slot:
+            robot.asked_s = now_s
         if isinstance(message, Pose | Heartbeat):
             if isinstance(message, Heartbeat) and message.leaving:
                 robot.leaves_s = now_s if robot.leaves_s is None else robot.leaves_s

@@ -4,6 +4,7 @@ import asyncio
 import sys
 from pathlib import Path
 
+from agent.safety.stop_cause import StopCause
 from protocol.frames.operator_frames import ReportKind, goal_frames
 from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
@@ -27,6 +28,10 @@ CONFIRMED = {
     "go-home": (Command.GO_HOME, (ReportKind.UNDER_WAY, ReportKind.ARRIVED)),
     "set-goal": (Command.SET_GOAL, (ReportKind.UNDER_WAY, ReportKind.ARRIVED)),
     "start": (Command.START, ()),
+}
+# Causes that a start of one robot ends.
+BY_START = {
+    cause.number for cause in (StopCause.NOT_STARTED, StopCause.PLACE_FROZEN, StopCause.PLACE_LOST)
 }
 
 
@@ -100,17 +105,31 @@ async def convey(
     answers = command in (Command.WAIT, Command.CONTINUE, Command.REPLAN)
     end_s = loop.time() + timeout_s
     robot.report = None
-    while loop.time() < end_s:
+    robot.causes.forget()
+    while (said_s := loop.time()) < end_s:
         if goal is not None:
             operator.send_to(robot.slot, *goal)
         else:
             operator.command(command, robot.slot, number if answers else 0)
         await asyncio.sleep(min(STEP_S, timeout_s))
-        if command is Command.START and robot.started:
+        if command is Command.START and _started(robot, said_s, loop.time()):
             return True
         if robot.report is not None and robot.report.matter in (*matters, ReportKind.REFUSED):
             return robot.report.matter in matters
     return False
+
+
+def _started(robot: KnownRobot, said_s: float, now_s: float) -> bool:
+    """Whether a robot has taken the start that was said at `said_s`.
+
+    A latched robot refuses it. A robot that has lost its place had its start before, so it must also
+    say that it may move, or name only causes that no start ends."""
+    if robot.stopped or not robot.started or robot.asked_s >= said_s:
+        return False
+    now_us = round(now_s * 1e6)
+    named = {told.cause for told in robot.causes.fresh(now_us)}
+    known = bool(named) and not robot.causes.missing(now_us)
+    return not robot.held or (known and named.isdisjoint(BY_START))
 
 
 ANSWERS = ("wait", "continue", "replan")  # to a question of the robot

@@ -12,11 +12,17 @@ from agent.interface.lifecycle import State
 from protocol.authentication import Keyring, Keys
 from protocol.frames.agreement_frames import SilentPosition
 from protocol.frames.codec import decode, encode
-from protocol.frames.fleet_frames import Heartbeat, Member
+from protocol.frames.fleet_frames import Heartbeat, Member, StandsBy, Standstill
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed
-from protocol.frames.safety_frames import Command, EmergencyStop, OperatorCommand, Reason
+from protocol.frames.safety_frames import (
+    Challenge,
+    Command,
+    EmergencyStop,
+    OperatorCommand,
+    Reason,
+)
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name
 from sim.can.simulated_bus import FieldBus
@@ -28,6 +34,7 @@ from tools.common import bus_address
 from tools.common.bus_address import robots_of_launch
 from tools.operate.estop import AGAIN, press, tell
 from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
+from tools.operate.order import convey
 from tools.operate.reset import release, word
 
 KEYS = Keys(b"m" * 16, b"o" * 16)
@@ -273,3 +280,35 @@ async def _flood(bus: CanBus, until_s: float) -> None:
         for _ in range(4):
             bus.send(Frame(0, bytes(8)))
         await elapse(0.001)
+
+
+@pytest.mark.parametrize(
+    "why", ["latched", "its place is lost", "held by another cause", "asks first"]
+)
+def test_a_start_of_one_robot_is_taken_only_when_what_a_start_ends_is_over(why: str) -> None:
+    """`headland order 2 start` said `obeys start` of each robot that had its start before: of a latched
+    one, which refuses it, of one with PLACE_LOST, and of one that asks for a proof first and so has
+    refused what came before."""
+
+    async def story(keyring: Keyring | None) -> bool:
+        tool, loop = operator(keyring), asyncio.get_running_loop()
+        asks_until_s = loop.time() + 0.5
+        beats = beat(stopped=why == "latched")._replace(held=why != "asks first")
+        causes = {
+            "its place is lost": StandsBy.PLACE_LOST,
+            "held by another cause": StandsBy.WORK_OFF,
+        }
+        say(tool, loop.time(), 2, Member(2, 1, 7), beats)
+        giving = asyncio.create_task(convey(tool, tool.robots[2], "start", None, 2.0))
+        while not giving.done():
+            await elapse(0.05)
+            say(tool, loop.time(), 2, beats)
+            if why in causes:
+                say(tool, loop.time(), 2, Standstill(2, causes[why], 0, 1, 0xFF, 0))
+            if why == "asks first" and loop.time() < asks_until_s:
+                say(tool, loop.time(), 2, Challenge(tool.slot, 2, 1))
+        assert why != "asks first" or loop.time() > asks_until_s, "said again after the proof"
+        return giving.result()
+
+    keyring = Keyring(KEYS, 200, b"1") if why == "asks first" else None
+    assert run_virtual(story(keyring)) is (why in ("held by another cause", "asks first"))
