@@ -418,12 +418,12 @@ class Gateway:
         effects: list[Out] = []
         stops = [stop._replace(told=True) for stop in self.stops.stops.values()]
         halves = [half for both in self.stops.resets.values() for half in both.values()]
-        for at in range(0, len(stops), STOPS_PER_MESSAGE):
-            effects += self._publish(BackboneKind.STOPS, tuple(stops[at : at + STOPS_PER_MESSAGE]))
         for at in range(0, len(halves), STOPS_PER_MESSAGE):
             effects += self._publish(
                 BackboneKind.RESETS, tuple(halves[at : at + STOPS_PER_MESSAGE])
             )
+        for at in range(0, len(stops), STOPS_PER_MESSAGE):
+            effects += self._publish(BackboneKind.STOPS, tuple(stops[at : at + STOPS_PER_MESSAGE]))
         return effects
 
     def _publish(self, kind: BackboneKind, body: Body, target: int = 0) -> list[Out]:

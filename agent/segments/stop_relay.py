@@ -30,6 +30,11 @@ from protocol.frames.segment_frames import (
 DOTS_MAX = 1024  # dots kept; beyond it those with a reset are dropped, oldest first
 REPEATS_MAX = 400  # 2 s of repetition, as a robot does; then beats without the stopped bit renew it
 TIMES_MIN = 2  # repeats even if all robots stand: some may stand for another cause
+# 100 ms of repetition of a stop that is only told and has a reset, in case that reset is forged.
+CLEARED_TIMES = 20
+TOLD_WAIT_US = (
+    50 * MS
+)  # a stop that another segment tells waits for its reset, which may come after it
 STANDBY_US = 8 * MS  # the leader's frame, and two in its way, are on the bus by then
 LIVE_US = 1 * S  # a robot received within this has to stop; the longest silence that is tolerated
 NEWS_BURST, NEWS_A_SECOND = 16, 20  # new dots from the backbone; one is enough to stop all robots
@@ -155,7 +160,7 @@ class StopRelay:
                 self._echoes.pop(dot, None)
             if not stop.told:
                 self._pressed_at_us[dot] = now_us
-            self._repeat(dot, stop.told, now_us)
+            self._repeat(dot, stop.told, now_us + (TOLD_WAIT_US if stop.told else 0))
 
     def on_backbone_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
         """Halves of resets from the backbone; complete ones are sent on our bus."""
@@ -213,7 +218,9 @@ class StopRelay:
         for dot, said in sorted(self._repeated.items(), key=lambda item: item[1].next_at_us):
             if said.next_at_us > now_us:
                 break
+            cleared = said.told and not self._active(dot)
             enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
+            enough = enough or (cleared and said.left <= REPEATS_MAX - CLEARED_TIMES)
             if said.left <= 0 or enough or self._leader_sent(dot):
                 del self._repeated[dot]
                 live, halted = self.halted(now_us)
@@ -221,6 +228,10 @@ class StopRelay:
                     self.disbelieved.add(dot)  # without a valid tag it held only while it was sent
                 continue
             self._repeated[dot] = Repetition(said.left - 1, now_us + STOP_REPEAT_US, said.told)
+            if cleared and said.left == REPEATS_MAX:  # else a robot that knows neither would latch
+                halves = list(self.resets[dot].values())
+                self._to_reset = [half for half in self._to_reset if half not in halves]
+                return [*halves, *halves]
             return [self.stops[dot]._replace(told=said.told)]
         halves, self._to_reset = self._to_reset[:2], self._to_reset[2:]
         return [*halves, *halves]

@@ -32,7 +32,7 @@ from protocol.name import GATEWAY_FUNCTION, Name
 from protocol.sync.map_sync import MapSync
 from sim.can.frame_timing import BIT_US, frame_bits
 from sim.can.simulated_bus import Segment, forget, segment
-from sim.fleet.event_loop import EventLoop
+from sim.fleet.event_loop import EventLoop, RunnerHandle
 from sim.fleet.scheduler import Script
 from sim.rigs.simulated_backbone import SimulatedBackbone
 
@@ -84,6 +84,7 @@ class SegmentFleet:
         self.areas = {k: ring_area(k, segments, home, shared) for k in self.segments}
         self.wires: dict[int, Segment] = {}
         self.runners: dict[tuple[int, int], PeerRunner] = {}
+        self._running: dict[tuple[int, int], RunnerHandle] = {}
         self.gateways: dict[int, list[GatewayRunner]] = {}
         self.halted_at_us: dict[tuple[int, int], int] = {}  # last zero command of each robot
         self.bits: Counter[int] = Counter()  # on each wire
@@ -138,8 +139,14 @@ class SegmentFleet:
                 self.halted_at_us[place] = now_us
 
         runner = self.event_loop.make_runner(peer, CanBus(bus), None, None, watch)
-        self.event_loop.start(runner)
+        self._running[place] = self.event_loop.start(runner)
         self.runners[place] = runner
+
+    def replace_robot(self, number: int, slot: int) -> None:
+        """A new robot without a memory takes the place of one that is switched off."""
+        self._running[number, slot].cancel()
+        self.runners[number, slot].bus.close()
+        self._boot(number, slot)
 
     def add_gateway(self, number: int) -> GatewayRunner:
         """Switch another gateway on in the segment with this number."""

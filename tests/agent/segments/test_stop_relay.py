@@ -2,7 +2,9 @@
 
 from agent.interface.config import MS, S
 from agent.segments.stop_relay import AGAIN_US, LIVE_US, StopRelay
-from protocol.frames.segment_frames import FleetStop
+from crdt.stops import RemoteStopDot
+from protocol.fleet_tags import plain_reset
+from protocol.frames.segment_frames import FleetReset, FleetStop
 
 ROBOT = 0x80  # bus address
 STOP = FleetStop(segment=1, slot=3, incarnation=1, counter=1)
@@ -17,6 +19,10 @@ def sent(relay: StopRelay, begins_at_us: int, for_us: int, beats: bool) -> int:
             relay.on_pose(ROBOT, False, now_us)
         frames += len(relay.on_tick(now_us))
     return frames
+
+
+def dot_of(m: FleetStop | FleetReset) -> RemoteStopDot:
+    return RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
 
 
 def relay_with_stop() -> StopRelay:
@@ -39,3 +45,27 @@ def test_a_stop_that_no_robot_obeys_is_not_sent_for_good() -> None:
     assert sent(relay, 0, 4 * S, beats=True)
     assert not sent(relay, 4 * S, 4 * S, beats=True)
     assert not sent(relay, 8 * S + 2 * LIVE_US, 4 * S, beats=True)
+
+
+def test_old_stops_that_are_told_are_said_after_their_resets_and_not_for_long() -> None:
+    """A gateway that restarts is told all stops there ever were. It said each for 2 s, and all resets
+    after that, so the reset of a stop that holds the robots now waited for minutes."""
+    relay = StopRelay(2, 0)
+    relay.leads = True
+    old = [STOP._replace(counter=count, told=True) for count in range(1, 11)]
+    relay.on_backbone_stops(old, 0)
+    relay.on_backbone_resets([half for stop in old for half in plain_reset(dot_of(stop))], MS)
+    now = STOP._replace(counter=99)
+    relay.on_backbone_stops([now], 10 * MS)
+    relay.on_backbone_resets(plain_reset(dot_of(now)), 20 * MS)
+    reset, last_at_us = set[RemoteStopDot](), 0
+    for now_us in range(0, 8 * S, MS):
+        if now_us % BEAT_US == 0:
+            relay.on_pose(ROBOT, False, now_us)
+        for said in relay.on_tick(now_us):
+            last_at_us = now_us
+            if isinstance(said, FleetReset):
+                reset.add(dot_of(said))
+            elif said.told:
+                assert dot_of(said) in reset, "else it would latch a robot that knows neither"
+    assert len(reset) == len(old) + 1 and last_at_us < 4 * S

@@ -412,3 +412,26 @@ def test_t5_an_old_stop_that_a_new_gateway_is_told_stops_nobody(fleet: SegmentFl
         fleet.run(10_000)
         assert all(peer.safety.may_move for peer in moving), f"seed {SEED}"
     bus.close()
+
+
+def test_an_old_stop_that_a_new_gateway_is_told_does_not_latch_a_new_robot(
+    fleet: SegmentFleet,
+) -> None:
+    """A robot that joins after the release has heard of neither. The gateway said the old stop for 2 s,
+    and the reset after that: the new robot latched alone, and a person had to release it."""
+    press(fleet, 1)
+    assert fleet.run(S, lambda: all_latched(fleet))
+    bus = panel_of(fleet, 1)
+    release(fleet, next(iter(fleet.peer(1, 0).safety.stops.active)), bus)
+    fleet.run(S)
+    fleet.replace_robot(2, 2)
+    assert fleet.run(8 * S, lambda: fleet.joined), f"seed {SEED}"
+    new = fleet.peer(2, 2)
+    assert not new.safety.far.cleared, "it knows of no stop"
+    for runner in list(fleet.gateways[2]):
+        fleet.kill_gateway(runner)
+    made = fleet.add_gateway(2)
+    assert fleet.run(8 * S, lambda: bool(made.gateway.stops.stops)), f"seed {SEED}"
+    fleet.run(5 * S)
+    assert new.safety.far.cleared and not new.safety.latched, f"seed {SEED}"
+    bus.close()
