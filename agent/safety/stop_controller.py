@@ -95,6 +95,7 @@ class StopController:
         self._own: dict[StopDot, int] = {}  # dots we repeat as their source -> repeats left
         self._free: set[int] = set()  # members that were not stopped at our press or later
         self._repeat_at_us, self._again, self._pressed_at_us = FOREVER_US, 0, -STOP_SPACING_US
+        self._newest: StopDot | None = None  # of our newest press
         self._answered_at_us = -ANSWER_SPACING_US
         self.buttons, self.button = ShortcutButtons(), OwnButton()
         self._asked_at_us = self._repeated_at_us = -ANSWER_SPACING_US
@@ -217,7 +218,7 @@ class StopController:
         # A second press within the spacing is the same press, unless an operator has cleared that one
         # meanwhile. A clock set back does not count as one.
         same = 0 <= now_us - self._pressed_at_us < STOP_SPACING_US
-        if same and StopCause.STOP_DOT in self._causes:
+        if same and self._newest in self.stops.active:
             return [HALT]
         self._again, self._renewals, self._free = AGAIN_MAX, RENEWALS_MAX, set(free)
         return self._press(reason, now_us)
@@ -226,6 +227,7 @@ class StopController:
         self._pressed_at_us = self.stopped_at_us = now_us
         dot, self.counter = self.stops.unused(self.slot, self.incarnation, self.counter)
         self.stops.press_own(dot)
+        self._newest = dot
         self._renew_at_us = FOREVER_US
         self.last_stop, self._reasons[dot] = (self.slot, reason), reason
         self._causes[StopCause.STOP_DOT] = f"pressed here: {reason.name}"

@@ -170,3 +170,18 @@ def test_a_cause_that_is_raised_with_an_earlier_end_keeps_its_own() -> None:
     assert safety.holds(StopCause.UNAUTHENTICATED_STOP)
     safety.on_tick(3 * S)
     assert not safety.holds(StopCause.UNAUTHENTICATED_STOP)
+
+
+def test_a_press_after_its_stop_was_cleared_is_a_new_one_before_the_reset_too() -> None:
+    """The machine is still latched by the stop that an operator has cleared. The press was taken for the
+    first one, so a release that was under way let the robot go."""
+    safety = StopController(0, 1, SilencePolicy.STOP, None, {}, 0)
+    safety.press(Reason.PERSON_IN_FIELD, 0)
+    (dot,) = safety.stops.active
+    safety.receive_stop(EmergencyStop(1, 1, 1, Reason.OPERATOR_INTERVENTION), 1, 10 * MS)
+    safety.receive_reset(EmergencyReset(*dot, 249), 50 * MS)
+    assert stops_of(safety.press(Reason.PERSON_IN_FIELD, 90 * MS)), (
+        "another stop holds it meanwhile"
+    )
+    safety.receive_reset(EmergencyReset(1, 1, 1, 249), 95 * MS)
+    assert safety.stops.latched and not safety.manual_reset(98 * MS)
