@@ -137,6 +137,8 @@ class OperatorDirective(Part):
         if command is Command.STOP:
             return self._stop(ctx)
         if command in (Command.GO_HOME, Command.SET_GOAL):
+            if not self.safety.started:  # its start would end the errand before it began
+                return [self._report(ReportKind.REFUSED, (0.0, 0.0))]
             goal = self.home if command is Command.GO_HOME else self._meant(m, now_us)
             return self._send(command, goal, now_us)
         ended = [] if command is Command.WAIT else self.over(f"an operator's {command.name}")
