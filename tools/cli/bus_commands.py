@@ -272,11 +272,16 @@ def show_map(
     metrics: Metrics = None,
     foxglove: Foxglove = None,
     json: Json = False,
+    ends_with_input: Annotated[bool, typer.Option("--ends-with-input", hidden=True)] = False,
 ) -> None:  # fmt: skip
     """Show a fleet in a browser: the newest launch, any bus, or a recorded run.
 
     Example: headland map runs/latest, or on a real bus: headland map -i socketcan -c can0
     """
+    if ends_with_input:  # as a launch starts it
+        from tools.common.child_process import end_with_input as begin
+
+        begin()
     _find_launch(interface, port, source, keys, scenario, operator_key, metrics, foxglove)
     from tools.livemap.command import show_map as command
 

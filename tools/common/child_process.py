@@ -5,9 +5,11 @@ own. `-P` excludes that folder.
 """
 
 import os
+import signal
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from threading import Thread
 
 PREFIX = __name__.removesuffix("tools.common.child_process")  # in a wheel: `headland.`
 ROOT = Path(__file__).resolve().parents[__name__.count(".")]  # the folder that imports begin at
@@ -26,3 +28,14 @@ def politely(nice: int) -> Callable[[], object] | None:
     """What a child does before it begins, so that others go first. None on Windows, which has neither
     niceness nor a moment between fork and exec."""
     return (lambda: os.nice(nice)) if hasattr(os, "nice") else None
+
+
+def end_with_input() -> None:
+    """End this process by SIGTERM when the process that started it closes the pipe of its input, or is
+    gone. Nothing may be written into that pipe."""
+
+    def wait() -> None:
+        os.read(sys.stdin.fileno(), 1)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    Thread(target=wait, daemon=True).start()

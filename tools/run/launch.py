@@ -295,13 +295,15 @@ class Launch:
         return {slot: process.pid for slot, process in running if process.returncode is None}
 
     async def _start_map(self) -> None:
-        """A process of its own, and a polite one: the bus and the robots go first."""
-        words = ["map", str(self.out), "--page-port", str(self.page_port)]
+        """A process of its own, and a polite one: the bus and the robots go first.
+
+        It ends with this one. A map that went on after a kill would keep the port of its page."""
+        words = ["map", str(self.out), "--page-port", str(self.page_port), "--ends-with-input"]
         words += [] if self.keys is None else ["--keys", self.keys]
         words += [] if self.operator_key is None else ["--operator-key", self.operator_key]
         self.map = await asyncio.create_subprocess_exec(
             *module_command("tools.cli.headland"), *words, start_new_session=True,
-            stdout=self.map_out, preexec_fn=politely(MAP_NICE),
+            stdin=asyncio.subprocess.PIPE, stdout=self.map_out, preexec_fn=politely(MAP_NICE),
         )  # fmt: skip
 
     async def _watch(self, end: asyncio.Event, seconds: float | None) -> bool:
@@ -357,8 +359,6 @@ class Launch:
             with contextlib.suppress(ProcessLookupError):
                 if process.stdin is not None:
                     process.stdin.close()  # a robot leaves the fleet, and ends; see `on_closed_input`
-                else:
-                    process.terminate()
         with contextlib.suppress(TimeoutError):
             async with asyncio.timeout(GRACE_S):
                 await asyncio.gather(*(p.wait() for p in running))

@@ -1,6 +1,7 @@
 """A launch with real processes: one killed, all stopped from outside, released, and none left over."""
 
 import asyncio
+import contextlib
 import json
 import os
 import signal
@@ -10,7 +11,7 @@ from socket import socket
 import pytest
 
 from tests.tools.complaint import Complaints
-from tests.tools.launching import WAIT_S, call, robots_up, start, states
+from tests.tools.launching import WAIT_S, call, robots_up, said, start, states
 
 HANG_S, TRIES = 1.5, 10  # longer than any silence is tolerated; looks until all are back
 
@@ -124,6 +125,39 @@ def test_robots_end_when_the_launcher_is_killed(tmp_path: Path) -> None:
     asyncio.run(story())
 
 
+@pytest.mark.skipif(not hasattr(os, "pidfd_open"), reason="orphans are watched by pidfd, of Linux")
+def test_the_map_ends_when_the_launcher_is_killed(tmp_path: Path) -> None:
+    """It kept the port of its page, so that the next launch could not have it."""
+
+    async def story() -> None:
+        launch = await start(
+            tmp_path, "launch", "small", "--robots", "1", "--map", "--page-port", "0"
+        )
+        await said(launch, "^map: (http.*)   ")
+        children = children_of(launch.pid)
+        launch.kill()
+        try:
+            await gone(children)
+        finally:
+            for pid in children:
+                with contextlib.suppress(ProcessLookupError):
+                    os.kill(pid, signal.SIGKILL)
+            await launch.wait()
+        assert len(children) == 2, "a robot and the map"
+
+    asyncio.run(story())
+
+
+def children_of(parent: int) -> list[int]:
+    """Processes whose parent is this one: the fourth field of their status, behind a name in brackets."""
+    found = []
+    for status in Path("/proc").glob("[0-9]*/stat"):
+        with contextlib.suppress(FileNotFoundError, ProcessLookupError):
+            if int(status.read_text().rpartition(")")[2].split()[1]) == parent:
+                found.append(int(status.parent.name))
+    return found
+
+
 def test_a_port_in_use_is_one_line(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
@@ -131,5 +165,5 @@ def test_a_port_in_use_is_one_line(
         taken.bind(("127.0.0.1", 0))
         taken.listen()
         words = f"launch small --port {taken.getsockname()[1]}"
-        said = Complaints(monkeypatch, capfd).of(words, tmp_path)
-    assert said.code == 2 and "--port" in said.line
+        told = Complaints(monkeypatch, capfd).of(words, tmp_path)
+    assert told.code == 2 and "--port" in told.line
