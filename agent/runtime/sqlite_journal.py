@@ -13,6 +13,10 @@ that were revealed. If it is further ahead, its mark cannot be trusted. In both 
 lost. A journal and a mark that are both replaced by older copies of themselves cannot be told from
 sound ones.
 
+What a full disk does not take is gone at the next start, and the newest state that it took may be from
+before a stop. So a failed write is noted in the mark, in place, where it needs no more room. The robot
+then starts latched, with all that the disk took.
+
 An open file that is deleted, or moved away with its folder, can still be written, and nothing of that is
 there after a restart. So each write looks whether the paths still lead to the files that are open.
 
@@ -32,12 +36,16 @@ from zlib import crc32
 from agent.interface.effects import Persist
 from agent.peer.journal_recovery import LOST, senseless
 from agent.runtime.files.private_file import OWNER, Narrowed, make_private, narrow
+from agent.safety.stop_controller import HOLD_KEY, LATCHED
 
 CHECK_SIZE = 4  # bytes of CRC-32 before each value
 NEWEST = "journal/newest"  # the record with the number of the newest write
 NUMBER = Struct("<Q")
 MARK = Struct("<QI")  # the same number in the mark, and its CRC-32
 MARK_PLACES, MARK_SPACING = 2, 4096  # numbers alternate between two places, a page of a disk apart
+FAILED_AT = MARK_PLACES * MARK_SPACING  # of the third place: whether a write has failed
+FAILED = b"a write has failed"
+MARK_BYTES = FAILED_AT + MARK_SPACING
 MARK_SUFFIX = "-mark"
 SUFFIXES = ("", "-wal", "-shm", MARK_SUFFIX)  # of the files of a journal
 LAG_MAX = 1  # writes that the mark may be behind: a crash between the commit and the mark
@@ -57,15 +65,17 @@ class UnreadableError(OSError):
 
 
 class Mark:
-    """The number of the newest write, in a file of its own."""
+    """The number of the newest write, and whether one has failed, in a file of its own."""
 
     def __init__(self, path: Path) -> None:
         """Reads the file if it exists. Raises OSError if it cannot be read."""
         self.path = path
         self._file: int | None = None
         self.number = 0  # the newest that can be read; 0: none
+        self.failed = False  # a write failed, and nobody has accounted for it
         with suppress(FileNotFoundError):
-            image = path.read_bytes()[: MARK_PLACES * MARK_SPACING]
+            image = path.read_bytes()[:MARK_BYTES]
+            self.failed = image[FAILED_AT:].startswith(FAILED)
             for place in range(MARK_PLACES):
                 raw = image[place * MARK_SPACING :][: MARK.size]
                 if len(raw) == MARK.size:
@@ -79,6 +89,14 @@ class Mark:
         self._put(number % MARK_PLACES * MARK_SPACING, MARK.pack(number, crc32(raw)))
         self._sync()
         self.number = number
+
+    def fail(self, failed: bool = True) -> None:
+        """Note that a write has failed, or that this was accounted for; durable when this returns. Raises
+        OSError.
+        """
+        self._put(FAILED_AT, FAILED if failed else bytes(len(FAILED)))
+        self._sync()
+        self.failed = failed
 
     def close(self) -> None:
         """Close the file; `set` opens it again."""
@@ -96,13 +114,13 @@ class Mark:
         os.fdatasync(self._file)
 
     def _opened(self) -> int:
-        """Open the file. A new one gets the room for both places first, so that a full disk does no
-        harm later.
+        """Open the file. It gets the room for all places first, so that a full disk does no harm
+        later.
         """
-        new = not self.path.exists()
         file = os.open(self.path, os.O_RDWR | os.O_CREAT | os.O_CLOEXEC, OWNER)
-        if new:
-            os.pwrite(file, bytes(MARK_PLACES * MARK_SPACING), 0)
+        size = os.fstat(file).st_size
+        if size < MARK_BYTES:
+            os.pwrite(file, bytes(MARK_BYTES - size), size)
             os.fsync(file)
             folder = os.open(self.path.parent, os.O_RDONLY | os.O_CLOEXEC)
             try:
@@ -165,7 +183,7 @@ class SqliteJournal:
         """Open a journal and load it: the journal, and its records by key.
 
         An unreadable one is put aside for people to inspect. The new one then has one
-        record, `LOST`, with the reason. Raises OSError.
+        record, `LOST`, with the reason. After a write that failed its robot is latched. Raises OSError.
         """
         try:
             journal = cls(path)
@@ -179,6 +197,10 @@ class SqliteJournal:
             return cls._without_memory(cls(path), str(problem))
         if not recalled and _aside(path, 1).exists():  # a crash while it was put aside
             return cls._without_memory(journal, "an earlier journal was put aside")
+        if journal.mark.failed:
+            journal.write([Persist(HOLD_KEY, LATCHED)])
+            journal.mark.fail(False)
+            return journal, journal.load()
         return journal, recalled
 
     @staticmethod
@@ -209,6 +231,14 @@ class SqliteJournal:
         """Write all of the records or none; they are durable when this returns.
 
         Raises OSError, also if a file of the journal was deleted or replaced while it was open."""
+        try:
+            self._write(records)
+        except OSError:
+            with suppress(OSError):
+                self.mark.fail()
+            raise
+
+    def _write(self, records: Iterable[Persist]) -> None:
         if self._number is None:
             self.load()
         assert self._number is not None

@@ -168,3 +168,44 @@ def test_item_9_a_journal_that_is_not_to_be_had_is_one_line(tmp_path: Path) -> N
         assert ended.returncode == 2 and len(said.splitlines()) == 1, said
         assert said.startswith("robot 1: its journal"), said
     owner.close()
+
+
+def test_item_9_a_stop_that_a_full_disk_did_not_take_stands_after_a_restart(tmp_path: Path) -> None:
+    """On one machine all disks are full at once, so no other robot told the stop again."""
+    path = tmp_path / "j"
+    journal, recalled = SqliteJournal.opened(path)
+    peer = boot(dict(recalled), first_boot=True)
+    journal.write([Persist(*peer.records.identity()), Persist(HOLD_KEY, b"\0")])
+    journal._database.execute("PRAGMA max_page_count=1")
+    pressed = peer.step(Press(Reason.OPERATOR_INTERVENTION), 1_000_000)
+    with pytest.raises(OSError, match="full"):
+        journal.write([Persist("a", bytes(99_999))])
+    with pytest.raises(OSError, match="full"):
+        journal.write(
+            [*[e for e in pressed if isinstance(e, Persist)], Persist("a", bytes(99_999))]
+        )
+    journal.close()
+    for _ in range(2):
+        journal, recalled = SqliteJournal.opened(path)
+        again = boot(dict(recalled))
+        assert again.safety.latched and not again.safety.unconfirmed
+        assert again.records.incarnation == peer.records.incarnation, "it keeps what the disk took"
+        assert not journal.mark.failed
+        journal.close()
+    journal, recalled = SqliteJournal.opened(path)
+    journal.write([Persist(HOLD_KEY, b"\0")])  # a person has released it
+    journal.close()
+    journal, recalled = SqliteJournal.opened(path)
+    assert recalled[HOLD_KEY] == b"\0" and not boot(dict(recalled)).safety.latched
+    journal.close()
+
+
+def test_item_9_a_mark_of_an_earlier_version_gets_its_third_place(tmp_path: Path) -> None:
+    journal, _ = SqliteJournal.opened(tmp_path / "j")
+    journal.write([Persist("a", b"1")])
+    journal.close()
+    os.truncate(tmp_path / f"j{MARK_SUFFIX}", 2 * 4096)
+    journal, _ = SqliteJournal.opened(tmp_path / "j")
+    journal.write([Persist("a", b"2")])
+    journal.close()
+    assert (tmp_path / f"j{MARK_SUFFIX}").stat().st_size == 3 * 4096 and not journal.mark.failed

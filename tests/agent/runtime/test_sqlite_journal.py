@@ -14,6 +14,7 @@ from agent.peer.journal_recovery import LOST
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import Mark, SqliteJournal, UnreadableError
 from agent.safety.stop_cause import StopCause
+from agent.safety.stop_controller import HOLD_KEY, LATCHED
 from protocol.links.bus import CanBus
 from sim.chaos import power_cuts
 from sim.chaos.durability_rules import Tape, record
@@ -59,6 +60,9 @@ class KilledMark(Mark):
         if number > self.last:
             raise InterruptedError("killed here")
         super().set(number)
+
+    def fail(self, failed: bool = True) -> None:
+        raise InterruptedError("killed before")
 
 
 def test_two_crashes_in_a_row_between_commit_and_mark_lose_nothing(tmp_path: Path) -> None:
@@ -152,7 +156,7 @@ def test_a_full_disk_is_an_error_and_keeps_what_was_there(tmp_path: Path) -> Non
         journal.write([Persist("a", b"2"), Persist("big", bytes(100_000))])
     journal.close()
     journal, recalled = SqliteJournal.opened(tmp_path / "j")
-    assert recalled == {"a": b"1"}
+    assert recalled == {"a": b"1", HOLD_KEY: LATCHED}
     journal.close()
 
 
