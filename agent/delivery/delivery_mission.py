@@ -141,7 +141,10 @@ class DeliveryMission(NavigationMission):
         if self.goal is not None:
             found[UNDER_WAY] = [self.goal]
         for task, order in self.dispatch.book.tasks.items():
-            if view.allocation.phase_of(task) is Phase.DONE or not self.house.known(order):
+            done = view.allocation.phase_of(task) is Phase.DONE or self.dispatch.taken_back(
+                task, view
+            )
+            if done or not self.house.known(order):
                 continue
             found[task] = [self.house.trip(order).dropoff]
             owner = view.allocation.owner_of(task)
@@ -268,10 +271,9 @@ class DeliveryMission(NavigationMission):
     def begin(self, section: int, view: FleetView) -> None:
         self.section, self._handling_at_us = section, None
 
-    def _taken_back(self, section: int) -> bool:
-        """Whether its order was taken back before we have picked the parcel up."""
-        order = self.dispatch.book.tasks.get(section)
-        return order is not None and order.withdrawn and self._load != section
+    def _taken_back(self, section: int, view: FleetView) -> bool:
+        """Whether its order was taken back before any robot has picked the parcel up."""
+        return self._load != section and self.dispatch.taken_back(section, view)
 
     def _unknown(self, section: int) -> bool:
         """Whether there is nothing to drive to: no order with this number, or no bay.
@@ -281,7 +283,7 @@ class DeliveryMission(NavigationMission):
         return not self.house.bays if section >= TASKS_MAX else section not in self.dispatch.book
 
     def approach(self, section: int, view: FleetView) -> MotionRequest:
-        if self._taken_back(section) or self._unknown(section):
+        if self._taken_back(section, view) or self._unknown(section):
             return MotionRequest(0.0, 0.0)
         self._go(self._goal(section, view))
         return self._drive(view)[0]
@@ -310,7 +312,7 @@ class DeliveryMission(NavigationMission):
         if section < TASKS_MAX and self._delivered(section, view):
             self._through()
             return MotionRequest(0.0, 0.0, covered=(PICKED, DELIVERED), finished=True)
-        if self._hopeless(section) or self._taken_back(section):
+        if self._hopeless(section) or self._taken_back(section, view):
             return self._given_up(section, view)
         if self._way_is_cut(section, view):
             return self._missing(section, view)

@@ -211,8 +211,10 @@ class TaskAllocation:
             if self._awarded.get(task, 0) > now_us:
                 continue
             phase = allocation.phase_of(task)
-            if phase is Phase.DONE or self.book.tasks[task].withdrawn:
+            if phase is Phase.DONE:
                 self._done.add(task)
+                continue
+            if self.taken_back(task, view):
                 continue
             owner = self._holder(task, phase, holder, view)
             if owner == self.slot and phase is Phase.FREE:
@@ -225,6 +227,11 @@ class TaskAllocation:
                 )
                 orphans.append((order.index(task) if task in order else -1, task))
         return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
+
+    def taken_back(self, task: int, view: FleetView) -> bool:
+        """Whether a task was taken back before its parcel was picked up, as far as we know."""
+        order = self.book.tasks.get(task)
+        return order is not None and order.withdrawn and not view.progress.bits(task, 0) & 1
 
     def _holder(
         self, task: int, phase: Phase, holder: dict[int, int], view: FleetView
@@ -259,7 +266,7 @@ class TaskAllocation:
             owner = view.allocation.owner_of(task)
             held = owner in view.live and not self.absence.leaves(owner, task, view)
             gone = owner is not None and (owner == self.slot or held)
-            done = view.allocation.phase_of(task) is Phase.DONE or self.book.tasks[task].withdrawn
+            done = view.allocation.phase_of(task) is Phase.DONE or self.taken_back(task, view)
             if done or gone or task in lower or task in self.cut:
                 continue
             kept.append(task)
@@ -529,6 +536,7 @@ def _plannable(dispatch: TaskAllocation, view: FleetView, task: int) -> bool:
         and view.allocation.phase_of(task) is Phase.FREE
         and not view.progress.bits(task, 0)
         and dispatch.house.known(order)
+        and not dispatch.taken_back(task, view)
         and task not in dispatch.cut
     )
 

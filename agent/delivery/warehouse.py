@@ -93,16 +93,17 @@ class Warehouse:
         return cell if cell < WITHDRAWN and not floor.walls[row + 1, column + 1] else None
 
     def known(self, order: TransportTask) -> bool:
-        """Whether both cells of an order are places of this building."""
+        """Whether the cells of an order are places of this building: of one taken back, its dropoff."""
         return all(
             self.place(cell)[1] < self.floor.cell_m * (self.floor.walls.shape[0] - 2)
             and self.cell(self.place(cell)) == cell
-            for cell in order
+            for cell in ((order.dropoff,) if order.withdrawn else order)
         )
 
     def trip(self, order: TransportTask) -> Trip:
-        """The places of an order."""
-        return Trip(self.place(order.pickup), self.place(order.dropoff))
+        """The places of an order. The pickup of one that was taken back is lost: it is the dropoff."""
+        dropoff = self.place(order.dropoff)
+        return Trip(dropoff if order.withdrawn else self.place(order.pickup), dropoff)
 
     # ---------------------------------------------------------------- costs
 

@@ -8,7 +8,7 @@ import pytest
 from agent.claims.standing_owners import STANDS_US
 from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.task_allocation import round_tasks_max
-from agent.delivery.task_outcome import TaskPhase, outcome_of
+from agent.delivery.task_outcome import PICKED_UP, TaskPhase, outcome_of
 from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.interface.config import ADDRESS_FIRST, S
@@ -502,6 +502,38 @@ def test_a_transport_that_is_taken_back_too_late_is_delivered() -> None:
 
     outcome, _ = play(scenario(), watch)
     assert taken and outcome.finished and outcome.replicas_equal
+
+
+@pytest.mark.slow
+def test_a_parcel_of_a_dead_robot_is_delivered_though_its_order_was_taken_back() -> None:
+    """Found: no robot fetched it, and its outcome stayed `aboard` for good."""
+    carriers: list[int] = []
+
+    def watch(cluster: DeliveryFleet) -> None:
+        if not carriers and cluster.truth.aboard:
+            carriers.extend(cluster.truth.aboard)
+            order = cluster.missions[carriers[0]].dispatch.book.tasks[0]
+            cluster.inject(TaskOrder(0, *order.taken_back))
+        elif carriers and len(cluster.running) == 2 and told(cluster):
+            cluster.kill(carriers[0])
+
+    def told(cluster: DeliveryFleet) -> bool:
+        return all(
+            cluster.missions[robot.slot].dispatch.book.tasks[0].withdrawn
+            and robot.peer.progress.bits(0, 0) & PICKED_UP
+            for robot in cluster.running
+        )
+
+    given = scenario(robots=2, random_tasks=1)
+    run = DeliveryRun(DeliverySetup(given))
+    fleets: list[DeliveryFleet] = []
+    run.watch, run.attach = watch, fleets.append
+    outcome = run.run()
+    (survivor,) = fleets[0].running
+    assert outcome.delivered == 1 and outcome.finished
+    order = fleets[0].missions[survivor.slot].dispatch.book.tasks[0]
+    told_at_last = outcome_of(0, order, survivor.peer.allocation, survivor.peer.progress)
+    assert told_at_last.phase is TaskPhase.DELIVERED and told_at_last.carrier == survivor.slot
 
 
 def test_a_device_without_keys_may_ask_which_tasks_there_are() -> None:
