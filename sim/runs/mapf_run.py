@@ -106,11 +106,11 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
         closed = self._closed_off(cluster, up)
         self.excused = closed | set(range(len(setting.goals))) - up
         there = [slot for slot in sorted(up - closed) if truth.at.get(slot) == setting.goals[slot]]
+        left = {slot for _, slot, cell in truth.visits if cell != setting.cells[slot]}
         moves = {
-            slot: 0 if setting.cells[slot] == setting.goals[slot] and came_at_us[slot] < first_at_us
-            else (came_at_us[slot] - first_at_us) / STEP_US
+            slot: (came_at_us[slot] - first_at_us) / STEP_US if slot in left else 0
             for slot in there
-        }  # fmt: skip
+        }
         conflict = self._follow(cluster, up, first_at_us)
         return {
             "map": setting.instance.name,

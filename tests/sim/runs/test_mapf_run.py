@@ -2,6 +2,7 @@
 
 import re
 
+import numpy as np
 import pytest
 
 from sim.files.grid_map import map_text, parse_map, random_walls
@@ -38,6 +39,15 @@ def test_all_arrive_and_two_validators_find_no_conflict(seed: int, loss: float) 
     steps = [re.findall(r"\((\d+),(\d+)\)", row) for row in rows]
     paths = {str(k): [tuple(map(int, step[k])) for step in steps] for k in range(8)}
     assert pymapf.find_first_conflict(paths) is None, seed
+
+
+def test_robots_that_stand_on_their_goals_cost_nothing() -> None:
+    """Found: where nobody had to move, each of them cost 0.03125."""
+    cells = [(0, 0), (1, 1)]
+    mapf = MapfInstance("pair", np.zeros((2, 2), dtype=np.bool_), cells, cells)
+    _, outcome = play(mapf)
+    assert outcome.success and outcome.arrived == 2
+    assert outcome.sum_of_costs == outcome.makespan == outcome.shortest == 0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
