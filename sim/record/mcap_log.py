@@ -34,7 +34,7 @@ from sim.record.mcap_schema import (
     things_of_message,
 )
 from sim.record.recording import Recording
-from sim.record.scene import FILE, Scene
+from sim.record.scene import FILE, Scene, drawable
 from sim.record.topics import (
     FIX,
     KINDS,
@@ -214,8 +214,7 @@ def _scene(path: Path) -> Scene | None:
         try:
             for attachment in make_reader(file).iter_attachments():
                 if attachment.name == FILE:
-                    scene: Scene = json.loads(attachment.data)
-                    return scene if isinstance(scene, dict) else None
+                    return drawable(json.loads(attachment.data))
         except Exception:  # a killed run has no index, and a damaged one may have any content
             return None  # its frames can be read without the scene
     return None

@@ -25,7 +25,7 @@ from sim.record.intent_stream import IntentListener
 from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
-from sim.record.scene import Scene, in_folder
+from sim.record.scene import Scene, drawable, in_folder
 from tools.common.bus_address import LAUNCH, AttachError, said_by
 from tools.common.bus_attach import stay_attached
 from tools.common.exit_codes import wrong
@@ -261,10 +261,9 @@ def _scene_of(scenario: str) -> Scene:
 
 def _scene_beside(source: Path) -> Scene | None:
     try:
-        scene = read_json(in_folder(source), REPORT_BYTES_MAX)
+        return drawable(read_json(in_folder(source), REPORT_BYTES_MAX))
     except GivenFileError:
         return None
-    return scene if isinstance(scene, dict) else None
 
 
 # -------------------------------------------------------------------- live

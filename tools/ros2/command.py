@@ -18,7 +18,7 @@ from agent.runtime.files.printable_text import printable
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
-from sim.record.scene import Scene, in_folder
+from sim.record.scene import Scene, drawable, in_folder
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import LAUNCH, Attached, AttachError, said_by, scenario_of_launch
 from tools.common.bus_attach import stay_attached
@@ -125,10 +125,11 @@ def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
         except ScenarioError as problem:
             raise SourceError(str(problem)) from None
     try:
-        scene = read_json(in_folder(Path(str(launch.get("folder", ".")))), REPORT_BYTES_MAX)
+        return drawable(
+            read_json(in_folder(Path(str(launch.get("folder", ".")))), REPORT_BYTES_MAX)
+        )
     except GivenFileError:
         return None
-    return scene if isinstance(scene, dict) else None
 
 
 def _proofs(operator_key: Path | None, lines: EventLines) -> ToolProofs | None:

@@ -1,12 +1,15 @@
 """What a map draws first: fields, arenas and floors."""
 
+import json
 from base64 import b64decode
+from typing import Any
 
 import numpy as np
 import pytest
 
 from agent.mapping.building import Floor
 from sim.files.grid_map import Instance
+from sim.record.scene import drawable
 from sim.record.scene_builder import scene_named, scene_of
 from sim.scenarios.coverage_setup import CoverageSetup
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
@@ -70,3 +73,27 @@ def test_by_name() -> None:
     assert scene_named("arena")["kind"] == "arena"
     with pytest.raises(ScenarioError):
         scene_named("nowhere")
+
+
+SCENES = {
+    "field": scene_of(FieldSetup(load("small"))),
+    "arena": scene_of(ExplorationSetup(load_arena("arena"))),
+}
+
+
+@pytest.mark.parametrize("kind", list(SCENES))
+def test_what_a_run_writes_can_be_drawn(kind: str) -> None:
+    assert drawable(json.loads(json.dumps(SCENES[kind]))) == SCENES[kind]
+
+
+@pytest.mark.parametrize("value", [None, "x", [[]], {"a": 1}, -1.5, float("nan"), 10**400])
+@pytest.mark.parametrize("kind", list(SCENES))
+def test_a_damaged_scene_is_none(kind: str, value: Any) -> None:
+    """Found: `"bitrate": null` and `"cells": 7` were tracebacks of `headland map` and of films."""
+    scene = SCENES[kind]
+    assert drawable(value) is None and drawable({}) is None and drawable([]) is None
+    for name in ("robots", "bitrate", "rings", "sections"):
+        assert drawable({**scene, name: value}) is None, name
+    assert drawable({**scene, "cells": 7}) is None
+    assert drawable({**scene, "cells": value} if value is not None else {}) is None
+    assert drawable({key: part for key, part in scene.items() if key != "width_m"}) is None
