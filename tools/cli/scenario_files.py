@@ -61,6 +61,8 @@ def new(file: Path, like: str, as_json: bool) -> int:
             raise ScenarioError(f"--like {like}: is none of {', '.join(sorted(ships))}")
         if file.suffix != ".toml":
             raise ScenarioError(f"{file}: a scenario file ends in .toml")
+        if any("\ud800" <= letter <= "\udfff" for letter in str(file)):  # bytes that are no UTF-8
+            raise ScenarioError(f"{str(file)!a}: is no UTF-8; choose another name")
         source = ships[like]
         text = read_text(source, SCENARIO_BYTES_MAX)
         line = f"name = {json.dumps(file.stem[:64], ensure_ascii=False)}"  # escaped as in TOML

@@ -78,6 +78,17 @@ def test_a_new_scenario_may_have_any_name(
     assert scenario_check.check([name], False) == 0
 
 
+@pytest.mark.parametrize("name", ["a\udcff.toml", "b\udcff/a.toml"])
+def test_a_new_scenario_has_no_name_that_is_no_utf_8(
+    name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Found: a name with a byte that is no UTF-8 ended in a traceback."""
+    monkeypatch.chdir(tmp_path)
+    assert scenario_files.new(Path(name), "small", False) == 2
+    said = capsys.readouterr().err
+    assert said.count("\n") == 1 and "is no UTF-8" in said and not list(tmp_path.iterdir())
+
+
 @pytest.mark.parametrize(
     ("words", "why"),
     [
