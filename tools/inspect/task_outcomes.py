@@ -1,15 +1,18 @@
 """`headland task list`, `status` and `withdraw`: what has become of the transports of a fleet."""
 
 import asyncio
+import sys
+from collections import Counter
 from typing import Any, NamedTuple
 
 from agent.delivery.task_outcome import TaskOutcome, TaskPhase, outcome_of
-from agent.delivery.task_registry import TransportTask
+from agent.delivery.task_registry import HIGHEST_ASKED, TransportTask
 from agent.delivery.warehouse import Warehouse
 from protocol.frames.codec import Malformed, decode
 from protocol.frames.delivery_frames import BUCKET_TASKS, TaskBookDigest, TaskOrder
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
+from protocol.name import TOOL_FUNCTION, Name
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import attach
@@ -20,11 +23,14 @@ from tools.operate.operator_device import Operator
 
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 ASK_S = 0.5  # between questions for orders; robots answer two a beat
-LEARN_S = 20.0  # for all orders: 500 of them take 13 s
+LEARN_S = 60.0  # for all orders: 500 of them take 13 s
+BUCKETS_ASKED = 16  # at once, of those that nobody has told: a share of 2 % of a slow bus
+ASKED_MAX = 2  # a bucket about which nobody says a word has no tasks; one question may be lost
 DUMB_S = (
     3.0  # without a further order: nobody answers, and a list without places is better than none
 )
 LOOK_S = 0.2
+UNFINISHED = f"headland: more tasks than robots tell in {LEARN_S:.0f} s: the list may lack some"
 AGAIN_S = 2.0  # between questions for registers while waiting
 NOT_DELIVERED = 1
 
@@ -56,6 +62,7 @@ class TaskListener:
         self.operator, self.inspector = Operator(bus, None), Inspector()
         self.known: set[int] = set()  # numbers that robots have told
         self.orders: dict[int, TransportTask] = {}
+        self._told: set[int] = set()  # buckets of which a robot has told which tasks it knows
         self._loop = asyncio.get_running_loop()
         bus.subscribe(self.hear)
 
@@ -64,33 +71,53 @@ class TaskListener:
         now_s = self._loop.time()
         self.operator.hear(now_s, frame)
         self.inspector.hear(now_s, frame)
-        _, message = decode(frame)
+        source, message = decode(frame)
         if isinstance(message, Malformed):
             return
         if isinstance(message, TaskBookDigest):
             bits = (k for k in range(BUCKET_TASKS) if message.bits >> k & 1)
             self.known.update(message.bucket * BUCKET_TASKS + k for k in bits)
+            if Name.unpack(self.operator.names.get(source, 0)).function != TOOL_FUNCTION:
+                self._told.add(message.bucket)  # a tool's question tells only what it has heard
         elif isinstance(message, TaskOrder):
             order = TransportTask(message.pickup, message.dropoff)
             self.orders[message.task] = max(order, self.orders.get(message.task, order))
             self.known.add(message.task)
 
-    async def learn(self) -> None:
-        """Ask until every task is known, with its order. Raises AttachError without a fleet."""
-        await self.operator.listen(LISTEN_S)
+    async def learn(self, only: int | None = None) -> bool:
+        """Ask until every task is known, with its order; `only`: until this one is. False if the time was
+        too short. Raises AttachError without a fleet."""
+        listening = asyncio.ensure_future(self.operator.listen(LISTEN_S))
+        while not listening.done():
+            self.operator.send(HIGHEST_ASKED)  # a round of all digests takes a second a bucket
+            await asyncio.wait([listening], timeout=ASK_S)
+        listening.result()
         if not self.known and not self.inspector.robots:
             raise AttachError("no delivering fleet is heard on this bus: headland launch warehouse")
         self.operator.ask_work()
-        learned = len(self.orders)
-        last_s, end_s = self._loop.time(), self._loop.time() + LEARN_S
-        while self.known - self.orders.keys() and self._loop.time() < min(last_s + DUMB_S, end_s):
-            if len(self.orders) > learned:
+        asked = Counter[int]()
+        learned, last_s, end_s = len(self.orders), self._loop.time(), self._loop.time() + LEARN_S
+        while self._unsure(only) and self._loop.time() < min(last_s + DUMB_S, end_s):
+            lacking = {task // BUCKET_TASKS for task in self.known - self.orders.keys()}
+            unasked = [b for b in self._unsure(only) if b not in lacking and asked[b] < ASKED_MAX]
+            if len(self.orders) > learned or unasked:
                 learned, last_s = len(self.orders), self._loop.time()
-            for bucket in {task // BUCKET_TASKS for task in self.known - self.orders.keys()}:
+            for bucket in lacking & set(self._unsure(only)) | set(unasked[:BUCKETS_ASKED]):
                 mine = {t % BUCKET_TASKS for t in self.orders if t // BUCKET_TASKS == bucket}
                 self.operator.send(TaskBookDigest(bucket, 0, 0, sum(1 << k for k in mine)))
+                asked[bucket] += 1
             await asyncio.sleep(ASK_S)
         await asyncio.sleep(ASK_S)  # the answers about registers may be under way
+        return self._loop.time() < end_s
+
+    def _unsure(self, only: int | None) -> list[int]:
+        """The buckets that may have more tasks than we know, or whose orders were not all heard; `only`:
+        as in `learn`."""
+        highest = max(self.known, default=0) // BUCKET_TASKS
+        wanted = range(highest + 1) if only is None else (only // BUCKET_TASKS,)
+        lacking = {task // BUCKET_TASKS for task in self.known - self.orders.keys()}
+        sure = self._told - lacking if only not in self.orders else set(wanted)
+        return [bucket for bucket in wanted if bucket not in sure]
 
     def task(self, number: int) -> ListedTask:
         """One task by what is known now."""
@@ -106,7 +133,8 @@ def list_tasks(house: Warehouse | None, where: Attached, as_json: bool) -> int:
         bus = attach(*where)
         try:
             listener = TaskListener(bus)
-            await listener.learn()
+            if not await listener.learn():
+                print(UNFINISHED, file=sys.stderr)
             return [listener.task(number) for number in sorted(listener.known)]
         finally:
             bus.close()
@@ -135,7 +163,7 @@ def status(
         bus = attach(*where)
         try:
             listener = TaskListener(bus)
-            await listener.learn()
+            await listener.learn(number)
             if number not in listener.known:
                 return None
             loop = asyncio.get_running_loop()

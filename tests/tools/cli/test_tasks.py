@@ -88,8 +88,9 @@ def test_the_list_of_tasks_is_one_document(
     class Heard(TaskListener):
         """A fleet that knows these tasks and has told no order."""
 
-        async def learn(self) -> None:
+        async def learn(self, only: int | None = None) -> bool:
             self.known.update(known)
+            return True
 
     monkeypatch.setattr(task_outcomes, "TaskListener", Heard)
     assert list_tasks(None, ("virtual", "one list", 250_000, "", 0), True) == 0
