@@ -31,6 +31,14 @@ def flag(name: str, value: object) -> bool:
     return value
 
 
+def text(name: str, value: object, wanted: str) -> str:
+    """The value of an option that is a text, for example an address. `wanted`: what it is to be, for the
+    person. Raises ValueError, one line, if it is none or empty."""
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"options.{name}: {value!r} is not {wanted}")
+    return value
+
+
 def antenna(ahead_m: object, left_m: object) -> tuple[float, float]:
     """Where an antenna is, metres ahead and left of the middle of the body. Raises ValueError."""
     return (

@@ -41,6 +41,7 @@ DISCARD: Final = struct.pack("ii", 1, 0)  # SO_LINGER: closing drops what was no
 LINE_MAX: Final = 1024  # bytes; a sentence has 82
 BAUD: Final = 115_200
 BAUD_MAX: Final = 4_000_000
+FORMS: Final = "serial:PATH[@BAUD], tcp://HOST:PORT or udp://HOST:PORT"  # of an address
 # What a device raises that is gone, is being closed by the other thread, or does not open any more.
 DEVICE_ERRORS: Final[tuple[type[Exception], ...]] = (
     OSError, ValueError, TypeError, *TERMINAL_ERRORS,
@@ -235,9 +236,11 @@ def _opener(address: str) -> Callable[[], DeviceStream]:
         return lambda: _serial(path, int(baud or BAUD))
     host, _, port = rest.removeprefix("//").rpartition(":")
     if kind not in ("tcp", "udp") or not port.isdecimal() or not 0 < int(port) < 1 << 16:
-        raise ValueError(
-            f"{address!r} is not serial:PATH[@BAUD], tcp://HOST:PORT or udp://HOST:PORT"
-        )
+        raise ValueError(f"{address!r} is not {FORMS}")
+    try:
+        host.encode("idna")
+    except UnicodeError:
+        raise ValueError(f"{address!r}: the host is no name of a computer") from None
     where = host, int(port)
     return (lambda: _tcp(where)) if kind == "tcp" else (lambda: _udp(where))
 

@@ -23,7 +23,7 @@ from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.motion.wheel_kinematics import WheelBase, WheelDrive
 from agent.runtime.bodies.bus_fixes import BusFixes
-from agent.runtime.bodies.line_port import LinePort
+from agent.runtime.bodies.line_port import FORMS, LinePort
 from agent.runtime.bodies.position_fixes import ReceiverClock
 from agent.runtime.bodies.wheel_sentences import NUMBERS, WheelSentence, pack
 from agent.runtime.files.field_file import plane
@@ -34,6 +34,7 @@ from agent.runtime.option_values import (
     antenna,
     number,
     origin_or_none,
+    text,
 )
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from protocol.frames.frame import Frame
@@ -110,12 +111,20 @@ class NmeaBody(RobotBody):
         self.antenna_m = antenna(antenna_ahead_m, antenna_left_m)
         self.latency_us = round(number("latency_ms", latency_ms, 0.0, LATENCY_MAX_MS) * MS)
         self.accuracy_m = accuracy(accuracy_m)
-        self.gnss = (
-            BusReceiver(gnss, self._heard)
-            if gnss.startswith(BUS)
-            else LinePort(gnss, self._take, receives=True)
-        )
-        self.wheels = LinePort(wheels, lambda line, at_us: None)
+        gnss = text("gnss", gnss, f"{FORMS}, or can:INTERFACE:CHANNEL")
+        wheels = text("wheels", wheels, FORMS)
+        try:
+            self.gnss = (
+                BusReceiver(gnss, self._heard)
+                if gnss.startswith(BUS)
+                else LinePort(gnss, self._take, receives=True)
+            )
+        except ValueError as problem:
+            raise ValueError(f"options.gnss: {problem}") from None
+        try:
+            self.wheels = LinePort(wheels, lambda line, at_us: None)
+        except ValueError as problem:
+            raise ValueError(f"options.wheels: {problem}") from None
         self.fixes: NmeaFixes | None = None
         self.frames: BusFixes | None = None
         self.wheel_drive: WheelDrive | None = None

@@ -15,7 +15,7 @@ from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.runtime.bodies.nmea_body import in_field
 from agent.runtime.bodies.nmea_fixes import NmeaFixes
-from agent.runtime.option_values import antenna, origin_or_none
+from agent.runtime.option_values import antenna, origin_or_none, text
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 
 LOG_BYTES_MAX = 1 << 28  # a day at 20 Hz
@@ -33,7 +33,8 @@ class ReplayBody(RobotBody):
         origin: tuple[float, float] | None = None,
     ) -> None:
         """`log`: a file of sentences. The other options are those of `NmeaBody`. Raises ValueError."""
-        self.log, self.origin = Path(log), origin_or_none(origin)
+        self.log = Path(text("log", log, "the name of a file of NMEA sentences"))
+        self.origin = origin_or_none(origin)
         self.antenna_m = antenna(antenna_ahead_m, antenna_left_m)
         self.seen: list[Observation] = []  # times since the first
         self._begins_at_us: int | None = None

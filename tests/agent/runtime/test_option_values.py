@@ -65,3 +65,28 @@ def test_options_that_make_sense_are_taken_as_they_are() -> None:
     body = NmeaBody(0, **PORTS, wheel_radius_m=1, latency_ms=0, origin=(52.0, 5))
     assert (body.wheel_radius_m, body.latency_us, body.origin) == (1.0, 0, (52.0, 5.0))
     assert (body.accuracy_m, body.antenna_m) == (inf, (0.0, 0.0))
+
+
+@pytest.mark.parametrize(
+    "value", [5, True, None, "", ["tcp://127.0.0.1:1"], "tcp://127.0.0.1:99999"]
+)
+@pytest.mark.parametrize("name", ["gnss", "wheels"])
+def test_an_address_that_is_none_is_told_by_its_option(name: str, value: Any) -> None:
+    """`gnss = 5` was "'int' object has no attribute 'startswith'", and other lines did not say which."""
+    with pytest.raises(ValueError, match=rf"\Aoptions\.{name}: [^\n]+ is not serial:PATH[^\n]+\Z"):
+        NmeaBody(0, **{**PORTS, name: value})
+
+
+def test_a_host_that_no_computer_can_have_is_told_before_it_is_called() -> None:
+    """A label of more than 63 letters is a UnicodeError where the connection is made."""
+    with pytest.raises(ValueError, match=r"\Aoptions\.gnss: [^\n]+ no name of a computer\Z"):
+        NmeaBody(0, **{**PORTS, "gnss": f"tcp://{'a' * 70}:1"})
+
+
+@pytest.mark.parametrize("value", [5, None, "", ["a.nmea"]])
+def test_the_log_of_a_drive_is_the_name_of_a_file(value: Any) -> None:
+    """`log = ""` said "Is a directory"."""
+    with pytest.raises(
+        ValueError, match=r"\Aoptions\.log: [^\n]+ is not the name of a file[^\n]+\Z"
+    ):
+        ReplayBody(0, value)
