@@ -29,6 +29,8 @@ from protocol.frames.fleet_frames import NOBODY, Pose
 from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError
+from sim.world.coverage_truth import sample_points
+from sim.world.reachable_ground import Unreached
 
 # A unit is done if this share of its stripe is. The outline of finished work is simplified by 2 cm,
 # which is 1 % of a stripe of 2 m at both of its sides.
@@ -92,6 +94,7 @@ class WorkPlan(NamedTuple):
     sections: int  # of the field
     done: int  # of them, before the plan
     robots: tuple[RobotPlan, ...]
+    unreached: tuple[Unreached, ...]  # ground of the field that these bodies cannot work, and why
 
     @property
     def ends_at_s(self) -> float:
@@ -133,6 +136,7 @@ def plan_work(setup: FieldSetup, done: WorkRecord | None = None, seed: int = 0) 
         field.name, field.polygon.area / 1e4, round(field.implement_width_m * 1000),
         drawn.rings(field.polygon), method, len(field.sections), len(field.sections) - len(left),
         tuple(drawn.robot(slot, rows_of[slot], jobs) for slot in sorted(robots)),
+        setup.ground(sample_points(field.polygon, field.implement_width_m, field.overlap_m)).unreached,
     )  # fmt: skip
 
 

@@ -132,15 +132,16 @@ def _told(planned: WorkPlan) -> dict[str, object]:
             }
             for robot in planned.robots
         ],
+        "unreached": [part._asdict() for part in planned.unreached],
     }
 
 
 def _print(plans: list[WorkPlan], files: list[str]) -> None:
     console = Console()
     for planned in plans:
-        left = planned.sections - planned.done
+        open_sections = planned.sections - planned.done
         table = Table(
-            title=f"{escape(printable(planned.name))}: {planned.hectares:.2f} ha, {left} of "
+            title=f"{escape(printable(planned.name))}: {planned.hectares:.2f} ha, {open_sections} of "
             f"{planned.sections} sections, {planned.ends_at_s:.0f} s"
         )
         table.add_column("robot", justify="right")
@@ -153,5 +154,8 @@ def _print(plans: list[WorkPlan], files: list[str]) -> None:
                 f"{robot.work_for_s:.0f}", f"{robot.ways_for_s:.0f}", f"{robot.ends_at_s:.0f}",
             )  # fmt: skip
         console.print(table)
+        left = "; ".join(f"{part.area_m2:.1f} m2 {part.why}" for part in planned.unreached)
+        if left:
+            console.print(f"never worked: {left}", soft_wrap=True)
     for file in files:
         console.print(escape(file), soft_wrap=True)

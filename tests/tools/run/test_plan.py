@@ -282,3 +282,22 @@ def test_every_field_of_farm_software_is_planned(tmp_path: Path, name: str) -> N
     data, _ = isoxml_from_path(tmp_path / "TASKDATA")
     assert len(data.partfields) == len(json.loads(done.stdout)["fields"])
     ElementTree.parse(tmp_path / "plan.kml")
+
+
+def test_ground_that_no_robot_can_reach_is_told(tmp_path: Path) -> None:
+    """Found: the far half of a field with a neck 1 m wide was planned without a word."""
+    corners = [(0, 0), (40, 0), (20.5, 30), (40, 60), (0, 60), (19.5, 30), (0, 0)]
+    ring = [(5.0 + x_m / 68_500, 52.0 + y_m / 111_300) for x_m, y_m in corners]
+    outline = {
+        "type": "Feature",
+        "properties": {},
+        "geometry": {"type": "Polygon", "coordinates": [ring]},
+    }
+    (tmp_path / "neck.geojson").write_text(json.dumps(outline))
+    (tmp_path / "neck.toml").write_text(
+        'name = "neck"\n[fleet]\nrobots = 2\n[field]\nfile = "neck.geojson"\nimplement_width_m = 3.0\n'
+    )
+    (told,) = json.loads(call(tmp_path / "neck.toml", "--json").stdout)["fields"]
+    (apart_m2,) = [part["area_m2"] for part in told["unreached"] if "passages" in part["why"]]
+    assert 400.0 < apart_m2 < 650.0
+    assert "m2 behind passages that are too narrow" in call(tmp_path / "neck.toml").stdout
