@@ -11,6 +11,7 @@ from tools.operate.operator_device import Operator
 
 AT_ONCE = 500  # frames between two looks at the keyboard, at full speed
 PERIOD_S = 0.05  # frames of a log are given in portions of this, times the speed
+SILENCE_S = 10.0  # a longer gap of a log, as of a clock that was set, is shown as one of this
 HEARD_S = 0.3  # by then we are on the bus
 
 
@@ -21,7 +22,7 @@ def from_log(frames: Iterable[tuple[int, Frame]], inspector: Inspector, at_once:
         log_s: float | None = None
         for number, (t_us, frame) in enumerate(frames):
             t_s = t_us / 1e6
-            log_s = t_s if log_s is None else log_s
+            log_s = t_s if log_s is None else max(log_s, t_s - SILENCE_S)
             await screen.running.wait()
             if at_once and number % AT_ONCE == 0:
                 await asyncio.sleep(0)
