@@ -31,6 +31,7 @@ from crdt import FieldAllocationCRDT
 from protocol.authentication import Keys
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
+from protocol.links.bus import CanBus
 from protocol.name import fleet_name
 from tools.common.bus_address import CHANNEL, AttachError
 from tools.common.bus_attach import stay_attached
@@ -39,6 +40,7 @@ from tools.common.exit_codes import wrong
 
 TICK_S = 0.005
 GOODBYE_S = 0.2
+LOST_LOOK_S = 0.5
 SQUARE_M: float = 10_000.0  # in a hectare
 
 
@@ -163,22 +165,34 @@ async def _serve(
         running = asyncio.create_task(runner.run())
         serving = asyncio.create_task(Service(controller, bus, runner, sayer).serve())
         ending = asyncio.create_task(_told_to_end())
+        losing = asyncio.create_task(_until_lost(buses))
         done, _ = await asyncio.wait(
-            {running, serving, ending}, return_when=asyncio.FIRST_COMPLETED
+            {running, serving, ending, losing}, return_when=asyncio.FIRST_COMPLETED
         )
         if ending in done:
             await runner.leave()
             await asyncio.sleep(GOODBYE_S)
-        for task in (running, serving, ending):
+        for task in (running, serving, ending, losing):
             task.cancel()
         failures = await asyncio.gather(running, serving, return_exceptions=True)
         for failure in failures:
             if isinstance(failure, Exception):
                 raise failure
+        if losing in done:
+            raise AttachError(losing.result())
         area_ha = ground.area_m2() / SQUARE_M
         sayer.say("end", f"{area_ha:.2f} ha worked, by all", worked_ha=round(area_ha, 4))
     finally:
         journal.close()
+
+
+async def _until_lost(buses: tuple[Bus, Bus | None]) -> str:
+    """Why one of the interfaces does not come back by itself. A link of socketcand renews its own."""
+    while True:
+        for bus in buses:
+            if isinstance(bus, CanBus) and bus.lost is not None:
+                return bus.lost
+        await asyncio.sleep(LOST_LOOK_S)
 
 
 async def _told_to_end() -> None:
