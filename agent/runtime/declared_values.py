@@ -17,7 +17,7 @@ from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder, Tas
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
 from agent.interface.identity import SilencePolicy
 from agent.interface.vehicle import DriveTrain, Vehicle
-from crdt.occupancy import Geometry
+from crdt.occupancy import SIDE_MAX, Geometry
 from crdt.sighting import MergeOrder
 
 XY = tuple[float, float]  # metres east and north
@@ -145,6 +145,12 @@ class UnknownPlaceTable(Table):
         """The cells of the map, with the origin of the place in its middle."""
         rows, columns = (round(m / self.cell_m) for m in (self.height_m, self.width_m))
         return Geometry(rows, columns, (-self.width_m / 2, -self.height_m / 2), self.cell_m)
+
+    @property
+    def too_fine(self) -> str:
+        """What is wrong if the place has more cells than a map; else empty."""
+        cells = max(self.geometry[:2])
+        return f"{cells} cells from side to side, a map has at most {SIDE_MAX}" * (cells > SIDE_MAX)
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Whether a point is within the rectangle."""

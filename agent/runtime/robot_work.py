@@ -156,6 +156,8 @@ def _errands(robot: RobotFile, table: NavigationTable, now_us: int) -> Work:
 def _unknown_place(robot: RobotFile, table: ExplorationTable, now_us: int) -> Work:
     slot, fleet, geometry = robot.robot.slot, robot.fleet, table.geometry
     _any_direction(robot, "exploration")
+    if table.too_fine:
+        raise RobotError(f"robot {slot}: exploration.cell_m: {table.too_fine}")
     for number, order in enumerate(table.order):
         if not all(table.holds(*point) for point in order.points):
             raise RobotError(

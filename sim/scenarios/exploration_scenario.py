@@ -74,6 +74,8 @@ class ExplorationSetup(FleetSetup):
                 f"{scenario.name}: arena.starts: {len(table.starts)} places for "
                 f"{scenario.fleet.robots} robots"
             )
+        if table.too_fine:
+            raise ScenarioError(f"{scenario.name}: arena.cell_m: {table.too_fine}")
         _check_starts(scenario)
         for number, order in enumerate(scenario.order):
             if not all(table.holds(*point) for point in order.points):

@@ -74,6 +74,11 @@ def test_coverage_of_a_grid() -> None:
             {},
             "exploration.order.0.points: outside",
         ),
+        (
+            {"exploration": {"width_m": 8.0, "height_m": 96.0, "cell_m": 0.05}},
+            {},
+            "exploration.cell_m: 1920 cells from side to side, a map has at most 960",
+        ),
         (COVERAGE, {"radius_m": 0.8}, "coverage.cell_m: 2 m is too small"),
         ({**COVERAGE, **NAVIGATION}, {}, "a robot has one work"),
     ],

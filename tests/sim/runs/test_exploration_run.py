@@ -136,6 +136,13 @@ def test_orders_out_of_the_arena_are_refused() -> None:
         ExplorationRun(scenario.model_copy(update={"order": [away]}))
 
 
+def test_an_arena_of_more_cells_than_a_map_has_is_refused() -> None:
+    scenario = load_arena("arena")
+    fine = scenario.arena.model_copy(update={"width_m": 96.0, "cell_m": 0.05})
+    with pytest.raises(ScenarioError, match=r"arena\.cell_m: 1920 cells from side to side"):
+        ExplorationRun(scenario.model_copy(update={"arena": fine}))
+
+
 @pytest.mark.slow
 def test_without_sharing_everybody_sees_everything() -> None:
     scenario = load_arena("arena").changed(2, 1)
