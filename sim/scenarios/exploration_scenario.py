@@ -130,8 +130,7 @@ class ExplorationSetup(FleetSetup):
     def open(self) -> NDArray[np.bool_]:
         """(rows, columns): cells that can be seen: free, and connected with the first start."""
         regions, _ = scipy.ndimage.label(~self.solid)
-        found: NDArray[np.bool_] = regions == regions[self.geometry.cell(self.starts[0])]
-        return found
+        return self._region_of_start(regions)
 
     @cached_property
     def reachable(self) -> NDArray[np.bool_]:
@@ -142,10 +141,25 @@ class ExplorationSetup(FleetSetup):
             np.pad(self.solid, 1, constant_values=True), iterations=reach
         )
         regions, _ = scipy.ndimage.label(~fat[1:-1, 1:-1])
-        home = regions == regions[self.geometry.cell(self.starts[0])]
+        home = self._region_of_start(regions)
         found: NDArray[np.bool_] = (
             scipy.ndimage.binary_dilation(home, iterations=reach + 2) & self.open
         )
+        return found
+
+    def _region_of_start(self, regions: NDArray[np.int32]) -> NDArray[np.bool_]:
+        """(rows, columns): the region nearest to the first start; its cell alone if there is none.
+
+        `regions`: (rows, columns), 0 where none is. A body may start nearer to a wall than the cells of a
+        region are.
+        """
+        start, cells = self.geometry.cell(self.starts[0]), np.argwhere(regions)
+        found: NDArray[np.bool_] = np.zeros(regions.shape, dtype=np.bool_)
+        if len(cells):
+            gap = np.hypot(*(cells - start).T)
+            found = regions == regions[tuple(cells[np.argmin(gap)])]
+        else:
+            found[start] = True
         return found
 
 

@@ -9,7 +9,7 @@ from agent.exploration.exploration_task import ExplorationOrder, FleetFullError,
 from agent.interface.config import S
 from sim.runs.exploration_fleet import Sharing
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
-from sim.scenarios.exploration_scenario import load_arena
+from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.scenario import (
     Crash,
     DeafWheels,
@@ -141,6 +141,19 @@ def test_an_arena_of_more_cells_than_a_map_has_is_refused() -> None:
     fine = scenario.arena.model_copy(update={"width_m": 96.0, "cell_m": 0.05})
     with pytest.raises(ScenarioError, match=r"arena\.cell_m: 1920 cells from side to side"):
         ExplorationRun(scenario.model_copy(update={"arena": fine}))
+
+
+@pytest.mark.parametrize("start", [(-2.34, -1.5), (-2.34, -2.34)])
+def test_what_can_be_seen_is_the_same_from_a_start_beside_a_wall(
+    start: tuple[float, float],
+) -> None:
+    scenario = load_arena("arena").changed(1, 1)
+    here = scenario.arena.model_copy(update={"starts": [start]})
+    near, away = (
+        ExplorationSetup(scenario.model_copy(update={"arena": here})),
+        ExplorationSetup(scenario),
+    )
+    assert (near.reachable == away.reachable).all()
 
 
 @pytest.mark.slow
