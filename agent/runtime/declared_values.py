@@ -7,7 +7,7 @@ and a value out of range are errors of one line (`first_error`).
 import re
 from collections.abc import Sequence
 from difflib import get_close_matches
-from math import radians
+from math import ceil, radians
 from typing import Any, Literal, get_args
 
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
@@ -17,7 +17,7 @@ from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder, Tas
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
 from agent.interface.identity import SilencePolicy
 from agent.interface.vehicle import DriveTrain, Vehicle
-from crdt.occupancy import SIDE_MAX, Geometry
+from crdt.occupancy import EDGE, SIDE_MAX, Geometry
 from crdt.sighting import MergeOrder
 
 XY = tuple[float, float]  # metres east and north
@@ -142,8 +142,8 @@ class UnknownPlaceTable(Table):
 
     @property
     def geometry(self) -> Geometry:
-        """The cells of the map, with the origin of the place in its middle."""
-        rows, columns = (round(m / self.cell_m) for m in (self.height_m, self.width_m))
+        """The cells of the map, with the origin of the place in its middle. They cover all of it."""
+        rows, columns = (ceil(m / self.cell_m - EDGE) for m in (self.height_m, self.width_m))
         return Geometry(rows, columns, (-self.width_m / 2, -self.height_m / 2), self.cell_m)
 
     @property

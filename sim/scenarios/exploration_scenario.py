@@ -117,12 +117,14 @@ class ExplorationSetup(FleetSetup):
 
     @cached_property
     def solid(self) -> NDArray[np.bool_]:
-        """(rows, columns): cells that a solid object covers for the most part."""
+        """(rows, columns): cells of which the most part is in a solid object, or behind the wall."""
         g = self.geometry
         x = g.origin_m[0] + (np.arange(g.columns) + 0.5) * g.cell_m
         y = g.origin_m[1] + (np.arange(g.rows) + 0.5) * g.cell_m
-        solid = np.zeros((g.rows, g.columns), dtype=np.bool_)
-        for west, south, east, north in self.scenario.arena.solid:
+        table = self.scenario.arena
+        solid: NDArray[np.bool_] = np.abs(y)[:, None] > table.height_m / 2
+        solid = solid | (np.abs(x) > table.width_m / 2)[None, :]
+        for west, south, east, north in table.solid:
             solid |= ((y > south) & (y < north))[:, None] & ((x > west) & (x < east))[None, :]
         return solid
 

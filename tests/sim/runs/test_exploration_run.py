@@ -156,6 +156,17 @@ def test_what_can_be_seen_is_the_same_from_a_start_beside_a_wall(
     assert (near.reachable == away.reachable).all()
 
 
+@pytest.mark.parametrize("side_m", [1.4, 4.04, 4.06])
+def test_cells_that_do_not_divide_an_arena_cover_all_of_it(side_m: float) -> None:
+    scenario = load_arena("arena").changed(1, 1)
+    corner = side_m / 2 - 0.16
+    sides = {"width_m": side_m, "height_m": side_m, "cell_m": 1.0 if side_m < 2.0 else 0.1}
+    arena = scenario.arena.model_copy(update={**sides, "solid": [], "starts": [(corner, corner)]})
+    assert arena.geometry.holds((side_m / 2 - 1e-6, side_m / 2 - 1e-6))
+    outcome = ExplorationRun(scenario.model_copy(update={"arena": arena})).run()
+    assert outcome.success, outcome
+
+
 @pytest.mark.slow
 def test_without_sharing_everybody_sees_everything() -> None:
     scenario = load_arena("arena").changed(2, 1)
