@@ -11,6 +11,7 @@ from agent.exploration.lone_exploration import LoneExploration
 from agent.interface.lifecycle import State
 from agent.runtime.mission_parts import MAP_TICK_US, exploration_parts
 from agent.runtime.peer_factory import MissionParts
+from crdt import Phase
 from crdt.hybrid_clock import HybridClock
 from crdt.occupancy import OccupancyMap
 from crdt.sighting import TIME_MAX
@@ -83,12 +84,17 @@ class ExplorationFleet(Cluster):
 
     @property
     def finished(self) -> bool:
-        """Whether no robot that may drive has a task, or sees a frontier that it could reach."""
+        """Whether every order is done, and no robot that may drive has a task or sees a frontier that it
+        could reach."""
         running = [robot for robot in self.running if robot.peer.safety.may_move]
         return bool(running) and all(
             robot.peer.mission is not None
             and self.missions[robot.slot].over
             and self.missions[robot.slot].task is None
+            and all(
+                robot.peer.allocation.phase_of(section) is Phase.DONE
+                for section in self.missions[robot.slot].orders
+            )
             and robot.peer.state is State.IDLE
             for robot in running
         )

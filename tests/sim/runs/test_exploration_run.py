@@ -117,6 +117,15 @@ def test_orders_are_carried_out_by_somebody() -> None:
             assert min((a - x) ** 2 + (b - y) ** 2 for a, b in ends) < 0.2**2
 
 
+def test_a_run_does_not_end_well_before_an_order_is_done() -> None:
+    scenario = load_arena("arena").changed(2, 1)
+    west, south, east, north = scenario.arena.solid[0]
+    inside = ExplorationOrder(TaskKind.NAVIGATE_TO, (((west + east) / 2, (south + north) / 2),))
+    run = scenario.run.model_copy(update={"time_limit_s": 60.0})
+    outcome = ExplorationRun(scenario.model_copy(update={"run": run}), orders=[inside]).run()
+    assert outcome.explored >= 0.98 and not outcome.finished and not outcome.success, outcome
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["dropout", "split"])
 def test_what_ships_with_troubles_ends_well(name: str) -> None:
