@@ -20,6 +20,7 @@ from agent.exploration.exploration_task import (
     FleetTask,
     Status,
     TaskKind,
+    view_cells,
 )
 from agent.exploration.frontier import (
     Frontier,
@@ -49,8 +50,6 @@ LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36
 UNTAKEN_US = 5 * S
 SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
 STAYS_M = 1.0  # a robot that moves further than this does not stand
-VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
-VIEW_MAX_M = 1.0
 
 
 class ExplorationMission(Mission):
@@ -77,7 +76,7 @@ class ExplorationMission(Mission):
         self.chart, self.limits = chart, limits
         self.orders = {ORDERS_FIRST + k: order for k, order in enumerate(orders)}
         geometry = chart.geometry
-        self.view_cells = int(min(VIEW_MAX_M, VIEW_SHARE * chart.range_m) / geometry.cell_m)
+        self.view_cells = view_cells(chart.range_m, geometry.cell_m)
         self.task: FleetTask | None = None
         self.ended: Counter[Status] = Counter()  # how many of our own tasks ended with each status
         self.last_merge = MergeResult(0, 0, 0)

@@ -8,6 +8,20 @@ XY = tuple[float, float]  # metres east and north
 ROBOTS_MAX = 10  # default size of a fleet; a record of the map has room for 32 observers
 ORDERS_FIRST = 0xFF00  # first section of an order; patches of the map are below
 ORDERS_MAX = 64  # of the 256 sections from there on
+AT_M = 0.12  # this near to a waypoint, it is reached
+VIEW_SHARE = 0.5  # share of the sensor range from which a station sees its frontier
+VIEW_MAX_M = 1.0
+BEYOND_CELLS = 2.0  # from a frontier's middle to where a ray has passed the cell beyond, slantwise
+
+
+def view_cells(range_m: float, cell_m: float) -> int:
+    """The number of cells between a station and a frontier that it looks at; 0: sensors are too short.
+
+    `range_m`: of the sensors. `cell_m`: side of a cell. A robot may stand `AT_M` from its station, and a
+    ray must pass the cell beyond the frontier as a whole.
+    """
+    view_m = min(VIEW_MAX_M, VIEW_SHARE * range_m, range_m - AT_M - BEYOND_CELLS * cell_m)
+    return max(int(view_m / cell_m), 0)
 
 
 class FleetFullError(ValueError):

@@ -9,6 +9,7 @@ from math import ceil, dist, hypot, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.exploration.exploration_task import AT_M
 from agent.interface.config import S
 from agent.interface.mission import STILL, FleetView, MotionRequest
 from agent.interface.motion_controller import BodyLimits
@@ -22,7 +23,6 @@ SAMPLES = 2  # of a path for each cell, so that only corners of cells are left o
 TURN_RAD_S = 0.8  # a robot turns as it drives, so that its rays leave no cell between them
 STUCK_US = 8 * S  # a target fails if the robot gets no nearer by `NEARER_M` for this long
 NEARER_M = 0.1
-AT_M = 0.12  # this near to a waypoint, it is reached
 TURN_ROUND = STILL._replace(turn_rad_s=TURN_RAD_S)
 
 

@@ -13,7 +13,14 @@ from typing import Any, Literal, get_args
 from pydantic import BaseModel, ConfigDict, Field, GetCoreSchemaHandler, ValidationError
 from pydantic_core import CoreSchema
 
-from agent.exploration.exploration_task import ROBOTS_MAX, ExplorationOrder, TaskKind
+from agent.exploration.exploration_task import (
+    AT_M,
+    BEYOND_CELLS,
+    ROBOTS_MAX,
+    ExplorationOrder,
+    TaskKind,
+    view_cells,
+)
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
 from agent.interface.identity import SilencePolicy
 from agent.interface.vehicle import DriveTrain, Vehicle
@@ -151,6 +158,15 @@ class UnknownPlaceTable(Table):
         """What is wrong if the place has more cells than a map; else empty."""
         cells = max(self.geometry[:2])
         return f"{cells} cells from side to side, a map has at most {SIDE_MAX}" * (cells > SIDE_MAX)
+
+    @property
+    def too_short(self) -> str:
+        """What is wrong if the sensors do not reach beyond a frontier; else empty."""
+        if view_cells(self.range_m, self.cell_m):
+            return ""
+        least_m = AT_M + (BEYOND_CELLS + 1.0) * self.cell_m
+        cells = f"cells of {self.cell_m:g} m"
+        return f"{self.range_m:g} m is too short for {cells}, which need {least_m:.2f} m"
 
     def holds(self, x_m: float, y_m: float) -> bool:
         """Whether a point is within the rectangle."""

@@ -158,6 +158,8 @@ def _unknown_place(robot: RobotFile, table: ExplorationTable, now_us: int) -> Wo
     _any_direction(robot, "exploration")
     if table.too_fine:
         raise RobotError(f"robot {slot}: exploration.cell_m: {table.too_fine}")
+    if table.too_short:
+        raise RobotError(f"robot {slot}: exploration.range_m: {table.too_short}")
     for number, order in enumerate(table.order):
         if not all(table.holds(*point) for point in order.points):
             raise RobotError(

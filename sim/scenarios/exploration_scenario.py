@@ -76,6 +76,8 @@ class ExplorationSetup(FleetSetup):
             )
         if table.too_fine:
             raise ScenarioError(f"{scenario.name}: arena.cell_m: {table.too_fine}")
+        if table.too_short:
+            raise ScenarioError(f"{scenario.name}: arena.range_m: {table.too_short}")
         _check_starts(scenario)
         for number, order in enumerate(scenario.order):
             if not all(table.holds(*point) for point in order.points):

@@ -4,7 +4,8 @@ from math import dist
 
 import pytest
 
-from agent.exploration.frontier_path import AT_M, STUCK_US, TURN_ROUND, FrontierPath
+from agent.exploration.exploration_task import AT_M
+from agent.exploration.frontier_path import STUCK_US, TURN_ROUND, FrontierPath
 from agent.interface.mission import FleetView
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation

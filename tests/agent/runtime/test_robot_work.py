@@ -79,6 +79,11 @@ def test_coverage_of_a_grid() -> None:
             {},
             "exploration.cell_m: 1920 cells from side to side, a map has at most 960",
         ),
+        (
+            {"exploration": {"width_m": 8.0, "height_m": 6.0, "cell_m": 0.5}},
+            {},
+            "exploration.range_m: 1.5 m is too short for cells of 0.5 m, which need 1.62 m",
+        ),
         (COVERAGE, {"radius_m": 0.8}, "coverage.cell_m: 2 m is too small"),
         ({**COVERAGE, **NAVIGATION}, {}, "a robot has one work"),
     ],

@@ -152,6 +152,23 @@ def test_an_arena_of_more_cells_than_a_map_has_is_refused() -> None:
         ExplorationRun(scenario.model_copy(update={"arena": fine}))
 
 
+def test_sensors_that_see_nothing_beyond_a_frontier_are_refused() -> None:
+    """The fleet found nothing to explore and ended with a quarter of the place seen."""
+    scenario = load_arena("arena")
+    coarse = scenario.arena.model_copy(update={"cell_m": 0.5})
+    with pytest.raises(
+        ScenarioError, match=r"arena\.range_m: 1\.5 m is too short for cells of 0\.5 m"
+    ):
+        ExplorationRun(scenario.model_copy(update={"arena": coarse}))
+
+
+def test_stations_are_so_near_that_short_sensors_see_beyond_the_frontier() -> None:
+    scenario = load_arena("arena").changed(2, 1)
+    short = {"cell_m": 0.2, "range_m": 0.8, "solid": []}
+    arena = scenario.arena.model_copy(update=short)
+    assert ExplorationRun(scenario.model_copy(update={"arena": arena})).run().explored > 0.9
+
+
 @pytest.mark.parametrize("start", [(-2.34, -1.5), (-2.34, -2.34)])
 def test_what_can_be_seen_is_the_same_from_a_start_beside_a_wall(
     start: tuple[float, float],
@@ -169,7 +186,12 @@ def test_what_can_be_seen_is_the_same_from_a_start_beside_a_wall(
 def test_cells_that_do_not_divide_an_arena_cover_all_of_it(side_m: float) -> None:
     scenario = load_arena("arena").changed(1, 1)
     corner = side_m / 2 - 0.16
-    sides = {"width_m": side_m, "height_m": side_m, "cell_m": 1.0 if side_m < 2.0 else 0.1}
+    sides = {
+        "width_m": side_m,
+        "height_m": side_m,
+        "cell_m": 1.0 if side_m < 2.0 else 0.1,
+        "range_m": 4.0,
+    }
     arena = scenario.arena.model_copy(update={**sides, "solid": [], "starts": [(corner, corner)]})
     assert arena.geometry.holds((side_m / 2 - 1e-6, side_m / 2 - 1e-6))
     outcome = ExplorationRun(scenario.model_copy(update={"arena": arena})).run()
