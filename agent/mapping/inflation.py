@@ -60,9 +60,9 @@ def disc(reach_cells: float) -> NDArray[np.int64]:
 class Inflation:
     """The cells that are blocked at one reach, and the planner that works on them."""
 
-    def __init__(self, solid: Grid, reach_cells: float) -> None:
+    def __init__(self, solid: Grid, reach_cells: float, walled: bool = False) -> None:
         """`solid`: (rows, columns). `reach_cells`: in cells, not negative; 0 blocks the solid cells
-        alone.
+        alone. `walled`: whether the edge of the grid is solid, too.
         """
         assert reach_cells >= 0
         self.reach_cells = reach_cells
@@ -70,6 +70,11 @@ class Inflation:
         self._counts = np.zeros(solid.shape, dtype=np.int32)
         rows, columns = np.nonzero(solid)
         _grow(self._counts, self._stencil, *self._room(rows, columns))
+        if walled:
+            edge = ceil(reach_cells)  # rows and columns with a point nearer than the reach
+            inside = np.zeros(solid.shape, dtype=np.bool_)
+            inside[edge : solid.shape[0] - edge, edge : solid.shape[1] - edge] = True
+            self._counts[~inside] += 1
         self.planner = Planner(self._counts > 0)
 
     def _room(self, rows: Changes, columns: Changes) -> tuple[Changes, Changes]:

@@ -37,7 +37,7 @@ class LocalAndFleetMap:
         self.sync, self.geometry, self.range_m = sync, geometry, range_m
         rows, columns, origin, cell_m = geometry
         if grid is None:
-            grid = OccupancyGrid(rows, columns, origin, body_radius_m, cell_m=cell_m)
+            grid = OccupancyGrid(rows, columns, origin, body_radius_m, cell_m=cell_m, walled=True)
         self.grid = grid
         self.fleet = OccupancyMap(geometry) if sync is None else sync.chart
         self.told = np.zeros((rows, columns), dtype=np.bool_)  # walls that others have reported

@@ -80,11 +80,12 @@ class OccupancyGrid:
         cell_m: float = CELL_M,
         inflation_m: float = INFLATION_M,
         memory: Memory | None = None,
+        walled: bool = False,
     ) -> None:
         """`origin_m`: south-western corner, (x, y). `body_radius_m`: of our body. `fixed`: (rows,
         columns), True for known walls, which no ray erases. `inflation_m`: margin beyond the
         radius. `memory`: arrays to keep evidence, seen cells and stamps in, all zero; None: new
-        ones.
+        ones. `walled`: whether the edge of the grid is a wall.
         """
         assert rows > 0 and columns > 0 and cell_m > 0 and body_radius_m >= 0 and inflation_m >= 0
         self.origin_m, self.cell_m = origin_m, cell_m
@@ -102,12 +103,12 @@ class OccupancyGrid:
         self._toggled: Changes = np.empty((0, 3), dtype=np.int64)  # cells that a scan changes
         self.solid: Grid = self.fixed.copy()
         self.changes = 0  # how many cells became solid or free since the beginning
-        self._layer()
+        self._layer(walled)
 
-    def _layer(self) -> None:
+    def _layer(self, walled: bool) -> None:
         reach_m = self.body_radius_m + self.inflation_m
-        self.tight = Inflation(self.solid, reach_m / self.cell_m)
-        self.wide = Inflation(self.solid, (reach_m + SOFT_M) / self.cell_m)
+        self.tight = Inflation(self.solid, reach_m / self.cell_m, walled)
+        self.wide = Inflation(self.solid, (reach_m + SOFT_M) / self.cell_m, walled)
 
     # ---------------------------------------------------------------- what is there
 
