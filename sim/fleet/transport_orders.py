@@ -59,6 +59,14 @@ class TransportClient:
         """Order it no more: no robot has heard of it."""
         self.wanted.pop(number, None)
 
+    def finish(self, number: int) -> None:
+        """Order it no more: it is delivered, and its number stays its own.
+
+        A greater order under that number would else give ours a new one, and it would be carried again.
+        """
+        if self.wanted.pop(number, None) is not None and number < TASK_NUMBERS:
+            self._use(number)
+
     def number_of(self, index: int) -> int:
         """The task number of one of our orders."""
         return self._number[index]

@@ -121,6 +121,7 @@ class MasterGateway:
                         self.operator.send(question)
                 if now_s - said_s >= SAY_S:
                     said_s = now_s
+                    self._finish_delivered()
                     for order in self.desk.due():
                         self.operator.send(order)
                 if now_s - asked_s >= ASK_S:
@@ -183,7 +184,15 @@ class MasterGateway:
         )
         if outcome.phase is TaskPhase.WITHDRAWN and not self.desk.confirmed(booked.number):
             outcome = outcome._replace(phase=TaskPhase.OPEN)  # no robot has said that it knows
+        if outcome.phase is TaskPhase.DELIVERED:
+            self.desk.finish(booked.number)
         vehicle.outcome = outcome
+
+    def _finish_delivered(self) -> None:
+        """Also those of earlier orders, which the book has recalled."""
+        for number in list(self.desk.wanted):
+            if self.inspector.allocation.phase_of(number) is Phase.DONE:
+                self.desk.finish(number)
 
     def _heard(self, seen: Seen) -> HeardRobot:
         inspector, now_s = self.inspector, self.inspector.now_s
@@ -343,7 +352,8 @@ class _Port:
         self.index: int | None = None  # of its order at the desk
         booked = vehicle.booked
         if booked is not None and booked.number is not None:
-            self.index = gateway.desk.wanted[booked.number][0]
+            wanted = gateway.desk.wanted.get(booked.number)
+            self.index = None if wanted is None else wanted[0]  # None: it is delivered
         self.told: VehicleState | None = None
         self.told_s = self.shown_s = 0.0
         named = gateway.named

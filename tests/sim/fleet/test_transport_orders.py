@@ -136,3 +136,17 @@ def test_a_device_that_comes_late_takes_no_number_that_is_used(tasks: int) -> No
                     desk.hear(source, message)
         desk.order([TransportTask(5, 6)])
         assert desk.numbers == [tasks]
+
+
+def test_a_finished_order_keeps_its_number_and_takes_no_other() -> None:
+    """A greater order under its number gave it a new number, and a new order could get the old one."""
+    desk = TransportClient(7)
+    desk.order([TransportTask(1, 2)])
+    desk.finish(7)
+    desk.hear(128, TaskOrder(7, 3, 4))
+    assert not desk.due()
+    desk.order([TransportTask(1, 2)])
+    assert desk.numbers == [8]
+    desk.finish(8)
+    desk.order([TransportTask(1, 2)])
+    assert desk.numbers == [9], "nobody has told of 8, and it is used"

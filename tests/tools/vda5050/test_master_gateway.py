@@ -409,3 +409,51 @@ def test_a_fleet_with_keys_delivers_nothing_that_no_robot_has_proven(
         await left(gateway)
 
     asyncio.run(story())
+
+
+def test_a_delivered_transport_is_not_ordered_again_where_its_number_is_used_again(
+    tmp_path: Path,
+) -> None:
+    """A greater order under its number gave it a new one, and its parcel was carried a second time."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port = gateway.ports[0]
+        gateway.order(port, WHOLE)
+        (said,) = gateway.desk.due()
+        for message in (
+            AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0),
+            TaskClaim(said.task, 0, Phase.DONE, 0, 5, 0), WorkProgress(said.task, 0, 3),
+        ):  # fmt: skip
+            gateway.hear(encode(message, 130))
+        gateway._observe(port)
+        gateway.desk.hear(128, said._replace(dropoff=said.dropoff + 1))
+        gateway._observe(port)
+        booked, outcome = port.vehicle.booked, port.vehicle.outcome
+        assert booked is not None and booked.number == said.task and not gateway.desk.due()
+        assert outcome is not None and outcome.phase is TaskPhase.DELIVERED
+        why = await gateway._cancel(port)
+        assert why is not None and why.startswith("noOrderToCancel")
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_delivered_transports_of_the_book_are_not_ordered_again(tmp_path: Path) -> None:
+    """After a restart the book recalls every transport, and each could be carried a second time."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        task = TransportTask(3, 4)
+        for number in (5, 6):
+            gateway.desk.recall(number, task)
+        for message in (
+            AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0),
+            TaskClaim(5, 0, Phase.DONE, 0, 5, 0),
+        ):  # fmt: skip
+            gateway.hear(encode(message, 130))
+        gateway._finish_delivered()
+        assert list(gateway.desk.wanted) == [6]
+        await left(gateway)
+
+    asyncio.run(story())
