@@ -142,6 +142,7 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
         self.reports: list[tuple[float, str]] = []
         self._most_at_s = self._overlap = np.inf  # when 95 % were seen, and the overlap then
         self._done_at_us = self._over_at_us = 0  # when the fleet was done; when the run was over
+        self._told_at_us = 0  # when the last script had ended
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> ExplorationFleet:
         """Also counts the frames of maps on the wire."""
@@ -166,7 +167,11 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
             self._done_at_us = now_us
 
     def is_over(self, cluster: ExplorationFleet, scripts: Sequence[Handle]) -> bool:
-        quiet = cluster.host.now_us() >= self._done_at_us + QUIET_US
+        now_us = cluster.host.now_us()
+        if not (self._told_at_us and all(script.done() for script in scripts)):
+            self._told_at_us = now_us
+        # A script that joins parts of the fleet brings news of the map to a fleet that was done.
+        quiet = now_us >= max(self._done_at_us, self._told_at_us) + QUIET_US
         return (super().is_over(cluster, scripts) and quiet) or self.seen.share >= self.until
 
     def is_settled(self, cluster: ExplorationFleet) -> bool:

@@ -94,6 +94,25 @@ def test_both_sides_of_a_split_explore_and_their_maps_merge() -> None:
     assert outcome.success and outcome.explored >= 0.99, outcome
 
 
+def test_a_split_that_heals_after_both_sides_are_done_ends_well() -> None:
+    """The maps joined while the run settled. A robot began a frontier then, and the run counted as not
+    finished."""
+    scenario = load_arena("arena").changed(3, 74)
+    place = {
+        "width_m": 3.0, "height_m": 5.0, "solid": [], "range_m": 4.0, "merge_strategy": "latest_update",
+        "starts": [(-0.83, 1.64), (-0.74, -1.75), (0.78, 0.11)],
+    }  # fmt: skip
+    faults = [
+        Partition(at_s=2.0, kind="partition", islands=[[0], [1, 2]]),
+        Heal(at_s=21.741512924926518, kind="heal"),
+    ]
+    arena = scenario.arena.model_copy(update=place)
+    outcome = ExplorationRun(
+        scenario.model_copy(update={"arena": arena, "fault": faults, "order": []})
+    ).run()
+    assert outcome.success, outcome
+
+
 @pytest.mark.sampled(1)
 @pytest.mark.parametrize("seed", [1, 2])
 def test_a_fifth_of_all_frames_lost_and_one_robot_killed(seed: int) -> None:
