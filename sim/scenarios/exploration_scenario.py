@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent.exploration.exploration_task import ORDERS_MAX
+from agent.mapping.inflation import Inflation
+from agent.mapping.occupancy_grid import INFLATION_M
 from agent.runtime.declared_values import XY, FieldTable, OrderTable, UnknownPlaceTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
@@ -134,30 +136,35 @@ class ExplorationSetup(FleetSetup):
     def open(self) -> NDArray[np.bool_]:
         """(rows, columns): cells that can be seen: free, and connected with the first start."""
         regions, _ = scipy.ndimage.label(~self.solid)
-        return self._region_of_start(regions)
+        return self._region_of_start(regions, self.starts[0])
 
     @cached_property
     def reachable(self) -> NDArray[np.bool_]:
-        """(rows, columns): the cells of `open` in sight of a position where a body can stand."""
-        cells = self.scenario.fleet.radius_m / self.geometry.cell_m
-        reach = int(np.ceil(cells))
-        fat = scipy.ndimage.binary_dilation(
-            np.pad(self.solid, 1, constant_values=True), iterations=reach
-        )
-        regions, _ = scipy.ndimage.label(~fat[1:-1, 1:-1])
-        home = self._region_of_start(regions)
-        found: NDArray[np.bool_] = (
-            scipy.ndimage.binary_dilation(home, iterations=reach + 2) & self.open
-        )
+        """(rows, columns): the cells of `open` in sight of a position that a robot can drive to.
+
+        Robots keep their margin from all that is solid, so a body may fit where none of them drives.
+        """
+        reach_m = self.scenario.fleet.radius_m + INFLATION_M
+        margin = Inflation(self.solid, reach_m / self.geometry.cell_m, walled=True)
+        regions, _ = scipy.ndimage.label(~margin.blocked)
+        home = np.zeros(self.solid.shape, dtype=np.bool_)
+        for start in self.starts[: self.scenario.fleet.robots]:
+            home |= self._region_of_start(regions, start)
+        # A body in a narrow place may start in a cell of which the most part is solid.
+        near = scipy.ndimage.binary_dilation(home, np.ones((3, 3))) & self.open
+        into_corners = 2 * int(np.ceil(reach_m / self.geometry.cell_m))
+        found: NDArray[np.bool_] = scipy.ndimage.binary_dilation(
+            near, iterations=into_corners, mask=self.open
+        )  # not through a wall
         return found
 
-    def _region_of_start(self, regions: NDArray[np.int32]) -> NDArray[np.bool_]:
-        """(rows, columns): the region nearest to the first start; its cell alone if there is none.
+    def _region_of_start(self, regions: NDArray[np.int32], at: XY) -> NDArray[np.bool_]:
+        """(rows, columns): the region nearest to a start; its cell alone if there is none.
 
         `regions`: (rows, columns), 0 where none is. A body may start nearer to a wall than the cells of a
         region are.
         """
-        start, cells = self.geometry.cell(self.starts[0]), np.argwhere(regions)
+        start, cells = self.geometry.cell(at), np.argwhere(regions)
         found: NDArray[np.bool_] = np.zeros(regions.shape, dtype=np.bool_)
         if len(cells):
             gap = np.hypot(*(cells - start).T)

@@ -201,6 +201,24 @@ def test_what_can_be_seen_is_the_same_from_a_start_beside_a_wall(
     assert (near.reachable == away.reachable).all()
 
 
+@pytest.mark.parametrize(("wide_m", "open_to_robots"), [(0.5, False), (0.8, True)])
+def test_a_passage_in_which_no_robot_drives_is_not_missed(
+    wide_m: float, open_to_robots: bool
+) -> None:
+    """A body fits in 0.5 m. Robots keep a margin, so no one drove there and the run counted as failed."""
+    scenario = load_arena("arena").changed(2, 3)
+    place = {
+        "width_m": 8.0, "height_m": 1.0, "starts": [(-3.6, 0.0), (3.6, 0.0)],
+        "solid": [(-3.0, -0.5, 3.0, -wide_m / 2), (-3.0, wide_m / 2, 3.0, 0.5)],
+    }  # fmt: skip
+    arena = scenario.arena.model_copy(update=place)
+    scenario = scenario.model_copy(update={"arena": arena})
+    setting = ExplorationSetup(scenario)
+    assert setting.reachable[setting.geometry.cell((0.0, 0.0))] == open_to_robots
+    assert all(setting.reachable[setting.geometry.cell(start)] for start in setting.starts)
+    assert ExplorationRun(scenario).run().success
+
+
 @pytest.mark.parametrize("side_m", [1.4, 4.04, 4.06])
 def test_cells_that_do_not_divide_an_arena_cover_all_of_it(side_m: float) -> None:
     scenario = load_arena("arena").changed(1, 1)
