@@ -10,13 +10,22 @@ NO_ROOM: Final = (ENOSPC, EDQUOT, EIO)  # of a disk that is full or does not ans
 INTERRUPTED: Final = 130  # ended by Ctrl-C; shells have 128 and the number of the signal
 
 
-def wrong(problem: object, code: int = WRONG) -> int:
-    """Print what is wrong as one line; returns the exit code."""
+def wrong(problem: object, code: int | None = None) -> int:
+    """Print what is wrong as one line; returns the exit code. `code`: None for that of the problem."""
     print(f"headland: {problem}", file=sys.stderr)
-    return code
+    if code is not None:
+        return code
+    return code_of(problem) if isinstance(problem, Exception) else WRONG
 
 
 def code_of(problem: Exception) -> int:
-    """The exit code of what ended a command: 75 where a disk takes no more data, else 2."""
-    full = isinstance(problem, OSError) and problem.errno in NO_ROOM
-    return TRY_AGAIN if full else WRONG
+    """The exit code of what ended a command: 75 where a disk takes no more data, else 2.
+
+    An error of our own may tell of a disk, which is then the error that was handled meanwhile.
+    """
+    cause: BaseException | None = problem
+    while cause is not None:
+        if isinstance(cause, OSError) and cause.errno in NO_ROOM:
+            return TRY_AGAIN
+        cause = cause.__context__
+    return WRONG

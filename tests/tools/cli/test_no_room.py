@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import CliRunner
 
+from agent.runtime.files.key_file import fresh, write
 from tests.tools.cli.test_commands import headland
 from tools.cli.headland import app
 from tools.common.exit_codes import code_of
@@ -66,6 +67,23 @@ def test_a_place_that_cannot_be_written_stays_a_wrong_word(tmp_path: Path) -> No
     assert told.returncode == 2 and told.stderr.count("\n") == 1
     assert code_of(PermissionError(errno.EACCES, "no")) == code_of(ValueError("no")) == 2
     assert code_of(OSError(errno.EDQUOT, "over quota")) == 75
+
+
+@pytest.mark.parametrize("words", [["release"], ["order", "0", "start"]])
+def test_a_counter_that_cannot_be_reserved_on_a_full_disk_is_told_with_75(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    """Nothing is wrong with the key file, and the same command succeeds as soon as there is room."""
+    key = tmp_path / "operator.json"
+    write(tmp_path / "fleet.json", key, fresh(), 249)
+
+    def full_disk(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("agent.runtime.files.key_file.os.fsync", full_disk)
+    told = CliRunner().invoke(app, [*words, "--keys", str(key)])
+    assert told.exit_code == 75 and told.stderr.count("\n") == 1, told.output
+    assert "No space left on device" in told.stderr
 
 
 def test_an_export_names_the_file_that_takes_no_more(
