@@ -138,6 +138,7 @@ class CommandSession:
     async def _stop_all(self, outcome: Outcome, intents: tuple[AnyIntent, ...]) -> None:
         emergency = any(isinstance(i, Control) and i.action == "emergency_stop" for i in intents)
         late = await self._all_late() if not emergency else None
+        outcome.latched = late is None or bool(late)
         if late is None or late:
             late = await press(self.operator, Reason.OPERATOR_INTERVENTION, self.timeout_s)
         self.operator.now_s = asyncio.get_running_loop().time()

@@ -9,6 +9,10 @@ from tools.language.intent import AnyIntent, plain
 from tools.language.question import Question, QuestionReason
 
 DONE, NOT_OBEYED, ASKED_BACK = 0, 1, 3
+LATCHED = (
+    "this was an emergency stop, which no words release: see that no person is in danger, then "
+    "headland release"
+)
 
 
 @dataclass
@@ -23,6 +27,9 @@ class Outcome:
     # Robots that confirmed a stop of all; None: none was asked for.
     stopped: list[int] | None = None
     not_stopped: list[int] = field(default_factory=list)
+    latched: bool = (
+        False  # that stop was an emergency stop, also where an ordinary one was asked for
+    )
     held: list[int] | None = None  # robots that were held first, because the phrase may be an alarm
     queued: list[str] = field(default_factory=list)
     answers: list[Answer] = field(default_factory=list)
@@ -52,7 +59,7 @@ class Outcome:
                  "says": word} for o, word in self.orders
             ],
             "stopped": self.stopped, "held": self.held, "not_stopped": self.not_stopped,
-            "queued": self.queued,
+            "emergency_stop": self.latched, "queued": self.queued,
             "answers": [answer.value for answer in self.answers], "told_by": self.told_by,
         }  # fmt: skip
 
@@ -66,6 +73,8 @@ class Outcome:
         lines = [_order_line(order, word) for order, word in self.orders]
         if self.stopped is not None:
             lines.append(f"stopped: {', '.join(map(str, self.stopped)) or 'no robot is heard'}")
+        if self.latched and self.stopped:
+            lines.append(LATCHED)
         lines += self._not_stopped_lines()
         lines += [f"queued until a robot is idle: {name}" for name in self.queued]
         source = f"{self.told_by}: " if self.told_by != "the bus" and self.answers else ""

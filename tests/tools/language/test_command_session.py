@@ -19,7 +19,7 @@ from sim.scenarios.scenario import load
 from tools.language.command_session import CommandSession
 from tools.language.goal_queue import GoalQueue
 from tools.language.intent import AnyIntent, Goal
-from tools.language.outcome import Outcome
+from tools.language.outcome import LATCHED, Outcome
 from tools.language.parse import read
 from tools.language.places import Places
 from tools.language.question import Question
@@ -85,6 +85,7 @@ def test_a_stop_of_all_is_said_at_once_and_confirmed(tmp_path: Path) -> None:
         begun_s = loop.time()
         told = await speaker.say("STOP!")
         assert told.stopped == [0, 1, 2] and told.not_stopped == [] and told.code == 0
+        assert told.lines() == ["stopped: 0, 1, 2"] and not told.to_dict()["emergency_stop"]
         assert loop.time() - begun_s < 1.0
         await elapse(3.0)
         assert all(cluster.world.body(slot).speed_m_s == 0.0 for slot in range(3))
@@ -174,6 +175,20 @@ def test_a_stop_that_is_not_heard_is_told(tmp_path: Path) -> None:
         told = await speaker.say("stop")
         assert told.stopped == [0, 1] and told.not_stopped == [2]
         assert told.code != 0
+
+    play(story, tmp_path)
+
+
+def test_an_ordinary_stop_that_became_an_emergency_stop_says_so(tmp_path: Path) -> None:
+    """Nothing told a person that `start all` would not end it."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        await speaker.hear_fleet()
+        cluster.partition([{0, 1}, {2}])
+        told = await speaker.say("stop")
+        assert cluster.robots[0].peer.state is State.EMERGENCY_STOP
+        assert told.lines()[:2] == ["stopped: 0, 1", LATCHED] and told.to_dict()["emergency_stop"]
+        assert "headland release" in LATCHED
 
     play(story, tmp_path)
 
