@@ -28,6 +28,7 @@ from tools.common.exit_codes import wrong
 from tools.common.findings import Finding, print_findings
 from tools.run.robot_command import (
     BLIND,
+    declared_in,
     import_from,
     is_written,
     lacks_kernels,
@@ -48,7 +49,7 @@ def check(file: Path, changes: Changes, as_json: bool) -> int:
     person has to mend something first."""
     import_from(file.parent)
     try:
-        return asyncio.run(_check(RobotFile.read(file, changes), as_json))
+        return asyncio.run(_check(declared_in(file, changes), as_json))
     except RobotError as problem:
         return wrong(problem)
 

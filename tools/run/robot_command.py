@@ -28,6 +28,8 @@ BLIND = (
 )
 KEYLESS = "NO KEYS: any device on the bus can stop and release it"
 BEFORE = "it stands meanwhile. `headland compile --kernels` does it before"
+NO_SLOT = ("robot: is missing", "robot.slot: is missing")  # of a file for several machines
+WHICH = "say which robot of the fleet this machine is: --slot NUMBER"
 RED, PLAIN = "\x1b[1;31m", "\x1b[0m"  # of a terminal
 
 
@@ -41,7 +43,7 @@ def robot(
     `metrics`: PORT or HOST:PORT of figures for Prometheus. `foxglove`: a port for viewers."""
     import_from(file.parent)
     try:
-        declared = RobotFile.read(file, changes)
+        declared = declared_in(file, changes)
         viewers: AbstractContextManager[None] = nullcontext()
         if metrics is not None or foxglove is not None:
             from tools.run.robot_viewers import check_viewers, viewers_beside
@@ -73,6 +75,17 @@ def robot(
     except KeyboardInterrupt:
         return INTERRUPTED
     return 0
+
+
+def declared_in(file: Path, changes: Changes) -> RobotFile:
+    """What a robot file says of this robot. Raises RobotError, which says how to name the robot where the
+    file is that of the whole fleet."""
+    try:
+        return RobotFile.read(file, changes)
+    except RobotError as problem:
+        if changes.slot is None and str(problem).endswith(NO_SLOT):
+            raise RobotError(f"{problem}; {WHICH}") from None
+        raise
 
 
 def import_from(folder: Path) -> None:

@@ -87,7 +87,8 @@ def test_check_says_what_would_run_and_what_is_missing(folder: Path) -> None:
     ("words", "said"),
     [
         (("--slot", "3"), "robot.slot: 3 is not one of 3 robots (0 to 2)"),
-        ((), "robot: is missing"),
+        ((), "robot: is missing; say which robot of the fleet this machine is: --slot"),
+        (("--check",), "robot: is missing; say which robot of the fleet this machine is: --slot"),
         (
             ("--slot", "1", "--body", "nmae"),
             "no plug-in 'nmae'; there are isobus, nmea, replay, ros2, sim, standing, vda5050",
