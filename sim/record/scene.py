@@ -11,6 +11,9 @@ from typing import Any
 from crdt.sighting import MergeOrder
 
 Scene = dict[str, Any]
+SIDE_MAX = (
+    960  # cells each way, as in `crdt.occupancy`, which needs numpy; a tool that listens has none
+)
 FILE = "scene.json"  # in the folder of a run
 
 
@@ -56,7 +59,7 @@ def _is_sound(told: Scene) -> bool:
         and all(_is_point(at) and isfinite(slot) for slot, *at in told.get("goals", ()))
         and all(len(row) == 3 and all(map(isfinite, row)) for row in told.get("transports", ()))
         and (told.get("earth") is None or _is_point(told["earth"]))
-        and (cells is None or (_is_raster(cells) and bool(MergeOrder(cells["order"]))))
+        and (cells is None or (_is_raster(cells) and _is_map(cells)))
         and (
             grid is None or (_is_raster(grid) and 8 * len(b64decode(grid["walls"])) >= _count(grid))
         )
@@ -78,6 +81,11 @@ def _is_section(told: Scene) -> bool:
 def _is_raster(told: Scene) -> bool:
     whole = all(isinstance(told[name], int) and told[name] > 0 for name in ("rows", "columns"))
     return whole and _is_point(told["origin"]) and isfinite(told["cell_m"]) and told["cell_m"] > 0
+
+
+def _is_map(told: Scene) -> bool:
+    """Whether these cells are no more than a shared map has: memory is taken for all of them."""
+    return max(told["rows"], told["columns"]) <= SIDE_MAX and bool(MergeOrder(told["order"]))
 
 
 def _count(told: Scene) -> int:

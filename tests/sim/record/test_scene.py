@@ -8,7 +8,9 @@ import numpy as np
 import pytest
 
 from agent.mapping.building import Floor
+from crdt.occupancy import SIDE_MAX
 from sim.files.grid_map import Instance
+from sim.record import scene as scenes
 from sim.record.scene import drawable
 from sim.record.scene_builder import scene_named, scene_of
 from sim.scenarios.coverage_setup import CoverageSetup
@@ -97,3 +99,13 @@ def test_a_damaged_scene_is_none(kind: str, value: Any) -> None:
     assert drawable({**scene, "cells": 7}) is None
     assert drawable({**scene, "cells": value} if value is not None else {}) is None
     assert drawable({key: part for key, part in scene.items() if key != "width_m"}) is None
+
+
+@pytest.mark.parametrize("side", ["rows", "columns"])
+def test_a_scene_with_more_cells_than_a_map_has_is_none(side: str) -> None:
+    """Memory was taken for a thousand million rows before anything was drawn."""
+    assert scenes.SIDE_MAX == SIDE_MAX
+    scene = SCENES["arena"]
+    for count, known in ((SIDE_MAX, True), (SIDE_MAX + 1, False), (10**9, False)):
+        told = {**scene, "cells": {**scene["cells"], side: count}}
+        assert (drawable(told) is not None) is known, count
