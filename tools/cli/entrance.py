@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final, NamedTuple
 
-from tools.cli.one_line_errors import one_line_errors
+from tools.cli.one_line_errors import hung_up_as_terminated, one_line_errors
 from tools.common.compiled_caches import guard
 from tools.common.gc_collector import GC_YOUNG, not_taken_apart
 
@@ -77,7 +77,7 @@ def main() -> None:
     gc.set_threshold(GC_YOUNG)
     guard()
     os.environ.setdefault(PYDANTIC_PLUGINS, "__all__")
-    with one_line_errors():
+    with one_line_errors(), hung_up_as_terminated():
         from agent.runtime.ready_kernels import use_ready_kernels
 
         use_ready_kernels()  # before anything is imported that has kernels

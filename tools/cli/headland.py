@@ -10,7 +10,12 @@ import typer
 
 from tools.cli import bus_commands, keys, robot_commands, setup_commands, tasks
 from tools.cli import test_commands as trial_commands
-from tools.cli.one_line_errors import one_line_errors, tell_origin, terminated_as_interrupted
+from tools.cli.one_line_errors import (
+    hung_up_as_terminated,
+    one_line_errors,
+    tell_origin,
+    terminated_as_interrupted,
+)
 from tools.cli.panels import (
     DEVELOP,
     LOOK,
@@ -496,7 +501,7 @@ def main() -> None:
     gc.set_threshold(GC_YOUNG)
     guard()
     try:
-        with one_line_errors(), terminated_as_interrupted():
+        with one_line_errors(), terminated_as_interrupted(), hung_up_as_terminated():
             asked = only_asked(app, sys.argv[1:])
             raise SystemExit(asked(prog_name="headland", standalone_mode=False))
     except typer.Abort:

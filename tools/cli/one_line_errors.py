@@ -72,6 +72,32 @@ def terminated_as_interrupted() -> Iterator[None]:
             signal.signal(signal.SIGTERM, before)
 
 
+@contextmanager
+def hung_up_as_terminated() -> Iterator[None]:
+    """A terminal that is closed (SIGHUP) ends a command as SIGTERM does. A signal that is ignored, as
+    with `nohup`, stays so."""
+    hang_up = getattr(signal, "SIGHUP", None)  # Windows has none
+    main_thread = threading.current_thread() is threading.main_thread()
+    if hang_up is None or not main_thread or signal.getsignal(hang_up) != signal.SIG_DFL:
+        yield
+        return
+    terminals = [number for number in (0, 1, 2) if os.isatty(number)]
+
+    def terminate(number: int, frame: object) -> None:
+        for terminal in terminals:
+            if not os.isatty(terminal):  # a line for a terminal that is gone would be an error
+                nowhere = os.open(os.devnull, os.O_RDWR)
+                os.dup2(nowhere, terminal)
+                os.close(nowhere)
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    signal.signal(hang_up, terminate)
+    try:
+        yield
+    finally:
+        signal.signal(hang_up, signal.SIG_DFL)
+
+
 def _open_streams() -> None:
     """A stream that was closed before the start (`>&-`) is the null device.
 
