@@ -433,8 +433,11 @@ class Launch:
             self.console.print(f"report.json is not written: {written.why}")
         how = "finished" if finished else "not finished"
         where = escape(str(self.out))
+        took = f"{elapsed_s:.0f} s"
+        if self.world_began_us:
+            took += f", {elapsed_s - self.world_began_us / 1e6:.0f} s of them in this launch"
         self.console.print(
-            f"{how} after {elapsed_s:.0f} s: {verdict}; report.json, {self.logs} are in {where}"
+            f"{how} after {took}: {verdict}; report.json, {self.logs} are in {where}"
         )
         if self.difference:
             self.console.print(f"[red]{self.difference}[/red]")

@@ -1,8 +1,10 @@
 """What a launch writes of itself when it has ended."""
 
 import json
+from io import StringIO
 from pathlib import Path
 
+import pytest
 from rich.console import Console
 
 from agent.interface.lifecycle import State
@@ -33,3 +35,24 @@ def test_times_in_the_report_count_from_the_start_of_the_launch(tmp_path: Path) 
     told = json.loads((tmp_path / "report.json").read_text())
     assert [step["t_s"] for step in told["robots"][0]["transitions"]] == [2.5]
     assert [touch["t_s"] for touch in told["touched"]] == [4.0]
+
+
+@pytest.mark.parametrize(
+    ("began_us", "told"),
+    [
+        (0, "not finished after 37 s: "),
+        (27_000_000, "not finished after 37 s, 10 s of them in this launch: "),
+    ],
+)
+def test_a_launch_that_continues_a_fleet_tells_its_own_time_as_well(
+    tmp_path: Path, began_us: int, told: str
+) -> None:
+    """After `--seconds 10` it said 37 s: the time of all launches of the fleet."""
+    setting, said = FieldSetup(load("small").changed(robots=2)), StringIO()
+    fleet = fleet_folder(tmp_path, setting, False)
+    launch = Launch(setting, "small", fleet, Console(file=said, width=1000), None)
+    launch.world_began_us = began_us
+    launch._report(37.0, False)
+    for lock in fleet.locks:
+        lock.close()
+    assert told in said.getvalue()
