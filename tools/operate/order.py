@@ -132,21 +132,40 @@ def _started(robot: KnownRobot, said_s: float, now_s: float) -> bool:
     return not robot.held or (known and named.isdisjoint(BY_START))
 
 
+# Orders that send a robot somewhere, and why one that may drive refuses them.
+PLACES = {
+    "go-home": "its work has no home to which it may drive",
+    "set-goal": (
+        "the place is not where it may drive: outside, or too near to something solid; or its work "
+        "takes no places"
+    ),
+}
 ANSWERS = ("wait", "continue", "replan")  # to a question of the robot
 
 
-def _why(matter: ReportKind, what: str, asked: bool) -> str:
-    """Why a robot refuses, as far as can be known from outside; empty: no reason is known."""
-    if matter is not ReportKind.REFUSED or what not in ANSWERS or asked:
+def _why(robot: KnownRobot, what: str, asked: bool) -> str:
+    """Why a robot refuses and what a person can do, as far as can be known from outside; empty: no reason
+    is known."""
+    if robot.report is None or robot.report.matter is not ReportKind.REFUSED:
         return ""
-    return f"{what} answers a robot that asks what to do about an obstacle, and it has not asked"
+    if robot.stopped:
+        return "it stands in an emergency stop, in which it takes no orders: headland release"
+    if what in PLACES:
+        if not robot.started:
+            return f"it waits for a start: headland order {robot.slot} start"
+        return PLACES[what]
+    if what in ANSWERS and not asked:
+        return (
+            f"{what} answers a robot that asks what to do about an obstacle, and it has not asked"
+        )
+    return ""
 
 
 def _tell(
     robot: KnownRobot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool
 ) -> None:
     report = robot.report
-    why = "" if obeyed or report is None else _why(report.matter, what, asked)
+    why = "" if obeyed else _why(robot, what, asked)
     if as_json:
         print(dumps({
             "robot": robot.slot, "order": what, "obeyed": obeyed, "was_asking": asked,

@@ -26,7 +26,7 @@ def test_a_robot_that_says_nothing_is_not_quoted(
     [
         ("replan", False, "it says: REFUSED: replan answers a robot that asks what to do about an "
          "obstacle, and it has not asked"),
-        ("replan", True, "it says: REFUSED"), ("set-goal", False, "it says: REFUSED"),
+        ("replan", True, "it says: REFUSED"),
     ],
 )  # fmt: skip
 def test_an_answer_to_nothing_is_told_as_one(
@@ -38,3 +38,24 @@ def test_an_answer_to_nothing_is_told_as_one(
     assert capsys.readouterr().out.endswith(f"{ends}\n")
     order._tell(robot, what, asked, False, True, True)
     assert bool(json.loads(capsys.readouterr().out)["why"]) == ("not asked" in ends)
+
+
+@pytest.mark.parametrize(
+    ("what", "stopped", "started", "ends"),
+    [
+        ("go-home", False, False, "REFUSED: it waits for a start: headland order 3 start"),
+        ("set-goal", False, False, "REFUSED: it waits for a start: headland order 3 start"),
+        ("set-goal", True, False, "in which it takes no orders: headland release"),
+        ("stop", True, True, "in which it takes no orders: headland release"),
+        ("go-home", False, True, "its work has no home to which it may drive"),
+        ("set-goal", False, True, "or its work takes no places"),
+    ],
+)
+def test_a_refusal_says_what_a_person_can_do(
+    what: str, stopped: bool, started: bool, ends: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`DOES NOT OBEY go-home; it says: REFUSED` was all that a person was told."""
+    refused = OperatorReport(3, 0, ReportKind.REFUSED, 0.0, 0.0)
+    robot = KnownRobot(3, 128, 0.0, stopped=stopped, started=started, report=refused)
+    order._tell(robot, what, False, False, True, False)
+    assert capsys.readouterr().out.endswith(f"{ends}\n")
