@@ -2,10 +2,11 @@
 
 import asyncio
 import sys
+from math import hypot
 from pathlib import Path
 
 from agent.safety.stop_cause import StopCause
-from protocol.frames.operator_frames import ReportKind, goal_frames
+from protocol.frames.operator_frames import OperatorReport, ReportKind, goal_frames
 from protocol.frames.safety_frames import Command
 from sim.files.strict_json import dumps
 from tools.common.bus_address import Attached, AttachError
@@ -19,6 +20,7 @@ from tools.operate.reset import NOT_SIGNED, operator_keyring
 
 LISTEN_S = 1.3  # an open question is said again every second
 STEP_S = 0.3  # time between two tries: a robot may first have to ask for our identity
+SAME_M = 1.0  # a robot tells a place in coarser steps than an operator does
 # What the robot tells when it obeys; those that answer a question also end an errand.
 CONFIRMED = {
     "wait": (Command.WAIT, (ReportKind.WAITING,)),
@@ -115,8 +117,18 @@ async def convey(
         if command is Command.START and _started(robot, said_s, loop.time()):
             return True
         if robot.report is not None and robot.report.matter in (*matters, ReportKind.REFUSED):
+            if goal is not None and _has_half(robot, robot.report, goal):
+                continue
             return robot.report.matter in matters
     return False
+
+
+def _has_half(robot: KnownRobot, report: OperatorReport, goal: tuple[float, float]) -> bool:
+    """Whether a robot that may drive refuses another place: a frame of ours was lost, and it has not
+    heard this one whole. `goal`: metres east and north."""
+    able = robot.started and not robot.stopped
+    elsewhere = hypot(report.x_m - goal[0], report.y_m - goal[1]) > SAME_M
+    return report.matter is ReportKind.REFUSED and able and elsewhere
 
 
 def _started(robot: KnownRobot, said_s: float, now_s: float) -> bool:

@@ -5,11 +5,13 @@ import itertools
 from collections.abc import Awaitable, Callable
 from math import hypot
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from agent.interface.lifecycle import State
 from agent.peer import fleet_summary as bulletin
+from protocol.frames.operator_frames import OperatorGoal
 from protocol.links.bus import CanBus
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.simulated_fleet import Cluster
@@ -189,6 +191,27 @@ def test_an_ordinary_stop_that_became_an_emergency_stop_says_so(tmp_path: Path) 
         assert cluster.robots[0].peer.state is State.EMERGENCY_STOP
         assert told.lines()[:2] == ["stopped: 0, 1", LATCHED] and told.to_dict()["emergency_stop"]
         assert "headland release" in LATCHED
+
+    play(story, tmp_path)
+
+
+def test_a_place_of_which_a_frame_is_lost_is_said_again(tmp_path: Path) -> None:
+    """The robot has half of the place and refuses. That counted as its answer to the whole of it."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        await speaker.hear_fleet()
+        operator, lost = speaker.operator, list[object]()
+        send = operator.send
+
+        def losing(message: Any) -> bool:
+            if isinstance(message, OperatorGoal) and not lost:
+                lost.append(message)
+                return True
+            return send(message)
+
+        operator.send = losing  # type: ignore[method-assign]
+        told = await speaker.say("send robot 1 to the shelf")
+        assert lost and told.code == 0 and told.orders[0][1] == "UNDER WAY", told
 
     play(story, tmp_path)
 
