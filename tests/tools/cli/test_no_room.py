@@ -5,10 +5,14 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+import can
 import pytest
 from typer.testing import CliRunner
 
 from agent.runtime.files.key_file import fresh, write
+from protocol.frames.codec import decode
+from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import EmergencyStop
 from tests.tools.cli.test_commands import headland
 from tools.cli.headland import app
 from tools.common.exit_codes import code_of
@@ -84,6 +88,31 @@ def test_a_counter_that_cannot_be_reserved_on_a_full_disk_is_told_with_75(
     told = CliRunner().invoke(app, [*words, "--keys", str(key)])
     assert told.exit_code == 75 and told.stderr.count("\n") == 1, told.output
     assert "No space left on device" in told.stderr
+
+
+def test_a_stop_is_said_also_where_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With an operator's key nothing was sent, for its counter could not be reserved."""
+    key = tmp_path / "operator.json"
+    write(tmp_path / "fleet.json", key, fresh(), 249)
+
+    def full_disk(_: int) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr("agent.runtime.files.key_file.os.fsync", full_disk)
+    monkeypatch.chdir(tmp_path)
+    words = ["stop", "-i", "virtual", "-c", str(tmp_path), "--timeout", "0.6", "--keys", str(key)]
+    with can.Bus(str(tmp_path), interface="virtual") as ear:
+        told = CliRunner().invoke(app, words)
+        frames = [
+            Frame(message.arbitration_id, bytes(message.data))
+            for message in iter(lambda: ear.recv(0.0), None)
+        ]
+    heard = [decode(frame)[1] for frame in frames]
+    assert any(isinstance(message, EmergencyStop) for message in heard)
+    assert told.exit_code == 1 and "NOT SIGNED" in told.stdout, told.output
+    assert "No space left on device; the stop is said unsigned" in told.stderr
 
 
 def test_an_export_names_the_file_that_takes_no_more(
