@@ -56,6 +56,7 @@ ROBOTS = 3
 TABS_MAX = 60  # more than the page has places for the focus
 PALE = "rgb(227, 231, 233)"  # pills of what is not known now
 PHONE, ACROSS = (390, 844), (844, 390)
+LOW = (320, 480), (640, 320)  # of old phones, with the bars of their browsers
 HEADLAND = (sys.executable, "-m", "tools.cli.headland")
 DEEP = "[" * 3000
 
@@ -270,6 +271,36 @@ def test_b7_a_phone_shows_all_of_it(fleet: Live, folder: Path, size: tuple[int, 
         until(page, "!headland.field.stale")
         assert hidden_buttons(page) == [] and covered(page) == []
         picture(page, f"phone-{width}")
+    freed(fleet, folder)
+
+
+@pytest.mark.slow
+@needs_browser
+@pytest.mark.parametrize("size", LOW, ids=["upright", "across"])
+def test_a_low_window_full_of_banners_keeps_its_stop_and_its_pictures(
+    fleet: Live, folder: Path, size: tuple[int, int]
+) -> None:
+    """An upright one got the columns of a phone held across: its map had no size, each picture failed
+    before what is written beside it, the server sent no more, and STOP was cut off."""
+    with browser() as page:
+        page.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", {
+            "width": size[0], "height": size[1], "deviceScaleFactor": 1, "mobile": True,
+        })  # fmt: skip
+        page.get(fleet.url)
+        until(page, robots_in("WORKING", "IDLE"), WAIT_S)
+        assert "stop" not in hidden_buttons(page)
+        page.find_element("id", "stop").click()
+        until(page, "!document.getElementById('stopped').hidden")
+        until(page, "!document.getElementById('reset').hidden")
+        assert "stop" not in hidden_buttons(page)
+        words = "document.getElementById('keyless-fleet').lastChild.textContent"
+        page.execute_script(f"{words} = 'as many words as several banners have '.repeat(40)")
+        until(page, "document.getElementById('alerts').scrollHeight > innerHeight")
+        picture(page, f"low-{size[0]}")
+        assert "stop" not in hidden_buttons(page) and "reset" not in hidden_buttons(page)
+        pictures = page.execute_script("return headland.pictures")
+        until(page, f"headland.pictures > {pictures + 5}")
+        assert complaints(page) == []
     freed(fleet, folder)
 
 

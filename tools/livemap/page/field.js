@@ -214,6 +214,7 @@ export class Field {
       for (const each of [canvas, this.ground]) { each.width = width; each.height = height; }
       this.stale = true; this.groundAt = 0;
     }
+    if (!width || !height) return; // banners have all the room; a canvas without a size cannot be drawn
     const now = performance.now();
     if (this.stale && now - this.groundAt > GROUND_MS) {
       this.groundAt = now; this.stale = false;
