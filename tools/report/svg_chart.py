@@ -14,7 +14,8 @@ from typing import NamedTuple
 WIDTH_PX = 960.0
 FONT_PX = 12.0
 SMALL_PX = 9.0
-CHARACTER = 0.56  # width of a character by the height of its font: a mean of sans-serif fonts
+# Width of a character by the height of its font: of DejaVu Sans, which is wider than most.
+CHARACTER, CAPITAL = 0.6, 0.68
 SAME_PX = 0.5  # a point of a line that is nearer to the last one in both directions is left out
 FAR_PX = 1e6  # what is farther from the picture is not drawn
 TICK_PX, GAP_PX = 4.0, 6.0
@@ -188,7 +189,8 @@ def text(
 
 def width_of(words: Iterable[str], size_px: float = FONT_PX) -> float:
     """Of the widest of them, in pixels, as an estimate."""
-    return CHARACTER * size_px * max(map(len, words), default=0)
+    widths = (sum(CAPITAL if c.isupper() else CHARACTER for c in word) for word in words)
+    return size_px * max(widths, default=0.0)
 
 
 def legend(left_px: float, top_px: float, entries: Iterable[tuple[str, str]]) -> str:

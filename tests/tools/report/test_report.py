@@ -365,6 +365,21 @@ def test_a_browser_shows_every_picture(run: Path) -> None:
 
 @pytest.mark.slow
 @pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
+def test_no_word_of_a_picture_is_cut_off_at_its_edge(run: Path) -> None:
+    """Names of frames in the legend were: capitals are wider than other letters."""
+    with browser() as page:
+        page.get((run / "report.html").absolute().as_uri())
+        cut = page.execute_script(
+            "return [...document.querySelectorAll('svg text')].filter(each => {"
+            " const word = each.getBoundingClientRect();"
+            " const whole = each.closest('svg').getBoundingClientRect();"
+            " return word.right > whole.right || word.left < whole.left; }).map(each => each.textContent);"
+        )
+        assert cut == []
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(bool(missing()), reason=missing() or "there is one")
 def test_pictures_are_dark_where_the_browser_is(run: Path, tmp_path: Path) -> None:
     shades = []
     for wish in ("light", "dark"):
