@@ -82,7 +82,7 @@ def _figures(figures: dict[str, Any]) -> str:
 TILES = (  # what it is called, keys of which the first one that there is counts, how it is told
     ("covered", ("coverage",), "{:.1%}"), ("explored", ("explored",), "{:.1%}"),
     ("delivered", ("delivered",), "{}"), ("arrived", ("arrived",), "{}"),
-    ("time", ("makespan_s", "time_s"), "{:.0f} s"), ("contacts", ("contacts",), "{}"),
+    ("time", ("makespan_s", "time_s", "simulated_s"), "{:.0f} s"), ("contacts", ("contacts",), "{}"),
     ("moved after a stop", ("moved_after_stop",), "{}"), ("replicas equal", ("replicas_equal",), "{}"),
     ("bus load", ("bus_load",), "{:.1%}"), ("driven", ("travel_m",), "{:.0f} m"),
 )  # fmt: skip
@@ -94,6 +94,9 @@ def _tiles(figures: dict[str, Any]) -> str:
     """The six figures that people look for first."""
     found = []
     for name, keys, form in TILES:
+        if name == "time" and figures.get("finished") is False:
+            # Its makespan is when it last worked, 0 where it never did.
+            keys = ("simulated_s", *keys)
         value = next((figures[key] for key in keys if key in figures), None)
         if isinstance(value, bool):
             text = "yes" if value else "no"

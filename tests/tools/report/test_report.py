@@ -373,7 +373,8 @@ def test_no_word_of_a_picture_is_cut_off_at_its_edge(run: Path) -> None:
             "return [...document.querySelectorAll('svg text')].filter(each => {"
             " const word = each.getBoundingClientRect();"
             " const whole = each.closest('svg').getBoundingClientRect();"
-            " return word.right > whole.right || word.left < whole.left; }).map(each => each.textContent);"
+            " return word.right > whole.right || word.left < whole.left; })"
+            ".map(each => each.textContent);"
         )
         assert cut == []
 
@@ -492,6 +493,16 @@ def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     where = "at 61.2 s robot 1 touched robot 3 at 12.0,-3.5"
     assert flaws({"contacts": 2, "first_contact": where}) == [f"2 contacts of bodies ({where})"]
     assert flaws({"success": False}) == ["report.json has the figures"]
+
+
+def test_the_tile_of_the_time_of_an_unfinished_run_is_how_long_it_ran() -> None:
+    """A fleet that was stopped from its first second on was shown with a time of 0 s."""
+    stopped = {"success": False, "finished": False, "makespan_s": 0.0, "simulated_s": 60.0}
+    assert "<span>time</span> <b>60 s</b>" in page("t", stopped, [], "t")
+    done = {"success": True, "finished": True, "makespan_s": 176.2, "simulated_s": 178.0}
+    assert "<span>time</span> <b>176 s</b>" in page("t", done, [], "t")
+    errands = {"success": True, "finished": True, "simulated_s": 48.7}
+    assert "<span>time</span> <b>49 s</b>" in page("t", errands, [], "t")
 
 
 @pytest.mark.parametrize("keyed", [False, True])
