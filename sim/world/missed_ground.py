@@ -28,7 +28,7 @@ def told_missed(
     if not len(missed):
         return ""
     patch, count = _largest(missed, cell_m)
-    x_m, y_m = patch.mean(axis=0)
+    x_m, y_m = _middle(patch, cell_m)
     told = f"{len(missed) * cell_m**2:.1f} m2 are left"
     if count > 1:
         told += f" in {count} places, the largest of {len(patch) * cell_m**2:.1f} m2"
@@ -57,6 +57,14 @@ def _largest(missed: Floats, cell_m: float) -> tuple[Floats, int]:
     pieces, count = scipy.ndimage.label(flags, structure=np.ones((3, 3)))
     of_cell = pieces[cells[:, 0], cells[:, 1]]
     return missed[of_cell == np.bincount(of_cell).argmax()], int(count)
+
+
+def _middle(patch: Floats, cell_m: float) -> tuple[float, float]:
+    """Of a piece, metres; where that is not on it, as inside a ring, its nearest cell."""
+    middle = patch.mean(axis=0)
+    away_m = np.hypot(*(patch - middle).T)
+    x_m, y_m = middle if away_m.min() <= cell_m else patch[away_m.argmin()]
+    return float(x_m), float(y_m)
 
 
 def _standing_at_us(track: Sequence[TrackPoint]) -> int:

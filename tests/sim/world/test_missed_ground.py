@@ -41,6 +41,15 @@ def test_the_largest_piece_is_told_with_its_place_and_the_robot_that_stands_ther
     assert told_missed(missed[:0], CELL_M, 4.0, {0: away}, {0: []}) == ""
 
 
+def test_the_place_of_ground_round_an_island_is_on_that_ground() -> None:
+    """A field that nobody had worked was left at the middle of its island."""
+    whole = np.array(square(-10.0, -10.0, 40))
+    ring = whole[np.abs(whole).max(axis=1) > 3.0]
+    told = told_missed(ring, CELL_M, 4.0, {}, {})
+    x_m, y_m = map(float, told.split(" at ")[1].split(","))
+    assert 3.0 < max(abs(x_m), abs(y_m)) < 4.0, told
+
+
 def test_a_robot_that_is_off_is_said_to_be_and_one_that_waits_is_named_with_its_causes() -> None:
     """A dead robot was named as what is in the way, while a live one waited for a person."""
     missed = np.array(square(0.0, 20.0, 8))
