@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import label
 
-from tools.bench import crowd, exploration, theta
+from tools.bench import crowd, exploration, sync, theta
 from tools.bench.map_kinds import KINDS, read, small_maps
 from tools.bench.optimum import Judge
 
@@ -56,3 +56,9 @@ def test_a_hundred_robots_in_rooms_have_a_plan_that_brings_all_to_their_goals() 
 def test_who_waits_hardly_at_all_does_not_make_the_others_wait_too_long() -> None:
     assert crowd.unfairness([0.0, 0.5, 2.0]) == 2.0
     assert crowd.unfairness([10.0, 20.0, 60.0]) == 3.0
+
+
+def test_what_is_said_of_the_size_of_an_entry_is_what_its_figure_says() -> None:
+    """8.004 bytes held a target of at most 8: they were rounded before they were compared."""
+    size = next(figure for figure in sync.merges(1, 1) if figure.figure == "state an entry")
+    assert size.target == "<= 8" and size.holds is (size.value <= 8)
