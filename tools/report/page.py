@@ -80,7 +80,7 @@ def _figures(figures: dict[str, Any]) -> str:
 
 
 TILES = (  # what it is called, keys of which the first one that there is counts, how it is told
-    ("covered", ("coverage",), "{:.1%}"), ("explored", ("explored",), "{:.1%}"),
+    ("covered", ("coverage",), "{:.2%}"), ("explored", ("explored",), "{:.1%}"),
     ("delivered", ("delivered",), "{}"), ("arrived", ("arrived",), "{}"),
     ("time", ("makespan_s", "time_s", "simulated_s"), "{:.0f} s"), ("contacts", ("contacts",), "{}"),
     ("moved after a stop", ("moved_after_stop",), "{}"), ("replicas equal", ("replicas_equal",), "{}"),

@@ -24,12 +24,13 @@ from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from sim.files.candump import CandumpWriter
+from sim.fleet.outcome import COVERAGE_MIN
 from sim.record.recording import Recording
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Crash, Estop, Fault, Heal, Partition, Reset, Restart, load
 from tools.bench.browser import browser, complaints, missing
-from tools.common.run_flaws import flaws
+from tools.common.run_flaws import ALL_COVERED, flaws
 from tools.inspect.inspector import NO_KEYS
 from tools.livemap.command import recorded
 from tools.report.chapter import chapters
@@ -493,6 +494,16 @@ def test_the_page_begins_with_tiles_and_says_which_flaw_there_was() -> None:
     where = "at 61.2 s robot 1 touched robot 3 at 12.0,-3.5"
     assert flaws({"contacts": 2, "first_contact": where}) == [f"2 contacts of bodies ({where})"]
     assert flaws({"success": False}) == ["report.json has the figures"]
+
+
+def test_what_is_told_of_the_ground_covered_is_the_same_everywhere_on_the_page() -> None:
+    """A tile of 100.0% stood below a flaw of 99.96%, and 100.00% was named as a flaw beside a contact."""
+    short = {"success": False, "coverage": 0.9996}
+    assert "99.96% of the area is covered" in page("t", short, [], "t")
+    assert "<span>covered</span> <b>99.96%</b>" in page("t", short, [], "t")
+    touched = {"success": False, "coverage": 0.99997, "contacts": 1}
+    assert flaws(touched) == ["1 contacts of bodies"]
+    assert ALL_COVERED == COVERAGE_MIN
 
 
 def test_the_tile_of_the_time_of_an_unfinished_run_is_how_long_it_ran() -> None:
