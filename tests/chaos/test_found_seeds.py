@@ -117,6 +117,8 @@ MENDED = {
     ("traffic", 106000207): "agent/peer/place_progress.py",
     # A place jumped while it was too inaccurate for the field, so that nobody compared it.
     ("senses", 107000097): "agent/peer/sense_freshness.py",
+    # A receiver hung at a corner, and each fall of the place turned the command across the motion.
+    ("fixes", 110000064): "agent/peer/place_progress.py",
 }
 
 
