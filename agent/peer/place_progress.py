@@ -51,7 +51,7 @@ ACCELERATION_SHARE: Final = 0.5
 ALIGNED_RAD: Final = radians(15.0)
 # A body turns back if the cosine of the angle between its way and its command is less. A place that falls
 # back at a corner turns the command to either side of the motion in turn.
-BACK_COS: Final = -0.5
+BACK_COS: Final = -0.25
 
 
 class _Kept:
@@ -195,12 +195,10 @@ class PlaceProgress:
         if not here.under_way or not 0 <= passed_for_us <= ACTUATOR_TTL_US:
             self._begin_again()
         share, dx_m, dy_m, gained_m, sensed_m = 0.0, 0.0, 0.0, 0.0, 0.0
-        speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
         # At a corner, a place that falls back may turn the command across the motion at each fix.
-        fell_m = 0.0
-        if (step_m or speed_m_s > STANDS_M_S) and before is not None and kept:
+        fell_back = before is not None and bool(kept) and _fell_back(before, here, passed_for_s)
+        if (step_m or fell_back) and before is not None and kept:
             dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
-            fell_m = -(dx_m * here.vx_m_s + dy_m * here.vy_m_s) / max(speed_m_s, STANDS_M_S)
         if step_m:
             share = step_m / told_m_s
             if before is not None and kept:
@@ -212,7 +210,7 @@ class PlaceProgress:
             now.expected_x_m + share * drive.vx_m_s, now.expected_y_m + share * drive.vy_m_s,
             now.way_m + self._most_m_s(here, told_m_s, limits, passed_for_s) * passed_for_s,
             now.wandered_m + hypot(dx_m, dy_m),
-            now.falls + self._falls(step_m, gained_m, sensed_m, fell_m, speed_m_s * passed_for_s),
+            now.falls + self._falls(step_m, gained_m, sensed_m, fell_back),
         )  # fmt: skip
         far = self._fell is not None and _between_m(self._fell, self._now) > NOWHERE_WAY_M
         if self._now.falls > now.falls and (self._fell is None or far):
@@ -258,14 +256,11 @@ class PlaceProgress:
         self._fastest_m_s = max(min(most_m_s, could_m_s), was_m_s - lost_m_s)
         return min(most_m_s, could_m_s)
 
-    def _falls(
-        self, expected_m: float, gained_m: float, sensed_m: float, fell_m: float, driven_m: float
-    ) -> bool:
+    def _falls(self, expected_m: float, gained_m: float, sensed_m: float, back: bool) -> bool:
         """Whether the place begins to go back by more than the body says that it does, in this period.
 
-        `fell_m`: by the place, against the motion that the body says. `driven_m`: as it says."""
-        goes_on = gained_m - min(sensed_m, 0.0) >= -expected_m / 2
-        goes_on = goes_on and (fell_m <= STEP_M or fell_m <= driven_m / 2)
+        `back`: it went back against the motion that the body says."""
+        goes_on = not back and gained_m - min(sensed_m, 0.0) >= -expected_m / 2
         falls, self._goes_on = self._goes_on and not goes_on, goes_on
         return falls
 
@@ -280,7 +275,7 @@ class PlaceProgress:
         return farthest_m <= FOLLOWS * expected_m and wandered_m > WANDERS * farthest_m
 
     def _turned_back(self, drive: Drive) -> bool:
-        """Whether the command is against the way that was expected, by more than a third of a turn."""
+        """Whether the command is clearly against the way that was expected."""
         oldest, now = self._kept[0], self._now
         x_m, y_m = now.expected_x_m - oldest.expected_x_m, now.expected_y_m - oldest.expected_y_m
         along = x_m * drive.vx_m_s + y_m * drive.vy_m_s
@@ -301,6 +296,16 @@ class PlaceProgress:
         if abs(off_rad) <= ALIGNED_RAD:
             fastest_m_s = max(vx_m_s * east + vy_m_s * north, fastest_m_s)
         return min(fastest_m_s, told_m_s)
+
+
+def _fell_back(before: Observation, here: Observation, passed_for_s: float) -> bool:
+    """Whether the place went back against the motion that the body says, by half of that at least."""
+    speed_m_s = hypot(here.vx_m_s, here.vy_m_s)
+    if speed_m_s <= STANDS_M_S:
+        return False
+    dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
+    fell_m = -(dx_m * here.vx_m_s + dy_m * here.vy_m_s) / speed_m_s
+    return fell_m > max(STEP_M, speed_m_s * passed_for_s / 2)
 
 
 def _between_m(first: _Kept, last: _Kept) -> float:
