@@ -73,18 +73,24 @@ def test_a_place_that_cannot_be_written_stays_a_wrong_word(tmp_path: Path) -> No
     assert code_of(OSError(errno.EDQUOT, "over quota")) == 75
 
 
-@pytest.mark.parametrize("words", [["release"], ["order", "0", "start"]])
-def test_a_counter_that_cannot_be_reserved_on_a_full_disk_is_told_with_75(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
-) -> None:
-    """Nothing is wrong with the key file, and the same command succeeds as soon as there is room."""
-    key = tmp_path / "operator.json"
-    write(tmp_path / "fleet.json", key, fresh(), 249)
+def key_without_room(folder: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The key file of an operator on a disk that takes nothing more."""
+    key = folder / "operator.json"
+    write(folder / "fleet.json", key, fresh(), 249)
 
     def full_disk(_: int) -> None:
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr("agent.runtime.files.key_file.os.fsync", full_disk)
+    return key
+
+
+@pytest.mark.parametrize("words", [["release"], ["order", "0", "start"]])
+def test_a_counter_that_cannot_be_reserved_on_a_full_disk_is_told_with_75(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, words: list[str]
+) -> None:
+    """Nothing is wrong with the key file, and the same command succeeds as soon as there is room."""
+    key = key_without_room(tmp_path, monkeypatch)
     told = CliRunner().invoke(app, [*words, "--keys", str(key)])
     assert told.exit_code == 75 and told.stderr.count("\n") == 1, told.output
     assert "No space left on device" in told.stderr
@@ -94,13 +100,7 @@ def test_a_stop_is_said_also_where_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With an operator's key nothing was sent, for its counter could not be reserved."""
-    key = tmp_path / "operator.json"
-    write(tmp_path / "fleet.json", key, fresh(), 249)
-
-    def full_disk(_: int) -> None:
-        raise OSError(errno.ENOSPC, "No space left on device")
-
-    monkeypatch.setattr("agent.runtime.files.key_file.os.fsync", full_disk)
+    key = key_without_room(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     words = ["stop", "-i", "virtual", "-c", str(tmp_path), "--timeout", "0.6", "--keys", str(key)]
     with can.Bus(str(tmp_path), interface="virtual") as ear:

@@ -87,6 +87,15 @@ def gateway_on(tmp_path: Path, told: list[str], as_json: bool = False) -> Master
     return gateway
 
 
+def say_delivered(gateway: MasterGateway, task: int, address: int) -> None:
+    """Robot 0 says at this address that it has delivered a task."""
+    for message in (
+        AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0),
+        TaskClaim(task, 0, Phase.DONE, 0, 5, 0), WorkProgress(task, 0, 3),
+    ):  # fmt: skip
+        gateway.hear(encode(message, address))
+
+
 async def left(gateway: MasterGateway) -> None:
     port = gateway.ports[0]
     port.running.cancel()
@@ -396,12 +405,7 @@ def test_a_fleet_with_keys_delivers_nothing_that_no_robot_has_proven(
         gateway.order(port, WHOLE)
         booked = port.vehicle.booked
         assert booked is not None and booked.number is not None
-        said = (
-            AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0),
-            TaskClaim(booked.number, 0, Phase.DONE, 0, 5, 0), WorkProgress(booked.number, 0, 3),
-        )  # fmt: skip
-        for message in said:
-            gateway.hear(encode(message, address))
+        say_delivered(gateway, booked.number, address)
         gateway._observe(port)
         outcome = port.vehicle.outcome
         delivered = outcome is not None and outcome.phase is TaskPhase.DELIVERED
@@ -421,11 +425,7 @@ def test_a_delivered_transport_is_not_ordered_again_where_its_number_is_used_aga
         port = gateway.ports[0]
         gateway.order(port, WHOLE)
         (said,) = gateway.desk.due()
-        for message in (
-            AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0),
-            TaskClaim(said.task, 0, Phase.DONE, 0, 5, 0), WorkProgress(said.task, 0, 3),
-        ):  # fmt: skip
-            gateway.hear(encode(message, 130))
+        say_delivered(gateway, said.task, 130)
         gateway._observe(port)
         gateway.desk.hear(128, said._replace(dropoff=said.dropoff + 1))
         gateway._observe(port)
