@@ -52,6 +52,6 @@ def test_a_place_that_falls_back_at_a_corner_leads_nowhere(hangs: bool) -> None:
         fell = period % 2 == 1
         x_m = -step_m * ((not fell) if hangs else period)
         here = Observation(x_m, 0.0, 0.0, -1.8, 0.1, sensed_at_us=period * CONTROL_PERIOD_US)
-        drive = Drive(0.0, -0.5, 0.0, False) if not fell else Drive(-2.0, 0.2, 0.0, False)
+        drive = Drive(0.0, -0.5, 0.0, False) if fell else Drive(-2.0, 0.2, 0.0, False)
         told = told or progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
     assert bool(told) is hangs, told
