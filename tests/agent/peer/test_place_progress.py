@@ -42,16 +42,17 @@ def test_a_body_that_drives_already_drives_on_at_once() -> None:
     assert way_m(1, SPEED_M_S, SPEED_M_S) >= SPEED_M_S * PERIOD_S
 
 
+@pytest.mark.parametrize("periods", [2, 5])
 @pytest.mark.parametrize("hangs", [True, False])
-def test_a_place_that_falls_back_at_a_corner_leads_nowhere(hangs: bool) -> None:
+def test_a_place_that_falls_back_at_a_corner_leads_nowhere(hangs: bool, periods: int) -> None:
     """Each fall took the place before the corner again, so that the command turned across the motion
-    (fixes 110000064). The robot drove 4.1 m."""
+    (fixes 110000064). The robot drove 4.1 m. `periods`: between two fixes."""
     progress, step_m = PlaceProgress(), 1.8 * PERIOD_S
     told = ""
-    for period in range(30):
-        fell = period % 2 == 1
-        x_m = -step_m * ((not fell) if hangs else period)
+    for period in range(40):
+        since_fix = period % periods
+        x_m = -step_m * (since_fix if hangs else period)
         here = Observation(x_m, 0.0, 0.0, -1.8, 0.1, sensed_at_us=period * CONTROL_PERIOD_US)
-        drive = Drive(0.0, -0.5, 0.0, False) if fell else Drive(-2.0, 0.2, 0.0, False)
+        drive = Drive(-2.0, 0.2, 0.0, False) if since_fix else Drive(0.0, -0.5, 0.0, False)
         told = told or progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
     assert bool(told) is hangs, told
