@@ -12,6 +12,7 @@ from tools.common.process_identity import lives
 
 LAUNCH = Path("runs/launch/bus.json")  # where a launch leaves the address of its bus
 CHANNEL = "can0"  # of the bus of a launch
+LOCAL_NAMES = {"127.0.0.1", "localhost"}  # of one and the same host
 Attached = tuple[str, str, int, str, int]  # interface, channel, bit rate, host, port
 
 
@@ -64,6 +65,16 @@ def address_of_launch() -> tuple[str, int, str]:
     return host, port, channel
 
 
+def is_at(where: Any, host: str, port: int) -> bool:
+    """Whether the bus of a launch has this address. A launch listens on 127.0.0.1, which people call
+    localhost.
+
+    `where`: what is in the file of the launch. Raises KeyError and TypeError if that is no address."""
+    there = where["host"]
+    same_host = host == there or {host, there} <= LOCAL_NAMES
+    return same_host and bool(port == where["port"])
+
+
 def find_launch(interface: str, port: int) -> None:
     """Raises AttachError if no bus is named and no launch is running here."""
     if interface == "socketcand" and port == 0:
@@ -85,8 +96,7 @@ def robots_of_launch(interface: str, host: str, port: int, keys: Path | None = N
     for file in (LAUNCH, *beside):
         try:
             where = _believed(file)
-            named = host == where["host"] and port == where["port"]
-            if named or (port == 0 and file is LAUNCH):
+            if is_at(where, host, port) or (port == 0 and file is LAUNCH):
                 return [int(slot) for slot in where["robots"]]
         except (ValueError, KeyError, TypeError):  # of them GivenFileError
             continue
@@ -97,7 +107,7 @@ def scenario_of_launch(interface: str, host: str, port: int) -> str | None:
     """The scenario of the newest launch in this folder, as a tool here can load it; None: another bus."""
     try:
         where = _believed(LAUNCH)
-        same = port == 0 or (host == where["host"] and port == where["port"])
+        same = port == 0 or is_at(where, host, port)
         scenario = str(where["scenario"])
     except (ValueError, KeyError, TypeError):  # of them GivenFileError
         return None
@@ -108,7 +118,7 @@ def folder_of_launch(interface: str, host: str, port: int) -> Path | None:
     """The folder of the newest launch here, where the bus is that launch's; None: another bus."""
     try:
         where = _believed(LAUNCH)
-        same = port == 0 or (host == where["host"] and port == where["port"])
+        same = port == 0 or is_at(where, host, port)
         folder = Path(str(where["folder"]))
     except (ValueError, KeyError, TypeError):  # of them GivenFileError
         return None

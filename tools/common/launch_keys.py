@@ -13,7 +13,7 @@ from typing import Any
 
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_json
 from agent.runtime.files.key_file import DEVICE, FLEET, NAMES, OPERATOR, fresh, write
-from tools.common.bus_address import LAUNCH
+from tools.common.bus_address import LAUNCH, is_at
 from tools.common.file_owner import is_own, is_private
 
 KEYS = "keys"  # the folder in that of a fleet, and its name in bus.json
@@ -58,7 +58,7 @@ def own_keys(interface: str, host: str, port: int) -> Path | None:
     finds none."""
     try:
         where = dict(read_json(LAUNCH, SETTINGS_BYTES_MAX))
-        same = port == 0 or (host == where["host"] and port == where["port"])
+        same = port == 0 or is_at(where, host, port)
     except (GivenFileError, KeyError, TypeError, ValueError):
         return None
     return keys_in(LAUNCH, where) if interface == "socketcand" and same else None

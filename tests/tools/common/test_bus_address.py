@@ -53,6 +53,16 @@ def test_the_launch_of_this_user_is_believed(launch: Path, tmp_path: Path) -> No
     assert folder_of_launch("socketcand", host, 0) == tmp_path
 
 
+def test_the_launch_is_found_by_the_other_name_of_its_host(launch: Path, tmp_path: Path) -> None:
+    """With `--host localhost` a dead robot was not named, and the stop was not signed."""
+    _, port, _ = HERE
+    assert robots_of_launch("socketcand", "localhost", port) == [0]
+    assert scenario_of_launch("socketcand", "localhost", port) == "small"
+    assert folder_of_launch("socketcand", "localhost", port) == tmp_path
+    assert robots_of_launch("socketcand", "localhost", port + 1) == []
+    assert folder_of_launch("socketcand", "192.0.2.1", port) is None
+
+
 @pytest.mark.parametrize("change", [given_away, writable])
 def test_the_launch_of_another_user_is_refused_and_its_port_named(
     launch: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],

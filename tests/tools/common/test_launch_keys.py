@@ -41,6 +41,7 @@ def test_only_the_user_of_a_launch_takes_its_keys(
     monkeypatch.chdir(tmp_path)
     assert own_keys("socketcand", "127.0.0.1", 0) == keys
     assert own_keys("socketcand", "127.0.0.1", 5) == keys
+    assert own_keys("socketcand", "localhost", 5) == keys
     assert own_keys("socketcand", "127.0.0.1", 6) is None, "another bus"
     assert own_keys("socketcan", "127.0.0.1", 0) is None
     keys.chmod(0o750)
