@@ -108,12 +108,23 @@ def end_fleet(fleet: FleetFolder, setting: AnySetting) -> None:
 
 
 def _of_name(name: str, identity: str, fresh: bool) -> tuple[Path, str]:
-    """The newest folder of that name if its fleet goes on, or a new one; and what to say of it."""
+    """The newest folder of that name if its fleet goes on, or a new one; and what to say of it.
+
+    Raises FolderError where that fleet is unknown, as after a power cut: it may be latched."""
     said = ""
-    with_fleet = [path for _, path in folders(RUNS, name) if (path / FLEET).is_file()]
+    with_fleet = [
+        path
+        for _, path in folders(RUNS, name)
+        if (path / FLEET).is_file() or any(path.glob(JOURNALS))
+    ]
     if with_fleet and not fresh:
         newest = with_fleet[-1]
         known = _known(newest)
+        if known is None and any(newest.glob(JOURNALS)):
+            raise FolderError(
+                f"{newest} holds the journals of a fleet, but its {FLEET} is lost or unreadable, so "
+                "nobody knows whether it is done; begin a new fleet with --fresh"
+            )
         if known is not None and not known["over"]:
             if known["fleet"] == identity:
                 return newest, ""

@@ -201,6 +201,26 @@ def test_e2_a_launch_goes_on_until_its_work_is_done_or_it_is_told_otherwise(fold
         pass
 
 
+@pytest.mark.parametrize("left", [None, "", '{"fleet": "0123'])
+def test_f5_a_fleet_whose_file_is_lost_is_not_replaced_in_silence(
+    folder: Path, left: str | None
+) -> None:
+    """A latched fleet moved after a power cut had emptied this file: the same command began a new one."""
+    first = fleet_folder(None, _setting(), False)
+    _close(first)
+    (first.folder / "robot0.sqlite").write_text("memory of a stop")
+    file = first.folder / "fleet.json"
+    file.unlink() if left is None else file.write_text(left)
+    with pytest.raises(FolderError, match=r"runs/small-1 holds .*fleet\.json .*--fresh"):
+        fleet_folder(None, _setting(), False)
+    anew = fleet_folder(None, _setting(), True)
+    _close(anew)
+    assert anew.folder == Path("runs/small-2") and not anew.continues
+    again = fleet_folder(None, _setting(), False)
+    _close(again)
+    assert again.folder == anew.folder and again.continues
+
+
 def test_a_fleet_is_continued_when_its_old_robots_have_ended(folder: Path) -> None:
     first = fleet_folder(None, _setting(), False)
     _close(first)
