@@ -37,6 +37,7 @@ class Conflicts(Part):
         self.safety, self.joining = safety, joining
         self._cause_of: dict[int, StopCause] = {}  # address of the other machine
         self._ends_at_us: dict[int, int] = {}  # if nothing more is received from that address
+        self._why: dict[int, str] = {}  # for people, by address
         self._said: deque[tuple[type, bytes]] = deque(maxlen=SAID_MAX)
         # since when another machine sends from our address
         self._doubled_first_at_us: int | None = None
@@ -64,7 +65,8 @@ class Conflicts(Part):
         """That machine cannot work with us: stand still while it sends frames."""
         new = self._cause_of.get(address) is not cause
         self._cause_of[address], self._ends_at_us[address] = cause, now_us + GONE_US
-        self.safety.raise_cause(cause, now_us, f"address {address}: {why}", GONE_US)
+        self._why[address] = why
+        self.safety.raise_cause(cause, now_us, self._detail(cause, now_us), GONE_US)
         told = [Trace("safety", "", cause.name, "PROTECTIVE", f"address {address}")] if new else []
         return [HALT, *told]
 
@@ -77,8 +79,7 @@ class Conflicts(Part):
             del self._cause_of[address]
         else:
             self._ends_at_us[address] = now_us + GONE_US
-            detail = dict(self.safety.causes).get(cause, f"address {address}")
-            self.safety.raise_cause(cause, now_us, detail, GONE_US)
+            self.safety.raise_cause(cause, now_us, self._detail(cause, now_us), GONE_US)
 
     def has_our_name(self, address: int) -> bool:
         """Whether a device at this address was found to have our identity."""
@@ -87,8 +88,20 @@ class Conflicts(Part):
     def settled(self, address: int, now_us: int) -> None:
         """End the conflict: the machine agrees, or another device has its address."""
         cause = self._cause_of.pop(address, None)
-        if cause is not None and cause not in self._cause_of.values():
+        if cause is None:
+            return
+        detail = self._detail(cause, now_us)
+        if not detail:
             self.safety.clear_cause(cause, now_us)
+        elif self.safety.holds(cause):
+            self.safety.raise_cause(cause, now_us, detail)
+
+    def _detail(self, cause: StopCause, now_us: int) -> str:
+        """Which machine the cause is about, of several the one that was found first; empty: none."""
+        for address, found in self._cause_of.items():
+            if found is cause and now_us < self._ends_at_us[address]:
+                return f"address {address}: {self._why[address]}"
+        return ""
 
     # ---------------------------------------------------------------- ourselves
 

@@ -11,7 +11,7 @@ from agent.peer.inputs import BusState, Heard, Leave, Received, Sensed, Start
 from agent.peer.member_conflicts import GONE_US, TOLD_APART_US
 from agent.peer.membership import FAREWELL_US, MemberStatus
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import StopCause
+from agent.safety.stop_cause import StopCause, about
 from protocol.controller_health import Health
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import PLACE_UNKNOWN_M_S, Heartbeat, Member, Pose
@@ -68,6 +68,28 @@ def test_t1_it_ends_when_the_other_agrees() -> None:
     assert held_by(peer) == {StopCause.CONFIG_MISMATCH}
     peer.step(Heard(200, Member(2, 0, 1)), 3 * S)
     assert not held_by(peer) and peer.membership.live == {0, 2}
+
+
+@pytest.mark.parametrize("first_agrees", [True, False])
+def test_t1_of_two_such_robots_the_one_that_still_speaks_is_named(first_agrees: bool) -> None:
+    """People were sent to a machine that had been mended, or switched off, long ago."""
+    peer = robot()
+    for address, slot in ((200, 2), (201, 3)):
+        peer.step(Heard(address, AddressClaimed(fleet_name("total", slot).pack())), 2 * S)
+        peer.step(Heard(address, Member(slot, 0, OTHER_FIELD)), 2 * S)
+    assert about(StopCause.CONFIG_MISMATCH, held_for(peer)) == 200
+    if first_agrees:
+        peer.step(Heard(200, Member(2, 0, 1)), 2 * S)
+    for k in range(6):
+        peer.step(Heard(201, POSE), (3 + k) * S)
+    assert about(StopCause.CONFIG_MISMATCH, held_for(peer)) == 201
+    peer.step(Heard(201, Member(3, 0, 1)), 9 * S)
+    assert StopCause.CONFIG_MISMATCH not in held_by(peer), "nobody is left who differs"
+
+
+def held_for(peer: Peer) -> str:
+    """What its stop for another field description is about."""
+    return dict(peer.safety.causes)[StopCause.CONFIG_MISMATCH]
 
 
 def test_m17_a_robot_of_another_fleet_holds_nobody_and_is_no_member() -> None:
