@@ -113,6 +113,9 @@ class Inspector:
         self.makers = Makers()
         self.robots: dict[int, Seen] = {}
         self.slot_of: dict[int, int] = {}
+        self._names: dict[int, int] = {}  # address: NAME of ours that claimed it last
+        # Of addresses that another maker has claimed: NAME and slot of the robot that had it.
+        self._contested: dict[int, tuple[int, int]] = {}
         self.allocation = FieldAllocationCRDT()
         self.progress = Progress({})
         self.kinds: Counter[str] = Counter()
@@ -158,8 +161,8 @@ class Inspector:
             return
         kind = type(message).__name__
         self.kinds[kind] += 1
-        if isinstance(message, AddressClaimed) and not self.makers.claimed(source, message.name):
-            self._foreign(source)
+        if isinstance(message, AddressClaimed):
+            self._claimed(source, message.name)
         if isinstance(message, Member):
             self._member(t_s, source, message)
         if self.proven is not None:
@@ -215,10 +218,22 @@ class Inspector:
         robot = self.robots.setdefault(message.slot, Seen(message.slot, source, first_s=t_s))
         robot.address, robot.incarnation, robot.left = source, message.incarnation, False
 
-    def _foreign(self, source: int) -> None:
-        """What came from there before the claim was no robot's."""
-        slot = self.slot_of.pop(source, None)
-        if slot is not None and self.robots[slot].address == source:
+    def _claimed(self, source: int, name: int) -> None:
+        """Another maker's claim: what came from there before was no robot's, unless a robot had claimed
+        the address. That one has lost it, or claims it again."""
+        was_ours = self.makers.knows(source)
+        if self.makers.claimed(source, name):
+            said, slot = self._contested.pop(source, (0, -1))
+            if said == name and slot in self.robots and slot not in self.slot_of.values():
+                self.slot_of[source] = slot
+            self._names[source] = name
+            return
+        slot = self.slot_of.pop(source, -1)
+        if slot < 0 or self.robots[slot].address != source:
+            return
+        if was_ours:
+            self._contested[source] = self._names[source], slot
+        else:
             del self.robots[slot]
 
     def _in_field(self, section: int) -> bool:

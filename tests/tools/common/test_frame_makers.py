@@ -4,6 +4,7 @@ from random import Random
 
 import pytest
 
+from agent.interface.lifecycle import State
 from crdt import Phase
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member
@@ -86,6 +87,26 @@ def test_a2_a_robot_that_is_known_stays_in_the_count_when_another_claims_its_add
     tool.hear(0.3, encode(Member(2, 1, 7), AT))
     tool.hear(0.4, encode(FOREIGN, AT))
     assert list(tool.robots) == [1, 2]
+
+
+def test_a2_a_robot_that_loses_or_defends_its_address_stays_in_view() -> None:
+    """It was gone from `inspect` and the map, and a launch told that its stop was released."""
+    inspector = Inspector()
+    beat = encode(Heartbeat(1, State.EMERGENCY_STOP, True, True, True, False, 1.0, 0, 0), ROBOT_AT)
+    for t_s, frame in ((0.0, encode(ROBOT, ROBOT_AT)), (0.1, encode(Member(1, 1, 7), ROBOT_AT))):
+        inspector.hear(t_s, frame)
+    inspector.hear(0.2, beat)
+    inspector.hear(0.3, encode(FOREIGN, ROBOT_AT))
+    assert inspector.robots[1].state == State.EMERGENCY_STOP.name
+    inspector.hear(0.4, beat)  # of the other device
+    assert inspector.robots[1].last_s == 0.2
+    inspector.hear(0.5, encode(ROBOT, ROBOT_AT))
+    inspector.hear(0.6, beat)
+    assert inspector.robots[1].last_s == 0.6, "it has defended its address"
+    inspector.hear(0.7, encode(FOREIGN, ROBOT_AT))
+    inspector.hear(0.8, encode(Member(1, 1, 7), ROBOT_AT + 1))
+    inspector.hear(0.9, encode(ROBOT, ROBOT_AT))
+    assert inspector.slot_of == {ROBOT_AT + 1: 1}, "it has moved"
 
 
 def test_a2_a_stop_of_a_device_that_claims_nothing_is_shown() -> None:
