@@ -128,9 +128,13 @@ class Panel:
         self._listeners.append(operator)
         try:
             await operator.listen(LISTEN_S, stops=True)
+            operator.check_address()
             shown, _ = operator.shown.named
             left = await (self._reset(operator, start) if reset else self._start(operator))
             still = await held_still(operator) if left else frozenset()
+            operator.check_address()
+        except AttachError as problem:
+            raise PanelError(str(problem)) from None
         finally:
             self._listeners.remove(operator)
         return {

@@ -34,9 +34,10 @@ from protocol.frames.safety_frames import (
 )
 from protocol.frames.segment_frames import FleetStop
 from protocol.frames.work_frames import REGISTERS, STOPS, StateSyncRequest
+from tools.common.bus_address import AttachError
 from tools.common.frame_makers import Makers
 from tools.operate.shown_stops import ShownStops
-from tools.operate.tool_address import DeviceAddress
+from tools.operate.tool_address import CROWDED_OUT, DeviceAddress
 
 OPERATOR_SLOT = 249  # an operator device in dots and commands, in a fleet without keys
 LIVE_S = 1.0  # heard within this: it has to stop
@@ -242,6 +243,11 @@ class Operator:
     def send(self, message: Message) -> bool:
         """Send a message from the address of this device. False where the bus does not take it."""
         return self.device.send(message)
+
+    def check_address(self) -> None:
+        """Raises AttachError if no address is left for this device: robots hear none of its orders."""
+        if self.device.crowded_out:
+            raise AttachError(CROWDED_OUT)
 
     def ask_who(self) -> None:
         """Ask all robots for their slots."""

@@ -78,6 +78,7 @@ async def _order(
         operator = Operator(can_bus, keyring)
         listen_to(can_bus, operator)
         await operator.listen(LISTEN_S)
+        operator.check_address()
         robot = next((r for r in operator.live if r.slot == slot), None)
         if robot is None:
             heard = ", ".join(str(r.slot) for r in operator.live) or "none"
@@ -86,6 +87,8 @@ async def _order(
         question = robot.question
         with told_wait(f"until robot {slot} obeys or says why not", timeout_s):
             obeyed = await convey(operator, robot, what, goal, timeout_s)
+        if not obeyed:
+            operator.check_address()
         _tell(robot, what, question is not None, obeyed, keyring is not None, as_json)
         return 0 if obeyed else NOT_ALL
     finally:

@@ -128,6 +128,7 @@ async def _rekey(
         can_bus.subscribe(listen)
         operator.ask_who()
         await operator.listen(LISTEN_S)
+        operator.check_address()
         if not rekeyer.wanted:
             print("headland: no robot is heard on this bus; nothing is changed", file=sys.stderr)
             return NOT_ALL

@@ -58,6 +58,7 @@ async def _reset(
         operator.expect(robots_of_launch(interface, host, port, key))
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
+        operator.check_address()
         shown, _ = operator.shown.named
         summed = in_sum(operator)
         asked = operator.release_asked
@@ -66,6 +67,7 @@ async def _reset(
         if start and not left:
             with told_wait("until every robot has started", timeout_s):
                 await started(operator, timeout_s)
+        operator.check_address()
         still = await held_still(operator) if left else frozenset()
         await hear_causes(operator)
         cleared = [dot for dot in shown if dot not in still]

@@ -14,7 +14,7 @@ from random import Random
 from secrets import randbits
 from typing import Protocol
 
-from protocol.address import AddressClaim, AddressMessage
+from protocol.address import CANNOT, AddressClaim, AddressMessage
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.codec import decode, encode
 from protocol.frames.delivery_frames import TaskOrder
@@ -31,6 +31,10 @@ KEPT_MAX = 64  # messages kept until there is an address; a program that waits s
 IDENTITY_BITS = 21
 URGENT = (EmergencyStop, AllImplementsStop, Freshness, Request)
 CLAIM_PGN = GROUP_OF[AddressClaimed].pgn
+CROWDED_OUT = (
+    "other devices have claimed every address that a tool may take, so nothing but a stop can be sent: "
+    "look for the device that claims them all"
+)
 
 
 class Sender(Protocol):
@@ -72,6 +76,11 @@ class DeviceAddress:
     def address(self) -> int | None:
         """None until it is ours."""
         return None if self.claim is None else self.claim.address
+
+    @property
+    def crowded_out(self) -> bool:
+        """No address is left for this tool, so its messages wait in vain."""
+        return self.claim is not None and self.claim.state is CANNOT
 
     async def held(self, seconds: float = 2.0) -> bool:
         """Wait for the address, at most for this time."""

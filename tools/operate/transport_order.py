@@ -24,7 +24,7 @@ from tools.common.kind_words import KIND_WORDS
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of
-from tools.operate.tool_address import DeviceAddress
+from tools.operate.tool_address import CROWDED_OUT, DeviceAddress
 
 LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 ASKED = 6  # times in it, as frames may be lost, for the highest number that is used
@@ -135,6 +135,8 @@ async def _order(
         for _ in range(ASKED):
             device.send(HIGHEST_ASKED)
             await asyncio.sleep(LISTEN_S / ASKED)
+        if device.crowded_out:
+            raise AttachError(CROWDED_OUT)
         if not desk.robots:
             raise AttachError(
                 "no delivering fleet is heard on this bus: headland run warehouse --live"

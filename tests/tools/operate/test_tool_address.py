@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from protocol.address import LAST
+from protocol.address import FIRST, LAST
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import NULL_ADDRESS
@@ -19,10 +19,11 @@ from sim.can.simulated_bus import FieldBus, Segment, forget, segment
 from sim.can.socketcand_server import Hub
 from sim.fleet.virtual_clock import elapse, run_virtual
 from tests.tools.launching import call
+from tools.livemap.stop_panel import Panel, PanelError
 from tools.operate.estop import press
 from tools.operate.operator_device import Operator
 from tools.operate.pgn_client import PgnClient
-from tools.operate.tool_address import CLAIM_PGN, PREFERRED, DeviceAddress
+from tools.operate.tool_address import CLAIM_PGN, CROWDED_OUT, PREFERRED, DeviceAddress
 
 HOLDERS = {
     "a lower NAME": Name(5, manufacturer=100, function=129, device_class=0, industry_group=0),
@@ -57,6 +58,18 @@ class Heard:
 
         bus.subscribe(hear)
         bus.send(claimed)
+
+    def crowd(self) -> None:
+        """A device that holds every address, and says so when it is asked."""
+        bus = CanBus(FieldBus(self.channel))
+
+        def hear(frame: Frame) -> None:
+            _, message = decode(frame)
+            if isinstance(message, Request) and message.pgn == CLAIM_PGN:
+                for address in (*range(FIRST, LAST + 1), PREFERRED):
+                    bus.send(encode(AddressClaimed(0), address))
+
+        bus.subscribe(hear)
 
     def of(self, kind: type) -> list[tuple[int, Any]]:
         return [(s, m) for s, m in map(decode, self.frames) if isinstance(m, kind)]
@@ -203,3 +216,35 @@ def test_a3_every_command_speaks_from_an_address_that_it_claimed(
         else:
             assert claimed[source].function == TOOL_FUNCTION
     assert list(claimed) == [PREFERRED], words
+
+
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize("words", [COMMANDS[name] for name in ("reset", "order", "task")])
+def test_t2_a_command_without_an_address_says_so(words: tuple[str, ...], tmp_path: Path) -> None:
+    """A release said that stops were cleared, though nothing of it had left."""
+
+    async def main() -> tuple[int, str]:
+        heard = Heard(f"crowd {words[0]}")
+        hub = Hub(heard.segment)
+        await hub.start()
+        heard.crowd()
+        try:
+            return await call(tmp_path, *words, "--port", str(hub.port))
+        finally:
+            await hub.stop()
+            forget(heard.channel)
+
+    code, out = asyncio.run(main())
+    assert code == 2 and CROWDED_OUT in out
+
+
+def test_t2_the_page_says_that_there_is_no_address(tmp_path: Path) -> None:
+    async def story(heard: Heard) -> None:
+        heard.crowd()
+        bus, loop = CanBus(FieldBus(heard.channel)), asyncio.get_running_loop()
+        panel = Panel(bus, None)
+        bus.subscribe(lambda frame: panel.hear(loop.time(), frame))
+        with pytest.raises(PanelError, match="every address"):
+            await panel.release(keyless=True, reset=True, start=True)
+
+    on_a_wire(story, "page")
