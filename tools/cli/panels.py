@@ -30,7 +30,8 @@ RENAMED = {"--agents": "--robots", "--operator-key": "--keys", "--animate": "--f
 CAN_FILES = ("can.ini", "~/.canrc", "~/.can", "/etc/can.conf", "~/can.conf")
 CAN_KEYS = ("interface", "channel", "bitrate")
 # Options whose number is never negative: spans of time, and a factor of it.
-SPANS = {"--seconds", "--timeout", "--wait", "--delay", "--limit", "--since", "--speed"}
+SPANS = {"--seconds", "--timeout", "--wait", "--delay", "--since", "--speed"}
+POSITIVE = {"--limit"}  # of these 0 would be no time at all
 # As `SEED_MAX` of sim/scenarios/scenario.py, whose import takes a second; a test compares them.
 SEED_MAX = 2**63 - 1
 SHOWN_MAX = 40  # characters of a wrong number
@@ -134,6 +135,8 @@ class _Number:
             raise typer.BadParameter(f"{value} is not a finite number", ctx, param)
         if isinstance(value, float) and value < 0 and not SPANS.isdisjoint(param.opts):
             raise typer.BadParameter(f"{value:g} is negative; it needs 0 or more", ctx, param)
+        if isinstance(value, float) and value <= 0 and not POSITIVE.isdisjoint(param.opts):
+            raise typer.BadParameter(f"{value:g} is too short; it needs more than 0", ctx, param)
         if isinstance(value, int) and "--seed" in param.opts and not 0 <= value <= SEED_MAX:
             raise typer.BadParameter(f"{_short(value)}: a seed is 0 to {SEED_MAX}", ctx, param)
         return value

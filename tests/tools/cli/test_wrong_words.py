@@ -110,6 +110,8 @@ SAID = [
     (f"run small --seed {'9' * 4000}", "a seed is 0 to 9223372036854775807"),
     ("coverage drive small.map --robots 2 --loss 2", "--loss is 0 to 0.9"),
     ("mapf small.map --robots 4 --crash 9", "--crash 9: 0 to 3 of 4 robots can crash"),
+    ("run small --limit -5", "-5 is too short; it needs more than 0"),
+    ("run warehouse --limit 0", "0 is too short; it needs more than 0"),
     ("machine --place nan,0,0", "finite"),
     ("machine --place 1e400,0,0", "finite"),
     ("machine --origin 95,0", "latitude is -90 to 90"),
