@@ -6,6 +6,7 @@ from typing import Any, Protocol
 from rich.markup import escape
 from rich.table import Table
 
+from tools.common.counted import counted
 from tools.common.run_flaws import flaws
 
 NO_KEYS = "[bold red]NONE: any device on the bus can stop and release this fleet[/bold red]"
@@ -61,7 +62,7 @@ def run_table(ran: RunOutcome, facts: Iterable[Fact]) -> Table:
     """The table of a scenario's run: whether it was without a flaw, `facts`, how to know it again."""
     why = escape("; ".join(flaws(ran.to_dict())))
     return fact_table(
-        f"{ran.scenario}: {ran.robots} robots, seed {ran.seed}",
+        f"{ran.scenario}: {counted(ran.robots, '{} robot{s}')}, seed {ran.seed}",
         [
             ("without a flaw", "[green]yes[/green]" if ran.success else f"[red]no: {why}[/red]"),
             *facts,

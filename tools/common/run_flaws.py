@@ -2,11 +2,14 @@
 
 from typing import Any
 
+from tools.common.counted import counted
+
 # The figures that make a run flawed, each with the words for it.
 FLAWS = {
-    "contacts": "{} contacts of bodies", "moved_after_stop": "{} times a robot moved after a stop",
-    "implement_contacts": "implements met {} times", "claims_lost": "{} claims lost",
-    "malformed": "{} malformed frames", "uncovered": "{} cells uncovered",
+    "contacts": "{} contact{s} of bodies",
+    "moved_after_stop": "{} time{s} a robot moved after a stop",
+    "implement_contacts": "implements met {} time{s}", "claims_lost": "{} claim{s} lost",
+    "malformed": "{} malformed frame{s}", "uncovered": "{} cell{s} uncovered",
 }  # fmt: skip
 ALL_COVERED = 0.99995  # COVERAGE_MIN of sim/fleet/outcome.py, which would import numpy
 
@@ -31,7 +34,7 @@ def flaws(figures: dict[str, Any]) -> list[str]:
         if isinstance(count, int) and not isinstance(count, bool) and count > 0:
             first = figures.get("first_contact") if key == "contacts" else None
             where = f" ({first})" if isinstance(first, str) and first else ""
-            found.append(told.format(count) + where)
+            found.append(counted(count, told) + where)
     for key in ("replicas_equal", "maps_equal"):
         if figures.get(key) is False:
             found.append(f"{key.split('_')[0]} differ")

@@ -3,6 +3,7 @@
 from typing import TYPE_CHECKING, Any
 
 from agent.peer.self_health import POOR
+from tools.common.counted import counted
 from tools.inspect.inspector import NO_KEYS
 
 if TYPE_CHECKING:  # slow to import, and `--json` does without
@@ -22,7 +23,9 @@ def table_of(seen: dict[str, Any]) -> "Table":
     """The robots, a row each."""
     from rich.table import Table
 
-    table = Table(title=f"{len(seen['robots'])} robots, {seen['seconds']:.1f} s of the bus")
+    table = Table(
+        title=f"{counted(len(seen['robots']), '{} robot{s}')}, {seen['seconds']:.1f} s of the bus"
+    )
     for column in (
         "robot",
         "address",

@@ -14,6 +14,7 @@ from sim.record.ros_bag import BagError, Storage, check_package, write_bag
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
+from tools.common.counted import counted
 from tools.common.exit_codes import code_of, wrong
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
@@ -128,7 +129,8 @@ def _check(folder: Path) -> None:
 def _told(record: WorkRecord) -> str:
     points = sum(len(log) for log in record.logs.values())
     state = "finished" if record.finished else "not finished"
-    return (
-        f"{record.name}, {state}: {len(record.swaths)} swaths, {len(record.logs)} robots, "
-        f"{points} log records"
+    swaths, robots = (
+        counted(len(record.swaths), "{} swath{s}"),
+        counted(len(record.logs), "{} robot{s}"),
     )
+    return f"{record.name}, {state}: {swaths}, {robots}, {points} log records"

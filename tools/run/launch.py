@@ -35,6 +35,7 @@ from sim.world.parcel_truth import Parcels
 from sim.world.world_memory import WorldMemory
 from tools.common.bus_address import CHANNEL, LAUNCH, absolute
 from tools.common.child_process import module_command, politely
+from tools.common.counted import counted
 from tools.common.exit_codes import INTERRUPTED
 from tools.common.launch_keys import KEYS
 from tools.common.process_identity import identity
@@ -408,7 +409,7 @@ class Launch:
                                   self._held()),
             "implement_contacts": len(met),
         }  # fmt: skip
-        touches = f"{len(self.world.contacts)} contacts, {len(met)} of implements"
+        touches = f"{counted(len(self.world.contacts), '{} contact{s}')}, {len(met)} of implements"
         verdict = f"coverage {truth.share:.2%}, {touches}"
         self._write(elapsed_s, finished, of_it, verdict)
 

@@ -15,6 +15,7 @@ from sim.fleet.warehouse_floor import WarehouseFloor
 from sim.record.remote_body import BodyServer
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody, Parcels
+from tools.common.counted import counted
 from tools.language.places import Places
 from tools.operate.order_proofs import FileProofs
 from tools.operate.tool_address import DeviceAddress
@@ -120,6 +121,6 @@ class HaulLaunch(Launch):
             self.difference = "every parcel lies at its place, robots do not all say so"
         verdict = (
             f"{len(truth.delivered_at_us)} of {len(truth.dropoff)} parcels delivered, "
-            f"{len(self.world.contacts)} contacts"
+            f"{counted(len(self.world.contacts), '{} contact{s}')}"
         )
         self._write(elapsed_s, finished, of_it, verdict)

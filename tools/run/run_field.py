@@ -16,6 +16,7 @@ from sim.scenarios.navigation_scenario import NavigationScenario, load_mission
 from sim.scenarios.scenario import ScenarioError
 from sim.world.ground_truth import TrackPoint
 from tools.build.warmup import warm_field
+from tools.common.counted import counted
 from tools.common.result_table import NO_KEYS, Fact
 from tools.run.picture import PlaceMark, draw_field
 from tools.run.run_mission import MissionCommand, run_mission
@@ -118,7 +119,7 @@ class FieldCommand(MissionCommand[FieldRun]):
             ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
             ("duplicate work", f"{outcome.units_twice} units announced twice; {overlap}"),
             ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
-            ("implements met", f"{outcome.implement_contacts} times, while they were down"),
+            ("implements met", counted(outcome.implement_contacts, "{} time{s}, while they were down")),
             ("moved after a stop", str(outcome.moved_after_stop)),
             ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
             ("driven", f"{outcome.travel_m:.0f} m for {outcome.work_m:.0f} m of swaths"),

@@ -502,7 +502,7 @@ def test_what_is_told_of_the_ground_covered_is_the_same_everywhere_on_the_page()
     assert "99.96% of the area is covered" in page("t", short, [], "t")
     assert "<span>covered</span> <b>99.96%</b>" in page("t", short, [], "t")
     touched = {"success": False, "coverage": 0.99997, "contacts": 1}
-    assert flaws(touched) == ["1 contacts of bodies"]
+    assert flaws(touched) == ["1 contact of bodies"]
     assert ALL_COVERED == COVERAGE_MIN
 
 

@@ -52,7 +52,9 @@ def test_a_launch_that_continues_a_fleet_tells_its_own_time_as_well(
     fleet = fleet_folder(tmp_path, setting, False)
     launch = Launch(setting, "small", fleet, Console(file=said, width=1000), None)
     launch.world_began_us = began_us
+    launch.world.contacts.append(Contact(4_000_000, 0, None, 0.1, "fence", 1.0, 2.0))
     launch._report(37.0, False)
     for lock in fleet.locks:
         lock.close()
     assert told in said.getvalue()
+    assert ", 1 contact, " in said.getvalue()  # it said "1 contacts"
