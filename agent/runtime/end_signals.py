@@ -10,14 +10,25 @@ from collections.abc import Callable
 from threading import Thread
 
 ENDS = (signal.SIGINT, signal.SIGTERM)
+HANG_UP = getattr(signal, "SIGHUP", None)  # a terminal that is closed; Windows has none
 
 
 def on_end(
     loop: asyncio.AbstractEventLoop, end: Callable[[], object],
     numbers: tuple[signal.Signals, ...] = ENDS,
 ) -> None:  # fmt: skip
-    """Call `end` in the loop when one of the signals comes. Only in the main thread (ValueError)."""
-    for number in numbers:
+    """Call `end` in the loop when one of the signals comes. Only in the main thread (ValueError).
+
+    With SIGTERM also when the terminal is closed (SIGHUP), unless that is ignored, as with `nohup`, or
+    somebody handles it already."""
+    ends = list(numbers)
+    if (
+        HANG_UP is not None
+        and signal.SIGTERM in numbers
+        and signal.getsignal(HANG_UP) == signal.SIG_DFL
+    ):
+        ends.append(HANG_UP)
+    for number in ends:
         try:
             loop.add_signal_handler(number, end)
         except NotImplementedError:  # the loop of Windows has none
