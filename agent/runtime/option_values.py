@@ -23,6 +23,14 @@ def number(name: str, value: object, least: float = -inf, most: float = inf) -> 
     return float(value)
 
 
+def whole(name: str, value: object, least: int, most: int) -> int:
+    """The value of an option that counts. Raises ValueError, one line, if it is no whole number from
+    `least` to `most`."""
+    if isinstance(value, bool) or not isinstance(value, int):
+        raise ValueError(f"options.{name}: {value!r} is no whole number")
+    return int(number(name, value, least, most))
+
+
 def flag(name: str, value: object) -> bool:
     """The value of an option that is true or false. Raises ValueError, one line, for all else: a text
     would count as true, "false" too."""
@@ -37,6 +45,14 @@ def text(name: str, value: object, wanted: str) -> str:
     if not isinstance(value, str) or not value:
         raise ValueError(f"options.{name}: {value!r} is not {wanted}")
     return value
+
+
+def name_or_number(name: str, value: object, wanted: str) -> str:
+    """The value of an option that is a name, for which a file may also have a whole number without
+    quotes: a serial number, or the channel of a CAN interface. Raises ValueError as `text` does."""
+    if isinstance(value, int) and not isinstance(value, bool):
+        value = f"{value:d}"
+    return text(name, value, wanted)
 
 
 def antenna(ahead_m: object, left_m: object) -> tuple[float, float]:

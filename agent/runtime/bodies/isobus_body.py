@@ -29,8 +29,10 @@ from agent.runtime.option_values import (
     accuracy,
     antenna,
     flag,
+    name_or_number,
     number,
     origin_or_none,
+    text,
 )
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from protocol.address import AddressClaim, AddressMessage
@@ -68,7 +70,9 @@ class IsobusBody(RobotBody):
     ) -> None:
         """`interface`, `channel`: of python-can. `steering`, `speed`: whether they are commanded. The
         others are those of the body `nmea`. Raises ValueError."""
-        self.slot, self.interface, self.channel = slot, interface, channel
+        self.slot = slot
+        self.interface = text("interface", interface, "an interface of python-can")
+        self.channel = name_or_number("channel", channel, "a channel of the interface")
         self.origin = origin_or_none(origin)
         self.wanted = (flag("steering", steering), flag("speed", speed))
         self.antenna_m = antenna(antenna_ahead_m, antenna_left_m)

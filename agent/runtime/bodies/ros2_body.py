@@ -36,7 +36,7 @@ from agent.motion.wheel_kinematics import (
     differential_body,
     mecanum_body,
 )
-from agent.runtime.option_values import number
+from agent.runtime.option_values import number, text, whole
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ if TYPE_CHECKING:
 FIRST_S: Final = 10.0  # for the first odometry; discovery of other nodes takes up to some seconds
 LOOK_S: Final = 0.02
 RAYS: Final = 36
+RAYS_MAX: Final = 360
+DOMAIN_MAX: Final = 232  # of DDS: its ports end there
 WHEEL_M: Final = 1.0  # any radius: wheel speeds are turned back into a velocity of the body
 NO_ROS: Final = "the body ros2 needs rclpy: a ROS 2 installation, or pip install 'headland[ros2]'"
 TTL_S: Final = ACTUATOR_TTL_US / 1e6
@@ -76,9 +78,19 @@ class Ros2Body(RobotBody):
         """Names of topics are relative to `namespace`; without one it is `/robot_N`. `scan`,
         `implement_state`: none if empty. `navigate`: an action NavigateToPose by which the robot is
         driven, in place of velocities. `domain`: ROS_DOMAIN_ID. Metres and radians: the origin of
-        the odometry in the field."""
-        if not 1 <= rays <= 360:
-            raise ValueError(f"rays: {rays} is not 1 to 360")
+        the odometry in the field. Raises ValueError, one line, for an option of another type or size."""
+        rays = whole("rays", rays, 1, RAYS_MAX)
+        domain = None if domain is None else whole("domain", domain, 0, DOMAIN_MAX)
+        for name, topic in (("odom", odom), ("cmd_vel", cmd_vel)):
+            text(name, topic, "the name of a topic")
+        for name, topic in (
+            ("namespace", namespace),
+            ("scan", scan),
+            ("implement_state", implement_state),
+            ("navigate", navigate),
+        ):
+            if topic != "":  # without it there is none
+                text(name, topic, "a name in ROS")
         self.slot, self.namespace = slot, namespace or f"/robot_{slot}"
         self.topics = (odom, cmd_vel, scan)
         self.implement_state, self.navigate = implement_state, navigate

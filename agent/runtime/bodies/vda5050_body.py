@@ -38,7 +38,7 @@ from agent.interface.config import MS, S
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation, VisibleParcel
 from agent.peer.peer import Peer
-from agent.runtime.option_values import number
+from agent.runtime.option_values import name_or_number, number, text
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.vda5050.broker_link import (
     Broker,
@@ -113,11 +113,18 @@ class Vda5050Body(RobotBody):
         parameters: dict[str, Any] | None = None,
     ) -> None:
         """`map`: its mapId. `interface`: the first level of its topics. `parameters`: that it wants
-        with pick and drop. Raises BrokerError, a ValueError, for names that cannot be used."""
-        address = VehicleAddress(interface, manufacturer, str(serial), version)
-        if not (
-            is_level(interface, deeper=True) and is_level(manufacturer) and is_level(str(serial))
-        ):
+        with pick and drop. Raises ValueError, one line: an option of another type, or a BrokerError, a
+        name that cannot be used."""
+        serial = name_or_number("serial", serial, "the serial number of the vehicle")
+        text("manufacturer", manufacturer, "the manufacturer of the vehicle")
+        text("interface", interface, "the first level of its topics")
+        text("version", version, "a version of VDA 5050")
+        text("map", map, "the mapId of its map")
+        text("broker", broker, "mqtt://HOST:PORT or mqtts://HOST:PORT")
+        if not isinstance(parameters, dict | None):
+            raise ValueError(f"options.parameters: {parameters!r} is not a table of key = value")
+        address = VehicleAddress(interface, manufacturer, serial, version)
+        if not (is_level(interface, deeper=True) and is_level(manufacturer) and is_level(serial)):
             raise BrokerError(
                 "interface, manufacturer and serial are levels of a topic, without + and #"
             )

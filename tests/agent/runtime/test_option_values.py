@@ -10,6 +10,7 @@ pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
 from agent.runtime.bodies.isobus_body import IsobusBody
 from agent.runtime.bodies.nmea_body import NmeaBody
 from agent.runtime.bodies.replay_body import ReplayBody
+from agent.runtime.bodies.ros2_body import Ros2Body
 from agent.runtime.robot_body import StandingBody
 
 PORTS: dict[str, Any] = {"gnss": "tcp://127.0.0.1:1", "wheels": "tcp://127.0.0.1:2"}
@@ -81,6 +82,59 @@ def test_a_host_that_no_computer_can_have_is_told_before_it_is_called() -> None:
     """A label of more than 63 letters is a UnicodeError where the connection is made."""
     with pytest.raises(ValueError, match=r"\Aoptions\.gnss: [^\n]+ no name of a computer\Z"):
         NmeaBody(0, **{**PORTS, "gnss": f"tcp://{'a' * 70}:1"})
+
+
+VEHICLE: dict[str, Any] = {
+    "broker": "mqtt://127.0.0.1", "manufacturer": "ACME", "serial": "7", "map": "hall",
+}  # fmt: skip
+NO_TEXTS = (None, True, "", ["a"], {"a": 1}, 1.5)
+
+
+@pytest.mark.parametrize("value", [*NO_TEXTS, 7], ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize("name", [*VEHICLE, "interface", "version"])
+def test_the_name_of_a_vehicle_is_a_text(name: str, value: Any) -> None:
+    """`broker = 7` was "'int' object has no attribute 'rpartition'", and `map = 7` a vehicle that is on
+    the map '7', not 7. A serial number may have no quotes."""
+    vda5050_body = pytest.importorskip("agent.runtime.bodies.vda5050_body")
+    if name == "serial" and value == 7:
+        made = vda5050_body.Vda5050Body(0, **{**VEHICLE, name: value})
+        assert made.link.identity.serial == "7"
+        return
+    with pytest.raises(ValueError, match=rf"\Aoptions\.{name}: [^\n]{{1,100}}\Z"):
+        vda5050_body.Vda5050Body(0, **{**VEHICLE, name: value})
+
+
+@pytest.mark.parametrize("value", ["fast", [1], 7, 0.5])
+def test_what_a_vehicle_wants_with_pick_and_drop_is_a_table(value: Any) -> None:
+    vda5050_body = pytest.importorskip("agent.runtime.bodies.vda5050_body")
+    with pytest.raises(ValueError, match=r"\Aoptions\.parameters: [^\n]+ is not a table[^\n]+\Z"):
+        vda5050_body.Vda5050Body(0, **VEHICLE, parameters=value)
+
+
+@pytest.mark.parametrize("value", NO_TEXTS, ids=lambda value: type(value).__name__)
+@pytest.mark.parametrize("name", ["channel", "interface"])
+def test_the_bus_of_a_tractor_is_named_by_texts(name: str, value: Any) -> None:
+    """They were passed on to python-can, and the line was that of one of its interfaces. Some of those
+    count their channels: such a number may have no quotes."""
+    with pytest.raises(ValueError, match=rf"\Aoptions\.{name}: [^\n]{{1,100}}\Z"):
+        IsobusBody(0, **{"channel": "can0", name: value})
+    assert IsobusBody(0, 1).channel == "1"  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"rays": "many"}, {"rays": 0}, {"rays": 36.5}, {"rays": True}, {"rays": 10**30},
+        {"domain": "7"}, {"domain": -1}, {"domain": 233}, {"odom": ""}, {"cmd_vel": 7}, {"scan": 7},
+        {"namespace": None}, {"implement_state": ["a"]}, {"navigate": True},
+    ],
+)  # fmt: skip
+def test_names_and_counts_of_a_ros_robot_are_told_by_their_option(options: dict[str, Any]) -> None:
+    """`rays = "many"` was "'<=' not supported between instances of 'int' and 'str'"."""
+    (name,) = options
+    with pytest.raises(ValueError, match=rf"\Aoptions\.{name}: [^\n]+\Z"):
+        Ros2Body(0, **options)
+    assert Ros2Body(0, rays=12, domain=7, scan="scan").rays == 12
 
 
 @pytest.mark.parametrize("value", [5, None, "", ["a.nmea"]])
