@@ -26,9 +26,10 @@ def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> Non
         feature("Polygon", rings, kind="covered", name="covered") for rings in record.covered
     ]
     for robot, log in sorted(record.logs.items()):
+        shape = "LineString" if len(log) > 1 else "MultiPoint"  # a line has two places
         features.append(
             feature(
-                "LineString", [(p.lon, p.lat) for p in log], kind="log", robot=robot,
+                shape, [(p.lon, p.lat) for p in log], kind="log", robot=robot,
                 t_ms=[p.t_ms for p in log], working=[int(p.working) for p in log],
             )
         )  # fmt: skip

@@ -82,6 +82,7 @@ def record_of(
         return tuple((round(x, digits), round(y, digits)) for x, y in zip(lon, lat, strict=True))
 
     def rings(shape: Polygon) -> Rings:
+        shape = orient(shape)  # RFC 7946 wants exteriors to turn left
         return tuple(degrees(ring.coords) for ring in (shape.exterior, *shape.interiors))
 
     logs = {}

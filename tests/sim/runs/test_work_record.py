@@ -1,6 +1,7 @@
 """Finished work leaves as task data and as GeoJSON, and reads back equal, by us and by `isoxml`."""
 
 import itertools
+import json
 from datetime import UTC, datetime
 from importlib.metadata import version
 from math import cos, sin
@@ -11,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from isoxml.converter.shapely_geom import ShapelyConverterV4
 from isoxml.util.isoxml_io import isoxml_from_path, isoxml_from_zip
-from shapely.geometry import Polygon
+from shapely.geometry import LinearRing, Polygon
 
 from agent.field.field_division import divide
 from agent.field.field_map import Field
@@ -112,6 +113,25 @@ def test_the_package_reads_it_too(tmp_path: Path, record: WorkRecord) -> None:
     assert task.status.value == "4" and task.partfield_id_ref == data.partfields[0].id
     logs = [unpack(binaries[log.filename], record.started) for log in task.time_logs]
     assert logs == list(record.logs.values())
+
+
+def test_rings_and_lines_are_as_geojson_wants_them(tmp_path: Path, record: WorkRecord) -> None:
+    """RFC 7946, 3.1.4 and 3.1.6: a line has two places, an exterior ring turns left, a hole turns right.
+    The ground that was covered turned right, and what a ring encloses was for some programs all else."""
+    short = {9: record.logs[0][:1]}
+    path = tmp_path / "work.geojson"
+    write_geojson(record._replace(logs={**record.logs, **short}), path)
+    shapes = [each["geometry"] for each in json.loads(path.read_text())["features"]]
+    rings = [
+        (k, ring)
+        for s in shapes
+        if s["type"] == "Polygon"
+        for k, ring in enumerate(s["coordinates"])
+    ]
+    assert len(rings) > 2 and any(k for k, _ in rings)
+    assert all(LinearRing(ring).is_ccw == (k == 0) for k, ring in rings)
+    assert all(len(s["coordinates"]) > 1 for s in shapes if s["type"] == "LineString")
+    assert read_work_geojson(path).logs[9] == short[9]
 
 
 def test_unfinished_work_is_paused(tmp_path: Path, record: WorkRecord) -> None:
