@@ -7,6 +7,7 @@ from typing import Any
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
+from agent.runtime.files.printable_text import printable
 from sim.files.whole_file import write_whole
 from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
@@ -83,8 +84,8 @@ def _record(document: dict[str, Any]) -> WorkRecord:
                 )
     started = datetime.fromisoformat(head["started"]).astimezone(UTC)
     return WorkRecord(
-        str(head["name"]), started, bool(head["finished"]), int(head["width_mm"]), head["rings"],
-        tuple(swaths), tuple(covered), logs,
+        printable(str(head["name"])), started, bool(head["finished"]), int(head["width_mm"]),
+        head["rings"], tuple(swaths), tuple(covered), logs,
     )  # fmt: skip
 
 

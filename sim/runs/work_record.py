@@ -19,6 +19,7 @@ from shapely.geometry.polygon import orient
 from agent.field.field_map import Field
 from agent.runtime.files.field_error import LonLat
 from agent.runtime.files.field_file import plane
+from agent.runtime.files.printable_text import printable
 from sim.world.coverage_truth import BACK_COS, Floats, strokes_of
 from sim.world.ground_truth import TrackPoint
 
@@ -96,7 +97,7 @@ def record_of(
             for (t_us, _, _, tool), (lon, lat) in zip(kept, places, strict=True)
         )
     return WorkRecord(
-        name=field.name[:NAME_MAX],
+        name=printable(field.name)[:NAME_MAX],  # XML carries no control characters
         started=started.replace(microsecond=0),
         finished=finished,
         width_mm=round(field.implement_width_m * 1000),

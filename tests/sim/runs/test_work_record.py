@@ -2,6 +2,7 @@
 
 import itertools
 import json
+from dataclasses import replace
 from datetime import UTC, datetime
 from importlib.metadata import version
 from math import cos, sin
@@ -132,6 +133,22 @@ def test_rings_and_lines_are_as_geojson_wants_them(tmp_path: Path, record: WorkR
     assert all(LinearRing(ring).is_ccw == (k == 0) for k, ring in rings)
     assert all(len(s["coordinates"]) > 1 for s in shapes if s["type"] == "LineString")
     assert read_work_geojson(path).logs[9] == short[9]
+
+
+def test_a_name_with_control_characters_makes_no_broken_task_data(tmp_path: Path) -> None:
+    """The name of a field is that of somebody's file: an escape or a bell made a TASKDATA.XML that no
+    program reads, and `headland export` wrote it to the terminal as it was."""
+    odd = replace(field(), name="x\x1b[31m\x07\n <&> ü")
+    record = record_of(odd, tracks(odd), True, STARTED)
+    assert record.name == "x [31m   <&> ü"
+    write_isoxml(record, tmp_path / "TASKDATA")
+    assert read_work_isoxml(tmp_path / "TASKDATA") == record
+    path = tmp_path / "work.geojson"
+    write_geojson(record, path)
+    document = json.loads(path.read_text())
+    document["features"][0]["properties"]["name"] = odd.name  # of an earlier version
+    path.write_text(json.dumps(document))
+    assert read_work_geojson(path) == record
 
 
 def test_unfinished_work_is_paused(tmp_path: Path, record: WorkRecord) -> None:
