@@ -171,6 +171,12 @@ class Election:
         if self.slot not in self.votes:
             answer = self._vote(live)
         self._count(live)
+        chosen = self.votes.get(self.slot)
+        if self.leader is not None and self.leader.slot == chosen and chosen not in live:
+            # Votes that come after it fell silent. A member that we never received may live, so only
+            # our own vote for it counts here.
+            self._open(self.term + 1)
+            return self._vote(live)
         return self._next_term(live) or answer
 
     def _next_term(self, live: frozenset[int]) -> LeaderElectionVote | None:

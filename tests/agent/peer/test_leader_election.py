@@ -171,3 +171,35 @@ def test_votes_for_a_member_that_fell_silent_before_it_led_make_no_leader_for_go
     election.see(2 * SETTLE_US)
     election.tick(alone, 3 * SETTLE_US)
     assert election.leader == (1, 2)
+
+
+def test_late_votes_for_a_member_that_fell_silent_make_no_leader_for_good() -> None:
+    """The first votes of all were lost. They are said again after the robot that all chose was gone."""
+    everybody, left = frozenset({0, 1, 2, 3}), frozenset({1, 2, 3})
+    elections = {slot: Election(1, slot, 0) for slot in left}
+    now_us = 0
+    for live in (everybody, left):
+        for election in elections.values():
+            election.see(now_us)
+        now_us += SETTLE_US
+        for election in elections.values():
+            election.tick(live, now_us)
+            if live is everybody:
+                assert election.speak(now_us) == _vote(0, 0)  # nobody hears it
+    for _ in range(3):
+        now_us += AGAIN_US
+        for slot, election in elections.items():
+            vote = election.speak(now_us)
+            for other in left - {slot}:
+                if vote is not None:
+                    elections[other].heard(slot, vote, left)
+    assert {election.leader for election in elections.values()} == {(1, 1)}
+
+
+def test_votes_for_a_member_that_we_alone_do_not_receive_open_no_term() -> None:
+    deaf = Election(1, 2, 0)
+    heard = frozenset({1, 2, 3})
+    deaf.call(heard)
+    for voter in (1, 3):
+        deaf.receive(voter, _vote(0, 0), heard)
+    assert deaf.term == 0 and deaf.leader == (0, 0)
