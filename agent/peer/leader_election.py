@@ -166,7 +166,9 @@ class Election:
             wanted = vote.term + self._lags
             self._open(self._reached(wanted))
             self._lags &= self.term < min(wanted, TERM_MAX)
-        if vote.term == self.term:
+        if vote.term == TERM_MAX == self.term:  # no later term follows, so the newest vote counts
+            self.votes[voter] = vote.candidate
+        elif vote.term == self.term:
             self.votes.setdefault(voter, vote.candidate)
         if self.slot not in self.votes:
             answer = self._vote(live)

@@ -203,3 +203,15 @@ def test_votes_for_a_member_that_we_alone_do_not_receive_open_no_term() -> None:
     for voter in (1, 3):
         deaf.receive(voter, _vote(0, 0), heard)
     assert deaf.term == 0 and deaf.leader == (0, 0)
+
+
+def test_in_the_last_term_the_newest_vote_of_a_robot_counts() -> None:
+    """Robot 1 did not notice that robot 0 was gone for a while, so it kept the votes of before."""
+    stayed = Election(1, 1, 0, term=TERM_MAX)
+    live = frozenset({0, 1, 2})
+    stayed.call(live)
+    stayed.receive(2, _vote(TERM_MAX, 2), live)
+    stayed.receive(0, _vote(TERM_MAX, 2), live)
+    assert stayed.leader == (TERM_MAX, 2)
+    stayed.receive(2, _vote(TERM_MAX, 0), live)
+    assert stayed.leader == (TERM_MAX, 0)
