@@ -31,6 +31,9 @@ LAST_SLOT = GUEST_FIRST - 1  # owner of a finished section if only its segment i
 UNKNOWN_OWNER = 0xFF  # an unknown robot of that segment
 FLUSH_US = 20 * MS  # changes wait this long to be sent together; a claim is contested for 250 ms
 OWNER_BITS = 8
+# Comparisons between two repairs at most: at two summaries a second, two minutes. A difference that
+# cannot be repaired must not hide later ones, of which entries were lost.
+REPAIRS_APART_MAX = 256
 
 Work = TaskClaim | StateSyncResponse | WorkProgress
 
@@ -300,8 +303,9 @@ class WorkRelay:
             self._differs.pop(neighbour, None)
             return
         tries = self._differs[neighbour] = self._differs.get(neighbour, 0) + 1
-        if tries < 2 or tries & tries - 1 or self._outbox[neighbour]:
-            return  # try at 2, 4, 8 ... so that an unrepairable difference costs less and less
+        rare = tries & tries - 1 and tries % REPAIRS_APART_MAX
+        if tries < 2 or rare or self._outbox[neighbour]:
+            return  # try at 2, 4, 8 ... so that an unrepairable difference costs less
         since = self._agreed.get(neighbour, 0) if tries == 2 else 0
         for change in self._shared_since(neighbour, since):
             self._outbox[neighbour][change] = None
