@@ -44,11 +44,17 @@ class AbsentOwners:
         may also if it has been stopped for `LEASE_US`, or has stood for `STANDS_US`.
         """
         if owner not in view.live:
-            return view.now_us - view.fell_silent_at_us.get(owner, -LEASE_US) >= LEASE_US
+            return self.silent(owner, view)
         picked_up = bool(view.progress.bits(task, 0) & 1)
         stopped_at_us = self._stopped_at_us.get(owner, view.now_us)
         gone = view.now_us - stopped_at_us >= LEASE_US or self._standing.stands(owner)
         return not picked_up and gone
+
+    def silent(self, owner: int, view: FleetView) -> bool:
+        """Whether the robot of the slot `owner` has been silent for `LEASE_US`. One that charges stands
+        for long, so others may take no more than this as a reason to take its bay."""
+        silent_at_us = view.fell_silent_at_us.get(owner, -LEASE_US)
+        return owner not in view.live and view.now_us - silent_at_us >= LEASE_US
 
     def why(self, owner: int) -> str:
         """Why a task is taken from this owner, for the trace."""

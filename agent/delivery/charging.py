@@ -1,6 +1,6 @@
 """When a carrier has to charge, at which bay, and whether the bay works."""
 
-from collections.abc import Container
+from collections.abc import Callable, Container
 from enum import Enum
 
 from agent.delivery.cost_matrix import Trip
@@ -71,24 +71,27 @@ class Charging:
         onward: Point | None,
         allocation: FieldAllocationCRDT,
         shunned: Container[int],
+        gone: Callable[[int], bool],
     ) -> ClaimRequest | None:
         """The claim of the free bay that is least out of the way; None if all are taken.
 
         `at`: where we are. `onward`: where we go after charging, or None. `shunned`: sections not
-        to choose, `TASKS_MAX` + bay. The bid is a tenth of the way in metres, at most 31.
+        to choose, `TASKS_MAX` + bay. `gone`: whether the robot of a slot is silent for so long that
+        the bay that it has claimed counts as free. The bid is a tenth of the way in metres, at most 31.
         """
         best = None
         for bay, place in enumerate(self.house.bays):
             section = self.house.visit(bay, allocation)
-            if section is None or allocation.owner_of(section) is not None:
+            owner = None if section is None else allocation.owner_of(section)
+            if section is None or not (owner is None or gone(owner)):
                 continue
             if TASKS_MAX + bay in shunned:
                 continue
             way_m = self.house.way_m(at, place)
             way_m += 0.0 if onward is None else self.house.way_m(place, onward)
             if best is None or way_m < best[0]:
-                best = (way_m, section)
-        return None if best is None else ClaimRequest(best[1], min(int(best[0] / 10), 31))
+                best = (way_m, section, owner is not None)
+        return None if best is None else ClaimRequest(best[1], min(int(best[0] / 10), 31), best[2])
 
     def begin(self, battery: float) -> None:
         """We have arrived at a bay. `battery`: share of a full charge."""

@@ -261,7 +261,10 @@ class DeliveryMission(NavigationMission):
             onward = self._pickup(task, view)
         shunned = {s for s, end_at_us in self._shun_ends_at_us.items() if end_at_us > view.now_us}
         shunned |= self.cut_off.sections
-        return self.charging.visit((view.here.x_m, view.here.y_m), onward, view.allocation, shunned)
+        at, absence = (view.here.x_m, view.here.y_m), self.dispatch.absence
+        return self.charging.visit(
+            at, onward, view.allocation, shunned, lambda owner: absence.silent(owner, view)
+        )
 
     # ---------------------------------------------------------------- the section under way
 

@@ -8,7 +8,7 @@ from agent.delivery.itinerary_broadcast import ItineraryBroadcast
 from agent.delivery.plan_negotiation import ProblemSnapshot
 from agent.delivery.task_registry import TASKS_MAX, TransportTask, stop_names
 from agent.delivery.warehouse import CarrierState, Warehouse
-from agent.interface.config import S
+from agent.interface.config import LEASE_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.interface.observation import Observation, VisibleParcel
@@ -93,6 +93,29 @@ def test_a_robot_with_a_parcel_whose_order_it_forgot_charges_when_it_is_low() ->
         mission.on_control_period(seen, State.IDLE)
         choice = mission.choose(seen)
         assert (choice is not None and choice.section >= TASKS_MAX) is charges
+
+
+def test_a_bay_that_a_robot_claimed_before_it_fell_silent_is_free_after_its_lease() -> None:
+    """Its battery was empty on the way to the only bay. The others never charged again."""
+    home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(50.5, 0.5)])
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    allocation = FieldAllocationCRDT()
+    allocation.claim(TASKS_MAX, 1)
+    allocation.start(TASKS_MAX, 1)
+    silent_at_us = 10 * S
+    for live, now_us, charges in (
+        (frozenset({0, 1}), 3600 * S, False),
+        (frozenset({0}), silent_at_us + LEASE_US - S, False),
+        (frozenset({0}), silent_at_us + LEASE_US, True),
+    ):
+        seen = view(now_us, 0.4)._replace(
+            allocation=allocation, live=live, fell_silent_at_us={1: silent_at_us}
+        )
+        mission.on_control_period(seen, State.IDLE)
+        choice = mission.choose(seen)
+        assert (choice is not None) is charges
+    assert choice is not None and choice.section == TASKS_MAX
+    assert allocation.takeover(choice.section, 0, choice.bid) is not None and choice.takeover
 
 
 def test_what_is_aboard_need_not_be_picked_up() -> None:
