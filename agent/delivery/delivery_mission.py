@@ -467,6 +467,9 @@ class DeliveryMission(NavigationMission):
             self._shun_ends_at_us[TASKS_MAX + bay] = view.now_us + 20 * SHUN_US
             self.given_up_why = "the bay does not charge"
         self._through()
+        if state is ChargerState.FULL and self.house.used_again(section, view.allocation):
+            self.given_up_why = "charged"
+            return MotionRequest(0.0, 0.0, given_up=True)
         return MotionRequest(
             0.0, 0.0, finished=state is ChargerState.FULL, given_up=state is ChargerState.DEAD
         )

@@ -17,7 +17,10 @@ from agent.paths.nav_mesh import Mesh, Point
 from crdt import FieldAllocationCRDT, Phase
 
 SECTIONS_END = 0x8000  # sections are below; names begin there
-assert SECTIONS_END > TASKS_MAX
+# Visits of bays from here on are given back and claimed again, so charges do not run out: 4,096 are
+# recorded as done, and a million follow.
+USED_AGAIN = 0x7000
+assert SECTIONS_END > USED_AGAIN > TASKS_MAX
 T_MAX = 4  # up to this many new tasks are inserted; more are replanned
 
 
@@ -183,10 +186,11 @@ class Warehouse:
         return found
 
     def visit(self, bay: int, allocation: FieldAllocationCRDT) -> int | None:
-        """The section of the next visit of a bay; None after about 8,192 charges at all bays
+        """The section of the next visit of a bay; None after about a million charges at all bays
         together.
 
-        A visit is claimed like a task, and it is DONE when the robot leaves the bay.
+        A visit is claimed like a task. When the robot leaves the bay it is DONE, or FREE again where
+        `used_again` says so.
         """
         section = TASKS_MAX + bay
         while section < SECTIONS_END:
@@ -194,6 +198,10 @@ class Warehouse:
                 return section
             section += len(self.bays)
         return None
+
+    def used_again(self, section: int, allocation: FieldAllocationCRDT) -> bool:
+        """Whether a section from `visit` is given back when the robot leaves the bay."""
+        return section >= USED_AGAIN and not allocation.stays(section)
 
     def bay_of(self, section: int) -> int:
         """The bay of a section from `visit`."""

@@ -7,13 +7,14 @@ from agent.delivery.delivery_mission import DeliveryMission
 from agent.delivery.itinerary_broadcast import ItineraryBroadcast
 from agent.delivery.plan_negotiation import ProblemSnapshot
 from agent.delivery.task_registry import TASKS_MAX, TransportTask, stop_names
-from agent.delivery.warehouse import CarrierState, Warehouse
+from agent.delivery.warehouse import SECTIONS_END, CarrierState, Warehouse
 from agent.interface.config import LEASE_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.interface.observation import Observation, VisibleParcel
 from agent.mapping.building import Floor
 from crdt import FieldAllocationCRDT, Progress
+from crdt.claim_register import EPOCH_MAX
 from protocol.frames.delivery_frames import TaskOrder
 
 WIDE = 60
@@ -116,6 +117,22 @@ def test_a_bay_that_a_robot_claimed_before_it_fell_silent_is_free_after_its_leas
         assert (choice is not None) is charges
     assert choice is not None and choice.section == TASKS_MAX
     assert allocation.takeover(choice.section, 0, choice.bid) is not None and choice.takeover
+
+
+def test_a_robot_charges_also_after_years() -> None:
+    """After 8,192 visits of the fleet no robot found a bay any more."""
+    home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(50.5, 0.5)])
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    allocation, visits = FieldAllocationCRDT(), range(TASKS_MAX, SECTIONS_END)
+    for section in visits[:-4]:
+        allocation.done(section, 1)
+    for _ in range(3 * EPOCH_MAX):
+        choice = mission.charging.visit((0.5, 0.5), None, allocation, (), lambda owner: False)
+        assert choice is not None and allocation.claim(choice.section, 0) is not None
+        allocation.start(choice.section, 0)
+        left = mission._at_bay(choice.section, view(S)._replace(allocation=allocation))
+        told = allocation.done if left.finished else allocation.release
+        assert (left.finished or left.given_up) and told(choice.section, 0) is not None
 
 
 def test_what_is_aboard_need_not_be_picked_up() -> None:
