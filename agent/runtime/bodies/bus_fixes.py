@@ -7,7 +7,7 @@
 | 129029 | kind of fix, time, and the place where no other message has it |
 | 127250 | heading |
 | 65267 | place |
-| 65256 | heading and speed |
+| 65256 | speed, and the heading where nobody has sent 127250 |
 
 Only the first sender of places is believed, and the first of 127250: two receivers are metres apart. Who
 says that it has no place, or no heading from true north, is no such sender. Each is followed to another
@@ -33,6 +33,7 @@ POSITION, COURSE_SPEED, GNSS, HEADING = 129025, 129026, 129029, 127250  # NMEA 2
 VEHICLE_POSITION, DIRECTION_SPEED = 65267, 65256  # J1939-71
 FAST_MAX: Final = 223  # bytes of a fast packet: 6 and 31 times 7
 RAPID_FOR_US: Final = S  # 129029 is no place while others came within this time
+COMPASS_FOR_US: Final = S  # who sends 127250 is heard within this time; 10 Hz is usual
 TRUE_NORTH: Final = 0
 KMH_M_S: Final = 1 / 3.6
 
@@ -104,12 +105,15 @@ class BusFixes:
         self._fast: dict[int, FastPackets] = {}  # by sender, until the receiver is known
         self._rapid_at_us = -RAPID_FOR_US
         self._utc_at_us = -1
+        self._began_at_us: int | None = None  # arrival of the first frame
 
     def take(self, identifier: int, data: bytes, arrived_at_us: int) -> Observation | None:
         """The observation that a frame with a 29-bit identifier completes; None if it completes
         none.
         """
         frame = Identifier.unpack(identifier)
+        if self._began_at_us is None:
+            self._began_at_us = arrived_at_us
         if frame.pgn == CLAIM_PGN and len(data) == 8:
             name = int.from_bytes(data, "little")
             self._names[frame.source] = name
@@ -203,7 +207,11 @@ class BusFixes:
         bearing, speed = unpack_from("<HH", data)
         if bearing > 0xFAFF:
             return False
-        self.fixes.take_heading(course_rad(bearing / 128), arrived_at_us)
+        assert self._began_at_us is not None
+        listened_for_us = arrived_at_us - self._began_at_us
+        # Beside 127250 the bearing may be the course, which is no heading of a body that reverses.
+        if self.compass.address is None and listened_for_us >= COMPASS_FOR_US:
+            self.fixes.take_heading(course_rad(bearing / 128), arrived_at_us)
         return speed > 0xFAFF or self._velocity(bearing / 128, speed / 256 * KMH_M_S, arrived_at_us)
 
     def _velocity(self, bearing: float, speed_m_s: float, arrived_at_us: int) -> bool:

@@ -184,12 +184,29 @@ def test_j1939_places_and_bearings() -> None:
     into = fixes(0.03)
     latitude, longitude = ((each + 210.0) * 1e7 for each in (52.001, 5.001))
     where = b"".join(round(each).to_bytes(4, "little") for each in (latitude, longitude))
+    into.take(Identifier(6, 65267, 255, RECEIVER).pack(), where, 0)
     into.take(Identifier(6, 65267, 255, RECEIVER).pack(), where, S)
     bearing, speed = 90 * 128, round(7.2 * 256)
     course = bearing.to_bytes(2, "little") + speed.to_bytes(2, "little") + b"\xff" * 4
     seen = into.take(Identifier(6, 65256, 255, RECEIVER).pack(), course, S)
     assert seen is not None and (seen.x_m, seen.y_m) == pytest.approx((68.7, 111.3), abs=0.2)
     assert (seen.vx_m_s, seen.vy_m_s) == pytest.approx((2.0, 0.0), abs=1e-2)
+
+
+def test_the_bearing_of_65256_is_no_heading_where_a_compass_sends_127250() -> None:
+    """The bearing of 65256 was the course, so a robot that reversed was turned round."""
+    into = fixes(0.03)
+    reversing = (270 * 128).to_bytes(2, "little") + (round(3.6 * 256)).to_bytes(2, "little")
+    course = reversing + b"\xff" * 4
+    taken(into, place(52.0, 5.0), 0)
+    assert into.take(Identifier(6, 65256, 255, RECEIVER).pack(), course, 0) is None
+    taken(into, heading(radians(90.0)), S // 20)
+    for at_us in (2 * S, 2 * S + S // 20):
+        taken(into, heading(radians(90.0)), at_us)
+        assert into.take(Identifier(6, 65256, 255, RECEIVER).pack(), course, at_us) is None
+        (seen,) = taken(into, place(52.0, 5.0), at_us)
+        assert seen.heading_rad == pytest.approx(0.0, abs=1e-4), "a bearing of 90 degrees is east"
+        assert (seen.vx_m_s, seen.vy_m_s) == pytest.approx((-1.0, 0.0), abs=1e-2)
 
 
 def test_a_fast_packet_with_a_missing_frame_is_dropped() -> None:
