@@ -136,7 +136,7 @@ class LinePort:
                 else:
                     count = stream.send(line)
             else:
-                count = 0 if stream is None else stream.write(line)
+                count = stream.write(line) if _has_room(stream) else 0
         except DEVICE_ERRORS:
             count = 0
         self._unsent.add(count, now_us)
@@ -210,6 +210,11 @@ class LinePort:
                 else:
                     stream.reset_output_buffer()
         stream.close()
+
+
+def _has_room(stream: Any) -> bool:
+    """Whether a serial port takes a byte now. pyserial would try again for ever where it takes none."""
+    return stream is not None and bool(select.select([], [stream], [], 0.0)[1])
 
 
 def _queued(stream: Any) -> int:

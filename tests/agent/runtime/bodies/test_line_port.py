@@ -3,6 +3,7 @@
 import select
 import socket
 import sys
+import threading
 import time
 from collections.abc import Callable, Iterator
 from queue import SimpleQueue
@@ -139,6 +140,35 @@ def test_a_serial_port_is_read_and_written() -> None:
     os.write(device, b"$GNHDT,1.0,T*1B\r\n")
     assert lines.get(timeout=LIMIT_S) == b"$GNHDT,1.0,T*1B"
     assert port.write(b"told\n") and os.read(device, 100) == b"told\n"
+    port.close()
+    os.close(device)
+    os.close(name)
+
+
+def test_a_serial_port_that_takes_nothing_never_makes_us_wait() -> None:
+    """The thread of the bus wrote to a pseudo-terminal, as of socat, again and again for ever."""
+    pytest.importorskip("serial", reason="the extra nmea is not installed")
+    import os
+    import pty
+
+    device, name = pty.openpty()
+    port = LinePort(f"serial:{os.ttyname(name)}", lambda line, at_us: None)
+    port.open()
+    told: SimpleQueue[int] = SimpleQueue()
+
+    def tell() -> None:
+        while port.dropped < 3:  # the first of them in part
+            port.write(b"told\n")
+        told.put(port.dropped)
+
+    writing = threading.Thread(target=tell)
+    writing.start()
+    writing.join(LIMIT_S)
+    waits = writing.is_alive()
+    while writing.is_alive():  # so that it ends
+        os.read(device, 65_536)
+        port.dropped = 3
+    assert not waits and told.get_nowait() == 3
     port.close()
     os.close(device)
     os.close(name)
