@@ -8,7 +8,7 @@
 | VTG, RMC | velocity |
 
 An observation needs a GGA with a new time and a heading. Without GST the kind of fix says the accuracy,
-`ACCURACY_M`. Without VTG and RMC the velocity is that between the last two places.
+`ACCURACY_M`. Without VTG and RMC the velocity is that of the places of the last 0.4 s.
 
 The time of an observation is that of its GGA. The clock of the receiver differs from ours by a constant,
 which is the shortest difference seen between arrival and time: what arrives later was late on its way.

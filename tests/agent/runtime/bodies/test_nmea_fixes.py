@@ -1,14 +1,15 @@
 """Observations from sentences: units, axes, times, and what is left out or broken."""
 
 from functools import reduce
-from math import cos, degrees, pi, radians, remainder, sin
+from math import cos, degrees, hypot, pi, radians, remainder, sin
 from operator import xor
+from random import Random
 
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from agent.interface.config import S
+from agent.interface.config import FAREWELL_SPEED_M_S, S
 
 pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
 
@@ -83,6 +84,30 @@ def test_velocity_is_of_the_course_over_ground() -> None:
     taken.take(gga(), 0)
     seen = taken.take(hdt(0.0), 0)
     assert seen is not None and (seen.vx_m_s, seen.vy_m_s) == pytest.approx((0.0, -1.0), abs=1e-9)
+
+
+def test_a_receiver_that_tells_no_velocity_does_not_make_a_robot_drive_that_stands() -> None:
+    """Its noise was a speed of 0.4 m/s, and no farewell of the robot was believed."""
+    taken, rng, stands = fixes(), Random(1), 0
+    for tick in range(200):
+        east, north = (rng.gauss(0.0, 0.01) for _ in range(2))
+        here = f"52{1.0 + north / 1854.6:010.7f},N,005{1.0 + east / 1145.0:010.7f},E"
+        at_us = tick * 50_000
+        taken.take(gga(f"1235{at_us / S:05.2f}", here), at_us)
+        seen = taken.take(hdt(0.0), at_us)
+        assert seen is not None
+        stands += hypot(seen.vx_m_s, seen.vy_m_s) <= FAREWELL_SPEED_M_S / 2
+    assert stands > 80
+
+
+def test_the_velocity_of_places_follows_within_half_a_second() -> None:
+    taken = fixes()
+    for tick in range(20):
+        at_us = tick * 50_000
+        taken.take(gga(f"1235{at_us / S:05.2f}", f"5200.0000,N,00500.{tick:04d},E"), at_us)
+        seen = taken.take(hdt(0.0), at_us)
+    # 0.0001 minutes are 0.1145 m here.
+    assert seen is not None and (seen.vx_m_s, seen.vy_m_s) == pytest.approx((2.29, 0.0), abs=0.01)
 
 
 def test_gst_says_the_accuracy_until_it_is_old() -> None:
