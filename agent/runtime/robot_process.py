@@ -11,11 +11,13 @@ import asyncio
 import logging
 import secrets
 import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Coroutine, Mapping
+from contextlib import suppress
 from ipaddress import ip_address
 from pathlib import Path
 from random import Random
 from traceback import clear_frames
+from typing import Any, TypeVar
 
 from agent.runtime.ready_kernels import use_ready_kernels
 
@@ -64,6 +66,7 @@ TELL_AFTER_S = 2.0  # a person is told of a wait that is longer
 GOODBYE_S = 0.2  # for the farewell frame to leave
 DATE_EACH_S = 60.0  # between two looks at the computer's date
 LOST_LOOK_S = 1.0  # between two looks whether the interface of the bus is gone
+Opened = TypeVar("Opened")  # a body, or a bus
 WRONG = RobotError.code  # exit code of an error that a person has to mend; one line says what it is
 
 
@@ -214,9 +217,11 @@ def _forget_half_opened(problem: Exception) -> None:
         log.disabled = disabled
 
 
-async def _bus_before(end: asyncio.Event, robot: RobotFile) -> Bus | None:
-    """The bus; None where the robot is ended while it waits for it. Raises RobotError."""
-    opening = asyncio.create_task(opened_bus(robot.bus, robot.robot.slot))
+async def _before(end: asyncio.Event, opened: Coroutine[Any, Any, Opened]) -> Opened | None:
+    """The device that is opened; None where the robot is ended while it waits for it.
+
+    Raises RobotError."""
+    opening = asyncio.create_task(opened)
     ending = asyncio.create_task(end.wait())
     await asyncio.wait({opening, ending}, return_when=asyncio.FIRST_COMPLETED)
     ending.cancel()
@@ -250,6 +255,11 @@ async def opened_body(robot: RobotFile, *, dry: bool = False) -> RobotBody:
         body.declare(DeclaredMachine(robot.fleet.vehicle, origin_of(robot)))
         call = "open"
         await body.open()
+    except asyncio.CancelledError:
+        with suppress(Exception):  # of a driver that was not open yet
+            if body is not None:
+                body.close()
+        raise
     except RobotError:
         raise
     except OptionError as problem:
@@ -298,9 +308,12 @@ async def run_robot(
     slot, keys = robot.robot.slot, keys_of(robot)
     journal, recalled = _journal(robot)
     try:
-        body = AttendedBody(await opened_body(robot, dry=dry), slot)
+        found = await _before(end, opened_body(robot, dry=dry))
+        if found is None:
+            return
+        body = AttendedBody(found, slot)
         try:
-            bus = await _bus_before(end, robot)
+            bus = await _before(end, opened_bus(robot.bus, slot))
             if bus is None:
                 return
             try:

@@ -5,7 +5,7 @@ import json
 import subprocess
 import sys
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 
 import pytest
 
@@ -222,3 +222,39 @@ def test_a_driver_that_loses_its_device_ends_a_robot_that_may_be_restarted(tmp_p
 
     with pytest.raises(AbsentError, match="robot 0: body: sense: device disconnected"):
         asyncio.run(run())
+
+
+class NotThere(Unplugged):
+    """Its device does not answer."""
+
+    waits: ClassVar[asyncio.Event]
+    closed = False
+
+    async def open(self) -> None:
+        self.waits.set()
+        await asyncio.Event().wait()
+
+    def close(self) -> None:
+        type(self).closed = True
+
+
+def test_a_robot_that_waits_for_its_body_ends_when_it_is_told_to(tmp_path: Path) -> None:
+    """Ctrl-C and SIGTERM did nothing until `open` of the driver returned, perhaps never."""
+    document = {
+        "name": "n", "robot": {"slot": 0, "journal": str(tmp_path)}, "fleet": {"robots": 1},
+        "bus": {"interface": "virtual", "channel": "not-there"},
+        "body": {"factory": f"{__name__}:NotThere"},
+    }  # fmt: skip
+
+    async def run() -> None:
+        end, NotThere.waits = asyncio.Event(), asyncio.Event()
+        running = asyncio.create_task(
+            run_robot(RobotFile.of(document, "r.toml", tmp_path), end, first_boot=True)
+        )
+        async with asyncio.timeout(LIMIT_S):
+            await NotThere.waits.wait()
+            end.set()
+            await running
+
+    asyncio.run(run())
+    assert NotThere.closed
