@@ -14,6 +14,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import shapely
 from shapely.errors import GEOSException
 from shapely.geometry import Polygon
 from shapely.geometry.base import BaseGeometry
@@ -202,9 +203,11 @@ def _parts(path: Path, name: str, polygons: list[Any]) -> Iterator[Polygon]:
     alone = [p for p in boundaries if p.line_strings and _only_holes(p)]
     outlined = [p for p in boundaries if not any(p is q for q in alone)]
     holes = [
-        hole for polygon in alone for line in polygon.line_strings
-        if (hole := Polygon(_ring(path, name, line.points))).is_valid
-    ]  # fmt: skip
+        hole
+        for polygon in alone
+        for line in polygon.line_strings
+        if (hole := _hole(path, name, _ring(path, name, line.points))) is not None
+    ]
     if alone and not outlined:
         raise FieldFileError(f"{path}: {name}: a boundary without an outline")
     try:
@@ -216,6 +219,16 @@ def _parts(path: Path, name: str, polygons: list[Any]) -> Iterator[Polygon]:
             yield from (p for p in parts if isinstance(p, Polygon) and not p.is_empty)
     except GEOSException as problem:
         raise FieldFileError(f"{path}: {name}: {problem}; repair the outline") from None
+
+
+def _hole(path: Path, name: str, ring: list[LonLat]) -> Polygon | None:
+    """What a ring takes out of a field; None if it has no area."""
+    hole = Polygon(ring)
+    if hole.is_valid:
+        return hole
+    if shapely.make_valid(hole).area > 0.0:
+        raise FieldFileError(f"{path}: {name}: {explain_validity(hole)}; repair the outline")
+    return None
 
 
 def _nested(parts: list[Polygon]) -> list[BaseGeometry]:
@@ -257,11 +270,16 @@ def _exteriors(path: Path, name: str, polygon: Any) -> Iterator[Polygon]:
         outline = Polygon(shell)
         inside = holes
         if len(shells) > 1:
-            inside = [h for h in holes if outline.is_valid and outline.covers(Polygon(h))]
+            inside = [h for h in holes if outline.is_valid and _cuts(Polygon(h), outline)]
         whole = Polygon(shell, inside)
         if not whole.is_valid:
             raise FieldFileError(f"{path}: {name}: {explain_validity(whole)}; repair the outline")
         yield whole
+
+
+def _cuts(hole: Polygon, outline: Polygon) -> bool:
+    """Whether a hole is one of this outline. One that crosses it is, too, and makes it invalid."""
+    return not hole.is_valid or outline.covers(hole) or outline.overlaps(hole)
 
 
 def _ring(path: Path, name: str, points: list[Any]) -> list[LonLat]:

@@ -129,6 +129,22 @@ def test_a_broken_field_does_not_hide_another_one_of_its_name(tmp_path: Path) ->
         read_boundary(path, "Acre")
 
 
+def test_a_hole_that_cannot_be_read_is_not_left_out(tmp_path: Path) -> None:
+    """Robots drove across it: a hole of its own that crosses itself, and one that crosses the fence."""
+    bow = [HOLE[k] for k in (0, 2, 1, 3)]
+    alone = task_data(partfield(polygon(line(SQUARE)), polygon(line(bow, "2"))))
+    with pytest.raises(FieldFileError, match="repair the outline"):
+        read_isoxml(write(tmp_path, alone))
+    across = ["52.0005,5.0005", "52.0005,5.0025", "52.001,5.0025", "52.001,5.0005"]
+    far = [point.replace("5.00", "5.01") for point in SQUARE]
+    several = polygon(line(SQUARE), line(far), line(across, "2"))
+    with pytest.raises(FieldFileError, match="repair the outline"):
+        read_isoxml(write(tmp_path, task_data(partfield(several), version="3")))
+    flat = ["52.0005,5.0005", "52.0005,5.001", "52.0005,5.0007"]  # takes nothing out
+    without = task_data(partfield(polygon(line(SQUARE)), polygon(line(flat, "2"))))
+    assert [len(rings) for rings in read_isoxml(write(tmp_path, without)).values()] == [1]
+
+
 def numbers(point: str) -> str:
     return task_data(partfield(polygon(line([point, *SQUARE[1:]]))))
 
