@@ -12,6 +12,7 @@ from protocol.device_description import OFFSET_X, OFFSET_Y, TYPE_SECTION, VERSIO
 CONNECTOR: Final = 6  # type of a device element
 ELEMENT_MAX: Final = 0xFFF  # 12 bits in process data
 OBJECTS_MAX: Final = 4096  # in one pool; large sprayers have about 500
+LEVELS_MAX: Final = 16  # of elements above each other; ISO 11783-10 has four
 LABEL_BYTES: Final = 7
 # No boom is wider than about 60 m. Each 5 cm of ground under a section takes memory, so that a section
 # of kilometres would take all of it.
@@ -27,6 +28,7 @@ class Element(NamedTuple):
     designator: str
     parent: int  # object number
     children: tuple[int, ...]  # object numbers
+    object_number: int  # its own
 
 
 class BoomSection(NamedTuple):
@@ -53,6 +55,27 @@ class DevicePool(NamedTuple):
     def found(self, ddi: int) -> Sequence[int]:
         """The elements with a value that can be asked for or set. `ddi`: number of ISO 11783-11."""
         return sorted(element for element, each in self.properties if each == ddi)
+
+    def owners(self, of: Sequence[int], ddi: int) -> Sequence[int | None]:
+        """For each of these elements the one whose value is for it: itself, or the first above it that
+        has this value; else the lowest of all that have it. None if there is none.
+
+        `ddi`: number of ISO 11783-11."""
+        by_object = {each.object_number: each for each in self.elements.values()}
+        lowest = next(iter(self.found(ddi)), None)
+        return [self._owner(element, ddi, by_object, lowest) for element in of]
+
+    def _owner(
+        self, number: int, ddi: int, by_object: Mapping[int, Element], lowest: int | None
+    ) -> int | None:
+        element = self.elements.get(number)
+        for _ in range(LEVELS_MAX):  # parents may go round
+            if element is None:
+                break
+            if (element.number, ddi) in self.properties:
+                return element.number
+            element = by_object.get(element.parent)
+        return lowest
 
     def describes(self, key: tuple[int, int]) -> bool:
         """Whether a value (element, DDI) stands in it."""
@@ -154,7 +177,7 @@ def _read(data: bytes, version: int) -> DevicePool:
                 if element > ELEMENT_MAX:
                     raise ValueError("a number that no command has room for")
                 children = tuple(reader.take("H") for _ in range(reader.take("H")))
-                elements[element] = Element(element, element_kind, title, parent, children)
+                elements[element] = Element(element, element_kind, title, parent, children, number)
             case b"DPD":
                 values[number] = reader.take("H"), reader.take("B"), reader.take("B")
                 reader.text()

@@ -21,7 +21,7 @@ from protocol.device_description import (
     SETPOINT_WORK_STATE,
     WORK_STATE,
 )
-from protocol.device_pool import DevicePool
+from protocol.device_pool import BoomSection, DevicePool
 from protocol.task_client import Key
 
 LATENCY: Final = 142  # DDI: from a setpoint to its effect, ms
@@ -49,6 +49,9 @@ class SectionedImplement:
         self.off_for_us = (_any(known, TURN_OFF_TIME) or latency_ms) * MS
         self.actual = np.zeros(len(self.sections), np.bool_)
         self.wanted = np.zeros(len(self.sections), np.bool_)
+        # Condensed values, and the sections that each is of.
+        self._told_words = _words(pool, self.sections, SETPOINT_CONDENSED)
+        self._state_words = _words(pool, self.sections, CONDENSED_WORK_STATE)
         self._before: tuple[Points, Points] | None = None  # left and right ends at the last fix
         self._ahead_m = np.array([s.ahead_mm / 1000 for s in self.sections])
         self._right_m = np.array([s.right_mm / 1000 for s in self.sections])
@@ -67,11 +70,9 @@ class SectionedImplement:
     def heard(self, key: Key, number: int) -> None:
         """It has told a value: the states of its sections are among them."""
         element, ddi = key
-        word = ddi - CONDENSED_WORK_STATE
-        if 0 <= word < PER_WORD:
-            for k in range(word * PER_WORD, min(len(self.actual), (word + 1) * PER_WORD)):
-                self.actual[k] = number >> 2 * (k - word * PER_WORD) & 3 == ON
-        elif ddi == WORK_STATE:
+        for place, k in enumerate(self._state_words.get(key, ())):
+            self.actual[k] = number >> 2 * place & 3 == ON
+        if ddi == WORK_STATE:
             for k, section in enumerate(self.sections):
                 if section.element == element:
                     self.actual[k] = number == 1
@@ -147,14 +148,8 @@ class SectionedImplement:
         """What tells it the wanted states: condensed where it has them.
 
         `of`: (n,), True for the sections that are said again where each has a state of its own."""
-        words = -(-len(self.sections) // PER_WORD)
-        said: list[tuple[Key, int]] = []
-        for word in range(words):
-            elements = self.pool.found(SETPOINT_CONDENSED + word)
-            if elements:
-                said.append(((elements[0], SETPOINT_CONDENSED + word), self._condensed(word)))
-        if said:
-            return said
+        if self._told_words:
+            return [(key, self._condensed(of_word)) for key, of_word in self._told_words.items()]
         return [
             ((self.sections[k].element, SETPOINT_WORK_STATE), int(self.wanted[k]))
             for k in np.flatnonzero(of).tolist()
@@ -162,21 +157,35 @@ class SectionedImplement:
 
     def measured(self) -> Sequence[Key]:
         """The values that say what its sections do."""
-        words = -(-len(self.sections) // PER_WORD)
-        found = [
-            (element, CONDENSED_WORK_STATE + word)
-            for word in range(words)
-            for element in self.pool.found(CONDENSED_WORK_STATE + word)[:1]
-        ]
+        found = list(self._state_words)
         return found or [(section.element, WORK_STATE) for section in self.sections]
 
-    def _condensed(self, word: int) -> int:
+    def _condensed(self, of_word: Sequence[int]) -> int:
         number = 0
-        for k in range(PER_WORD):
-            at = word * PER_WORD + k
-            state = ABSENT if at >= len(self.wanted) else ON if self.wanted[at] else OFF
-            number |= state << 2 * k
+        for place in range(PER_WORD):
+            state = ABSENT
+            if place < len(of_word):
+                state = ON if self.wanted[of_word[place]] else OFF
+            number |= state << 2 * place
         return number - (1 << 32) if number >= 1 << 31 else number
+
+
+def _words(pool: DevicePool, sections: Sequence[BoomSection], ddi: int) -> dict[Key, Sequence[int]]:
+    """Which sections each condensed value is of, in its order: those below its element.
+
+    An implement with several booms has a value for each of them. `ddi`: of the first `PER_WORD`
+    sections."""
+    below: dict[int, list[int]] = {}
+    owners = pool.owners([section.element for section in sections], ddi)
+    for k, element in enumerate(owners):
+        if element is not None:
+            below.setdefault(element, []).append(k)
+    return {
+        (element, ddi + first // PER_WORD): of_element[first : first + PER_WORD]
+        for element, of_element in below.items()
+        for first in range(0, len(of_element), PER_WORD)
+        if (element, ddi + first // PER_WORD) in pool.properties
+    }
 
 
 def _any(known: Mapping[Key, int], ddi: int) -> int:
