@@ -32,7 +32,7 @@ from agent.exploration.frontier import (
 )
 from agent.exploration.frontier_path import STUCK_US, TURN_ROUND, XY, FrontierPath
 from agent.interface.config import LEASE_US, MS, S
-from agent.interface.lifecycle import State
+from agent.interface.lifecycle import ABLE, State
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.mapping.inflation import Cell, Grid
@@ -100,9 +100,13 @@ class ExplorationMission(Mission):
         return self._way.rest
 
     def on_control_period(self, view: FleetView, state: State) -> None:
-        """Each control period, in every state: which owners of frontiers stand."""
+        """Each control period, in every state: which owners of frontiers stand, and what we see while
+        we may not drive.
+        """
         if view.may_move:
             self.standing.observe(view, lambda sections: 0)  # a frontier has no units
+        elif state in ABLE:
+            self._see(view)  # others choose their first frontiers by it
 
     def on_stalled(self, view: FleetView) -> None:
         """Plan again from here, to the same station."""

@@ -46,6 +46,15 @@ def test_more_eyes_are_faster() -> None:
     assert three.time_95_s < 0.6 * one.time_95_s, (one.time_95_s, three.time_95_s)
 
 
+def test_i24_robots_that_wait_for_their_start_tell_what_they_see() -> None:
+    """They looked only once they could drive. So each of four chose its first frontier without the maps
+    of the others, and took a third longer than robots that share one map."""
+    scenario = load_arena("arena").changed(4, 1)
+    omniscient = ExplorationRun(scenario, Sharing.AT_ONCE, until=0.95).run()
+    fleet = ExplorationRun(scenario, until=0.95).run()
+    assert fleet.time_95_s <= omniscient.time_95_s / 0.9, (fleet.time_95_s, omniscient.time_95_s)
+
+
 @pytest.mark.slow
 def test_the_same_seed_is_the_same_run() -> None:
     one, again, other = undisturbed(2, 5), play(2, 5), undisturbed(2, 1)
