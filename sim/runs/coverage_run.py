@@ -146,6 +146,8 @@ class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
             "closest_m": truth.closest_m,
             "steps": truth.steps,
             "rounds": max(cluster.mission(r).agreement.rounds for r in cluster.robots.values()),
-            "sections_done": max(r.peer.allocation.done_count() for r in cluster.running),
+            "sections_done": max(
+                (r.peer.allocation.done_count() for r in cluster.running), default=0
+            ),
             "sections": setting.section_count,
         }

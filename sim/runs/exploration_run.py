@@ -202,10 +202,15 @@ class ExplorationRun(MissionRun[ExplorationSetup, ExplorationFleet, ExplorationO
         setting, now_s = self.setting, cluster.host.now_us() / S
         end_at_s, equal_s = self._done_at_us / S, now_s - self._over_at_us / S
         self.tracks = points_of(cluster)
-        first = cluster.missions[cluster.running[0].slot]
-        self.joined = first.chart.fleet
+        # If none runs any more, what the first one knew.
+        known = [robot.slot for robot in cluster.running] or sorted(cluster.missions)
+        chart = cluster.missions[known[0]].chart if known else None
+        self.joined = (
+            OccupancyMap(setting.geometry, setting.order) if chart is None else chart.fleet
+        )
         self.charts = {slot: mission.chart.own() for slot, mission in cluster.missions.items()}
-        values, truth = first.chart.values(), setting.reachable
+        values = self.joined.values() if chart is None else chart.values()
+        truth = setting.reachable
         known = values != 0
         right = np.where(setting.solid, values == 2, values == 1)
         tasks: Counter[str] = Counter()

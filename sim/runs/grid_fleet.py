@@ -81,14 +81,16 @@ class CoverageFleet(Cluster):
 
     def reachable(self) -> set[int]:
         """Cells that some running robot can reach; bodies of the others block their cells
-        permanently."""
+        permanently. If none runs: cells that the robots could have reached."""
         ground = self.place.ground
         walls = ground.walls.copy()
+        runs = [robot.slot for robot in self.running]
         for slot, body in self.grid_world.robots.items():
-            if not self.is_up(slot):
+            if runs and not self.is_up(slot):
                 for number in np.flatnonzero(self._near(body.position)).tolist():
                     walls[ground.cell(number)] = True
-        sources = [ground.cell_at(*self.grid_world.body(r.slot).position) for r in self.running]
+        bodies = [self.grid_world.body(slot) for slot in runs or self.grid_world.robots]
+        sources = [ground.cell_at(*body.position) for body in bodies]
         found = steps_from(walls.tolist(), [s for s in sources if not walls[s]])
         return {ground.number(cell) for cell in found}
 

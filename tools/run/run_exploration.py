@@ -1,5 +1,6 @@
 """`headland run`: a fleet explores an arena in virtual time, with a report and pictures of it."""
 
+from math import isfinite
 from pathlib import Path
 
 from sim.files.whole_file import write_whole
@@ -42,20 +43,24 @@ class ExplorationCommand(MissionCommand[ExplorationRun]):
         reports = [f"at {now_s:.1f} s\n\n{text}" for now_s, text in self.run.reports]
         write_whole(folder / "fleet.md", "\n".join(reports))
         draw_maps(self.run, outcome, folder / "maps.png")
-        if self.animate:
+        films = self.animate and bool(self.run.films)  # none if no robot was ever on
+        if films:
             film(self.run, folder / "maps.gif")
-        return ["fleet.md", "maps.png", *(["maps.gif"] if self.animate else [])]
+        return ["fleet.md", "maps.png", *(["maps.gif"] if films else [])]
 
     def facts(self, outcome: ExplorationOutcome) -> list[Fact]:
         equal = "equal, bit for bit" if outcome.maps_equal else "[red]differ[/red]"
+        reached = isfinite(outcome.time_95_s)
+        most = f"{outcome.time_95_s:.1f} s to 95 %" if reached else "95 % were not seen"
+        overlap, until = (outcome.overlap, "95 %") if reached else (outcome.overlap_end, "the end")
         tasks = ", ".join(f"{count} {status}" for status, count in sorted(outcome.tasks.items()))
         return [
             (
                 "explored",
                 f"{outcome.explored:.1%} of what can be seen; {outcome.right:.1%} of it right",
             ),
-            ("time", f"{outcome.time_95_s:.1f} s to 95 %, {outcome.time_s:.1f} s to the end"),
-            ("overlap", f"{outcome.overlap:.0%} of the area seen again by another, at 95 %"),
+            ("time", f"{most}, {outcome.time_s:.1f} s to the end"),
+            ("overlap", f"{overlap:.0%} of the area seen again by another, at {until}"),
             ("maps", equal),
             ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
             ("tasks", f"{tasks}; {outcome.switched} left for a better one"),

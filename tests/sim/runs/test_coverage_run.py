@@ -146,6 +146,14 @@ def test_trouble_of_any_kind(seed: int) -> None:
     assert outcome.replanned == 0, (seed, outcome)
 
 
+def test_i24_what_a_fleet_of_which_all_robots_die_left_is_uncovered() -> None:
+    """The run ended in a ValueError: no replica was left."""
+    deaths = [Crash(at_s=5.0 + robot, kind="crash", robot=robot) for robot in range(2)]
+    outcome = play(scene(5, 2, 2), *deaths)
+    assert not outcome.finished and not outcome.success, outcome
+    assert 10 < outcome.uncovered < 24, outcome
+
+
 def test_the_command(tmp_path: Path) -> None:
     words = ["drive", "--H", "8", "--W", "8", "--robots", "3", "--die", "1@10", "--out",
              str(tmp_path), "--json"]  # fmt: skip

@@ -68,6 +68,17 @@ def test_a_robot_that_dies_is_not_missed_for_long() -> None:
     assert outcome.explored >= 0.97, outcome  # its body stands on some of it
 
 
+@pytest.mark.parametrize("at_s", [0.0, 4.0])
+def test_i24_a_fleet_of_which_all_robots_die_has_an_outcome(at_s: float) -> None:
+    """The run ended in an IndexError."""
+    scenario = load_arena("arena").changed(2, 1)
+    faults = [Crash(at_s=at_s, kind="crash", robot=robot) for robot in range(2)]
+    short = scenario.run.model_copy(update={"time_limit_s": 10.0})
+    outcome = ExplorationRun(scenario.model_copy(update={"fault": faults, "run": short})).run()
+    assert not outcome.finished and not outcome.success, outcome
+    assert (outcome.explored > 0.2) == (at_s > 0.0), outcome
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 6, 12])
 def test_i24_a_robot_that_stands_does_not_keep_its_frontier(seed: int) -> None:

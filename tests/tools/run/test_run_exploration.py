@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from sim.scenarios.scenario import ARENAS
 from tools.common.exit_codes import WRONG
 from tools.run.run_exploration import explore
 
@@ -23,6 +24,21 @@ def test_a_run_leaves_a_report_and_pictures(
     line = r"- robot-\d: pos=\(-?\d+\.\d, -?\d+\.\d\) (idle|task: .*\)) \(\d+\.\d s ago\)"
     robots = [found for found in told.splitlines() if found.startswith("- robot-")]
     assert robots and all(re.fullmatch(line, found) for found in robots)
+
+
+@pytest.mark.parametrize("at_s", [0.0, 4.0])
+def test_i24_a_fleet_of_which_all_robots_die_is_told_in_words(
+    at_s: float, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The table told "inf s to 95 %" and "inf% of the area"."""
+    path = tmp_path / "dead.toml"
+    arena = (ARENAS / "arena.toml").read_text(encoding="utf-8")
+    text = arena.replace("time_limit_s = 300", "time_limit_s = 10")
+    deaths = [f'[[fault]]\nat_s = {at_s}\nkind = "crash"\nrobot = {k}\n' for k in range(2)]
+    path.write_text(text + "".join(deaths), encoding="utf-8")
+    assert explore(str(path), 2, 1, tmp_path / "out", False, True) == 1
+    told = capsys.readouterr().out
+    assert "95 % were not seen, 10.0 s to the end" in told and "inf" not in told
 
 
 @pytest.mark.parametrize("scenario", ["nowhere", "arena"])
