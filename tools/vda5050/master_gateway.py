@@ -266,8 +266,8 @@ class MasterGateway:
     async def _act(self, port: "_Port", action: Action) -> None:
         vehicle = port.vehicle
         acts: dict[str, Callable[[], Awaitable[str | None]]] = {
-            "startPause": partial(self._pause, vehicle, True),
-            "stopPause": partial(self._pause, vehicle, False),
+            "startPause": partial(self._pause, port, True),
+            "stopPause": partial(self._pause, port, False),
             "stop": self._stop,
             "cancelOrder": partial(self._cancel, port),
             "stateRequest": self._nothing,
@@ -295,15 +295,17 @@ class MasterGateway:
         port.link.publish(factsheet_of(self.named.vehicle))
         return None
 
-    async def _pause(self, vehicle: FleetVehicle, paused: bool) -> str | None:
-        command = Command.HOLD if paused else Command.START
-        self._take_key()
-        end_s = asyncio.get_running_loop().time() + OBEY_S
-        while asyncio.get_running_loop().time() < end_s:
-            if vehicle.robot.started is not paused:
-                return None
-            self.operator.command(command, vehicle.slot)
-            await asyncio.sleep(SAY_S / 2)
+    async def _pause(self, port: "_Port", paused: bool) -> str | None:
+        """One after the other: the robot has not yet said what the one before has made of it."""
+        command, vehicle = Command.HOLD if paused else Command.START, port.vehicle
+        async with port.pausing:
+            self._take_key()
+            end_s = asyncio.get_running_loop().time() + OBEY_S
+            while asyncio.get_running_loop().time() < end_s:
+                if vehicle.robot.heard and vehicle.robot.started is not paused:
+                    return None
+                self.operator.command(command, vehicle.slot)
+                await asyncio.sleep(SAY_S / 2)
         return "the robot has not confirmed it; a fleet with keys needs --keys"
 
     async def _stop(self) -> str | None:
@@ -349,6 +351,7 @@ class _Port:
 
     def __init__(self, gateway: MasterGateway, vehicle: FleetVehicle) -> None:
         self.vehicle, self.gateway = vehicle, gateway
+        self.pausing = asyncio.Lock()
         self.index: int | None = None  # of its order at the desk
         booked = vehicle.booked
         if booked is not None and booked.number is not None:

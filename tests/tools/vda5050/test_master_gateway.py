@@ -30,6 +30,7 @@ from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import TASK_NUMBERS
 from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.safety_frames import Command
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name
@@ -39,7 +40,7 @@ from tools.common.event_lines import EventLines
 from tools.inspect.proven_work import ProvenWork
 from tools.vda5050.command import serve
 from tools.vda5050.fleet_vehicle import UNHEARD
-from tools.vda5050.master_gateway import FleetNames, MasterGateway
+from tools.vda5050.master_gateway import TICK_S, FleetNames, MasterGateway
 from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
 from tools.vda5050.transport_rules import OrderRefused, transport_of
 
@@ -284,6 +285,58 @@ def test_an_instant_action_that_comes_twice_is_done_once_also_after_the_next_ord
         assert not port.vehicle.instant
         gateway.act(port, InstantActions(actions=[act]))
         assert not gateway.working
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def instant(kind: str, name: str) -> Action:
+    return Action(action_type=kind, action_id=name, blocking_type=BlockingType.HARD)
+
+
+def test_a_pause_that_ends_before_the_robot_has_told_of_it_ends(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """stopPause was FINISHED at once, before the robot had obeyed startPause, and then it stood."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port, loop = gateway.ports[0], asyncio.get_running_loop()
+        vehicle = port.vehicle
+        vehicle.robot = UNHEARD._replace(heard=True)
+
+        def told(started: bool) -> None:
+            vehicle.robot = vehicle.robot._replace(started=started)
+
+        def command(said: Command, slot: int) -> None:
+            loop.call_later(TICK_S, told, said is Command.START)
+
+        monkeypatch.setattr(gateway.operator, "command", command)
+        gateway.act(
+            port, InstantActions(actions=[instant("startPause", "1"), instant("stopPause", "2")])
+        )
+        async with asyncio.timeout(WAIT_S):
+            await asyncio.gather(*gateway.working)
+        assert vehicle.robot.started
+        assert {each.action_status for each in vehicle.instant.values()} == {ActionStatus.FINISHED}
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_robot_that_nobody_hears_confirms_no_pause(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """stopPause was FINISHED at once for a robot that had said nothing since the gateway began."""
+    monkeypatch.setattr("tools.vda5050.master_gateway.OBEY_S", 0.1)
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        vehicle = gateway.ports[0].vehicle
+        gateway.act(gateway.ports[0], InstantActions(actions=[instant("stopPause", "1")]))
+        async with asyncio.timeout(WAIT_S):
+            await asyncio.gather(*gateway.working)
+        assert vehicle.instant["1"].action_status is ActionStatus.FAILED
         await left(gateway)
 
     asyncio.run(story())
