@@ -48,6 +48,7 @@ MOVES_M_S = 0.05  # a robot that is slower stands; the step of speeds in POSE
 THETA_MAX_RAD = 3.1415  # a rounded pi would be beyond the limit of the standard
 ERRORS_MAX = 8  # newest refusals that are reported
 INSTANT_MAX = 16  # newest instant actions that are reported
+INSTANT_ERROR, NO_ORDER = "instantActionError", "noOrderToCancel"  # error types of the standard
 BEGUN_MAX = 256  # newest instant actions whose repetition is known: a broker may deliver one twice
 
 
@@ -148,8 +149,12 @@ class FleetVehicle:
         self.report(action, ActionStatus.INITIALIZING)
         return True
 
-    def report(self, action: Action, status: ActionStatus, result: str | None = None) -> None:
-        """How far an instant action is, and what a person should know of it."""
+    def report(
+        self, action: Action, status: ActionStatus, result: str | None = None,
+        kind: str = INSTANT_ERROR,
+    ) -> None:  # fmt: skip
+        """How far an instant action is, and what a person should know of it. `kind`: the type of the
+        error if it has FAILED."""
         self.instant[action.action_id] = ActionState(
             action_id=action.action_id, action_type=action.action_type, action_status=status,
             result_description=result,
@@ -163,7 +168,7 @@ class FleetVehicle:
             )  # fmt: skip
             self.refuse(
                 VehicleError(
-                    error_type="instantActionError", error_level=ErrorLevel.WARNING,
+                    error_type=kind, error_level=ErrorLevel.WARNING,
                     error_description=result,
                     error_references=[
                         ErrorReference(reference_key=key, reference_value=value)

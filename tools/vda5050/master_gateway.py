@@ -41,7 +41,13 @@ from tools.operate.operator_device import Operator
 from tools.operate.order_proofs import proofs_of
 from tools.operate.reset import operator_keyring
 from tools.vda5050.factsheet import factsheet_of
-from tools.vda5050.fleet_vehicle import UNHEARD, FleetVehicle, HeardRobot
+from tools.vda5050.fleet_vehicle import (
+    INSTANT_ERROR,
+    NO_ORDER,
+    UNHEARD,
+    FleetVehicle,
+    HeardRobot,
+)
 from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
 from tools.vda5050.transport_rules import OrderRefused, transport_of
 
@@ -285,7 +291,8 @@ class MasterGateway:
         except OSError as problem:
             why = f"it cannot be booked: {problem.strerror or problem}"
         status = ActionStatus.FINISHED if why is None else ActionStatus.FAILED
-        vehicle.report(action, status, why)
+        none = why is not None and why.startswith(NO_ORDER)
+        vehicle.report(action, status, why, NO_ORDER if none else INSTANT_ERROR)
         port.told_s = 0.0
 
     async def _nothing(self) -> str | None:
@@ -319,7 +326,7 @@ class MasterGateway:
         self._observe(port)  # another device may have used its number
         vehicle, booked = port.vehicle, port.vehicle.booked
         if booked is None or not vehicle.busy:
-            return "noOrderToCancel: there is no order"
+            return f"{NO_ORDER}: there is no order"
         if booked.number is None or booked.task is None:
             self._book(vehicle, booked._replace(cancelled=True))
             return None

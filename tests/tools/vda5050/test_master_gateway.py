@@ -342,6 +342,24 @@ def test_a_robot_that_nobody_hears_confirms_no_pause(
     asyncio.run(story())
 
 
+def test_a_cancellation_without_an_order_fails_with_the_error_of_the_standard(
+    tmp_path: Path,
+) -> None:
+    """Its type was instantActionError, so a master that looks for noOrderToCancel waited for ever."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        vehicle = gateway.ports[0].vehicle
+        gateway.act(gateway.ports[0], InstantActions(actions=[instant("cancelOrder", "1")]))
+        async with asyncio.timeout(WAIT_S):
+            await asyncio.gather(*gateway.working)
+        assert vehicle.instant["1"].action_status is ActionStatus.FAILED
+        assert [error.error_type for error in vehicle.errors] == ["noOrderToCancel"]
+        await left(gateway)
+
+    asyncio.run(story())
+
+
 def test_what_a_master_lists_last_need_not_be_travelled_last(tmp_path: Path) -> None:
     """Found: the base was looked for in the order of the list, so a drop in the horizon was ordered."""
     hidden = BRING | {"sequenceId": 2, "released": False}
