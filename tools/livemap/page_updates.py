@@ -21,7 +21,7 @@ class PageUpdates:
         self._paths: dict[int, Any] = {}
         self._things: Any = None
         self._events = 0
-        self._transports = 0
+        self._transports: dict[int, tuple[int, int]] = {}
 
     def tell(self) -> dict[str, Any]:
         """The next message for the page. After a jump in time it has everything again."""
@@ -33,7 +33,7 @@ class PageUpdates:
             self._jumps = player.jumps
             self._paths.clear()
             self._things = None
-            self._transports = 0
+            self._transports = {}
             watcher.all_changed()
         recording = player.recording
         told: dict[str, Any] = {
@@ -99,8 +99,8 @@ class PageUpdates:
         watcher.changed_patches = set()
         if watcher.things is not self._things:
             self._things = told["things"] = watcher.things
-        if len(watcher.transports) != self._transports:
-            self._transports = len(watcher.transports)
+        if watcher.transports != self._transports:  # also of one that was taken back
+            self._transports = dict(watcher.transports)
             told["transports"] = [[task, *cells] for task, cells in watcher.transports.items()]
         index = self.player.index
         if index.noted != self._events:

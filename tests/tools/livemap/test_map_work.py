@@ -9,6 +9,7 @@ import pytest
 
 pytest.importorskip("httpx", reason="the extra `operator` is not installed")
 
+from agent.delivery.task_registry import WITHDRAWN
 from crdt.claim_register import Phase
 from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
@@ -56,8 +57,9 @@ for (const kind of ['pointermove', 'pointerdown', 'pointerup'])
 MIDDLE = "headland.field.view.x.toFixed(1) === headland.state().robots[0].x.toFixed(1)"
 
 
-def delivering() -> Recording:
-    """Robot 0 delivers parcel 0 and has parcel 5 aboard, which was ordered on the bus."""
+def delivering(*later: TaskOrder) -> Recording:
+    """Robot 0 delivers parcel 0 and has parcel 5 aboard, which was ordered on the bus. `later`: orders
+    that a tool says then."""
     made = Recording(dict(HOUSE))
     made.write(0, encode(Member(0, 1, 0), 0x80))
     made.write(1_000, encode(Pose(3.5, 2.5, 0.0, 0.0, 1, False, 255), 0x80))
@@ -67,6 +69,8 @@ def delivering() -> Recording:
     made.write(5_000, encode(WorkProgress(5, 0, 1), 0x80))
     made.write(6_000, encode(Itinerary(1, 0, 1, 128, 5, NO_TASK), 0x80))
     made.write(900_000, encode(Heartbeat(0, 1, False, False, True, False, 1.0, 0, 0), 0x80))
+    for order in later:
+        made.write(910_000, encode(order, 0xF9))
     made.close()
     return made
 
@@ -100,6 +104,28 @@ def test_parcels_queues_and_batteries_are_told() -> None:
     (robot,) = told["robots"]
     assert robot["battery"] == 0.5 and robot["queue"] == ["D5"]
     assert "transports" not in updates.tell(), "once"
+
+
+def test_an_order_that_is_taken_back_is_told() -> None:
+    """The page was told of orders only when there were more of them."""
+    updates = player_of(delivering())
+    updates.tell()
+    updates.player.watcher.hear(1.0, encode(TaskOrder(5, WITHDRAWN, 44), 0xF9))
+    assert updates.tell()["transports"] == [[5, WITHDRAWN, 44]]
+
+
+@pytest.mark.slow
+@needs_browser
+def test_a_parcel_whose_order_was_taken_back_in_time_is_not_waited_for() -> None:
+    """It lay at its pickup for ever, or far off the map, and the work never was all done."""
+    aboard, waits = TaskOrder(5, WITHDRAWN, 44), TaskOrder(6, WITHDRAWN, 40)
+    served = MapThread(delivering(TaskOrder(6, 4, 40), aboard, waits), "house", 0)
+    with browser() as page:
+        page.get(served.url)
+        until(page, "headland.field?.transports.size === 3", WAIT_S)
+        until(page, "document.getElementById('work').textContent === '1 of 2'")
+        assert page.execute_script("return headland.field.parcels.map(([task]) => task)") == [0, 5]
+        assert complaints(page) == []
 
 
 def test_why_a_section_is_whose_is_told_with_what_led_to_it() -> None:

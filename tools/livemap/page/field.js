@@ -16,6 +16,7 @@ const sun = matchMedia("(prefers-color-scheme: light)");
 export const paint = () => sun.matches ? LIGHT : DARK;
 const BLOCK_UNITS = 40, GROUND_MS = 90, MARGIN_PX = 28;
 const BOX = 1, DISC = 2; // shapes of things, as rows of sim/world/walls.py
+const TAKEN_BACK = 0xFFFF; // the pickup of such an order, agent/delivery/task_registry.py
 const UNKNOWN = 0, OPEN = 1; // values of cells, crdt/sighting.py
 
 export class Field {
@@ -86,10 +87,16 @@ export class Field {
     this.stale = true;
   }
 
-  // Parcels: how many are there, and how many were delivered.
+  // Parcels that are or were carried, or wait for it: not those of orders that were taken back in time.
+  get parcels() {
+    const carried = (task) => this.sections.get(task)?.phase === "DONE" || (this.done.get(task) ?? [])[0];
+    return [...this.transports].filter(([task, [from]]) => from !== TAKEN_BACK || carried(task));
+  }
+
+  // How many parcels were delivered, and how many there are.
   get delivered() {
-    const done = [...this.transports.keys()].filter((task) => this.sections.get(task)?.phase === "DONE");
-    return [done.length, this.transports.size];
+    const done = this.parcels.filter(([task]) => this.sections.get(task)?.phase === "DONE");
+    return [done.length, this.parcels.length];
   }
 
   get workDone() {
@@ -329,7 +336,8 @@ export class Field {
   // A parcel waits at its pickup, rides on its robot, and is small where it was delivered.
   drawParcels(pen, told) {
     const where = new Map(told.robots.map((r) => [r.s, r]));
-    for (const [task, [from, to]] of this.transports) {
+    for (const [task, [said, to]] of this.parcels) {
+      const from = said === TAKEN_BACK ? to : said;
       const { phase = "FREE", owner = null } = this.sections.get(task) ?? {}, aboard = (this.done.get(task) ?? [])[0];
       const carrier = aboard && phase !== "DONE" ? where.get(owner) : null;
       const [x, y] = this.toScreen(...(carrier ? [carrier.x, carrier.y] : this.cellAt(phase === "DONE" ? to : from)));
