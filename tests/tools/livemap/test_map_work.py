@@ -14,6 +14,7 @@ from crdt.claim_register import Phase
 from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
+from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from sim.record.recording import Recording
 from tests.tools.livemap.test_map import WAIT_S, Live, launched, needs_browser, robots_in
@@ -169,6 +170,35 @@ CORNER = (
     "const f = headland.field.ground.getContext('2d').getImageData(2, 2, 1, 1).data;"
     "return f[0] + f[1] + f[2]"
 )
+
+
+SPOKEN = """window.spoken = [];
+new MutationObserver((changes) => {
+  for (const { target } of changes) {
+    const near = target.nodeType === Node.TEXT_NODE ? target.parentElement : target;
+    const live = near?.closest('[role=alert], [role=status], output, [aria-live]');
+    if (live && live.getAttribute('aria-live') !== 'off') window.spoken.push(live.id);
+  }
+}).observe(document.body, { subtree: true, childList: true, characterData: true });
+window.heard = headland.told;"""
+
+
+@needs_browser
+def test_a_screen_reader_is_told_only_what_is_new() -> None:
+    """The same words were set again many times a second, and a screen reader says them each time."""
+    stopped = Recording(dict(STRIP))
+    stopped.write(0, encode(Member(0, 1, 0), 0x80))
+    stopped.write(1, encode(EmergencyStop(0, 1, 1, 1), 0x80))
+    stopped.write(2, encode(Pose(10.0, 20.0, 0.0, 0.0, 4, True, 255), 0x80))
+    stopped.close()
+    served = MapThread(stopped, "strip", 0)
+    with browser() as page:
+        page.get(served.url)
+        until(page, "document.getElementById('link').textContent === 'connected'", WAIT_S)
+        until(page, "document.getElementById('stopped-why').textContent !== ''")
+        page.execute_script(SPOKEN)
+        until(page, "headland.told > window.heard + 60")
+        assert page.execute_script("return window.spoken") == []
 
 
 @pytest.mark.slow

@@ -1,7 +1,7 @@
 // The page: one socket that tells what is, buttons that ask for another time, and the operator's hand.
 
 import { Field, setColours } from "./field.js";
-import { $, Side, clock } from "./side.js";
+import { $, Side, clock, set } from "./side.js";
 
 const SPEEDS = [0.5, 1, 2, 10, 30, 100], TEXT_MS = 200, AGAIN_MS = 1000, ASK_MS = 500;
 const OLD_S = 2; // twice what makes a robot silent: then nothing here is a picture of now
@@ -28,16 +28,16 @@ function connect() {
   socket.onclose = ({ code, reason }) => {
     denied = code === NO_TOKEN;
     full = code === TOO_MANY ? reason : "";
-    link(null);
+    link("no connection");
     if (denied || full) { $("hand").hidden = false; $("reset").hidden = $("start").hidden = true; } // a stop needs no picture
     if (!denied) setTimeout(connect, AGAIN_MS);
   };
-  socket.onmessage = (message) => { link("connected"); hear(JSON.parse(message.data)); };
+  socket.onmessage = (message) => hear(JSON.parse(message.data));
 }
 
 function link(text) {
-  $("link").textContent = text ?? "no connection";
-  $("link").className = text ? "on" : "off";
+  set($("link"), text);
+  $("link").className = text === "connected" ? "on" : "off";
 }
 
 function hear(message) {
@@ -117,14 +117,14 @@ function showAge(now) {
   if (old !== document.body.classList.contains("old")) { document.body.classList.toggle("old", old); dirty = true; }
   side.old = old;
   $("old").hidden = !old;
-  $("old-age").textContent = denied || full ? "NO PICTURE" : live && told ? `PICTURE IS ${Math.floor(quiet)} s OLD` : "NO CONNECTION";
-  $("old-why").textContent = denied
+  set($("old-age"), denied || full ? "NO PICTURE" : live && told ? `PICTURE IS ${Math.floor(quiet)} s OLD` : "NO CONNECTION");
+  set($("old-why"), denied
     ? "This address lacks its token: open the whole address that the map printed." + (live || !told ? " STOP works without it." : "")
     : full ? `${full}: close one of them.` + (live || !told ? " STOP works all the same." : "")
-    : unheard > OLD_S ? "The map's server does not answer. Robots may be moving." : "Nothing is heard on the bus. Robots may be moving.";
+    : unheard > OLD_S ? "The map's server does not answer. Robots may be moving." : "Nothing is heard on the bus. Robots may be moving.");
   $("paused").hidden = !behind || old;
   if (behind) $("paused-age").textContent = clock(told.until - told.t);
-  if (old) { $("link").textContent = unheard > OLD_S ? "no connection" : "bus quiet"; $("link").className = "off"; }
+  link(socket?.readyState !== WebSocket.OPEN || unheard > OLD_S ? "no connection" : old ? "bus quiet" : "connected");
 }
 
 // A release where robots stand latched; a start where some were released, or booted, and got none.

@@ -25,7 +25,8 @@ export function clock(seconds) {
 
 const stateOf = (robot) => robot.silent ? "silent" : robot.left ? "left" : robot.state;
 
-function set(place, text) { if (place.textContent !== text) place.textContent = text; }
+// A screen reader reads a live region again whenever its text is set, also to the same words.
+export function set(place, text) { if (place.textContent !== text) place.textContent = text; }
 
 // Why a robot stands, in a few words; empty: it goes, or nobody knows.
 function why(robot) {
@@ -211,15 +212,15 @@ export class Side {
     $("stopped").hidden = !standing;
     if (!standing) return;
     const moving = stop.moving.length ? `NOT STOPPED: ${stop.moving.join(" ")}` : `all ${stop.stopped.length} robots stand`;
-    $("stopped-who").textContent = moving;
+    set($("stopped-who"), moving);
     const last = stop.latched[stop.latched.length - 1];
     const by = !last ? "" : last.slot >= 128 ? "by an operator's device" : `by robot ${last.slot}`;
-    $("stopped-why").textContent = last ? `pressed ${by}${last.reason ? `: ${words(last.reason)}` : ""}` : "";
+    set($("stopped-why"), last ? `pressed ${by}${last.reason ? `: ${words(last.reason)}` : ""}` : "");
   }
 
   showSplit(islands) {
     $("split").hidden = islands.length < 2;
-    $("split-who").textContent = islands.map((island, k) => `${"ABCDEFGH"[k % 8]}: ${island.join(" ")}`).join("   |   ");
+    set($("split-who"), islands.map((island, k) => `${"ABCDEFGH"[k % 8]}: ${island.join(" ")}`).join("   |   "));
   }
 
   // What happened, newest first; each line is a button that goes there.
