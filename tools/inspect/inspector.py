@@ -349,7 +349,8 @@ class Inspector:
     def to_dict(self, zero_s: float = 0.0) -> dict[str, Any]:
         """Everything as plain values for JSON. `zero_s`: from when on its times count, on the clock that
         `hear` is given."""
-        span_s = max(self.now_s - (self.first_s or 0.0), 1e-9)
+        span_s = self.now_s - (self.first_s or 0.0)
+        carried_s = max(span_s, self.bits / BIT_RATE, 1e-9)  # a single frame has no span
         return {
             "robots": [self._robot_dict(self.robots[slot], zero_s) for slot in sorted(self.robots)],
             "sections": {
@@ -374,7 +375,7 @@ class Inspector:
                 f"{election}/{term}": dict(sorted(votes.items()))
                 for (election, term), votes in sorted(self.votes.items())
             },
-            "bus_load_worst_case": round(self.bits / (span_s * BIT_RATE), 4),
+            "bus_load_worst_case": round(self.bits / (carried_s * BIT_RATE), 4),
             "seconds": round(span_s, 3),
         }
 

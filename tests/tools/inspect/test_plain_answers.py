@@ -157,3 +157,12 @@ def test_f_no_command_prints_json_that_is_not_strict() -> None:
         if "print(json.dumps(" in line and "allow_nan=False" not in line
     ]
     assert not loose
+
+
+def test_a_log_of_one_frame_does_not_load_the_bus_many_times_over() -> None:
+    """It was told as 64 million per cent, because the span of one frame is nothing."""
+    inspector = Inspector()
+    inspector.hear(1.0, encode(Member(0, 1, 0), 0x80))
+    assert inspector.to_dict()["bus_load_worst_case"] == 1.0
+    inspector.hear(2.0, encode(Member(0, 1, 0), 0x80))
+    assert inspector.to_dict()["bus_load_worst_case"] < 0.01
