@@ -140,8 +140,8 @@ def _section(why: str | None) -> int | None:
     if why is None:
         return None
     digits = why.lstrip("Ss")
-    if not digits.isdigit() or int(digits) > 0xFFFF:
-        raise SourceError(f"--why {why}: a section is written S7")
+    if not digits.isdecimal() or len(digits) > 5 or int(digits) > 0xFFFF:
+        raise SourceError(f"--why {why[:40]}: a section is written S7")
     return int(digits)
 
 

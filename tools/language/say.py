@@ -15,7 +15,7 @@ def say(words: list[str], options: Options) -> int:
     for a wrong argument, file or bus."""
     if find_spec("lark") is None:
         return wrong("the language needs lark: pip install 'headland[operator]'")
-    if options.by is not None and options.by != "any" and not options.by.isdigit():
+    if options.by is not None and options.by != "any" and not options.by.isdecimal():
         return wrong(f"--by {options.by}: needs the number of a robot, or any")
     if words and not "".join(words).strip():
         return wrong('nothing is said; say what you want: headland say "where is robot 2"')

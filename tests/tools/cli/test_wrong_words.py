@@ -121,6 +121,9 @@ SAID = [
     ("fuzz frame sync --input file", "--input needs one target"),
     ("plan small --out file", "--out file: is a file; name a folder"),
     ("export folder --isoxml file", "--isoxml file: is a file; name a folder"),
+    ("inspect empty.log --why S²", "a section is written S7"),
+    (f"inspect empty.log --why S{'9' * 4500}", "a section is written S7"),
+    ("say status --by ²", "needs the number of a robot"),
     ("export folder --film nowhere/x.gif", "--film nowhere/x.gif: nowhere is not a folder"),
     ("export folder --film folder", "--film folder: is a folder"),
 ]
