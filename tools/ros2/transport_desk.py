@@ -103,9 +103,11 @@ class TransportDesk:
             order, fleet = client.wanted[number][1], self.inspector
             outcome = outcome_of(number, order, fleet.allocation, fleet.progress)
             if outcome.phase is TaskPhase.DELIVERED:
+                client.finish(number)
                 goal.end(Ended.SUCCEEDED, "")
                 return
             if outcome.phase is TaskPhase.WITHDRAWN and client.confirmed(number):
+                client.finish(number)
                 goal.end(Ended.CANCELLED, "")
                 return
             aboard = outcome.phase is TaskPhase.ABOARD

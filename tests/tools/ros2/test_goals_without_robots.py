@@ -7,8 +7,15 @@ from types import SimpleNamespace
 import can
 import pytest
 
-from protocol.frames.delivery_frames import TASK_NUMBERS
+from agent.delivery.task_registry import TransportTask
+from crdt import Phase
+from protocol.frames.codec import encode
+from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest, TaskOrder
+from protocol.frames.fleet_frames import Member
+from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.work_frames import TaskClaim
 from protocol.links.bus import CanBus
+from protocol.name import fleet_name
 from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import HOUSE
 from tools.common.bus_address import AttachError
@@ -20,6 +27,8 @@ from tools.ros2.goal_desk import GoalDesk
 from tools.ros2.graph import Ended, GoalPlace
 from tools.ros2.transport_desk import TransportDesk
 
+WAIT_S = 20.0
+ROBOT = 130  # an address
 HERE, THERE = GoalPlace("map", 0.5, 0.5), GoalPlace("map", 4.5, 2.5)
 
 
@@ -81,6 +90,48 @@ def test_a_transport_for_which_no_number_is_left_is_told_to_people(
         goal = Goal(HERE, THERE)
         await desk._carry(goal)
         assert goal.ended[0][0] is Ended.ABORTED and "numbers of transports" in told[0]
+        bus.close()
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("end", [Ended.SUCCEEDED, Ended.CANCELLED])
+def test_a_transport_that_is_over_is_kept_no_more(
+    end: Ended, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A desk kept every order for ever, and looked through all of them for each one that is open."""
+    monkeypatch.setattr(transport_desk, "LISTEN_S", 0.0)
+    monkeypatch.setattr(transport_desk, "TELL_S", 0.0)
+
+    async def story() -> None:
+        bus, inspector = CanBus(can.Bus("transports over", interface="virtual")), Inspector()
+        device, lines = Operator(bus, None).device, EventLines(out=lambda line: None)
+        desk = TransportDesk(bus, device, HOUSE, inspector, SimpleNamespace(), lines)
+        goal = Goal(HERE, THERE)
+        goal.cancelled = end is Ended.CANCELLED
+
+        def answered(said: object) -> bool:
+            """A robot knows the order, repeats that it is taken back, or has delivered it."""
+            if isinstance(said, TaskOrder):
+                desk.client.hear(ROBOT, TaskBookDigest(said.task // BUCKET_TASKS, 0, 1, 0))
+                desk.client.hear(ROBOT, said)
+                claim = TaskClaim(said.task, 0, Phase.DONE, 0, 5, 0)
+                for message in (
+                    AddressClaimed(fleet_name("yard", 0).pack()),
+                    Member(0, 1, 0),
+                    claim,
+                ):
+                    if end is Ended.SUCCEEDED:
+                        inspector.hear(1.0, encode(message, ROBOT))
+            return True
+
+        monkeypatch.setattr(device, "send", answered)
+        async with asyncio.timeout(WAIT_S):
+            await desk._carry(goal)
+        assert [how for how, _ in goal.ended] == [end]
+        assert not desk.client.wanted
+        (index,) = desk.client.order([TransportTask(1, 2)])
+        assert desk.client.number_of(index) == 1, "the number stays that of the transport"
         bus.close()
 
     asyncio.run(story())
