@@ -62,8 +62,11 @@ def tell(
 ) -> None:
     """Feedback of the robot that has the goal: where it is, and the straight way to `to`.
 
-    `places_left`: number of poses still to be reached, `to` included."""
-    seen = inspector.robots[slot]
+    `places_left`: number of poses still to be reached, `to` included. A robot that nobody hears has no
+    place to tell of."""
+    seen = inspector.robots.get(slot)
+    if seen is None:
+        return
     left_m = hypot(to.x_m - seen.x_m, to.y_m - seen.y_m)
     goal.tell(GoalPlace(FIELD, seen.x_m, seen.y_m), left_m, places_left)
 

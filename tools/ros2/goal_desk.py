@@ -120,11 +120,14 @@ class GoalDesk:
             return "a later goal has replaced it"
         if matter in OVER:
             return f"robot {slot} says: {matter.name}" if matter is not None else ""
-        return f"robot {slot} has left" if self.inspector.robots[slot].left else ""
+        seen = self.inspector.robots.get(slot)
+        return f"robot {slot} has left" if seen is not None and seen.left else ""
 
     def _held(self, slot: int) -> str:
         """What keeps a robot from its goal at present; empty: nothing."""
-        seen = self.inspector.robots[slot]
+        seen = self.inspector.robots.get(slot)
+        if seen is None:  # another maker's device has taken its address
+            return f"robot {slot} is not heard"
         if seen.stopped:
             return f"robot {slot} is stopped"
         return f"robot {slot} is silent" if self._loop.time() - seen.last_s > SILENT_S else ""

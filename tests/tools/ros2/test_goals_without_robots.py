@@ -15,7 +15,7 @@ from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.work_frames import TaskClaim
 from protocol.links.bus import CanBus
-from protocol.name import fleet_name
+from protocol.name import Name, fleet_name
 from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import HOUSE
 from tools.common.bus_address import AttachError
@@ -132,6 +132,41 @@ def test_a_transport_that_is_over_is_kept_no_more(
         assert not desk.client.wanted
         (index,) = desk.client.order([TransportTask(1, 2)])
         assert desk.client.number_of(index) == 1, "the number stays that of the transport"
+        bus.close()
+
+    asyncio.run(story())
+
+
+def test_a_goal_of_a_robot_that_lost_its_address_is_given_up_and_told(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    """A device of another maker took the robot's address. The goal failed unseen, and its client waited
+    for ever."""
+    monkeypatch.setattr(goal_desk, "LISTEN_S", 0.0)
+    monkeypatch.setattr(goal_desk, "GIVEN_UP_S", 0.0)
+    robot = SimpleNamespace(slot=0, report=None)
+    monkeypatch.setattr(Operator, "live", property(lambda self: [robot]))
+    monkeypatch.setattr(goal_desk, "operator_keyring", lambda *_: None)
+
+    async def story() -> None:
+        bus, inspector = CanBus(can.Bus("address lost", interface="virtual")), Inspector()
+        device, lines = Operator(bus, None).device, EventLines(out=lambda line: None)
+        desk = GoalDesk(bus, device, tmp_path / "key", inspector, SimpleNamespace(), lines)
+        foreign = Name(1, industry_group=2, function=130)
+        for message in (AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0)):
+            inspector.hear(1.0, encode(message, ROBOT))
+        assert 0 in inspector.robots
+
+        async def obeys(*_: object) -> bool:
+            inspector.hear(1.1, encode(AddressClaimed(foreign.pack()), ROBOT))
+            return True
+
+        monkeypatch.setattr(goal_desk, "convey", obeys)
+        goal = Goal(THERE)
+        async with asyncio.timeout(WAIT_S):
+            await desk._go(0, goal)
+        assert 0 not in inspector.robots
+        assert goal.ended == [(Ended.ABORTED, "robot 0 is not heard")]
         bus.close()
 
     asyncio.run(story())
