@@ -20,12 +20,14 @@ from tools.common.told_wait import told_wait
 from tools.operate.estop import NOT_ALL, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 
+STILL_S = 3.0  # longest wait until robots have named 64 stops, four at a time
 LISTEN_S = 0.7  # latched robots repeat the dots they know to those that beat without being stopped
 CAUSE_S = 1.6  # a robot that stands tells one of its causes each 1 to 1.4 s
 CAUSES_S = 8.0  # longest wait for the causes of one robot
 STEP_S = 0.1
 NAMES_EVERY = 4  # tries: a name that is cleared changes the sum of what is held
 BLOCK_S = 5  # a block of reserved frames lasts longer than this
+UNSURE = "robots hold more stops than they name, so nobody knows which of them were cleared"
 NOT_SIGNED = (
     "NOT SIGNED: only a fleet without keys is released by this, and by any device on the bus"
 )
@@ -83,7 +85,8 @@ async def _reset(
         else:
             for slot in asked:
                 print(f"asked for at the terminal that robot {slot} serves")
-            print(cleared_line(cleared, bool(shown), summed, left))
+            unsure = bool(left) and operator.shown.unnamed
+            print(UNSURE if unsure else cleared_line(cleared, bool(shown), summed, left))
             for robot in operator.members:
                 print(f"robot {robot.slot}: {word(operator, robot, start)}")
                 for why in stands(operator, robot):
@@ -108,10 +111,18 @@ def cleared_line(cleared: list[StopDot], shown: bool, summed: str, left: list[in
 
 
 async def held_still(operator: Operator) -> frozenset[StopDot]:
-    """Stops that robots tell after a release, by name."""
-    operator.shown.recount()
+    """Stops that robots may hold after a release, by name: all that were shown, if robots do not name as
+    many as they count."""
+    shown = operator.shown
+    shown.recount()
     await operator.listen(LISTEN_S, stops=True)
-    return frozenset(operator.shown.recounted)
+    end_s = operator.now_s + STILL_S
+    while shown.unnamed and operator.now_s < end_s:
+        operator.ask_stops()
+        await asyncio.sleep(STEP_S)
+        operator.now_s = asyncio.get_running_loop().time()
+    named = frozenset(shown.recounted)
+    return named | {StopDot(*dot) for dot in shown.near} if shown.unnamed else named
 
 
 def in_sum(operator: Operator) -> str:

@@ -29,6 +29,8 @@ class ShownStops:
         self.question = randbits(QUESTION_BITS)  # unknown to others before it is asked
         self.near: set[tuple[int, int, int]] = set()
         self.recounted: set[StopDot] = set()  # names that were heard since the newest `recount`
+        self.recounted_far: set[RemoteStopDot] = set()
+        self.counts: dict[int, int] = {}  # of stops that robots hold, told since then
         self.far: set[RemoteStopDot] = set()
         self.spent: set[tuple[int, int, int]] = set()  # names that robots say were used before
         self.told: dict[int, StopsHeld] = {}  # by robots; with keys only what they have signed
@@ -56,6 +58,7 @@ class ShownStops:
             self.refused += 1
             return
         self.latched.add(m.slot)
+        self.counts[m.slot] = m.stops
         before = self.told.get(m.slot)
         more = before is not None and m.stops > before.stops
         if not (self._releasing and (more or self._pressed)):
@@ -63,6 +66,8 @@ class ShownStops:
 
     def hear_far(self, dot: RemoteStopDot) -> None:
         """Take a stop of another segment."""
+        if len(self.recounted_far) < HEARD_MAX:
+            self.recounted_far.add(dot)
         if not self._releasing and len(self.far) < HEARD_MAX:
             self.far.add(dot)
 
@@ -74,6 +79,14 @@ class ShownStops:
         """From now on `recounted` has what robots still hold. The names that were shown stay, because a
         robot does not say that it holds a stop no more."""
         self.recounted.clear()
+        self.recounted_far.clear()
+        self.counts.clear()
+
+    @property
+    def unnamed(self) -> bool:
+        """Whether a robot holds more stops than were named since the newest `recount`."""
+        away = sum(StopDot(*far[:3]) not in self.recounted for far in self.recounted_far)
+        return max(self.counts.values(), default=0) > len(self.recounted) + away
 
     def ask_again(self) -> None:
         """From now on only answers to a new question count: an earlier one may be repeated by anybody."""

@@ -140,6 +140,37 @@ def test_release_does_not_say_that_it_cleared_what_robots_still_hold(
     at_work(load("small").changed(3, 5, fleet), story)
 
 
+@pytest.mark.parametrize("mute", [False, True])
+def test_t11_of_many_stops_none_is_called_cleared_that_robots_still_hold(
+    mute: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Robots name four stops at a time, and those that they had not named yet were called cleared.
+
+    `mute`: they name none, as on a bus that loses frames."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    panel = Keyring(read(tmp_path / "fleet.json").keys, PANEL, b"panel")
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        for k in range(40):
+            cluster.inject(panel.sign(EmergencyStop(PANEL, 1, k, 0)), 38)
+            await elapse(0.02)
+        await elapse(1.0)
+        assert len(cluster.robots[0].peer.safety.stops.active) >= 40
+        if mute:
+            recount = ShownStops.recount
+
+            def deaf(shown: ShownStops) -> None:
+                recount(shown)
+                monkeypatch.setattr(ShownStops, "hear_stop", lambda shown, m: None)
+
+            monkeypatch.setattr(ShownStops, "recount", deaf)
+        assert await on_field_bus(monkeypatch, cluster, None) == 1
+        told = json.loads(capsys.readouterr().out)
+        assert told["cleared"] == [] and told["not_released"] == [0, 1, 2]
+
+    at_work(load("small").changed(3, 5, tmp_path / "fleet.json"), story)
+
+
 def test_what_was_cleared_is_one_line() -> None:
     one = [StopDot(1, 2, 3)]
     assert reset.cleared_line(one, True, "all 1 that hold a robot", []) == "stops cleared: 1.2.3"
