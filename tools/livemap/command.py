@@ -26,7 +26,7 @@ from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
 from sim.record.scene import Scene, drawable, in_folder
-from tools.common.bus_address import LAUNCH, AttachError, said_by
+from tools.common.bus_address import LAUNCH, AttachError, robots_of_launch, said_by
 from tools.common.bus_attach import stay_attached
 from tools.common.exit_codes import wrong
 from tools.common.launch_keys import KEYS, keys_in
@@ -307,7 +307,8 @@ def _live(
 
     async def run() -> None:
         bus = await stay_attached(interface, channel, bitrate, host, port, "map")
-        recording, panel = LiveRecording(scene), Panel(bus, keyring, keys.operator)
+        robots = robots_of_launch(interface, host, port, keys.panel)
+        recording, panel = LiveRecording(scene), Panel(bus, keyring, keys.operator, robots)
         loop = asyncio.get_running_loop()
         recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)

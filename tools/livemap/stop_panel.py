@@ -1,6 +1,7 @@
 """The map's operator device on a live bus: stops immediately, releases with the operator's key."""
 
 import asyncio
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -33,11 +34,16 @@ class Panel:
     """Stops robots for any page, and releases them with the operator's key that was named when the
     map started."""
 
-    def __init__(self, bus: Bus, keyring: Keyring | None, operator_key: Path | None = None) -> None:
-        """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it."""
+    def __init__(
+        self, bus: Bus, keyring: Keyring | None, operator_key: Path | None = None,
+        robots: Iterable[int] = (),
+    ) -> None:  # fmt: skip
+        """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it.
+        `robots`: that must confirm a stop, also where they are not heard."""
         self.bus, self.signed = bus, keyring is not None
         self._key = operator_key  # chosen at the start of the map, never by a request
         self.stopper = Operator(bus, keyring)
+        self.stopper.expect(robots)
         self._listeners = [self.stopper]
         self._pressing: asyncio.Task[list[int]] | None = None
         self._repeating: asyncio.Task[list[KnownRobot]] | None = None

@@ -117,7 +117,7 @@ async def _rekey(
     can_bus = attach(*bus)
     try:
         operator = Operator(can_bus, None)
-        operator.expect(robots_of_launch(bus[0], bus[3], bus[4]))
+        operator.expect(robots_of_launch(bus[0], bus[3], bus[4], keys.folder))
         rekeyer = Rekeyer(operator, keys, rekeying)
         loop = asyncio.get_running_loop()
 

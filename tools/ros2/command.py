@@ -20,7 +20,14 @@ from protocol.frames.frame import Frame
 from sim.record.intent_stream import IntentListener
 from sim.record.scene import Scene, drawable, in_folder
 from sim.scenarios.scenario import ScenarioError
-from tools.common.bus_address import LAUNCH, Attached, AttachError, said_by, scenario_of_launch
+from tools.common.bus_address import (
+    LAUNCH,
+    Attached,
+    AttachError,
+    robots_of_launch,
+    said_by,
+    scenario_of_launch,
+)
 from tools.common.bus_attach import stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
@@ -170,7 +177,8 @@ async def _serve(
     if seconds is not None:
         loop.call_later(seconds, end.set)
     bus = await stay_attached(interface, channel, bitrate, host, port, "ros2")
-    panel, trusted = Panel(bus, keyring_of(keys), operator_key), keys or operator_key
+    robots = robots_of_launch(interface, host, port, keys)
+    panel, trusted = Panel(bus, keyring_of(keys), operator_key, robots), keys or operator_key
     proven = proven_work_of(trusted, round(loop.time() * 1e6))
     if trusted is not None and proven is None:
         lines.note(UNPROVEN.format(trusted))

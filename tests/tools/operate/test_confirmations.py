@@ -2,13 +2,15 @@
 
 import asyncio
 import json
-from collections.abc import AsyncIterator
+from collections.abc import AsyncIterator, Iterable
 from contextlib import asynccontextmanager
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from agent.interface.lifecycle import State
+from agent.runtime.files.key_file import fresh, write
 from protocol.authentication import Keyring, Keys
 from protocol.frames.agreement_frames import SilentPosition
 from protocol.frames.codec import decode, encode
@@ -25,13 +27,17 @@ from protocol.frames.safety_frames import (
 )
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name
+from protocol.rekeying import NOBODY
 from sim.can.simulated_bus import FieldBus
 from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.common import bus_address
-from tools.common.bus_address import robots_of_launch
+from tools.common.bus_address import AttachError, robots_of_launch
+from tools.livemap import command
+from tools.livemap.stop_panel import Panel
+from tools.operate import rekey
 from tools.operate.estop import AGAIN, press, tell
 from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
 from tools.operate.order import convey
@@ -198,6 +204,59 @@ def test_a_press_in_another_folder_knows_the_robots_of_the_launch_whose_keys_it_
         assert robots_of_launch("socketcand", "127.0.0.1", 5, given) == [0, 1, 2]
         assert robots_of_launch("socketcand", "127.0.0.1", 6, given) == [], "another bus"
     assert robots_of_launch("socketcand", "127.0.0.1", 5, None) == []
+
+
+@pytest.fixture
+def launched(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The keys of a launch that was started in another folder; each tool gets a mute bus."""
+    monkeypatch.chdir(tmp_path)
+    keys = tmp_path / "L" / "keys"
+    keys.mkdir(parents=True)
+    where = {"host": "127.0.0.1", "port": 5, "robots": [0, 1, 2]}
+    (tmp_path / "L" / "bus.json").write_text(json.dumps(where))
+    write(keys / "fleet.json", keys / "operator.json", fresh(), 249, range(3))
+    return keys
+
+
+def test_new_keys_in_another_folder_know_the_robots_of_the_launch_whose_keys_they_are(
+    launched: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With a dead robot it said that all used the new keys, and ended with exit code 0."""
+    expected: list[int] = []
+
+    def expect(tool: Operator, slots: Iterable[int]) -> None:
+        expected.extend(slots)
+
+    monkeypatch.setattr(Operator, "expect", expect)
+    monkeypatch.setattr(rekey, "attach", lambda *words: CanBus(FieldBus("new keys elsewhere")))
+    bus = ("socketcand", "can0", 250_000, "127.0.0.1", 5)
+    assert rekey.rekey(NOBODY, 0, launched, bus, 0.1, True) == 1, "no robot is heard"
+    assert expected == [0, 1, 2]
+
+
+def test_a_map_that_is_started_later_knows_the_robots_of_the_launch(
+    launched: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Its page said that all had confirmed a stop, of a launch with a dead robot."""
+    known: list[int] = []
+
+    class EnoughError(AttachError):
+        pass
+
+    class Listed(Panel):
+        def __init__(self, *words: Any) -> None:
+            super().__init__(*words)
+            known.extend(robot.slot for robot in self.stopper.members)
+            raise EnoughError
+
+    async def mute(*words: object) -> CanBus:
+        return CanBus(FieldBus("map elsewhere"))
+
+    monkeypatch.setattr(command, "stay_attached", mute)
+    monkeypatch.setattr(command, "Panel", Listed)
+    show_map = command.show_map
+    code = show_map(None, "socketcand", "can0", 250_000, "127.0.0.1", 5, launched, None, 0, True)
+    assert code == 2 and known == [0, 1, 2]
 
 
 @asynccontextmanager
