@@ -173,10 +173,8 @@ class Inspector:
         if isinstance(message, EmergencyStop):
             if not message.spent:
                 self.stops.setdefault(message[:3], t_s)
-        elif isinstance(message, HeldReset):  # names all that robots hold by one sum
-            self.cleared = dict.fromkeys(self.stops, t_s) | self.cleared
-        elif isinstance(message, EmergencyReset):
-            self.cleared.setdefault(message[:3], t_s)
+        elif isinstance(message, HeldReset | EmergencyReset):
+            self._reset(t_s, message)
         elif isinstance(message, AllImplementsStop):
             self._button(t_s, source, message)
         elif isinstance(message, TaskOrder):  # of a tool, or of a robot that says it again
@@ -295,6 +293,15 @@ class Inspector:
         if name != robot.state:
             robot.transitions.append(Transition(t_s, robot.state, name, kind))
             robot.state = name
+
+    def _reset(self, t_s: float, m: HeldReset | EmergencyReset) -> None:
+        """Robots of a fleet with keys clear nothing by a reset without a tag."""
+        if self.keyed and not (m.freshness or m.tag):
+            return
+        if isinstance(m, EmergencyReset):
+            self.cleared.setdefault(m[:3], t_s)
+        else:  # names all that robots hold by one sum
+            self.cleared = dict.fromkeys(self.stops, t_s) | self.cleared
 
     def _button(self, t_s: float, source: int, m: AllImplementsStop) -> None:
         """Each shortcut button permits for itself alone."""
