@@ -15,7 +15,7 @@ from tools.common.bus_attach import attach
 from tools.common.exit_codes import TRY_AGAIN, code_of, wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import tell_meanwhile, told_wait
-from tools.operate.operator_device import KnownRobot, Operator
+from tools.operate.operator_device import LIVE_S, KnownRobot, Operator
 
 REPEAT_S = 0.005
 LISTEN_S = 0.5  # ten beats: a robot that was not heard by then is absent
@@ -204,6 +204,23 @@ def _word(operator: Operator, robot: KnownRobot, late: list[KnownRobot]) -> str:
     return "NOT STOPPED"
 
 
+def lamp(operator: Operator) -> str:
+    """Whether all stand stopped, as far as robots are heard, and who does."""
+    live, silent = operator.live, [r.slot for r in operator.silent]
+    stopped = [r.slot for r in live if r.stopped]
+    # An address from which nobody has spoken lately is no robot that could move.
+    unnamed = [a for a, t_s in operator.unknown.items() if operator.now_s - t_s < LIVE_S]
+    colour = "ALL STOPPED"
+    if len(stopped) < len(live):
+        colour = "MOVING"
+    elif not live:
+        colour = "NOBODY"
+    elif silent or unnamed:
+        colour = "NOT ALL HEARD"
+    missed = f"  not heard {silent}" if silent else ""
+    return f"{colour}  live {[r.slot for r in live]}  stopped {stopped}{missed}"
+
+
 async def _watch(operator: Operator) -> int:
     """A lamp: one line whenever it changes."""
     shown = ""
@@ -211,12 +228,7 @@ async def _watch(operator: Operator) -> int:
     while True:
         await asyncio.sleep(0.2)
         operator.now_s = asyncio.get_running_loop().time()
-        live = operator.live
-        stopped = [r.slot for r in live if r.stopped]
-        lamp = (
-            "ALL STOPPED" if live and len(stopped) == len(live) else "MOVING" if live else "NOBODY"
-        )
-        line = f"{lamp}  live {[r.slot for r in live]}  stopped {stopped}"
+        line = lamp(operator)
         if line != shown:
             shown = line
             print(line, flush=True)

@@ -38,7 +38,7 @@ from tools.common.bus_address import AttachError, robots_of_launch
 from tools.livemap import command
 from tools.livemap.stop_panel import Panel
 from tools.operate import rekey
-from tools.operate.estop import AGAIN, press, tell
+from tools.operate.estop import AGAIN, lamp, press, tell
 from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
 from tools.operate.order import convey
 from tools.operate.reset import release, word
@@ -204,6 +204,27 @@ def test_a_press_in_another_folder_knows_the_robots_of_the_launch_whose_keys_it_
         assert robots_of_launch("socketcand", "127.0.0.1", 5, given) == [0, 1, 2]
         assert robots_of_launch("socketcand", "127.0.0.1", 6, given) == [], "another bus"
     assert robots_of_launch("socketcand", "127.0.0.1", 5, None) == []
+
+
+def test_t12_the_lamp_is_not_green_for_robots_that_are_not_heard() -> None:
+    """It said ALL STOPPED of a launch with a dead robot, or one that had not said which it is."""
+    tool = operator()
+    tool.expect((1, 2))
+    assert lamp(tool).startswith("NOBODY ")
+    say(tool, 0.0, 1, Member(1, 1, 7), beat(stopped=True))
+    assert lamp(tool) == "NOT ALL HEARD  live [1]  stopped [1]  not heard [2]"
+    say(tool, 0.1, 2, beat(stopped=False))
+    say(tool, 0.2, 2, Member(2, 1, 7))
+    assert lamp(tool) == "MOVING  live [1, 2]  stopped [1]"
+    say(tool, 0.3, 2, beat(stopped=True))
+    assert lamp(tool) == "ALL STOPPED  live [1, 2]  stopped [1, 2]"
+    say(tool, 0.4, 3, beat(stopped=True))
+    assert lamp(tool).startswith("NOT ALL HEARD "), "a robot that has not said which it is"
+    say(tool, 2.0, 1, beat(stopped=True))
+    say(tool, 2.0, 2, beat(stopped=True))
+    assert lamp(tool).startswith("ALL STOPPED "), "nobody speaks there any more"
+    say(tool, 9.0, 1, beat(stopped=True))
+    assert lamp(tool) == "NOT ALL HEARD  live [1]  stopped [1]  not heard [2]"
 
 
 @pytest.fixture
