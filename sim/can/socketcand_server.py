@@ -394,7 +394,8 @@ class Client(asyncio.BufferedProtocol):
 
     def _refuse(self) -> str | None:
         """The wire has rejected a frame. A client with `confirm` gets a report for each, others
-        rarely."""
+        rarely. In raw mode that is an error frame: python-can's client reads a time after the word
+        `error`, and is deaf for good if there is another word."""
         self.refused += 1
         if self._confirms:
             return f"refused {self.refused}"
@@ -402,6 +403,8 @@ class Client(asyncio.BufferedProtocol):
         if now_us - self._told_at_us < REFUSED_US:
             return None
         self._told_at_us = now_us
+        if self.mode is Mode.RAW:
+            return f"error {CONTROLLER:03X} {self._now_s():.6f}"
         return "error the bus takes no frame"
 
     def _confirm(self) -> str | None:

@@ -92,6 +92,41 @@ def greeted(port: int) -> socket.socket:
     return sock
 
 
+def test_t15_a_client_of_python_can_hears_on_after_the_bus_took_none_of_its_frames() -> None:
+    """It read the word after `error` as a number, and again with all that came later. So
+    `headland stop --hold` heard no robot confirm when a flood had ended."""
+
+    def flood(port: int) -> can.BusABC:
+        bus = can.Bus("can0", "socketcand", host="127.0.0.1", port=port)
+        for k in range(1_000):  # more than its controller holds
+            bus.send(can.Message(arbitration_id=0x18FFFF00, data=[k & 0xFF]))
+        return bus
+
+    async def story(served: Served) -> None:
+        with await asyncio.to_thread(flood, served.hub.port) as bus:
+            (client,) = served.hub.clients
+            babbler = FieldBus(served.segment.channel)
+
+            def refused() -> bool:
+                while babbler.submit(Frame(0x4D, bytes(8))):  # the most urgent frames
+                    pass
+                return client.refused > 0
+
+            await served.until(refused)
+            babbler.shutdown()
+            device = FieldBus(served.segment.channel)
+            device.submit(Frame(0x77, b"\1"))
+            heard = set[int]()
+            async with asyncio.timeout(LIMIT_S):
+                while 0x77 not in heard:
+                    message = await asyncio.to_thread(bus.recv, 0.1)
+                    heard |= set() if message is None else {message.arbitration_id}
+            device.shutdown()
+            assert 0x004 in heard, "an error frame of the controller"
+
+    on_a_hub("python-can in a flood", story)
+
+
 def send_and_close(port: int, number: int) -> None:
     with greeted(port) as sock:
         sock.sendall(b"< rawmode >" + b"< send 18FFFF%02X 1 %02X >" % (number, number))
