@@ -11,6 +11,8 @@ from agent.runtime.files.printable_text import printable
 from sim.files.whole_file import write_whole
 from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
+RING_MIN = 4  # places of a closed ring of three corners
+
 
 def write_geojson(record: WorkRecord, path: Path, run: str | None = None) -> None:
     """`run`: the hash of the run's frames, `log_hash` in its report.json."""
@@ -90,8 +92,17 @@ def _record(document: dict[str, Any]) -> WorkRecord:
 
 
 def _points(coordinates: Any) -> tuple[tuple[float, float], ...]:
-    return tuple((float(p[0]), float(p[1])) for p in coordinates)
+    """Raises ValueError for what is no place on the Earth."""
+    points = tuple((float(p[0]), float(p[1])) for p in coordinates)
+    for lon, lat in points:
+        if not (abs(lon) <= 180.0 and abs(lat) <= 90.0):
+            raise ValueError(f"{lon:g}, {lat:g} is no longitude and latitude")
+    return points
 
 
 def _rings(coordinates: Any) -> Rings:
-    return tuple(_points(ring) for ring in coordinates)
+    """Raises ValueError for what is no outline."""
+    rings = tuple(_points(ring) for ring in coordinates)
+    if min((len(ring) for ring in rings), default=0) < RING_MIN:
+        raise ValueError("an outline with fewer than three corners")
+    return rings

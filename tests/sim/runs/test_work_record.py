@@ -151,6 +151,38 @@ def test_a_name_with_control_characters_makes_no_broken_task_data(tmp_path: Path
     assert read_work_geojson(path) == record
 
 
+@pytest.mark.parametrize("place", [[0.0, 1e308], [181.0, 51.0], [0.0, -90.5]])
+@pytest.mark.parametrize("kind", ["boundary", "swath", "covered", "log"])
+def test_a_place_that_is_not_on_the_earth_is_one_line(
+    place: list[float], kind: str, tmp_path: Path, record: WorkRecord
+) -> None:
+    """A damaged work.geojson ended `headland export` with "cannot convert float NaN to integer"."""
+    path = tmp_path / "work.geojson"
+    write_geojson(record, path)
+    document = json.loads(path.read_text())
+    shape = next(
+        each["geometry"] for each in document["features"] if each["properties"]["kind"] == kind
+    )
+    line = shape["coordinates"][0] if shape["type"] == "Polygon" else shape["coordinates"]
+    line[1] = place
+    path.write_text(json.dumps(document))
+    with pytest.raises(FieldFileError, match=r"not a work record: .*no longitude and latitude"):
+        read_work_geojson(path)
+
+
+@pytest.mark.parametrize("rings", [[], [[]], [[[0.0, 51.0], [0.0, 51.1]]]])
+def test_an_outline_without_corners_is_one_line(
+    rings: list[list[list[float]]], tmp_path: Path, record: WorkRecord
+) -> None:
+    path = tmp_path / "work.geojson"
+    write_geojson(record, path)
+    document = json.loads(path.read_text())
+    document["features"][0]["geometry"]["coordinates"] = rings
+    path.write_text(json.dumps(document))
+    with pytest.raises(FieldFileError, match=r"not a work record: .*three corners"):
+        read_work_geojson(path)
+
+
 def test_unfinished_work_is_paused(tmp_path: Path, record: WorkRecord) -> None:
     write_isoxml(record._replace(finished=False), tmp_path)
     assert not read_work_isoxml(tmp_path).finished
