@@ -35,6 +35,14 @@ def test_an_error_names_the_file_that_was_wanted(tmp_path: Path) -> None:
     assert told.value.filename == str(tmp_path / "none" / "a.csv")
 
 
+def test_an_error_below_a_file_names_the_file_that_was_wanted(tmp_path: Path) -> None:
+    """It named a file .headland-fc4364f23c0c that nobody had asked for: that could not be removed."""
+    (tmp_path / "file").write_text("x")
+    with pytest.raises(NotADirectoryError) as problem:
+        write_whole(tmp_path / "file" / "plan.geojson", "x")
+    assert problem.value.filename == str(tmp_path / "file" / "plan.geojson")
+
+
 def test_permissions_links_and_suffixes_stay(tmp_path: Path) -> None:
     path, link = tmp_path / "a.toml", tmp_path / "link.toml"
     path.write_text("old")
