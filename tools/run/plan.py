@@ -4,9 +4,11 @@ import sys
 from collections.abc import Iterator
 from pathlib import Path
 
+import shapely
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
+from shapely.geometry import Polygon
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import fields_of
@@ -56,6 +58,9 @@ def plan(
                 failed = True
         if not plans:
             return WRONG
+        if record is not None and not any(_meets(record, plan) for plan in plans):
+            of = printable(record.name)
+            return wrong(f"--done {done}: is the work of {of!r}, which is elsewhere than {name}")
         files = [] if out is None else _written(plans, out)
     except (ScenarioError, FieldFileError) as problem:
         return wrong(problem)
@@ -99,6 +104,12 @@ def _planned(scenario: Scenario, record: WorkRecord | None, seed: int) -> WorkPl
         if feature is None or feature in str(problem):
             raise
         raise ScenarioError(f"{feature}: {problem}") from None
+
+
+def _meets(record: WorkRecord, plan: WorkPlan) -> bool:
+    """Whether the work was done where the field lies."""
+    worked, planned = (Polygon(rings[0]) for rings in (record.boundary, plan.boundary))
+    return bool(shapely.make_valid(worked).intersects(planned))
 
 
 def _written(plans: list[WorkPlan], out: Path) -> list[str]:

@@ -31,6 +31,7 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tests.agent.field.test_fleet_plan import drawn_problem
 from tests.sim.runs.test_work_record import STARTED, tracks
+from tests.sim.runs.test_work_record import field as worked_field
 from tools.cli.headland import app
 
 FIELDS = Path(__file__).parents[4] / "shared" / "data" / "fields"
@@ -171,6 +172,15 @@ def test_kml_has_the_same_lines(folder: Path) -> None:
     rings = next(e.text for e in root.iter(f"{KML}coordinates") if e.text)
     outer = Polygon([tuple(map(float, p.split(","))) for p in rings.split()])
     assert outer.is_valid and outer.exterior.is_ccw
+
+
+def test_the_work_of_another_field_is_refused(tmp_path: Path) -> None:
+    """All of the field was planned again, as if nothing was done, and nobody said why."""
+    path = tmp_path / "work.geojson"
+    write_geojson(record_of(worked_field(), tracks(worked_field()), True, STARTED), path)
+    done = call("small", "--done", path, "--out", tmp_path / "plan")
+    assert done.exit_code == 2 and not list((tmp_path / "plan").iterdir()), done.output
+    assert "is the work of 'Oxted', which is elsewhere than small" in done.stderr
 
 
 def test_what_is_done_is_not_planned(tmp_path: Path) -> None:
