@@ -12,6 +12,7 @@ from agent.interface.config import S
 from sim.world.ground_truth import TrackPoint
 
 MOVED_M = 0.1  # less is standing: bodies are pushed a little
+STANDS_FOR_US = 5 * S  # one that stands for a shorter time may have given way, or works
 Floats = NDArray[np.float64]
 
 
@@ -34,13 +35,15 @@ def told_missed(
         told += f" in {count} places, the largest of {len(patch) * cell_m**2:.1f} m2"
     told += f" at {x_m:.1f},{y_m:.1f}"
     beside = []
+    ended_at_us = max((track[-1][0] for track in tracks.values() if track), default=0)
     for slot, track in sorted(tracks.items()):
         if not track:
             continue
         _, x_of, y_of, _ = track[-1]
         gap_m = np.hypot(patch[:, 0] - x_of, patch[:, 1] - y_of).min()
-        if gap_m <= width_m:
-            beside.append((_standing_at_us(track), slot))
+        at_us = _standing_at_us(track)
+        if gap_m <= width_m and ended_at_us - at_us >= STANDS_FOR_US:
+            beside.append((at_us, slot))
     if beside:
         at_us, slot = min(beside)  # there longest, not one that has come by at the end
         told += f", where robot {slot} stands since {at_us / S:.1f} s"

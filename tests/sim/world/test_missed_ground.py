@@ -41,6 +41,20 @@ def test_the_largest_piece_is_told_with_its_place_and_the_robot_that_stands_ther
     assert told_missed(missed[:0], CELL_M, 4.0, {0: away}, {0: []}) == ""
 
 
+def test_a_robot_that_works_when_a_run_ends_does_not_stand_there() -> None:
+    """A run that its limit ended said "where robot 0 stands since 59.8 s", of a robot in its work."""
+    missed = np.array(square(0.0, 20.0, 8))
+    working: list[TrackPoint] = [(k * 100_000, -60.0 + k * 0.1, 22.0, True) for k in range(600)]
+    told = told_missed(missed, CELL_M, 4.0, {0: working}, {0: []})
+    assert told == "16.0 m2 are left at 2.0,22.0"
+    dead = {0: working[:580], 1: [(60_000_000, 50.0, 50.0, False)]}  # its track ends where it fell
+    told = told_missed(missed, CELL_M, 4.0, dead, {1: []})
+    assert told == "16.0 m2 are left at 2.0,22.0"
+    dead[1] = [(90_000_000, 50.0, 50.0, False)]
+    told = told_missed(missed, CELL_M, 4.0, dead, {1: []})
+    assert told.endswith("where robot 0 stands since 57.8 s, switched off")
+
+
 def test_the_place_of_ground_round_an_island_is_on_that_ground() -> None:
     """A field that nobody had worked was left at the middle of its island."""
     whole = np.array(square(-10.0, -10.0, 40))
