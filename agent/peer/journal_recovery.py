@@ -19,6 +19,7 @@ from agent.peer.durable_records import (
     U32,
     U64,
     VOTE,
+    key_of,
 )
 from agent.peer.key_renewal import FLEET_KEYS, RECORD_SIZES
 from agent.peer.membership import SILENT_KEY
@@ -34,7 +35,8 @@ from agent.safety.stop_controller import (
     LATCHED,
     STOPS_KEY,
 )
-from crdt.allocation import SECTION_MAX
+from crdt.allocation import BY_NUMBER, SECTION_MAX
+from crdt.claim_register import phase_of
 from crdt.occupancy import PATCH_BYTES
 from crdt.stops import RemoteStopSet, StopSet
 
@@ -97,7 +99,8 @@ def _known(key: str, raw: bytes) -> bool:
         if key.startswith(family):
             numbers = key.removeprefix(family).split("/")
             fits = len(raw) in sizes and len(numbers) == len(greatest)
-            return fits and all(map(_number, numbers, greatest))
+            fits = fits and all(map(_number, numbers, greatest))
+            return fits and (family != REGISTER or phase_of(key_of(raw)) in BY_NUMBER)
     return True
 
 

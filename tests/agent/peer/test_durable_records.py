@@ -105,3 +105,11 @@ def test_a_robot_that_lost_its_memory_writes_down_what_it_is_told_of_itself() ->
     assert (1, "register/0") in rig.written
     vouchers = rig.peers[1].sync.replica.vouchers
     assert vouchers is not None and vouchers.said_by(0, 1) == rig.peers[1].allocation.key(0)
+
+
+def test_a_register_with_a_phase_of_other_software_makes_no_sense() -> None:
+    """A robot with it ended with a traceback at each start."""
+    for phase in range(8):
+        end = pack(1, phase, 0, 7, US)
+        told = senseless(dict([DurableRecords.register(3, end, None)]))
+        assert bool(told) is (phase not in list(Phase))
