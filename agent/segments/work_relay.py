@@ -189,12 +189,12 @@ class WorkRelay:
         if entry.owner_segment == area.segment:
             if entry.owner != UNKNOWN_OWNER:
                 return entry.owner if entry.owner < GUEST_FIRST else None
-            # A claim of ours comes back from its home without the slot, which our register knows.
+            # A claim of ours comes back from its home without the slot, which our register knows. The
+            # home may have raised its epoch. A robot that holds it no more gives it back then.
             ours = self.allocation.entry(number)
             same = (ours.epoch, ours.phase, ours.lamport) == (told.epoch, told.phase, told.lamport)
-            if same and ours.owner < GUEST_FIRST:
-                return ours.owner
-            return LAST_SLOT if told.phase == Phase.DONE else None
+            known = ours.owner < GUEST_FIRST and self.allocation.key(number) is not None
+            return ours.owner if known and (same or told.phase != Phase.DONE) else LAST_SLOT
         home = area.place_of(number).segment
         if entry.owner_segment in area.neighbours:
             return area.guest(entry.owner_segment)

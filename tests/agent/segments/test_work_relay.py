@@ -1,11 +1,12 @@
-"""What a gateway sends again of the sections that it shares; fleets are in test_segments_rig.py."""
+"""What gateways make of the sections that they share; whole fleets are in test_segments_rig.py."""
 
-from agent.segments.segment_area import Area
-from agent.segments.work_relay import REPAIRS_APART_MAX, WorkRelay
+from agent.segments.segment_area import Area, SegmentPlace
+from agent.segments.work_relay import REPAIRS_APART_MAX, UNKNOWN_OWNER, WorkRelay
 from crdt import Phase
-from protocol.frames.work_frames import TaskClaim
+from protocol.backbone_messages import Entry
+from protocol.frames.work_frames import TASK_CLAIM, TaskClaim
 
-NEIGHBOUR = 3
+NEIGHBOUR, HOME, BORROWED = 3, 1, 10
 
 
 def test_an_entry_lost_after_days_of_a_difference_that_cannot_be_repaired_is_sent_again() -> None:
@@ -20,3 +21,30 @@ def test_an_entry_lost_after_days_of_a_difference_that_cannot_be_repaired_is_sen
     for _ in range(REPAIRS_APART_MAX):
         relay.on_digest(NEIGHBOUR, never)
     assert [len(entries) for _, entries in relay.outgoing()] == [1]
+
+
+def decided(relay: WorkRelay, phase: Phase, epoch: int) -> list[tuple[int, int | None]]:
+    """The sections that change when their home says that a robot of ours has one."""
+    claim = TaskClaim(0, epoch=epoch, phase=phase, bid=0, lamport=9, owner=0)
+    told = Entry(1, HOME, 0, relay.area.segment, UNKNOWN_OWNER, TASK_CLAIM.pack(claim))
+    return list(relay.on_entries(HOME, [told]))
+
+
+def test_what_the_home_decides_about_a_claim_of_ours_is_not_lost() -> None:
+    """The home raises the epoch of one of two claims that differ only in their owners. The robot had
+    given its section back meanwhile, and so the home said for good that it has it."""
+    relay = WorkRelay(Area(2, 10, borrowed={BORROWED: SegmentPlace(HOME, 0)}))
+    relay.allocation.claim(BORROWED, 5)
+    assert decided(relay, Phase.CLAIMED, 1) == [(BORROWED, None)]
+    assert relay.allocation.entry(BORROWED).owner == 5
+    relay.allocation.release(BORROWED, 5)
+    assert relay.allocation.entry(BORROWED)[:2] == (2, Phase.FREE)
+    assert decided(relay, Phase.STARTED, 2) == [(BORROWED, None)]
+    assert relay.allocation.owner_of(BORROWED) == 5, "it gives back what it holds unknowingly"
+
+
+def test_a_segment_without_memory_learns_from_the_home_what_it_had() -> None:
+    relay = WorkRelay(Area(2, 10, borrowed={BORROWED: SegmentPlace(HOME, 0)}))
+    assert decided(relay, Phase.FREE, 3) == [(BORROWED, None)]
+    assert relay.allocation.entry(BORROWED)[:2] == (3, Phase.FREE)
+    assert decided(relay, Phase.CLAIMED, 3) == [(BORROWED, None)]
