@@ -190,8 +190,10 @@ class StopRelay:
             self._repeated.pop(dot, None)
             self._pressed_at_us.pop(dot, None)
             self.disbelieved.discard(dot)
-        while len(self.resets) > DOTS_MAX:
-            del self.resets[next(iter(self.resets))]
+        while (
+            len(self.resets) > DOTS_MAX
+        ):  # a stop that is kept without its reset would be active again
+            del self.resets[next(dot for dot in self.resets if dot not in self.stops)]
         while len(self._echoes) > DOTS_MAX:
             del self._echoes[next(iter(self._echoes))]
 

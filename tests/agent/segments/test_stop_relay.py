@@ -1,7 +1,7 @@
 """For how long a gateway repeats a stop of another segment to the robots of its own."""
 
 from agent.interface.config import MS, S
-from agent.segments.stop_relay import AGAIN_US, LIVE_US, StopRelay
+from agent.segments.stop_relay import AGAIN_US, DOTS_MAX, LIVE_US, StopRelay
 from crdt.stops import RemoteStopDot
 from protocol.fleet_tags import plain_reset
 from protocol.frames.segment_frames import FleetReset, FleetStop
@@ -69,3 +69,16 @@ def test_old_stops_that_are_told_are_said_after_their_resets_and_not_for_long() 
             elif said.told:
                 assert dot_of(said) in reset, "else it would latch a robot that knows neither"
     assert len(reset) == len(old) + 1 and last_at_us < 4 * S
+
+
+def test_a_cleared_stop_stays_cleared_whatever_resets_follow() -> None:
+    """Each half of a reset of an unknown stop took the room of a known one. Without its reset a stop of
+    long ago was told again, and latched a robot that had never heard of it."""
+    relay = relay_with_stop()
+    relay.on_backbone_resets(plain_reset(dot_of(STOP)), MS)
+    assert sent(relay, 0, 4 * S, beats=False)
+    for k in range(DOTS_MAX + 1):
+        unknown = RemoteStopDot(9, k >> 8, k & 0xFF, 3)
+        relay.on_reset(plain_reset(unknown)[0])
+    assert len(relay.resets) == DOTS_MAX
+    assert not sent(relay, 4 * S, 4 * S, beats=True)
