@@ -129,6 +129,17 @@ class Election:
             self._open(self._reached(term + 1))
             self.see(now_us)
 
+    def take_slot(self, slot: int, met_others: bool, now_us: int) -> None:
+        """We have another slot, or one for the first time. `met_others`: others have voted, it may be.
+
+        We, or who had the slot before, may have voted otherwise in this term, and others keep the first
+        vote that they heard from a slot. So a new term begins."""
+        self.slot = slot
+        if met_others:
+            self._open(self.term + 1)
+        self.votes.clear()
+        self.see(now_us)
+
     # ---------------------------------------------------------------- what
 
     def call(self, live: frozenset[int]) -> LeaderElectionVote | None:

@@ -164,9 +164,8 @@ class GatewayElection:
         self.machine.fire(CandidateEvent.NUMBER_FREE if free else CandidateEvent.NONE_FREE)
         if not free:
             return
-        self.number = self.election.slot = free[0]
-        self.election.votes.clear()
-        self.election.see(now_us)
+        self.number = free[0]
+        self.election.take_slot(free[0], bool(self._heard), now_us)
 
     def _observe_candidates(self, now_us: int) -> None:
         """Check which candidates are live; a change causes a vote."""

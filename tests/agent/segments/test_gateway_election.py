@@ -71,3 +71,29 @@ def test_a_candidate_that_still_listens_hears_the_votes_of_others() -> None:
     for now_us in range(LISTEN_US, 12 * LISTEN_US, BEAT_US):
         turn([own, other], now_us)
     assert [own.number, other.number] == [NUMBERS[0], NUMBERS[1]]
+
+
+def test_who_takes_another_number_votes_in_no_term_in_which_that_number_has_voted() -> None:
+    """It voted twice in one term. The others kept the vote that each had heard first, and two gateways
+    led for good."""
+    gateways = [GatewayElection(lot, lot, 0) for lot in (7, 9, 11)]
+    times = count(LISTEN_US, BEAT_US)
+    for _ in range(20):
+        turn(gateways, next(times))
+    term = max(own.term for own in gateways)
+    restarted = GatewayElection(5, 5, next(times))
+    gateways[1:2] = [restarted]
+    said = list[LeaderElectionVote]()
+    for _ in range(20):
+        now_us = next(times)
+        for own in gateways:
+            for effect in own.on_tick(0, False, now_us):
+                if isinstance(effect, Send):
+                    assert own.number is not None
+                    for other in gateways:
+                        if other is not own:
+                            other.on_message(own.number, effect.message, now_us)
+                    if own is restarted and isinstance(effect.message, LeaderElectionVote):
+                        said.append(effect.message)
+    assert said and all(vote.term > term for vote in said)
+    assert [own.leads for own in gateways] == [True, False, False]
