@@ -264,7 +264,11 @@ class RobotFile(Table):
 
     def changed(self, changes: Changes) -> Self:
         """With what a command line says instead."""
-        bus = {key: value for key in ("interface", "channel") if (value := getattr(changes, key))}
+        bus: dict[str, Any] = {
+            key: value for key in ("interface", "channel") if (value := getattr(changes, key))
+        }
+        if bus.get("interface", self.bus.interface) != self.bus.interface:
+            bus["options"] = {}  # a port of socketcand is no port of udp_multicast
         update: dict[str, Any] = {"bus": self.bus.model_copy(update=bus)}
         if changes.plugin is not None and changes.plugin != self.body.plugin:
             update["body"] = BodyTable(plugin=changes.plugin)

@@ -168,6 +168,8 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
         raise RobotError(
             f"robot {slot}: bus.channel: {table.channel!r} is no multicast address, as 239.74.163.2 is"
         )
+    if table.interface == "socketcand" and not {"host", "port"} <= options.keys():
+        raise RobotError(f"robot {slot}: bus.options: socketcand needs host and port")
     try:
         if table.interface != "socketcand":
             return open_bus(table.interface, table.channel, table.bitrate, **options)

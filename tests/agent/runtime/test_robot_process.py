@@ -13,8 +13,8 @@ from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.runtime.peer_factory import NO_MISSION, MissionParts
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
-from agent.runtime.robot_file import AbsentError, RobotError, RobotFile
-from agent.runtime.robot_process import run_robot
+from agent.runtime.robot_file import AbsentError, Changes, RobotBusTable, RobotError, RobotFile
+from agent.runtime.robot_process import opened_bus, run_robot
 from agent.runtime.robot_work import work_of
 from protocol.name import Name, fleet_name
 from tests.multicast import reached
@@ -119,6 +119,22 @@ def test_a_wrong_robot_file_is_one_line(change: dict[str, Any], says: str) -> No
     with pytest.raises(RobotError) as problem:
         RobotFile.of({**GOOD, **change}, "r.toml", Path())
     assert says in str(problem.value) and "\n" not in str(problem.value)
+
+
+def test_the_options_of_a_bus_are_not_those_of_another_interface() -> None:
+    """The port of a hub became that of a multicast group, where no stop of an operator was heard."""
+    options = {"host": "127.0.0.1", "port": 29636}
+    bus = {"interface": "socketcand", "options": options}
+    robot = RobotFile.of({**GOOD, "bus": bus}, "r.toml", Path())
+    other = robot.changed(Changes(interface="udp_multicast", channel="239.74.163.2")).bus
+    assert (other.interface, other.channel, other.options) == ("udp_multicast", "239.74.163.2", {})
+    assert robot.changed(Changes(interface="socketcand", channel="can1")).bus.options == options
+
+
+def test_a_hub_without_an_address_is_told_plainly() -> None:
+    """The line ended with 'host'."""
+    with pytest.raises(RobotError, match=r"bus\.options: socketcand needs host"):
+        asyncio.run(opened_bus(RobotBusTable(interface="socketcand"), 0))
 
 
 def test_a_robot_file_without_its_fleet_is_refused() -> None:
