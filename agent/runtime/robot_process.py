@@ -3,7 +3,8 @@
     python -m headland.agent.runtime.robot_process robot2.toml --first-boot    # a new machine
     python -m headland.agent.runtime.robot_process robot2.toml                 # later
 
-It ends on SIGTERM or Ctrl-C, with a farewell on the bus. `docs/use/robot.md` says how to add a body.
+It ends on SIGTERM, SIGHUP or Ctrl-C, with a farewell on the bus. `docs/use/robot.md` says how to add a
+body.
 """
 
 import argparse
@@ -30,7 +31,7 @@ from agent.interface.ports import Bus
 from agent.peer.inputs import DateTold
 from agent.peer.peer import Peer
 from agent.runtime.body_plugins import made
-from agent.runtime.end_signals import on_end
+from agent.runtime.end_signals import on_end, on_hang_up
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
@@ -396,9 +397,10 @@ async def _take_part(
 
 
 async def until_told(robot: RobotFile, *, first_boot: bool = False, dry: bool = False) -> None:
-    """Run until SIGTERM or SIGINT. Raises RobotError."""
+    """Run until SIGTERM, SIGHUP or SIGINT. Raises RobotError."""
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     on_end(loop, end.set)
+    on_hang_up(loop, end.set)
 
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)

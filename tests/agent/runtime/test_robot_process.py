@@ -2,6 +2,7 @@
 
 import asyncio
 import json
+import signal
 import subprocess
 import sys
 from pathlib import Path
@@ -11,6 +12,7 @@ import pytest
 
 from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
+from agent.runtime import robot_process
 from agent.runtime.peer_factory import NO_MISSION, MissionParts
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.robot_file import AbsentError, Changes, RobotBusTable, RobotError, RobotFile
@@ -274,3 +276,23 @@ def test_a_robot_that_waits_for_its_body_ends_when_it_is_told_to(tmp_path: Path)
 
     asyncio.run(run())
     assert NotThere.closed
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="no SIGHUP")
+def test_a_terminal_that_is_closed_ends_a_robot_with_its_farewell(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Without the command line the signal killed the process, and the fleet stood for a silent member."""
+
+    async def told_to_end(robot: RobotFile, end: asyncio.Event, **_: Any) -> None:
+        assert signal.getsignal(signal.SIGHUP) != signal.SIG_DFL, "it kills the process"
+        signal.raise_signal(signal.SIGHUP)
+        async with asyncio.timeout(LIMIT_S):
+            await end.wait()
+
+    monkeypatch.setattr(robot_process, "run_robot", told_to_end)
+    before = signal.signal(signal.SIGHUP, signal.SIG_DFL)
+    try:
+        asyncio.run(robot_process.until_told(RobotFile.of(GOOD, "r.toml", Path())))
+    finally:
+        signal.signal(signal.SIGHUP, before)
