@@ -52,6 +52,7 @@ class DeclaredMachine(NamedTuple):
 
     vehicle: Vehicle
     origin: tuple[float, float] | None  # latitude and longitude of (0, 0), degrees; None: no field
+    folder: Path = Path()  # of the robot file; names of files are relative to it
 
 
 class RobotBody:
@@ -64,7 +65,8 @@ class RobotBody:
         """Called once before `open`, with what the robot file declares. Raises ValueError."""
 
     async def open(self) -> None:
-        """Connect, and return when the body can be driven. Raises OSError."""
+        """Connect, and return when the body can be driven. Raises OSError for a device that is not there,
+        and ValueError for what a person has to mend."""
 
     def sense(self, now_us: int) -> Observation | None:
         """The newest observation, with the time at which it was sensed on the clock of `now_us`.

@@ -255,7 +255,7 @@ async def opened_body(robot: RobotFile, *, dry: bool = False) -> RobotBody:
         _check_class(robot)
         body = made(robot.body.plugin, robot.body.factory, slot, robot.body.options)
         body = DryBody(body) if dry else body
-        body.declare(DeclaredMachine(robot.fleet.vehicle, origin_of(robot)))
+        body.declare(DeclaredMachine(robot.fleet.vehicle, origin_of(robot), robot.folder))
         call = "open"
         await body.open()
     except asyncio.CancelledError:

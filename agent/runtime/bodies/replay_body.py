@@ -46,19 +46,25 @@ class ReplayBody(RobotBody):
             raise ValueError(
                 "without a field, options.origin says latitude and longitude of (0, 0)"
             )
+        self.log = machine.folder / self.log
 
     async def open(self) -> None:
-        """Read the log. Raises OSError if it is not there or has no place in it."""
+        """Read the log. Raises ValueError if it cannot be read or has no place in it: it does not come by
+        itself, as a device may."""
         assert self.origin is not None, "`declare` comes before `open`"
-        if self.log.stat().st_size > LOG_BYTES_MAX:
-            raise OSError(f"{self.log}: more than {LOG_BYTES_MAX >> 20} MB")
+        try:
+            if self.log.stat().st_size > LOG_BYTES_MAX:
+                raise ValueError(f"options.log: {self.log}: more than {LOG_BYTES_MAX >> 20} MB")
+            lines = self.log.read_bytes().splitlines()
+        except OSError as problem:
+            raise ValueError(f"options.log: {self.log}: {problem.strerror}") from None
         fixes = NmeaFixes(
             in_field(self.origin), self.antenna_m, lambda utc_at_us, arrived_at_us: utc_at_us
         )
-        places = [each for line in self.log.read_bytes().splitlines()
-                  if (each := fixes.take(line, fixes.utc_at_us)) is not None]  # fmt: skip
+        taken = (fixes.take(line, fixes.utc_at_us) for line in lines)
+        places = [each for each in taken if each is not None]
         if not places:
-            raise OSError(f"{self.log}: no place and heading in it")
+            raise ValueError(f"options.log: {self.log}: no place and heading in it")
         at_us, self.seen = 0, [places[0]._replace(sensed_at_us=0)]
         for before, after in pairwise(places):
             at_us += max(after.sensed_at_us - before.sensed_at_us, 0)
