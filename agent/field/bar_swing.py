@@ -102,13 +102,16 @@ class BarSwing:
         self._line: list[Line] = []  # by segment
         self._corners_m: list[float] = []
         turned_rad = was_x = was_y = ux = uy = along_m = 0.0
+        side_x = side_y = 0.0  # the direction of the last segment on which the turns are compared
         for (ax, ay), (bx, by) in pairwise(points):
             length_m = hypot(bx - ax, by - ay)
             if length_m > 0.0:
                 was_x, was_y, ux, uy = ux, uy, (bx - ax) / length_m, (by - ay) / length_m
                 turned_rad += _turn_rad(was_x, was_y, ux, uy)
-            sharp = was_x * ux + was_y * uy < -NEAR_COS
+            sharp = min(was_x * ux + was_y * uy, side_x * ux + side_y * uy) < -NEAR_COS
             self._line.append((turned_rad, ux, uy, sharp, length_m))
+            if length_m >= SIDE_M:
+                side_x, side_y = ux, uy
             self._corners_m.append(along_m)
             along_m += length_m
         self._corners_m = self._corners_m[1:]

@@ -11,7 +11,7 @@ It leaves the line by half the overlap at most, the tolerance of driving.
 
 import itertools
 from collections.abc import Iterator, Sequence
-from math import dist, hypot, radians
+from math import dist, hypot, inf, radians
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -21,7 +21,7 @@ from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
 from agent.field.field_map import XY, Polyline
-from agent.motion.path_tracker import turn_at
+from agent.motion.path_tracker import ARRIVED_M, turn_at
 
 CORNER_RAD: Final = 0.05  # a sharper one keeps half a width from where pieces meet, if it can
 BENT_RAD: Final = 1e-3  # a smaller turn is none
@@ -34,6 +34,9 @@ TIP_M: Final = 0.1  # corners within this length are driven as one
 # Of the working width: that is half of a side of the arc round a corner of the field. A tip that takes in
 # an arc would leave the ring.
 TIP_SHARE: Final = 1 / 40
+# A robot passes corners nearer to each other than `ARRIVED_M` as one. So a bend of such sides that turns
+# back within this length is a tip, too: the round end of a part hardly wider than the implement.
+BEND_M: Final = 0.3
 ARC_RAD: Final = 0.3  # a smaller turn belongs to an arc
 ARC_SHARE: Final = (
     5  # points of an arc are passed within this part of the slack; the side uses it up
@@ -220,6 +223,8 @@ def _tips(points: Sequence[XY], tip_m: float) -> Iterator[tuple[int, int]]:
     while first < count:
         last = _turned_back(points, first, tip_m)
         if last is None:
+            last = _turned_back(points, first, BEND_M, ARRIVED_M)
+        if last is None:
             first += 1
             continue
         while first > done and dist(points[first - 1], points[first]) < tip_m:
@@ -230,12 +235,17 @@ def _tips(points: Sequence[XY], tip_m: float) -> Iterator[tuple[int, int]]:
         first = done = last + 1
 
 
-def _turned_back(points: Sequence[XY], first: int, tip_m: float) -> int | None:
-    """The point at which a turn that begins at `first` has turned back; None if it does not."""
+def _turned_back(
+    points: Sequence[XY], first: int, tip_m: float, side_max_m: float = inf
+) -> int | None:
+    """The point at which a turn that begins at `first` has turned back; None if it does not, within
+    `tip_m` and on sides of less than `side_max_m`.
+    """
     count, turned_rad, run_m = len(points), 0.0, 0.0
     for last in range(first, count):
-        run_m += dist(points[last - 1], points[last]) if last > first else 0.0
-        if run_m > tip_m:
+        side_m = dist(points[last - 1], points[last]) if last > first else 0.0
+        run_m += side_m
+        if run_m > tip_m or side_m >= side_max_m:
             return None
         turned_rad += turn_at(points[last - 1], points[last], points[(last + 1) % count])
         if abs(turned_rad) > TIP_RAD:
@@ -256,10 +266,11 @@ def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY
     nx, ny = (-uy, ux) if turned_rad > 0.0 else (uy, -ux)
     on_m = max(x * ux + y * uy for x, y in tip)
     aside = [x * nx + y * ny for x, y in tip]
-    aside_m = (min(aside) + max(aside)) / 2
+    aside_m, half_m = (min(aside) + max(aside)) / 2, (max(aside) - min(aside)) / 2
+    half_m = max(half_m, slack_m)
     return [
         (on_m * ux + at_m * nx, on_m * uy + at_m * ny)
-        for at_m in (aside_m - slack_m, aside_m + slack_m)
+        for at_m in (aside_m - half_m, aside_m + half_m)
     ]
 
 

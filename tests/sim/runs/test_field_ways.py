@@ -6,7 +6,7 @@ from math import cos, pi, sin
 from pathlib import Path
 
 import pytest
-from shapely.geometry import LineString, Point
+from shapely.geometry import LineString, Point, box
 
 from agent.motion.holonomic_motion import FENCE_M
 from sim.runs.field_run import FieldRun
@@ -153,4 +153,19 @@ def test_a_ring_whose_tip_has_short_sides_is_finished(tmp_path: Path) -> None:
         '[fleet]\nrobots = 1\nsilence = "continue"\n[run]\nseed = 1\n'
     )
     outcome = FieldRun(FieldSetup(load(str(file)))).run()
+    assert outcome.success, outcome
+
+
+@pytest.mark.parametrize(("width_m", "more_m", "chords"), [(4.0, 0.12, 16), (3.0, 0.18, 3)])
+def test_a_lane_with_a_round_end_hardly_wider_than_the_implement_is_finished(
+    width_m: float, more_m: float, chords: int, tmp_path: Path
+) -> None:
+    """It was all worked, and the last unit never counted: the ring turned back in a bend of centimetres.
+
+    `more_m`: how much wider the lane is. `chords`: in a quarter of its end.
+    """
+    lane = LineString([(0, 0), (25, 0)]).buffer((width_m + more_m) / 2, quad_segs=chords)
+    ring = list(lane.union(box(20, -8, 40, 8)).exterior.coords)[:-1]
+    made = scenario(tmp_path, ring, 1, 1, implement_width_m=width_m, time_limit_s=250.0)
+    outcome = FieldRun(FieldSetup(made)).run()
     assert outcome.success, outcome
