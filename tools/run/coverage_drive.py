@@ -114,7 +114,10 @@ def driven(
     finally:
         if recorder is not None:
             recorder.close()
-    report = {**outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left}
+    report = {
+        **outcome.to_dict(), "step_s": STEP_S, "unreached_cells": cells_left,
+        "faults": run.told_faults,
+    }  # fmt: skip
     if out is not None:
         write_whole(out / "report.json", dumps(report, indent=1) + "\n")
     if as_json:

@@ -94,9 +94,6 @@ class FieldCommand(MissionCommand[FieldRun]):
     warm = staticmethod(warm_field)
     follow_up = (work_export(),)
 
-    def report(self, outcome: FieldOutcome) -> dict[str, Any]:
-        return {"faults": self.run.told_faults}
-
     def draw(self, outcome: FieldOutcome, folder: Path, log_hash: str) -> list[str]:
         field, tracks = self.run.setting.field, self.run.tracks
         title = f"{outcome.scenario}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"

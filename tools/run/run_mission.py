@@ -62,8 +62,8 @@ class MissionCommand(ABC, Generic[RunT]):
         """Write what this mission leaves besides the report and the logs; returns the names."""
 
     def report(self, outcome: Any) -> dict[str, Any]:
-        """Further keys of `report.json`; none by default."""
-        return {}
+        """Further keys of `report.json`: what was done to the fleet."""
+        return {"faults": self.run.told_faults}
 
     def play(self, console: Console, folder: Path, recorder: RunRecorder) -> Any:
         """Run to the end; returns the outcome."""

@@ -161,6 +161,7 @@ def test_the_command(tmp_path: Path) -> None:
     report = json.loads(done.stdout)
     assert done.exit_code == 0 and report["success"] and report["robots"] == 3, done.output
     assert json.loads((tmp_path / "report.json").read_text())["ratio"] == report["ratio"]
+    assert [(told["kind"], told["robot"]) for told in report["faults"]] == [("crash", 1)]
     assert (tmp_path / "can.log").stat().st_size > 10_000
 
 

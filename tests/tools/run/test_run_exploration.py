@@ -8,6 +8,8 @@ import pytest
 
 from sim.scenarios.scenario import ARENAS
 from tools.common.exit_codes import WRONG
+from tools.report.chapter import chapters
+from tools.report.run_data import gather
 from tools.run.run_exploration import explore
 
 
@@ -39,6 +41,22 @@ def test_i24_a_fleet_of_which_all_robots_die_is_told_in_words(
     assert explore(str(path), 2, 1, tmp_path / "out", False, True) == 1
     told = capsys.readouterr().out
     assert "95 % were not seen, 10.0 s to the end" in told and "inf" not in told
+
+
+def test_i24_the_report_has_what_was_done_to_the_fleet(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Only runs of fields wrote it. The page said that only `headland run` writes it, and that nothing
+    happened."""
+    path = tmp_path / "dead.toml"
+    arena = (ARENAS / "arena.toml").read_text(encoding="utf-8")
+    death = '[[fault]]\nat_s = 4.0\nkind = "crash"\nrobot = 1\n'
+    path.write_text(arena.replace("time_limit_s = 300", "time_limit_s = 5") + death, "utf-8")
+    assert explore(str(path), 2, 1, tmp_path / "out", True, False) == 1
+    for report in (capsys.readouterr().out, (tmp_path / "out" / "report.json").read_text("utf-8")):
+        assert json.loads(report)["faults"] == [{"t_s": 4.0, "kind": "crash", "robot": 1}]
+    evidence = gather(tmp_path / "out")
+    assert "headland run writes it" not in str(list(chapters(evidence)))
 
 
 @pytest.mark.parametrize("scenario", ["nowhere", "arena"])
