@@ -8,6 +8,7 @@
 `headland run` accepts these as well as the scenarios of fields.
 """
 
+from math import dist
 from random import Random
 from typing import Literal
 
@@ -115,6 +116,33 @@ def _dropped(scenario: NavigationScenario, floor: Floor) -> list[TemporaryObstac
         raise ScenarioError(f"{scenario.name}: obstacles.size_m: {problem}") from None
 
 
+def _part(floor: Floor, at: XY) -> int:
+    """The region of the floor in which a place lies; no path joins two of them."""
+    west, south = floor.origin
+    return int(
+        floor.parts[int((at[1] - south) // floor.fine_m), int((at[0] - west) // floor.fine_m)]
+    )
+
+
+def _check_together(name: str, floor: Floor, starts: list[XY], goals: list[list[XY]]) -> None:
+    """Raises ScenarioError where robots have no room beside each other, or no way to a goal."""
+    ends = [own[-1] if own else start for start, own in zip(starts, goals, strict=True)]
+    for what, places in (("starts", starts), ("goals", ends)):
+        for number, (x_m, y_m) in enumerate(places):
+            for other in range(number):
+                if dist(places[other], (x_m, y_m)) < 2 * floor.radius_m:
+                    raise ScenarioError(
+                        f"{name}: errands.{what}: robot {number} at {x_m:g}, {y_m:g} would touch "
+                        f"robot {other}; both have a radius of {floor.radius_m:g} m"
+                    )
+    for number, (start, own) in enumerate(zip(starts, goals, strict=True)):
+        for x_m, y_m in own:
+            if _part(floor, (x_m, y_m)) != _part(floor, start):
+                raise ScenarioError(
+                    f"{name}: errands.goals: no way leads robot {number} to {x_m:g}, {y_m:g}"
+                )
+
+
 def _places(scenario: NavigationScenario, floor: Floor) -> tuple[list[XY], list[list[XY]]]:
     name, table, robots = scenario.name, scenario.errands, scenario.fleet.robots
     if (table.starts is None) != (table.goals is None):
@@ -129,6 +157,7 @@ def _places(scenario: NavigationScenario, floor: Floor) -> tuple[list[XY], list[
         for x_m, y_m in [*starts, *(goal for own in goals for goal in own)]:
             if not floor.route.admits((x_m, y_m)):
                 raise ScenarioError(f"{name}: errands: no robot can stand at {x_m:g}, {y_m:g}")
+        _check_together(name, floor, starts, goals)
         return starts, goals
     rng = Random(f"{scenario.run.seed}/errands")
     apart_m = APART_RADII * floor.radius_m

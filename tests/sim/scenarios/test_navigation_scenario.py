@@ -61,6 +61,33 @@ def test_what_is_wrong_is_said_in_one_line(
     assert "\n" not in str(problem.value)
 
 
+@pytest.mark.parametrize(
+    ("starts", "goals", "said"),
+    [
+        (
+            "[[0.5, 0.5], [0.9, 0.5]]",
+            "[[], [[5.5, 0.5]]]",
+            "starts: robot 1 at 0.9, 0.5 would touch",
+        ),
+        (
+            "[[0.5, 0.5], [2.5, 0.5]]",
+            "[[[5.5, 0.5]], [[5.5, 0.5]]]",
+            "goals: robot 1 at 5.5, 0.5 would",
+        ),
+        ("[[0.5, 0.5], [2.5, 0.5]]", "[[[2.5, 0.5]], []]", "goals: robot 1 at 2.5, 0.5 would"),
+        ("[[0.5, 0.5], [2.5, 0.5]]", "[[[0.5, 2.5]], []]", "no way leads robot 0 to 0.5, 2.5"),
+    ],
+)
+def test_i24_robots_without_room_or_way_are_refused(
+    tmp_path: Path, starts: str, goals: str, said: str
+) -> None:
+    """They touched each other before they moved, or the fleet stood until its time was over."""
+    apart = "......\n######\n......\n"
+    with pytest.raises(ScenarioError, match=said) as problem:
+        setting(tmp_path, f"{TEXT}[errands]\nstarts = {starts}\ngoals = {goals}\n", apart)
+    assert "\n" not in str(problem.value)
+
+
 def test_other_missions_are_loaded_as_before() -> None:
     assert type(load_mission("small")) is Scenario
 
