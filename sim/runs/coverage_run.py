@@ -79,10 +79,15 @@ class ReplanAuditor:
         self.cluster = cluster
         self.replanned = self.redone = self.untold = 0
         self._seen: dict[int, int] = {}  # slot -> last round that was checked
+        self._whole_at_us = 0  # since when all robots hear each other, as far as was looked
+        self._was_cut = False
 
     def look(self) -> None:
         """Compare the plan of every robot that has begun a new round."""
-        islands = {n.island for n in self.cluster.segment.wire.nodes.values()}
+        cut = len({n.island for n in self.cluster.segment.wire.nodes.values()}) > 1
+        if self._was_cut and not cut:
+            self._whole_at_us = self.cluster.host.now_us()
+        self._was_cut = cut
         for robot in self.cluster.running:
             rounds = self.cluster.mission(robot).agreement
             if not rounds.going or self._seen.get(robot.slot) == rounds.round:
@@ -99,7 +104,8 @@ class ReplanAuditor:
                 for unit, was in zip(units, before.tolist(), strict=True) if was
             )  # fmt: skip
             self.replanned += known
-            if len(islands) == 1:
+            # A round that began in a part of a cut fleet cannot know what the others covered.
+            if not cut and rounds.begun_at_us >= self._whole_at_us:
                 told = np.isin(by, sorted(self.cluster.never_died))
                 self.redone += int(np.count_nonzero(before & told))
                 self.untold += int(np.count_nonzero(before & ~told))

@@ -78,6 +78,18 @@ def test_both_sides_of_a_split_work_and_nothing_is_done_again_after_the_heal() -
     assert outcome.makespan_s < alone.makespan_s + 20.0, "neither side waits for the other"
 
 
+def test_i24_a_plan_made_just_before_a_heal_is_no_fault_of_the_fleet() -> None:
+    """Robot 0 began a round by itself 0.4 s before the heal. The judge looked after the heal, and counted
+    what the others had covered as planned again."""
+    walls = random_walls(8, 6, 0.2, 30)
+    faults = (
+        Partition(at_s=13.0, kind="partition", islands=[[0], [1, 2]]),
+        Heal(at_s=34.0, kind="heal"),
+    )
+    outcome = play(Instance("random", walls, random_starts(walls, 3, 30)), *faults, seed=30)
+    assert outcome.success and outcome.redone == 0, outcome
+
+
 @pytest.mark.slow
 def test_who_comes_late_is_given_work() -> None:
     instance = scene(14, 4, 6)
