@@ -319,6 +319,11 @@ class BrokerLink:
         fails."""
         topic = str(message.topic).rpartition("/")[2]
         payload = message.payload
+        if self.is_vehicle and message.retain:
+            # It is of any time, and comes again with each connection. The standard retains none.
+            self.refused["retained"] += 1
+            self.invalid(topic, ValueError("a retained message is not obeyed: it may be old"))
+            return
         if not isinstance(payload, bytes | bytearray) or len(payload) > MESSAGE_BYTES_MAX:
             self.refused["size"] += 1
             return

@@ -213,6 +213,26 @@ def test_a_topic_of_no_message_is_counted() -> None:
     asyncio.run(story())
 
 
+@pytest.mark.parametrize("topic", [Topic.ORDER, Topic.INSTANT_ACTIONS])
+def test_what_a_broker_has_retained_is_no_order(topic: Topic) -> None:
+    """A parcel was carried, and a fleet stopped, again at each start of the gateway."""
+    address, heard, invalid = (
+        VehicleAddress("uagv", "ACME", "7"),
+        list[MessageHeader](),
+        list[str](),
+    )
+    link = BrokerLink(Broker("127.0.0.1", 1), address, heard.append, lambda: None)
+    link.invalid = lambda topic, why: invalid.append(f"{topic}: {why}")
+    node = {"nodeId": "a", "sequenceId": 0, "released": True, "actions": []}
+    said = {"orderId": "o1", "orderUpdateId": 0, "nodes": [node], "edges": [], "actions": []}
+    for retain in (True, False):
+        link._take(
+            aiomqtt.Message(address.topic(topic), json.dumps(said).encode(), 0, retain, 1, None)
+        )
+    assert len(heard) == 1 and link.refused == {"retained": 1}
+    assert invalid == [f"{topic}: a retained message is not obeyed: it may be old"]
+
+
 def test_a_fault_at_one_message_is_told_once_and_the_link_goes_on(
     caplog: pytest.LogCaptureFixture,
 ) -> None:
