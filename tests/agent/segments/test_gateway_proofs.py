@@ -9,12 +9,14 @@ import pytest
 from agent.peer.inputs import ClaimSection
 from agent.runtime.peer_factory import MissionParts, identity_of, keyring_of, make_peer
 from agent.segments.gateway import Publish
+from agent.segments.gateway_proofs import GatewayProofs
 from agent.segments.segment_parts import remote_segments_of
 from agent.segments.work_relay import BLOCK, REGISTER
 from crdt import Phase
 from protocol import backbone_messages as backbone
 from protocol.authentication import Keys
 from protocol.backbone_messages import BackboneHeader, BackboneKind
+from protocol.frame_proofs import BACK, FIRST, TICK_US, ProofKeys, TimeAnswers
 from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import Member
 from protocol.frames.frame import Frame
@@ -258,3 +260,19 @@ def test_a_gateway_believes_robots_that_were_switched_off_over_night(
     reboot(fleet, 2, day)
     fleet.run(20 * S)
     assert not any(remote_segments_of(peer).alone for peer in fleet.peers(2))
+
+
+@pytest.mark.parametrize(("later_for_us", "back"), [(1 * S, True), (1 * S + 1, False)])
+def test_only_an_answer_of_just_now_sets_the_time_of_a_gateway_back(
+    later_for_us: int, back: bool
+) -> None:
+    """Somebody who repeats an earlier answer would make old proofs good again."""
+    proofs = GatewayProofs(KEYS, 1, 0)
+    (asked,) = [effect.message for effect in proofs.cover([], 131, 131, 0)]
+    answers = TimeAnswers(ProofKeys(KEYS))
+    earlier, now = FIRST, FIRST + 3 * BACK
+    for ticks, at_us in ((now, 0), (earlier, later_for_us)):
+        for half in answers.halves(asked, ticks):
+            assert proofs.hear(140, 0, half, at_us) == ()
+    passed = later_for_us // TICK_US
+    assert proofs.checker.time.at(later_for_us) == (earlier if back else now + passed)
