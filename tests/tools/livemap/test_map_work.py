@@ -14,7 +14,7 @@ from crdt.claim_register import Phase
 from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
-from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from sim.record.recording import Recording
 from tests.tools.livemap.test_map import WAIT_S, Live, launched, needs_browser, robots_in
@@ -170,6 +170,24 @@ CORNER = (
     "const f = headland.field.ground.getContext('2d').getImageData(2, 2, 1, 1).data;"
     "return f[0] + f[1] + f[2]"
 )
+
+
+@needs_browser
+def test_an_event_that_has_the_focus_keeps_it_when_another_one_comes() -> None:
+    """Each event took the focus away, and a person with a keyboard began again at the top of the page."""
+    made = Recording(dict(STRIP))
+    made.write(0, encode(Member(0, 1, 0), 0x80))
+    made.write(1, encode(EmergencyStop(0, 1, 1, 1), 0x80))
+    made.write(1_000_000, encode(Pose(10.0, 20.0, 0.0, 0.0, 4, True, 255), 0x80))
+    served = MapThread(made, "strip", 0)
+    with browser() as page:
+        page.get(served.url)
+        until(page, "document.querySelector('#events [data-kind=stop]')", WAIT_S)
+        page.execute_script("document.querySelector('#events [data-kind=stop]').focus()")
+        made.write(2_000_000, encode(EmergencyReset(0, 1, 1, 200, 0, 0), 0x80))
+        made.write(3_000_000, encode(Pose(10.0, 20.0, 0.0, 0.0, 1, False, 255), 0x80))
+        until(page, "document.querySelector('#events [data-kind=reset]')", WAIT_S)
+        assert page.execute_script("return document.activeElement.dataset.kind") == "stop"
 
 
 SPOKEN = """window.spoken = [];

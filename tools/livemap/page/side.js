@@ -225,9 +225,10 @@ export class Side {
 
   // What happened, newest first; each line is a button that goes there.
   showEvents(events, go) {
-    const shown = events.slice(-EVENTS_SHOWN).reverse();
+    const shown = events.slice(-EVENTS_SHOWN).reverse(), list = $("events");
+    const held = list.contains(document.activeElement) ? document.activeElement.textContent : null;
     $("events-none").hidden = shown.length > 0;
-    $("events").replaceChildren(...shown.map(([t, kind, text]) => {
+    list.replaceChildren(...shown.map(([t, kind, text]) => {
       const line = node("li"), button = node("button");
       button.type = "button"; button.dataset.t = t; button.dataset.kind = kind;
       button.append(node("span", clock(t - this.from), "when"), node("span", text));
@@ -235,6 +236,8 @@ export class Side {
       line.append(button);
       return line;
     }));
+    // A person who goes through the list by keyboard stays at their line.
+    if (held !== null) [...list.querySelectorAll("button")].find((each) => each.textContent === held)?.focus();
   }
 
   drawMarks(told, events) {
