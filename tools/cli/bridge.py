@@ -28,7 +28,7 @@ from protocol.links.zenoh_link import LinkError, ZenohBus, ZenohLink, configure
 from protocol.name import GATEWAY_FUNCTION, Name
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
-from tools.common.bus_attach import attach, keep_attached
+from tools.common.bus_attach import attach, keep_attached, while_attached
 from tools.common.exit_codes import wrong
 from tools.common.panel_keys import PanelKeys
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
@@ -176,6 +176,19 @@ async def carry(
 
     metrics = None if served is None else _metrics_of(told, served)
     runner.start()
+    try:
+        await _tell(gateway, told, keys, as_json, end, now_us)
+    finally:
+        runner.stop()
+        if metrics is not None:
+            metrics.close()
+
+
+async def _tell(
+    gateway: Gateway, told: Callable[[], dict[str, Any]], keys: PanelKeys | None, as_json: bool,
+    end: asyncio.Event, now_us: Callable[[], int],
+) -> None:  # fmt: skip
+    """A line of status whenever there is news, and new keys when their file has changed."""
     shown: object = None
     while not end.is_set():
         renewed = None if keys is None else keys.renewed()
@@ -190,9 +203,6 @@ async def carry(
             await asyncio.wait_for(end.wait(), 0.2)
         except TimeoutError:
             continue
-    runner.stop()
-    if metrics is not None:
-        metrics.close()
 
 
 def _metrics_of(status: Callable[[], dict[str, Any]], served: MetricsAddress) -> "MetricsServer":
@@ -232,7 +242,8 @@ def bridge(
         key = f"headland/{fleet}/{segment}/bus"
         bus = await open_bus_of(interface, channel, bitrate, host, port, link, key)
         backbone = ZenohBackbone(link, fleet, segment)
-        await carry(place, bus, backbone, as_json, seconds, arena, served, own)
+        carrying = carry(place, bus, backbone, as_json, seconds, arena, served, own)
+        await while_attached(carrying, bus)
 
     try:
         asyncio.run(run())

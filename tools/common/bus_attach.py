@@ -3,9 +3,10 @@
 import asyncio
 import logging
 import socket
-from collections.abc import Iterator
+from collections.abc import Coroutine, Iterator
 from contextlib import contextmanager
 from random import Random
+from typing import Any, Final, TypeVar
 
 from protocol.links.bus import CanBus, open_bus
 from protocol.links.socketcand_link import ANSWER_S, SocketcandLink
@@ -13,7 +14,9 @@ from tools.common.bus_address import AttachError, address_of_launch
 
 GREETING = b"< hi >"  # of a socketcand server, before anything else
 SILENT = "does not answer: a server that hangs, or no socketcand server"
+LOST_LOOK_S: Final = 0.5
 REACH_S = 2.0  # a server on this or the next machine answers within milliseconds
+T = TypeVar("T")
 # What python-can logs when an interface cannot be opened, it also raises: one line is enough.
 logging.getLogger("can").addHandler(logging.NullHandler())
 
@@ -44,6 +47,31 @@ async def stay_attached(
     if interface == "socketcand":
         return await keep_attached(channel, host, port, seed)
     return attach(interface, channel, bitrate, host, port)
+
+
+def lost_of(*buses: object) -> str | None:
+    """Why one of these interfaces does not come back by itself; None: all are there, or may come back. A
+    link of socketcand renews its own."""
+    for bus in buses:
+        if isinstance(bus, CanBus) and bus.lost is not None:
+            return bus.lost
+    return None
+
+
+async def while_attached(work: Coroutine[Any, Any, T], *buses: object) -> T:
+    """What `work` returns. When one of these interfaces is gone for good, ends the work and raises
+    AttachError: a program that went on would be deaf, and nobody would know."""
+    working = asyncio.ensure_future(work)
+    try:
+        while not working.done():
+            await asyncio.wait({working}, timeout=LOST_LOOK_S)
+            why = lost_of(*buses)
+            if why is not None and not working.done():
+                raise AttachError(why)
+        return working.result()
+    finally:
+        working.cancel()
+        await asyncio.gather(working, return_exceptions=True)
 
 
 def attach(interface: str, channel: str, bitrate: int, host: str, port: int) -> CanBus:

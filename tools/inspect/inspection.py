@@ -17,7 +17,7 @@ from protocol.links.bus import CanBus
 from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
-from tools.common.bus_attach import attach, stay_attached
+from tools.common.bus_attach import attach, lost_of, stay_attached
 from tools.common.exit_codes import code_of, wrong
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
@@ -172,6 +172,8 @@ async def _listen(
                 if inspector.first_s is not None:
                     inspector.now_s = loop.time() - begun_s  # quiet is time, too
                 tell(inspector)
+                if (why := lost_of(bus)) is not None:
+                    raise AttachError(why)
     finally:
         bus.close()
 

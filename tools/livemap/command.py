@@ -27,7 +27,7 @@ from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
 from sim.record.scene import Scene, drawable, in_folder
 from tools.common.bus_address import LAUNCH, AttachError, robots_of_launch, said_by
-from tools.common.bus_attach import stay_attached
+from tools.common.bus_attach import stay_attached, while_attached
 from tools.common.exit_codes import wrong
 from tools.common.launch_keys import KEYS, keys_in
 from tools.inspect.bus_load import BIT_RATE
@@ -324,7 +324,7 @@ def _live(
             own = url_of(listener, server)
             _announce(as_json, own, metrics=metrics, foxglove=seen_at)
             try:
-                await serve(server, listener)
+                await while_attached(serve(server, listener), bus)
             finally:
                 watching.cancel()
                 asking.cancel()

@@ -28,7 +28,7 @@ from tools.common.bus_address import (
     said_by,
     scenario_of_launch,
 )
-from tools.common.bus_attach import stay_attached
+from tools.common.bus_attach import stay_attached, while_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
 from tools.common.launch_keys import keys_in
@@ -231,7 +231,7 @@ async def _serve(
     node = f"/{namespace.strip('/')}/{NODE}"
     lines.say("ready", f"ROS 2: node {node}   (Ctrl-C ends it)", node=node)
     try:
-        await end.wait()
+        await while_attached(end.wait(), bus)
     finally:
         for task in beside:
             task.cancel()

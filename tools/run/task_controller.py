@@ -31,16 +31,14 @@ from crdt import FieldAllocationCRDT
 from protocol.authentication import Keys
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
-from protocol.links.bus import CanBus
 from protocol.name import fleet_name
 from tools.common.bus_address import CHANNEL, AttachError
-from tools.common.bus_attach import stay_attached
+from tools.common.bus_attach import LOST_LOOK_S, lost_of, stay_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
 
 TICK_S = 0.005
 GOODBYE_S = 0.2
-LOST_LOOK_S = 0.5
 SQUARE_M: float = 10_000.0  # in a hectare
 
 
@@ -187,12 +185,10 @@ async def _serve(
 
 
 async def _until_lost(buses: tuple[Bus, Bus | None]) -> str:
-    """Why one of the interfaces does not come back by itself. A link of socketcand renews its own."""
-    while True:
-        for bus in buses:
-            if isinstance(bus, CanBus) and bus.lost is not None:
-                return bus.lost
+    """Why one of the interfaces does not come back by itself."""
+    while (why := lost_of(*buses)) is None:
         await asyncio.sleep(LOST_LOOK_S)
+    return why
 
 
 async def _told_to_end() -> None:

@@ -12,7 +12,7 @@ from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import Attached, AttachError
-from tools.common.bus_attach import stay_attached
+from tools.common.bus_attach import stay_attached, while_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
@@ -90,7 +90,7 @@ async def _serve(
         lines.say("ready", f"the fleet is at {broker} within {LISTEN_S:.0f} s   (Ctrl-C ends it)",
                   broker=str(broker), topics=interface)  # fmt: skip
         await gateway.operator.listen(LISTEN_S)
-        await gateway.run(end)
+        await while_attached(gateway.run(end), bus)
     finally:
         bus.close()
         book.close()

@@ -10,6 +10,7 @@ from agent.runtime.files.field_file import read_boundary
 from protocol.controller_health import Health
 from protocol.frames.frame import Frame
 from sim.fleet.virtual_clock import run_virtual
+from tools.common import bus_attach
 from tools.common.bus_address import AttachError
 from tools.common.event_lines import EventLines
 from tools.run import task_controller
@@ -42,7 +43,7 @@ def test_a_task_controller_without_its_interface_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Found: it went on for good after its interface was gone, deaf, and said nothing."""
-    monkeypatch.setattr(task_controller, "CanBus", GoneBus, raising=False)
+    monkeypatch.setattr(bus_attach, "CanBus", GoneBus)
     outline = {"type": "Feature", "properties": {"name": "north"},
                "geometry": {"type": "Polygon", "coordinates": [RING]}}  # fmt: skip
     (tmp_path / "north.geojson").write_text(json.dumps(outline))
