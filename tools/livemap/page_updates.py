@@ -61,6 +61,8 @@ class PageUpdates:
             "silent": now_s - robot.last_s > SILENT_S and not robot.left,
             "age": round(now_s - robot.last_s, 1), "started": robot.started,
         }  # fmt: skip
+        if not robot.has_place:
+            told["nowhere"] = True
         intent = watcher.intent(robot.slot, now_s)
         if intent is not None:
             told["h"], told["near"] = intent["heading"], intent["avoids"]

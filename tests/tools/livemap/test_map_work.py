@@ -13,7 +13,13 @@ from agent.delivery.task_registry import WITHDRAWN
 from crdt.claim_register import Phase
 from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
-from protocol.frames.fleet_frames import Heartbeat, Member, Pose
+from protocol.frames.fleet_frames import (
+    NOWHERE_M,
+    PLACE_UNKNOWN_M_S,
+    Heartbeat,
+    Member,
+    Pose,
+)
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from sim.record.recording import Recording
@@ -188,6 +194,30 @@ def test_an_event_that_has_the_focus_keeps_it_when_another_one_comes() -> None:
         made.write(3_000_000, encode(Pose(10.0, 20.0, 0.0, 0.0, 1, False, 255), 0x80))
         until(page, "document.querySelector('#events [data-kind=reset]')", WAIT_S)
         assert page.execute_script("return document.activeElement.dataset.kind") == "stop"
+
+
+@needs_browser
+def test_a_robot_that_has_told_no_place_is_in_the_table_and_not_on_the_map() -> None:
+    """It was drawn at the origin of the field, and a look at its details ended in an error."""
+    made = Recording(dict(STRIP))
+    made.write(0, encode(Member(0, 1, 0), 0x80))
+    made.write(1, encode(Member(1, 1, 0), 0x81))
+    nowhere = Pose(NOWHERE_M, NOWHERE_M, 0.0, PLACE_UNKNOWN_M_S, 1, False, 255)
+    for t_us in (2, 900_000):
+        made.write(t_us, encode(Pose(10.0, 20.0, 0.0, 0.0, 1, False, 255), 0x80))
+        made.write(t_us, encode(nowhere, 0x81))
+    made.close()
+    served = MapThread(made, "strip", 0)
+    with browser() as page:
+        page.get(served.url)
+        until(page, "document.querySelector('#fleet [data-slot=\"1\"]')", WAIT_S)
+        until(page, "headland.state().robots.length === 2")
+        page.execute_script("document.querySelector('#fleet [data-slot=\"1\"] button').click()")
+        until(page, "document.getElementById('facts').textContent.includes('not known')")
+        assert page.execute_script("return [...headland.field.trails.keys()]") == [0]
+        pressed = "const f = headland.field, [x, y] = f.toScreen(0, 0);"
+        assert page.execute_script(f"{pressed} return f.at(x, y, headland.state().robots)") is None
+        assert complaints(page) == []
 
 
 SPOKEN = """window.spoken = [];

@@ -71,7 +71,7 @@ export class Field {
     for (const patch of told.cells ?? []) this.paint(patch);
     for (const [task, from, to] of told.transports ?? []) this.transports.set(task, [from, to]);
     if (told.things) this.things = told.things;
-    for (const robot of told.robots) {
+    for (const robot of told.robots.filter(isSomewhere)) {
       const trail = this.trails.get(robot.s) ?? [];
       const last = trail[trail.length - 1];
       if (!last || Math.hypot(robot.x - last[0], robot.y - last[1]) > 0.4) trail.push([robot.x, robot.y]);
@@ -143,7 +143,7 @@ export class Field {
 
   // All of the field and of the robots, between what lies over the map's edges (pixels).
   fit(robots = [], { top = 0, left = 0, bottom = 0 } = {}) {
-    const points = [...(this.scene?.rings ?? []).flat(), ...robots.map((r) => [r.x, r.y])];
+    const points = [...(this.scene?.rings ?? []).flat(), ...robots.filter(isSomewhere).map((r) => [r.x, r.y])];
     const grid = this.scene?.grid;
     if (grid) points.push(grid.origin, [grid.origin[0] + grid.columns * grid.cell_m, grid.origin[1] + grid.rows * grid.cell_m]);
     if (!points.length) return;
@@ -182,7 +182,7 @@ export class Field {
 
   at(px, py, robots) {
     let best = null, nearest = 26;
-    for (const robot of robots) {
+    for (const robot of robots.filter(isSomewhere)) {
       const [x, y] = this.toScreen(robot.x, robot.y), distance = Math.hypot(x - px, y - py);
       if (distance < nearest) { nearest = distance; best = robot.s; }
     }
@@ -335,7 +335,7 @@ export class Field {
 
   // A parcel waits at its pickup, rides on its robot, and is small where it was delivered.
   drawParcels(pen, told) {
-    const where = new Map(told.robots.map((r) => [r.s, r]));
+    const where = new Map(told.robots.filter(isSomewhere).map((r) => [r.s, r]));
     for (const [task, [said, to]] of this.parcels) {
       const from = said === TAKEN_BACK ? to : said;
       const { phase = "FREE", owner = null } = this.sections.get(task) ?? {}, aboard = (this.done.get(task) ?? [])[0];
@@ -349,7 +349,7 @@ export class Field {
   }
 
   drawRobots(pen, told) {
-    const robots = told.robots.filter((r) => !r.left), where = new Map(robots.map((r) => [r.s, r]));
+    const robots = told.robots.filter((r) => !r.left && isSomewhere(r)), where = new Map(robots.map((r) => [r.s, r]));
     const radius = Math.max((this.scene?.radius_m ?? 0.5) * this.view.scale, 10);
     pen.lineCap = pen.lineJoin = "round";
     if (this.layers.trail) this.drawTrails(pen, robots);
@@ -450,6 +450,9 @@ export class Field {
     pen.restore();
   }
 }
+
+// A robot that has told no place is in the table, and not on the map.
+function isSomewhere(robot) { return !robot.nowhere; }
 
 // Pixels or metres from a point to a piece of a line.
 function away([x, y], [ax, ay], [bx, by]) {

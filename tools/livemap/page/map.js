@@ -170,7 +170,7 @@ let kept = false;
 function keep(on) { kept = on; $("with").setAttribute("aria-pressed", String(on)); $("with").className = on ? "on" : ""; }
 function centre() {
   const robot = told.robots.find((each) => each.s === field.chosen);
-  if (!robot) return keep(false);
+  if (!robot || robot.nowhere) return keep(false);
   const { x, y } = field.view;
   if (Math.hypot(robot.x - x, robot.y - y) * field.view.scale < 1) return;
   field.view.x = robot.x; field.view.y = robot.y;

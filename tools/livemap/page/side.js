@@ -196,7 +196,7 @@ export class Side {
     }));
     const facts = {
       stands: live?.stands?.join("; ") || (live && why(live)) || "no reason to",
-      place: `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: now ? `${robot.speed_m_s.toFixed(2)} m/s` : "–",
+      place: robot.x_m === null ? "not known" : `${robot.x_m.toFixed(1)}, ${robot.y_m.toFixed(1)} m`, speed: now ? `${robot.speed_m_s.toFixed(2)} m/s` : "–",
       sections: robot.sections.join(" ") || "none",
       hears: (live?.hears ?? robot.peers).filter((slot) => slot !== robot.slot).join(" ") || "nobody", address: robot.address, health: `${(100 * robot.health).toFixed(0)} %`,
       digest: robot.digest, clock: Object.entries(robot.clock).map(([slot, count]) => `${slot}:${count}`).join(" "),
