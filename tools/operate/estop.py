@@ -9,9 +9,10 @@ from agent.runtime.files.key_file import OPERATOR, KeyFileError, read, read_pane
 from protocol.authentication import Keyring
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError, robots_of_launch
-from tools.common.bus_attach import attach
+from tools.common.bus_attach import attach, stay_attached
 from tools.common.exit_codes import TRY_AGAIN, code_of, wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import tell_meanwhile, told_wait
@@ -68,7 +69,11 @@ async def _estop(
     interface: str, channel: str, bitrate: int, host: str, port: int, keys: Path | None,
     reason: Reason, timeout_s: float, watch: bool, as_json: bool, hold: bool,
 ) -> int:  # fmt: skip
-    bus = attach(interface, channel, bitrate, host, port)
+    bus: CanBus | SocketcandLink
+    if hold or watch:  # they go on without an end, also when the bus was away
+        bus = await stay_attached(interface, channel, bitrate, host, port, "stop")
+    else:
+        bus = attach(interface, channel, bitrate, host, port)
     try:
         keyring = None
         try:
@@ -103,7 +108,7 @@ def keyring_of(keys: Path | None) -> Keyring | None:
         raise AttachError(f"--keys {problem}") from None
 
 
-def listen_to(bus: CanBus, operator: Operator) -> None:
+def listen_to(bus: CanBus | SocketcandLink, operator: Operator) -> None:
     """Pass every frame of a bus to an operator, with the time of the loop."""
     loop = asyncio.get_running_loop()
     bus.subscribe(lambda frame: operator.hear(loop.time(), frame))

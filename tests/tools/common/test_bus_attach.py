@@ -12,7 +12,9 @@ from threading import Thread
 
 import pytest
 
+from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
+from protocol.frames.safety_frames import EmergencyStop, Reason
 from sim.can.simulated_bus import FieldBus, forget, segment
 from sim.can.socketcand_server import Hub
 from tools.common import bus_attach
@@ -20,6 +22,7 @@ from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, stay_attached
 from tools.inspect import inspection
 from tools.inspect.inspector import Inspector
+from tools.operate import estop
 
 ROOT = Path(__file__).parents[3]
 CHANNEL, LIMIT_S, LOOK_S, CPU_MAX = "can0", 20.0, 0.5, 0.5
@@ -98,6 +101,39 @@ def test_a_watch_goes_on_after_a_restart_of_its_bus() -> None:
         assert not watching.done()
         watching.cancel()
         await asyncio.gather(watching, return_exceptions=True)
+        await hub.stop()
+        forget(name)
+
+    asyncio.run(story())
+
+
+@pytest.mark.parametrize("watch", [False, True])
+def test_a_stop_that_is_held_goes_on_after_a_restart_of_its_bus(watch: bool) -> None:
+    """Its hub had ended and was started again, and of the press nothing was heard there."""
+
+    async def story() -> None:
+        name = f"a stop that is held {watch}"
+        hub = Hub(segment(name), CHANNEL)
+        await hub.start()
+        where = ("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
+        reason = Reason.OPERATOR_INTERVENTION
+        held = asyncio.create_task(
+            estop._estop(*where, None, reason, 0.1, watch=watch, as_json=False, hold=True)
+        )
+        await joined(hub)
+        port = hub.port
+        await hub.stop()
+        forget(name)
+        assert watch or await share_of_a_core() < CPU_MAX
+        heard = list[Frame]()
+        segment(name).taps.append(lambda t_us, frame: heard.append(frame))
+        hub = Hub(segment(name), CHANNEL)
+        await hub.start(port=port)
+        await joined(hub)
+        await until(lambda: watch or any(isinstance(decode(f)[1], EmergencyStop) for f in heard))
+        assert not held.done()
+        held.cancel()
+        await asyncio.gather(held, return_exceptions=True)
         await hub.stop()
         forget(name)
 
