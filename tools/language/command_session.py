@@ -14,6 +14,7 @@ from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.operator_frames import ReportKind
 from protocol.frames.safety_frames import Command, Reason
 from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
 from tools.inspect.inspector import Inspector
 from tools.language import view
 from tools.language.alarm import may_be_alarm
@@ -47,8 +48,8 @@ class CommandSession:
     """Make it inside of the loop that drives the bus."""
 
     def __init__(
-        self, bus: CanBus, keyring: Keyring | None, places: Places, queue: GoalQueue, read: Reader,
-        ask: Asker, timeout_s: float = 5.0, by: str | None = None,
+        self, bus: CanBus | SocketcandLink, keyring: Keyring | None, places: Places,
+        queue: GoalQueue, read: Reader, ask: Asker, timeout_s: float = 5.0, by: str | None = None,
     ) -> None:  # fmt: skip
         self.operator, self.inspector = Operator(bus, keyring), Inspector()
         self.letters = PgnClient(bus, self.operator.device)

@@ -8,9 +8,10 @@ from contextlib import suppress
 
 from protocol.authentication import Keyring
 from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
 from sim.files.strict_json import dumps
 from tools.common.bus_address import LAUNCH, AttachError
-from tools.common.bus_attach import attach
+from tools.common.bus_attach import attach, stay_attached
 from tools.common.launch_keys import own_keys
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SourceError, frames_of
@@ -60,7 +61,13 @@ class Conversation:
         interface, _, _, host, port = self.options.bus
         key = self.options.key or own_keys(interface, host, port)
         keyring = operator_keyring(key, self.options.timeout_s)
-        bus = attach(*self.options.bus)
+        bus: CanBus | SocketcandLink
+        if (
+            phrase is None or self.options.wait
+        ):  # it goes on without an end, also when the bus was away
+            bus = await stay_attached(*self.options.bus, "say")
+        else:
+            bus = attach(*self.options.bus)
         try:
             await self._on_bus(bus, keyring, phrases, phrase is None)
         finally:
@@ -68,8 +75,9 @@ class Conversation:
         return self.code
 
     async def _on_bus(
-        self, bus: CanBus, keyring: Keyring | None, phrases: AsyncIterator[str], talking: bool
-    ) -> None:
+        self, bus: CanBus | SocketcandLink, keyring: Keyring | None, phrases: AsyncIterator[str],
+        talking: bool,
+    ) -> None:  # fmt: skip
         options = self.options
         queue = GoalQueue(options.queue or own_queue(options.bus))
         speaker = CommandSession(

@@ -22,6 +22,8 @@ from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach, stay_attached
 from tools.inspect import inspection
 from tools.inspect.inspector import Inspector
+from tools.language.conversation import Conversation
+from tools.language.say_options import Options
 from tools.operate import estop
 
 ROOT = Path(__file__).parents[3]
@@ -134,6 +136,38 @@ def test_a_stop_that_is_held_goes_on_after_a_restart_of_its_bus(watch: bool) -> 
         assert not held.done()
         held.cancel()
         await asyncio.gather(held, return_exceptions=True)
+        await hub.stop()
+        forget(name)
+
+    asyncio.run(story())
+
+
+def test_a_stop_in_words_is_said_after_a_restart_of_its_bus(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """In a conversation that had begun before, it was said to nobody."""
+    monkeypatch.setattr(Conversation, "_listen", lambda conversation: None)
+
+    async def story() -> None:
+        name = "a conversation"
+        hub = Hub(segment(name), CHANNEL)
+        await hub.start()
+        where = ("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
+        conversation = Conversation(Options(where, timeout_s=0.5))
+        talking = asyncio.create_task(conversation.hold(None))
+        await joined(hub)
+        port = hub.port
+        await hub.stop()
+        forget(name)
+        heard = list[Frame]()
+        segment(name).taps.append(lambda t_us, frame: heard.append(frame))
+        hub = Hub(segment(name), CHANNEL)
+        await hub.start(port=port)
+        await joined(hub)
+        conversation.lines.put_nowait("stop all robots")
+        await until(lambda: bool(heard))
+        talking.cancel()
+        await asyncio.gather(talking, return_exceptions=True)
         await hub.stop()
         forget(name)
 
