@@ -174,6 +174,7 @@ class Client(asyncio.BufferedProtocol):
         self._received = [0, 0]  # bytes, frames
         self._sent_bytes = 0
         self._state = can.BusState.ACTIVE  # of its controller, as it was told
+        self._elsewhere = False  # it has asked for a bus that is not here
         self.errors = 0  # invalid commands
         self.refused = 0  # frames that the wire did not accept
         self._confirms = False  # whether it asked for reports about its frames
@@ -262,7 +263,8 @@ class Client(asyncio.BufferedProtocol):
     def _open(self, channel: str) -> str | None:
         if channel == self.hub.channel:
             return "ok"
-        # As socketcand does: the connection ends.
+        # As socketcand does: the connection ends. What was sent behind this was for the other bus.
+        self._elsewhere = True
         self._write(f"< error could not open bus {channel} >".encode("ascii"))
         if self._transport is not None:
             self._transport.close()
@@ -492,6 +494,8 @@ class Client(asyncio.BufferedProtocol):
         *commands, self._pending = (self._pending + data).split(b">")
         self._commands += len(commands)
         for command in commands:
+            if self._elsewhere:
+                return
             try:
                 answer = self.handle(command.replace(b"<", b" ").decode("ascii").strip())
             except UnicodeDecodeError:

@@ -127,6 +127,25 @@ def test_t15_a_client_of_python_can_hears_on_after_the_bus_took_none_of_its_fram
     on_a_hub("python-can in a flood", story)
 
 
+def test_frames_for_another_bus_are_not_put_on_this_one() -> None:
+    """A client that does not wait for the answer to `open` stopped the robots of the wrong bus."""
+
+    async def story(served: Served) -> None:
+        for words in (
+            b"< open can1 >< send 18FFFF01 1 01 >",
+            b"< open can0 >< send 18FFFF02 1 02 >",
+        ):
+            _, writer = await asyncio.open_connection("127.0.0.1", served.hub.port)
+            writer.write(words)
+            await writer.drain()
+            await served.until(lambda: bool(served.frames) or not served.hub.clients)
+            writer.close()
+        await served.until(lambda: bool(served.frames))
+        assert [frame.identifier for frame in served.frames] == [0x18FFFF02]
+
+    on_a_hub("another bus", story)
+
+
 def send_and_close(port: int, number: int) -> None:
     with greeted(port) as sock:
         sock.sendall(b"< rawmode >" + b"< send 18FFFF%02X 1 %02X >" % (number, number))
