@@ -1,10 +1,11 @@
 """Frames for the screen: a log at a speed that can be changed, or a live bus until the end."""
 
 import asyncio
-from collections.abc import Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable
 
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
 from tools.inspect.inspector import Inspector
 from tools.inspect.screen import Feed, InspectScreen
 from tools.operate.operator_device import Operator
@@ -35,18 +36,23 @@ def from_log(frames: Iterable[tuple[int, Frame]], inspector: Inspector, at_once:
     return feed
 
 
-def from_bus(open_bus: Callable[[], CanBus], inspector: Inspector) -> Feed:
+def from_bus(
+    open_bus: Callable[[], Awaitable[CanBus | SocketcandLink]], inspector: Inspector
+) -> Feed:
     """`open_bus` is called inside of the loop that will drive the bus; it may raise AttachError."""
 
     async def feed(screen: InspectScreen) -> None:
-        bus, loop = open_bus(), asyncio.get_running_loop()
+        bus, loop = await open_bus(), asyncio.get_running_loop()
         begun_s = loop.time()
         try:
             bus.subscribe(lambda frame: inspector.hear(loop.time() - begun_s, frame))
             operator = Operator(bus, None)
             await operator.listen(HEARD_S)
             operator.ask_work()  # what was claimed before we came
-            await asyncio.Event().wait()  # the screen ends it
+            while True:  # the screen ends it
+                await asyncio.sleep(PERIOD_S)
+                if inspector.first_s is not None:
+                    inspector.now_s = loop.time() - begun_s  # quiet is time, too
         finally:
             bus.close()
 

@@ -2,7 +2,7 @@
 
 import asyncio
 import sys
-from collections.abc import Callable
+from collections.abc import Awaitable, Callable
 from contextlib import suppress
 from importlib.util import find_spec
 from itertools import chain
@@ -14,6 +14,7 @@ from agent.interface.lifecycle import TABLE, State
 from agent.peer.pgn_responder import LOG_PGN
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
+from protocol.links.socketcand_link import SocketcandLink
 from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
@@ -58,7 +59,7 @@ def inspect(
             return _draw(inspector, source, picture)
         if _screen_wanted(plain or as_json or watch or section is not None):
             bus = (interface, channel, bitrate, host, port)
-            return _screen(inspector, source, lambda: attach(*bus), speed)
+            return _screen(inspector, source, lambda: stay_attached(*bus, "inspect"), speed)
         if source is not None:
             for t_us, frame in frames_of(source, inspector.hear_other):
                 inspector.hear(t_us / 1e6, frame)
@@ -115,8 +116,9 @@ def _draw(inspector: Inspector, source: Path | None, picture: Path) -> int:
 
 
 def _screen(
-    inspector: Inspector, source: Path | None, open_bus: Callable[[], CanBus], speed: float
-) -> int:
+    inspector: Inspector, source: Path | None,
+    open_bus: Callable[[], Awaitable[CanBus | SocketcandLink]], speed: float,
+) -> int:  # fmt: skip
     from tools.inspect.frame_feed import from_bus, from_log
     from tools.inspect.screen import InspectScreen
 
@@ -132,8 +134,8 @@ def _screen(
     return 0
 
 
-async def _try(open_bus: Callable[[], CanBus]) -> None:
-    open_bus().close()
+async def _try(open_bus: Callable[[], Awaitable[CanBus | SocketcandLink]]) -> None:
+    (await open_bus()).close()
 
 
 def _section(why: str | None) -> int | None:

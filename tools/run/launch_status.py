@@ -23,6 +23,9 @@ class LaunchStatus:
         self.console, self.inspector, self.has_keys = console, inspector, has_keys
         self._stopped: set[int] = set()
         self._told_s = 0.0
+        self._heard_s = self._heard_at_s = (
+            0.0  # of the newest frame: its time, and when that was new
+        )
         self._status: Status | None = None
         self._stack = ExitStack()
 
@@ -42,6 +45,8 @@ class LaunchStatus:
     def tell(self, elapsed_s: float, done: int, all_of_it: int, what: str) -> None:
         """What has happened since, and how far it is; call it at each look."""
         self._tell_stops()
+        if self.inspector.now_s != self._heard_s:
+            self._heard_s, self._heard_at_s = self.inspector.now_s, elapsed_s
         line = self._line(elapsed_s, done, all_of_it, what)
         if self._status is not None:
             self._status.update(line)
@@ -63,7 +68,7 @@ class LaunchStatus:
 
     def _line(self, elapsed_s: float, done: int, all_of_it: int, what: str) -> str:
         seen = self.inspector.robots
-        now_s = self.inspector.now_s
+        now_s = self._heard_s + elapsed_s - self._heard_at_s  # quiet is time, too
         states = " ".join(f"{slot}:{_word(robot, now_s)}" for slot, robot in sorted(seen.items()))
         bare = "" if self.has_keys else "  [bold red]NO KEYS[/bold red]"
         return f"{elapsed_s:6.0f} s  {done}/{all_of_it} {what}  {states}{bare}"

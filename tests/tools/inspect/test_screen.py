@@ -27,6 +27,7 @@ from tools.inspect.table_widget import Rows
 
 SIZE = (150, 42)
 SHORT_S = 45.0
+WAIT_S = 30.0
 
 
 @pytest.fixture(scope="module")
@@ -173,7 +174,11 @@ def test_a_live_bus_is_shown_while_it_is_heard(frames: list[tuple[int, Frame]]) 
         inspector = Inspector()
         channel = "screen live"
         wire, sender = segment(channel), CanBus(FieldBus(channel))
-        feed = from_bus(lambda: CanBus(FieldBus(channel)), inspector)
+
+        async def open_bus() -> CanBus:
+            return CanBus(FieldBus(channel))
+
+        feed = from_bus(open_bus, inspector)
         screen = InspectScreen(inspector, "live bus", feed)
         try:
             async with screen.run_test(size=SIZE) as pilot:
@@ -185,6 +190,11 @@ def test_a_live_bus_is_shown_while_it_is_heard(frames: list[tuple[int, Frame]]) 
                 screen.look()
                 assert [row[0] for row in rows_of(screen, "fleet")] == ["0", "1", "2"]
                 assert not screen.fed and wire is not None
+                # A bus that ended looked alive: its robots were shown as they had been.
+                async with asyncio.timeout(WAIT_S):
+                    while {row[1] for row in rows_of(screen, "fleet")} != {"silent"}:
+                        await pilot.pause(0.05)
+                        screen.look()
         finally:
             sender.close()
 

@@ -49,6 +49,20 @@ def test_at_a_terminal_one_line_renews_itself() -> None:
     assert "\n     5 s" not in text
 
 
+def test_robots_are_silent_where_nothing_is_heard_at_all() -> None:
+    """The hub of a launch was killed, and its line went on to say that all worked."""
+    inspector = Inspector()
+    console = Console(file=StringIO(), width=100, color_system=None)
+    with LaunchStatus(console, inspector, has_keys=True) as status:
+        heard(inspector, 1_000.0, State.WORKING)
+        status.tell(5.0, 5, 9, "sections")
+        status.tell(10.0, 5, 9, "sections")
+        heard(inspector, 1_010.0, State.WORKING)
+        status.tell(15.0, 5, 9, "sections")
+    lines = console.file.getvalue().splitlines()  # type: ignore[attr-defined]
+    assert [line[-9:] for line in lines] == ["1:WORKING", " 1:silent", "1:WORKING"]
+
+
 def test_a_robot_that_may_not_move_says_why() -> None:
     """On a busy machine a fleet stood for minutes with old senses, and the line said WORKING."""
     inspector = Inspector()
