@@ -7,6 +7,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from io import TextIOWrapper
+from typing import Any
 
 from tools.common import extras
 from tools.common.exit_codes import INTERRUPTED, code_of, wrong
@@ -27,7 +28,8 @@ def one_line_errors() -> Iterator[None]:
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
     try:
         try:
-            yield
+            with interrupted_imports():
+                yield
         finally:
             sys.stdout.flush()  # what cannot be written shows here, and not when Python ends
     except KeyboardInterrupt:
@@ -43,6 +45,33 @@ def one_line_errors() -> Iterator[None]:
         print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
         _drop_output()
         raise SystemExit(code_of(problem)) from None
+
+
+@contextmanager
+def interrupted_imports() -> Iterator[None]:
+    """Ctrl-C in an import ends a command as it does later.
+
+    numpy's C interface, by which shapely and others import it, prints the KeyboardInterrupt that it
+    meets, and raises an ImportError in its place.
+    """
+    before, interrupts = sys.excepthook, []
+
+    def unprinted(kind: type[BaseException], problem: BaseException, trace: Any) -> None:
+        if isinstance(problem, KeyboardInterrupt):
+            interrupts.append(problem)
+        else:
+            before(kind, problem, trace)
+
+    sys.excepthook = unprinted
+    try:
+        yield
+    except Exception:
+        if interrupts:
+            raise KeyboardInterrupt from None
+        raise
+    finally:
+        if sys.excepthook is unprinted:
+            sys.excepthook = before
 
 
 @contextmanager

@@ -19,6 +19,7 @@ from typer.core import TyperGroup
 from typer.main import get_command_name
 from typer.models import CommandInfo
 
+from tools.cli.one_line_errors import interrupted_imports
 from tools.cli.plain_values import take_plain_values
 from tools.common.verbosity import Verbosity, taken_from
 
@@ -71,7 +72,13 @@ class Panels(TyperGroup):
 
     def invoke(self, ctx: Any) -> Any:
         """With -q, what a command would print for people goes nowhere."""
-        if ctx.parent is not None or not Verbosity.quiet or "--json" in ctx.args:
+        if ctx.parent is not None:
+            return super().invoke(ctx)
+        with interrupted_imports():  # again, because typer has set a hook of its own
+            return self._invoke(ctx)
+
+    def _invoke(self, ctx: Any) -> Any:
+        if not Verbosity.quiet or "--json" in ctx.args:
             return super().invoke(ctx)
         with Path(os.devnull).open("w", encoding="utf-8") as nowhere, redirect_stdout(nowhere):
             return super().invoke(ctx)

@@ -69,6 +69,27 @@ def test_what_is_told_after_the_terminal_is_gone_is_no_error(tmp_path: Path) -> 
     assert process.wait(LIMIT_S) == 0 and (tmp_path / "ended").exists()
 
 
+ROBOT_IMPORT = "from tools.cli.one_line_errors import *\nwith one_line_errors(): import shapely"
+COMMAND_IMPORT = (
+    "import sys, tools.cli.headland as each; sys.argv = ['headland', 'list']\n"
+    "each.app.command(name='list')(lambda: __import__('shapely'))\n"
+    "each.main()"
+)
+
+
+@pytest.mark.parametrize("code", [ROBOT_IMPORT, COMMAND_IMPORT], ids=["robot", "command"])
+def test_an_interrupt_where_shapely_imports_numpy_is_no_traceback(
+    code: str, tmp_path: Path
+) -> None:
+    """Ctrl-C in the first second of a command printed two tracebacks, and its exit code was 1."""
+    (tmp_path / "numpy.py").write_text("import os, signal; os.kill(os.getpid(), signal.SIGINT)\n")
+    process = subprocess.run(
+        [sys.executable, "-c", f"import sys; sys.path.insert(0, '.')\n{code}"], cwd=tmp_path,
+        env=ENVIRONMENT, capture_output=True, text=True, check=False, timeout=LIMIT_S,
+    )  # fmt: skip
+    assert (process.returncode, process.stderr) == (130, "")
+
+
 def test_a_hang_up_that_is_ignored_stays_ignored() -> None:
     before = signal.signal(signal.SIGHUP, signal.SIG_IGN)
     try:
