@@ -24,6 +24,7 @@ from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import Boundary, read_boundary
 from agent.runtime.files.key_file import FLEET, KeyFileError
 from agent.runtime.files.key_file import read as read_keys
+from agent.runtime.option_values import ANTENNA_MAX_M
 from agent.runtime.peer_factory import clock_zero_at_s, keyring_of, make_peer, release
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.sqlite_journal import SqliteJournal
@@ -228,6 +229,12 @@ def task_controller(
     try:
         if not 0 <= machine[0] < machine[1]:
             raise AttachError(f"--slot {machine[0]} is not among {machine[1]} machines (from 0)")
+        if not abs(hitch_m) <= ANTENNA_MAX_M:
+            raise AttachError(
+                f"--hitch {hitch_m:g}: it is {-ANTENNA_MAX_M:g} to {ANTENNA_MAX_M:g} metres"
+            )
+        if not 0 <= accuracy_m <= ANTENNA_MAX_M:
+            raise AttachError(f"--accuracy {accuracy_m:g}: it is 0 to {ANTENNA_MAX_M:g} metres")
         boundary = read_boundary(field, feature)
         fleet_keys = None if keys is None else read_keys(keys, FLEET).keys
         memory.parent.mkdir(parents=True, exist_ok=True)
