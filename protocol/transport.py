@@ -291,6 +291,11 @@ class Transport:
             return (), None
         if m.sequence < session.expected:
             self.counts["repeated data"] += 1
+            at = PACKET * (m.sequence - 1)
+            if broadcast and session.data[at : at + PACKET] != m.body:
+                # Another message: its BAM was lost, as the end of ours.
+                del self._receiving[key]
+                self.counts["lost"] += 1
             return (), None
         if m.sequence > session.granted_to or (broadcast and m.sequence != session.expected):
             del self._receiving[key]

@@ -216,3 +216,15 @@ def test_a_frame_from_no_address_ends_no_broadcast_of_ours(
         TransportData(k, (b"x" * 30)[7 * k - 7 : 7 * k].ljust(7, b"\xff")) for k in range(1, 6)
     ]
     assert ours.counts["malformed"] == 2 and not ours.sessions
+
+
+def test_the_packets_of_two_broadcasts_are_not_joined_to_one() -> None:
+    """The end of the first and the BAM of the second were lost. A message came out that nobody sent."""
+    lost = {3, 4}  # frames: BAM, packet 1, packet 2, then the same of the second message
+    channel = Channel(2, lambda number, out: number in lost)
+    channel.send(0, b"first message!", GLOBAL_ADDRESS)
+    channel.run(3 * BAM_GAP_US)
+    channel.send(0, b"other contents", GLOBAL_ADDRESS)
+    channel.run()
+    assert channel.frames == 6 and channel.arrived == []
+    assert channel.ends[1].counts["lost"] == 1 and not channel.ends[1].sessions
