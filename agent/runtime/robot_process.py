@@ -57,6 +57,7 @@ from agent.runtime.robot_file import (
 )
 from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
+from agent.runtime.work_memory import TRANSPORTS, of_work
 from agent.segments.segment_area import Area
 from protocol.authentication import Keys
 from protocol.links.bus import GONE, CanBus, open_bus
@@ -158,6 +159,23 @@ def _journal(robot: RobotFile) -> tuple[SqliteJournal, Mapping[str, bytes]]:
     if said := str(journal.narrowed):
         print(f"headland: robot {slot}: {said}", file=sys.stderr)
     return journal, recalled
+
+
+def _of_work(
+    robot: RobotFile, journal: SqliteJournal, recalled: Mapping[str, bytes], field_hash: int
+) -> Mapping[str, bytes]:
+    """What it remembers of this work; what it did elsewhere is put by. Raises RobotError."""
+    slot, work = robot.robot.slot, TRANSPORTS if robot.warehouse is not None else field_hash
+    try:
+        found, put_by = of_work(journal, recalled, work)
+    except OSError as problem:
+        raise RobotError(f"robot {slot}: its journal cannot be written: {problem}") from None
+    if put_by:
+        print(
+            f"headland: robot {slot}: its memory is of other work: {put_by} records wait until it comes "
+            "back to that", file=sys.stderr,
+        )  # fmt: skip
+    return found
 
 
 async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None = None) -> Bus:
@@ -322,6 +340,8 @@ async def run_robot(
             try:
                 now_us, lot = PeerRunner.now_us(), secrets.token_bytes(16)
                 work = work_of(robot, now_us, recalled)
+                if work.parts.mission is not None:
+                    recalled = _of_work(robot, journal, recalled, work.field_hash)
                 identity = identity_of(
                     robot.name, slot, robot.fleet.robots, work.field_hash,
                     robot.fleet.silence_policy, first_boot=first_boot, diagnostics=True,

@@ -231,14 +231,18 @@ class SqliteJournal:
         """Write all of the records or none; they are durable when this returns.
 
         Raises OSError, also if a file of the journal was deleted or replaced while it was open."""
+        self.exchange((), records)
+
+    def exchange(self, gone: Iterable[str], records: Iterable[Persist]) -> None:
+        """As `write`, and the records with the keys `gone` are removed before. Raises OSError."""
         try:
-            self._write(records)
+            self._write(gone, records)
         except OSError:
             with suppress(OSError):
                 self.mark.fail()
             raise
 
-    def _write(self, records: Iterable[Persist]) -> None:
+    def _write(self, gone: Iterable[str], records: Iterable[Persist]) -> None:
         if self._number is None:
             self.load()
         assert self._number is not None
@@ -250,6 +254,9 @@ class SqliteJournal:
         try:
             with self._database:
                 self._database.execute("BEGIN")
+                self._database.executemany(
+                    "DELETE FROM record WHERE key = ?", [(key,) for key in gone]
+                )
                 self._database.executemany(
                     "INSERT INTO record VALUES (?, ?) "
                     "ON CONFLICT (key) DO UPDATE SET value = excluded.value",
