@@ -77,7 +77,8 @@ class Charging:
 
         `at`: where we are. `onward`: where we go after charging, or None. `shunned`: sections not
         to choose, `TASKS_MAX` + bay. `gone`: whether the robot of a slot is silent for so long that
-        the bay that it has claimed counts as free. The bid is a tenth of the way in metres, at most 31.
+        its bay is taken if no other one is free: it may stand there. The bid is a tenth of the way in
+        metres, at most 31.
         """
         best = None
         for bay, place in enumerate(self.house.bays):
@@ -89,9 +90,9 @@ class Charging:
                 continue
             way_m = self.house.way_m(at, place)
             way_m += 0.0 if onward is None else self.house.way_m(place, onward)
-            if best is None or way_m < best[0]:
-                best = (way_m, section, owner is not None)
-        return None if best is None else ClaimRequest(best[1], min(int(best[0] / 10), 31), best[2])
+            if best is None or (owner is not None, way_m) < best[:2]:
+                best = (owner is not None, way_m, section)
+        return None if best is None else ClaimRequest(best[2], min(int(best[1] / 10), 31), best[0])
 
     def begin(self, battery: float) -> None:
         """We have arrived at a bay. `battery`: share of a full charge."""

@@ -454,6 +454,8 @@ class DeliveryMission(NavigationMission):
         self, section: int, view: FleetView, why: str = "out of reach or missing"
     ) -> MotionRequest:
         self.given_up_why = why
+        if section >= TASKS_MAX and self.house.bays:
+            section = TASKS_MAX + self.house.bay_of(section)  # the bay, not this visit
         self._shun_ends_at_us[section] = view.now_us + SHUN_US
         self._through()
         return MotionRequest(0.0, 0.0, given_up=True)

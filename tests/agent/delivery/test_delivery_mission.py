@@ -135,6 +135,35 @@ def test_a_robot_charges_also_after_years() -> None:
         assert (left.finished or left.given_up) and told(choice.section, 0) is not None
 
 
+def test_a_bay_that_a_robot_has_given_up_is_left_alone_whatever_visit_it_was() -> None:
+    """Something stood in the nearest bay. The robot took the next visit of it, again and again."""
+    home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(10.5, 0.5), (50.5, 0.5)])
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    allocation = FieldAllocationCRDT()
+    for section in range(TASKS_MAX, TASKS_MAX + 6):
+        allocation.done(section, 1)
+    seen = view(S, 0.4)._replace(allocation=allocation)
+    mission.on_control_period(seen, State.IDLE)
+    choice = mission.choose(seen)
+    assert choice is not None and home.bay_of(choice.section) == 0
+    mission.begin(choice.section, seen)
+    assert mission._given_up(choice.section, seen, "no headway").given_up
+    choice = mission.choose(seen)
+    assert choice is not None and home.bay_of(choice.section) == 1
+
+
+def test_a_bay_in_which_a_silent_robot_may_stand_is_the_last_choice() -> None:
+    home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(10.5, 0.5), (50.5, 0.5)])
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    allocation = FieldAllocationCRDT()
+    allocation.claim(TASKS_MAX, 1)
+    for free in (True, False):
+        choice = mission.charging.visit((0.5, 0.5), None, allocation, (), lambda owner: True)
+        assert choice is not None and choice.takeover is not free
+        assert home.bay_of(choice.section) == int(free)
+        allocation.claim(TASKS_MAX + 1, 2)
+
+
 def test_what_is_aboard_need_not_be_picked_up() -> None:
     assert stop_names([7], [TASKS_MAX + 1, 5], 7) == ["D7", "C1", "P5", "D5"]
     assert stop_names([], [5, 11, TASKS_MAX + 1], -1) == ["P5", "D5", "P11", "D11", "C1"]
