@@ -11,6 +11,7 @@ from agent.interface.config import S
 from protocol.backbone_messages import BackboneHeader, BackboneKind, Summary
 
 GONE_US = 2 * S  # four summaries are missing
+SEQUENCES = 1 << 32  # numbers of messages; they begin again after a year or two of a busy gateway
 SEGMENTS_MAX = 4096  # segments kept, a few hundred bytes each; larger fleets are not supported
 
 
@@ -53,7 +54,10 @@ class SegmentReachability:
             self.counts["fenced"] += 1
             return False
         boot, sequence = remote.last.get(header.candidate, (-1, -1))
-        if boot == header.boot and header.sequence <= sequence:
+        if (
+            boot == header.boot
+            and not 0 < (header.sequence - sequence) % SEQUENCES < SEQUENCES // 2
+        ):
             self.counts["duplicate"] += 1
             return False
         remote.last[header.candidate] = header.boot, header.sequence
