@@ -90,8 +90,9 @@ class Charging:
                 continue
             way_m = self.house.way_m(at, place)
             way_m += 0.0 if onward is None else self.house.way_m(place, onward)
-            if best is None or (owner is not None, way_m) < best[:2]:
-                best = (owner is not None, way_m, section)
+            found = (owner is not None, way_m, section)
+            if best is None or found < best:
+                best = found
         return None if best is None else ClaimRequest(best[2], min(int(best[1] / 10), 31), best[0])
 
     def begin(self, battery: float) -> None:
