@@ -15,7 +15,8 @@ The contract:
 * Places are metres east and north of the origin of the field, of the middle of the body. Headings are
   radians, counter-clockwise from east. Accuracies are standard deviations.
 * A drive command is a velocity in the field frame, metres a second. A mecanum body drives it at once, in
-  any direction. A differential and an Ackermann body turn to its course first. `WheelDrive` of
+  any direction. A differential and an Ackermann body turn to its course first. A command with a turn rate
+  and no velocity turns a mecanum or a differential body on the spot, as out of a corner. `WheelDrive` of
   `agent/motion/wheel_kinematics.py` makes wheel speeds of it for all three.
 * A command lives for `ACTUATOR_TTL_US`, 100 ms. Then the wheels stand. The controller of the wheels
   counts this time, because nobody else can when this process dies.

@@ -220,6 +220,13 @@ class Mirrored(NmeaBody):
         super().drive(GatedDrive(command._replace(vy_m_s=-command.vy_m_s)), now_us)
 
 
+class NeverPivots(NmeaBody):
+    """It turns to a course only, as out of a corner it cannot."""
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        super().drive(GatedDrive(command._replace(turn_rad_s=0.0)), now_us)
+
+
 class Boastful(NmeaBody):
     """It says an accuracy that it does not have."""
 
@@ -424,7 +431,7 @@ def test_one_old_place_is_the_computers_and_many_are_the_drivers(machine: Machin
     [
         (NewTimes, "missing places"), (LateTimes, "times"), (Bearings, "ahead"),
         (Kilometres, "ahead"), (Mirrored, "sides"), (Boastful, "accuracy"),
-        (KeepsOn, "life of a command"),
+        (KeepsOn, "life of a command"), (NeverPivots, "sides"),
     ],
 )  # fmt: skip
 def test_a_broken_driver_fails(driver: type[NmeaBody], check: str, machine: Machine) -> None:
