@@ -49,10 +49,12 @@ class Route:
 
     def admits(self, point: Point) -> bool:
         """Whether a robot's centre may be there."""
-        row = int((point[1] - self.origin_y_m) // self.cell_m)
-        column = int((point[0] - self.origin_x_m) // self.cell_m)
+        row = (point[1] - self.origin_y_m) // self.cell_m
+        column = (point[0] - self.origin_x_m) // self.cell_m
         rows, columns = self.blocked.shape
-        return 0 <= row < rows and 0 <= column < columns and not self.blocked[row, column]
+        if not (0 <= row < rows and 0 <= column < columns):  # infinity, too
+            return False
+        return not self.blocked[int(row), int(column)]
 
     def path(self, start: Point, goal: Point) -> tuple[Point, ...]:
         """Waypoints from start to goal, both included exactly; the straight line where no path is

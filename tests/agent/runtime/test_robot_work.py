@@ -61,6 +61,11 @@ def test_coverage_of_a_grid() -> None:
             {},
             "navigation.goals: no robot can stand at 0.5, 0.5",
         ),
+        (
+            {"navigation": {"map": MAP, "goals": [[], [[0.5, -1e308]]]}},
+            {},
+            "navigation.goals: no robot can stand at 0.5, -1e+308",
+        ),
         ({"navigation": {"map": "none.map", "goals": GOALS}}, {}, "navigation.map: "),
         (EXPLORATION, {"robots": 99}, "exploration.robots_max: Fleet is full"),
         (
