@@ -55,7 +55,10 @@ class NmeaFixes:
         self._utc: Clock | None = None
 
     def take(self, line: bytes, arrived_at_us: int) -> Observation | None:
-        """The observation that this sentence completes; None if it completes none."""
+        """The observation that this sentence completes; None if it completes none.
+
+        What is before its last dollar sign is binary: receivers send that between sentences."""
+        line = line[max(line.rfind(b"$"), 0) :]
         try:
             sentence: Any = NMEAReader.parse(line + b"\r\n")
         except Exception:  # of many kinds, for bytes of any kind

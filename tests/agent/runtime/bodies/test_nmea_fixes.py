@@ -240,6 +240,16 @@ def test_a_field_that_is_not_a_number_is_malformed(word: str) -> None:
     assert (seen.x_m, seen.vx_m_s, seen.vy_m_s) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
 
 
+@pytest.mark.parametrize(
+    "binary", [b"\xb5\x62\x01\x07\x5c\x00", b"\xd3\x00\x13$\x3e", b"\\s:rx*2A\\"]
+)
+def test_binary_messages_between_sentences_cost_none_of_them(binary: bytes) -> None:
+    """A receiver that sends UBX before each GGA had no place at all."""
+    taken = fixes()
+    taken.take(binary + gga(), 0)
+    assert taken.take(hdt(90.0), 0) is not None and taken.counts["malformed"] == 0
+
+
 def test_a_velocity_that_says_that_it_is_none_is_none() -> None:
     taken = fixes()
     taken.take(sentence("GNRMC,123511.00,V,5200.0,N,00500.0,E,200.0,90.0,010126,,,N"), 0)
