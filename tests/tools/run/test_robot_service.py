@@ -10,9 +10,11 @@ from typing import Any
 
 import pytest
 
+from agent.interface.config import LEAVES_WITHIN_US, S
+from agent.runtime.bodies.line_port import CONNECT_S, LOOK_S
 from agent.runtime.ready_kernels import CACHE
 from agent.runtime.robot_file import AbsentError
-from agent.runtime.robot_process import WRONG
+from agent.runtime.robot_process import GOODBYE_S, WRONG
 from tests.tools.launching import ROOT
 from tools.cli.entrance import robot_words
 
@@ -73,6 +75,12 @@ def test_the_unit_starts_a_robot_and_does_not_restart_what_needs_a_person(
     assert int(unit["RestartPreventExitStatus"]) == WRONG and unit["Restart"] == "on-failure"
     assert AbsentError.code != WRONG  # a receiver that comes later than the machine
     assert unit["KillSignal"] == "SIGTERM"  # on which a robot says farewell
+
+
+def test_a_robot_that_brakes_has_time_for_its_farewell(unit: configparser.SectionProxy) -> None:
+    """It was killed after 5 s, when it perhaps still braked, and the fleet stood for a silent member."""
+    longest_s = LEAVES_WITHIN_US / S + GOODBYE_S + CONNECT_S + LOOK_S  # the last two end a port
+    assert int(unit["TimeoutStopSec"]) > longest_s
 
 
 def test_kernels_are_made_ready_before_a_robot_starts_and_where_it_looks_for_them(
