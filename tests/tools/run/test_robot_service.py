@@ -77,6 +77,18 @@ def test_the_unit_starts_a_robot_and_does_not_restart_what_needs_a_person(
     assert unit["KillSignal"] == "SIGTERM"  # on which a robot says farewell
 
 
+def test_a_new_machine_is_started_by_hand_as_the_user_of_its_service(
+    unit: configparser.SectionProxy,
+) -> None:
+    """As root it left a memory that the service could not open, and there was no folder for it."""
+    user, program = unit["User"], unit["ExecStart"].split()[0]
+    steps = [line[1:].split() for line in UNIT.read_text().splitlines() if line.startswith("#   ")]
+    assert steps[1][:5] == ["install", "-d", "-o", user, f"/var/lib/{unit['StateDirectory']}"]
+    assert steps[2][:4] == ["sudo", "-u", user, program]
+    told = robot_words(steps[2][4:])
+    assert told is not None and told.first_boot and told.interface == "socketcan"
+
+
 def test_a_robot_that_brakes_has_time_for_its_farewell(unit: configparser.SectionProxy) -> None:
     """It was killed after 5 s, when it perhaps still braked, and the fleet stood for a silent member."""
     longest_s = LEAVES_WITHIN_US / S + GOODBYE_S + CONNECT_S + LOOK_S  # the last two end a port
