@@ -16,13 +16,15 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 from shapely.geometry import LineString, MultiPolygon, Point, Polygon
-from shapely.ops import substring
+from shapely.geometry.base import BaseGeometry
+from shapely.ops import nearest_points, substring
 
 from agent.paths.regions import regions_of
 
 XY = tuple[float, float]
 Polyline = tuple[XY, ...]
 CORNER = 0.7072  # distance from a cell's middle to its corner, in cells, rounded up
+INSIDE_M = 0.01  # how far places of robots are from the edge of the ground where they may be
 UNITS_MAX = 10_240  # units of a section: 256 blocks of 40, as WORK_PROGRESS carries them
 
 
@@ -259,24 +261,46 @@ def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) 
     """Places for robots side by side, (x, y) metres, as near to the gate as spacing and fences
     allow.
 
-    Raises ValueError if there is no room for `count` of them.
+    They are in rows and columns through the gate; or, where a field is so narrow that these miss it,
+    through the free place that is nearest to the gate. Raises ValueError if there is no room for `count`
+    of them.
     """
     free = field.polygon.buffer(-clearance_m)
+    inner = free.buffer(-INSIDE_M)  # a point on the edge of free ground is not in it
+    if inner.is_empty:
+        inner = free
+    anchors = [field.gate]
+    if not inner.is_empty:
+        nearest, _ = nearest_points(inner, Point(field.gate))
+        anchors.append((float(nearest.x), float(nearest.y)))
+    for anchor in anchors:
+        spots = _spots(free, anchor, count, spacing_m)
+        if len(spots) >= count:
+            spots.sort(key=lambda s: (hypot(s[0] - field.gate[0], s[1] - field.gate[1]), s))
+            return spots[:count]
+    raise ValueError(f"no room for {count} robots near the gate of {field.name}")
+
+
+def _spots(free: BaseGeometry, anchor: XY, count: int, spacing_m: float) -> list[XY]:
+    """Places on free ground in rows and columns through one place, (x, y) metres.
+
+    At least `count` of them, if there are so many within 400 rows."""
+    if free.is_empty:
+        return []
     shapely.prepare(free)
+    west, south, east, north = free.bounds
+    far_m = max(anchor[0] - west, east - anchor[0], anchor[1] - south, north - anchor[1])
     reach = 2
     while True:
         steps = range(-reach, reach + 1)
         spots = [
-            (field.gate[0] + i * spacing_m, field.gate[1] + j * spacing_m)
-            for i in steps
-            for j in steps
+            (anchor[0] + i * spacing_m, anchor[1] + j * spacing_m) for i in steps for j in steps
         ]
-        inside = [spot for spot in spots if free.contains(Point(spot))]
-        if len(inside) >= count:
-            inside.sort(key=lambda s: (hypot(s[0] - field.gate[0], s[1] - field.gate[1]), s))
-            return inside[:count]
-        if reach > 200:
-            raise ValueError(f"no room for {count} robots near the gate of {field.name}")
+        x_m, y_m = zip(*spots, strict=True)
+        is_free = shapely.contains_xy(free, x_m, y_m).tolist()
+        inside = [spot for spot, free_there in zip(spots, is_free, strict=True) if free_there]
+        if len(inside) >= count or reach > 200 or reach * spacing_m > far_m:
+            return inside
         reach *= 2
 
 
