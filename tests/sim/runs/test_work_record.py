@@ -219,6 +219,18 @@ def test_bad_time_logs_are_said_to_be(records: bytes) -> None:
         assert "\n" not in str(problem)
 
 
+@pytest.mark.parametrize("lon", (1e308, 180.5))
+def test_a_covered_place_that_is_not_in_degrees_is_told(
+    tmp_path: Path, record: WorkRecord, lon: float
+) -> None:
+    """`headland plan --done` ended in a traceback where such a place was projected."""
+    (first, *ring), *holes = record.covered[0]
+    part = (((lon, first[1]), *ring), *holes)
+    write_geojson(record._replace(covered=(part,)), tmp_path / "work.geojson")
+    with pytest.raises(FieldFileError, match=r"not a work record: .* not in degrees"):
+        read_work_geojson(tmp_path / "work.geojson")
+
+
 @given(data=st.data())
 @settings(
     max_examples=examples(100),
