@@ -49,7 +49,7 @@ from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.section_names import SectionNames
 from agent.safety.stop_cause import Severity, about, sentence
 from agent.safety.stop_controller import CREEP_M_S
-from crdt import FieldAllocationCRDT
+from crdt import FieldAllocationCRDT, Phase
 from protocol.authentication import KEY_SIZE, OPERATOR_FIRST, Keyring, Keys
 from protocol.fleet_tags import QUESTION_BITS
 from protocol.frames.fleet_frames import NOWHERE_M, Pose
@@ -243,7 +243,7 @@ class FleetCoordinationEngine:
             self.refusal = f"in state {peer.lifecycle.state.name}"
             return False
         self._operate(ClaimSection(section, 0))
-        if peer.allocation.owner_of(section) != self.slot:
+        if not self._holds(section):
             return False
         settled_for_s = 2.0 * CONTENTION_US / S
         if peer.claims.current is None:
@@ -252,7 +252,13 @@ class FleetCoordinationEngine:
             )
         else:  # claimed ahead, so it is held but not yet started
             await asyncio.sleep(CONTENTION_US / S)
-        return peer.allocation.owner_of(section) == self.slot
+        return self._holds(section)
+
+    def _holds(self, section: int) -> bool:
+        """Whether a section is ours to work: one that we have finished still has us as its owner."""
+        allocation = self._peer.allocation
+        done = allocation.phase_of(section) is Phase.DONE
+        return allocation.owner_of(section) == self.slot and not done
 
     async def release_section(self, section_id: str) -> None:
         """Release a section: a started one is DONE for good, another one is given back.

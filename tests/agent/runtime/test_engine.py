@@ -87,6 +87,20 @@ def test_a_released_section_is_finished_for_everybody() -> None:
     play(2, story)
 
 
+def test_i25_who_has_finished_a_section_cannot_claim_it_again() -> None:
+    """It was told that it had won the section, and worked it twice."""
+
+    async def story(engines: list[FleetCoordinationEngine]) -> None:
+        assert await engines[0].claim_section("S7")
+        await engines[0].release_section("S7")
+        assert not await engines[0].claim_section("S7")
+        assert engines[0].refusal == "another machine has it, or it is done"
+        assert await engines[0].claim_section("S8")
+        assert not await engines[0].claim_section("S7"), "beside other work"
+
+    play(2, story)
+
+
 def test_a_stop_stops_all_and_is_left_only_by_reset() -> None:
     async def story(engines: list[FleetCoordinationEngine]) -> None:
         heard: list[dict[str, Any]] = []
