@@ -1,8 +1,11 @@
 """The fleet of a delivery run. It is apart from the run, because `headland compile` compiles it."""
 
 from collections.abc import Mapping
+from math import isfinite
 
+from agent.delivery.cost_matrix import FULL, Trip
 from agent.delivery.delivery_mission import DeliveryMission
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.runtime.peer_factory import MissionParts
 from crdt import Phase
 from sim.fleet.scheduler import Host
@@ -64,3 +67,32 @@ class DeliveryFleet(Cluster):
             if asked and all(task in own for own in asked):
                 found.add(task)
         return frozenset(found)
+
+    @property
+    def beyond_battery(self) -> frozenset[int]:
+        """Tasks that nobody has picked up, and that a battery that is full at any bay does not last for:
+        from there to both places, and to a bay again. No robot takes them once it has left its start."""
+        left = self.truth.dropoff.keys() - self.truth.delivered_at_us.keys()
+        left -= {*self.truth.aboard.values()} | self.unreachable
+        house = self.place.house
+        if not (left and house.carrier.runs_dry and house.bays):
+            return frozenset()
+        orders = {
+            task: order
+            for robot in self.running
+            for task, order in self.missions[robot.slot].dispatch.book.tasks.items()
+        }
+        return frozenset(
+            task for task in left if task in orders and not _lasts(house, house.trip(orders[task]))
+        )
+
+
+def _lasts(house: Warehouse, trip: Trip) -> bool:
+    """Whether a battery that is full at some bay lasts for a task and the way to a bay again."""
+    for bay in house.bays:
+        if not isfinite(house.way_m(bay, trip.pickup)):
+            continue
+        done = house.after(CarrierState(0, bay, 0, FULL), trip, False)
+        if done.left >= house.home(trip.dropoff):
+            return True
+    return False

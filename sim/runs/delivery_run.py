@@ -28,6 +28,7 @@ class DeliveryOutcome(NamedTuple):
     tasks: int
     delivered: int
     unreachable: tuple[int, ...]  # tasks that no robot could reach, as the robots report
+    beyond_battery: tuple[int, ...]  # tasks that a battery that is full at a bay does not last for
     finished: bool  # every parcel lies at its dropoff, and every running replica has it
     makespan_s: float  # until the last parcel was put down
     latency_s: float  # the mean time from a task's appearance to its delivery
@@ -124,6 +125,7 @@ class DeliveryRun(MissionRun[DeliverySetup, DeliveryFleet, DeliveryOutcome]):
             "tasks": len(truth.dropoff),
             "delivered": len(truth.delivered_at_us),
             "unreachable": tuple(sorted(cluster.unreachable)),
+            "beyond_battery": tuple(sorted(cluster.beyond_battery)),
             "makespan_s": max(truth.delivered_at_us.values(), default=0) / S,
             "latency_s": sum(waits_for_s) / max(len(waits_for_s), 1),
             "flaws": truth.flaws,

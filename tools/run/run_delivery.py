@@ -68,6 +68,7 @@ class DeliveryCommand(MissionCommand[DeliveryRun]):
         return ["warehouse.png"]
 
     def facts(self, outcome: DeliveryOutcome) -> list[Fact]:
+        beyond = outcome.beyond_battery
         flaws = ", ".join(f"{n} {what}" for what, n in outcome.flaws.items())
         empty = "never" if not outcome.empty else f"[red]robots {outcome.empty}[/red]"
         return [
@@ -76,6 +77,11 @@ class DeliveryCommand(MissionCommand[DeliveryRun]):
                 f"{outcome.delivered} of {outcome.tasks} parcels in {outcome.makespan_s:.1f} s",
             ),
             ("unreachable", ", ".join(f"task {n}" for n in outcome.unreachable) or "none"),
+            *(
+                [("a full battery does not last for", ", ".join(f"task {n}" for n in beyond))]
+                if beyond
+                else []
+            ),
             ("mean latency", f"{outcome.latency_s:.1f} s from a task's appearing to its delivery"),
             ("deliveries done twice, lost, by two, moved again", flaws),
             (

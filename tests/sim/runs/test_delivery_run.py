@@ -70,6 +70,18 @@ def play(
     return outcome, run
 
 
+def test_i24_a_run_tells_which_tasks_a_full_battery_does_not_last_for() -> None:
+    """The robot stood until the end of the run, beside "unreachable: none"."""
+    battery = {"range_m": 20.0, "charge_s": 5.0}
+    given = scenario(robots=1, random_tasks=0, bays=[(5.5, 2.5)], battery=battery)
+    short = given.run.model_copy(update={"time_limit_s": 60.0})
+    setting = DeliverySetup(given.model_copy(update={"run": short}))
+    setting.rows = [TaskRow((0.5, 0.5), (11.5, 4.5), 1.0), TaskRow((5.5, 0.5), (5.5, 4.5), 1.0)]
+    outcome = DeliveryRun(setting).run()
+    assert outcome.delivered == 1 and outcome.unreachable == (), outcome
+    assert outcome.beyond_battery == (0,), outcome
+
+
 @pytest.mark.slow
 def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> None:
     outcome, _ = play(scenario())
