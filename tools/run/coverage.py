@@ -201,8 +201,10 @@ def _instance(
         walls = read_instance(path).walls if path.suffix == ".mcpp" else read_map(path)
     else:
         rows, columns, share = random
-        if rows < 1 or columns < 1 or rows * columns > CELLS_MAX or not 0.0 <= share <= 1.0:
+        if rows < 1 or columns < 1 or not 0.0 <= share <= 1.0:
             raise GridFileError("--H and --W are 1 or more, --wall-prob is 0 to 1")
+        if rows * columns > CELLS_MAX:
+            raise GridFileError(f"--H times --W is more than {CELLS_MAX} cells")
         walls = random_walls(rows, columns, share, seed)
     _check_size(walls)
     if agents is None or agents < 1:

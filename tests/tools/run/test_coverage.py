@@ -93,6 +93,12 @@ def test_bad_input_is_one_line(
     assert done.output.strip().count("\n") == 0 and "headland:" in done.output
 
 
+def test_i24_a_map_of_too_many_cells_is_refused_as_such() -> None:
+    """It was told that --H and --W are 1 or more, which they were."""
+    done = call("solve", "--robots", "1", "--H", "3000", "--W", "3000")
+    assert done.exit_code == 2 and "--H times --W is more than" in done.output
+
+
 @pytest.mark.parametrize("change", [
     {"H": -2, "W": -2}, {"starts": []}, {"starts": [[9, 0]]},
     {"per_agent_actions": [[5]]}, {"died": [0.5]}, {"walls": [[0, 0], [0, 2]]}, None,
