@@ -7,6 +7,8 @@ from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.intent import At, Beside, Query
 from tools.language.places import Places, Point
 
+NO_PLACE = "it does not know where it is"
+
 
 class Answer(NamedTuple):
     """The same answer for a person and for a program."""
@@ -62,6 +64,8 @@ def _lines(query: Query, fleet: FleetNow, line: Any) -> Answer:
 
 
 def _position(robot: RobotNow) -> str:
+    if not robot.placed:
+        return f"robot {robot.slot}: {NO_PLACE}"
     was = f", when last heard {robot.heard_s:.0f} s ago" if robot.silent else ""
     return f"robot {robot.slot} is at {robot.x_m:.1f}, {robot.y_m:.1f}{was}"
 
@@ -78,7 +82,8 @@ def _status(robot: RobotNow) -> str:
         parts.append(f"asks (question {robot.asking}) what to do about something in its way")
     if not robot.started:
         parts.append("stands until it is started")
-    parts.append(f"at {robot.x_m:.1f}, {robot.y_m:.1f}, {robot.speed_m_s:.1f} m/s")
+    at = f"at {robot.x_m:.1f}, {robot.y_m:.1f}, {robot.speed_m_s:.1f} m/s"
+    parts.append(at if robot.placed else NO_PLACE)
     return f"robot {robot.slot}: " + "; ".join(parts)
 
 
@@ -88,6 +93,8 @@ def _battery(robot: RobotNow) -> str:
 
 
 def _distance(robot: RobotNow, place: Point) -> str:
+    if not robot.placed:
+        return f"robot {robot.slot}: {NO_PLACE}"
     return f"robot {robot.slot} is {robot.away_m(place):.1f} m away, as the crow flies"
 
 
@@ -107,9 +114,10 @@ def _progress(fleet: FleetNow, places: Places) -> Answer:
 
 def _nearest(query: Query, fleet: FleetNow, places: Places) -> Answer:
     place = _point(query, fleet, places)
-    robots = sorted(fleet.live, key=lambda r: (r.away_m(place), r.slot))
+    placed = [robot for robot in fleet.live if robot.placed]
+    robots = sorted(placed, key=lambda r: (r.away_m(place), r.slot))
     if not robots:
-        return Answer("no robot is heard", None)
+        return Answer(f"no robot {'that knows its place ' if fleet.live else ''}is heard", None)
     first, idle = robots[0], fleet.nearest(place)
     text = f"robot {first.slot}, {first.away_m(place):.1f} m away ({first.state})"
     if idle is None:

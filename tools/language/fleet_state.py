@@ -24,6 +24,7 @@ class RobotNow(NamedTuple):
     sections: tuple[str, ...] = ()
     heard_s: float = 0.0  # ago
     battery: float | None = None  # share of a full one; None: it has none, or tells of none
+    placed: bool = True  # it knows where it is; else its place is the last that it told, or none
 
     @property
     def idle(self) -> bool:
@@ -59,8 +60,8 @@ class FleetNow(NamedTuple):
 
     def nearest(self, place: Point, without: frozenset[int] = frozenset()) -> RobotNow | None:
         """The idle robot nearest to a place (metres), in a straight line; of equals the lower slot.
-        None if there is none."""
-        idle = [r for r in self.live if r.idle and r.slot not in without]
+        None if there is none that knows where it is."""
+        idle = [r for r in self.live if r.idle and r.placed and r.slot not in without]
         return min(idle, key=lambda r: (r.away_m(place), r.slot), default=None)
 
     @property

@@ -1,6 +1,7 @@
 """The fleet as it is now: from what a listener has heard, or from what one peer tells."""
 
 from agent.peer.fleet_summary import FleetSummary
+from protocol.frames.fleet_frames import NOWHERE_M
 from tools.inspect.inspector import SILENT_S, Inspector
 from tools.language.fleet_state import FleetNow, RobotNow, SectionNow
 
@@ -17,7 +18,7 @@ def as_heard(inspector: Inspector) -> FleetNow:
         robots[slot] = RobotNow(
             slot, seen.state, round(seen.x_m, 2), round(seen.y_m, 2), round(seen.speed_m_s, 2),
             seen.stopped, seen.started, age_s > SILENT_S, seen.question, seen.goal, sections,
-            round(age_s, 1), seen.battery,
+            round(age_s, 1), seen.battery, seen.placed and seen.has_place,
         )  # fmt: skip
     sections_now = {
         section: SectionNow(
@@ -40,5 +41,6 @@ def as_told(bulletin: FleetSummary) -> FleetNow:
             line.slot, line.state.name, line.x_m, line.y_m, line.speed_m_s,
             stopped=line.state.name == "EMERGENCY_STOP", silent=line.standing != "LIVE",
             sections=tuple(f"S{section}" for section in line.sections), heard_s=line.age_s,
+            placed=line.x_m > NOWHERE_M,
         )  # fmt: skip
     return FleetNow(robots, sections, f"robot {bulletin.by}")

@@ -7,9 +7,17 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from agent.interface.lifecycle import State
+from agent.peer import fleet_summary
+from agent.peer.fleet_summary import FleetSummary, MemberRow
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Member, Pose
 from tests.examples import examples
 from tools.bench.phrases import Case, misspelt, phrases, understood
+from tools.inspect.inspector import Inspector
+from tools.language import view
 from tools.language.alarm import may_be_alarm
+from tools.language.answer import answer
 from tools.language.authorize import Authorization, weigh
 from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.intent import INTENTS, INTENTS_MAX, At, Control, Goal, Query, plain
@@ -57,6 +65,44 @@ def test_no_robot_is_sent_to_where_another_one_stays(verb: str) -> None:
         assert isinstance(result, Authorization) and len(result.orders) == 2
     else:
         assert isinstance(result, Question) and result.reason is QuestionReason.UNSAFE
+
+
+def answered(phrase: str, fleet: FleetNow) -> str:
+    reading = read(phrase, Places({}))
+    assert not isinstance(reading, Question)
+    (query,) = reading
+    assert isinstance(query, Query)
+    return answer(query, fleet, Places({}), ()).text
+
+
+def test_a_robot_that_does_not_know_where_it_is_is_not_at_the_origin() -> None:
+    """It was told to be at 0.0, 0.0, was the nearest to what is there, and was sent."""
+    heard = Inspector()
+    lost = Pose(NOWHERE_M, NOWHERE_M, 0.0, PLACE_UNKNOWN_M_S, State.IDLE, False, 255)
+    for slot, pose in ((0, Pose(30.0, 0.0, 0.0, 0.0, State.IDLE, False, 255)), (1, lost)):
+        heard.hear(1.0, encode(Member(slot, 1, 0), 0x80 + slot))
+        heard.hear(1.0, encode(pose, 0x80 + slot))
+    summary = compose_of([(0, 30.0), (1, NOWHERE_M)])
+    for fleet in (view.as_heard(heard), view.as_told(summary)):
+        assert answered("where is robot 1", fleet) == "robot 1: it does not know where it is"
+        assert "does not know where it is" in answered("status of robot 1", fleet)
+        assert "does not know where it is" in answered("how far is robot 1 from 1, 1", fleet)
+        assert answered("which robot is nearest to 1, 1", fleet).startswith("robot 0, ")
+        nearest = fleet.nearest((1.0, 1.0))
+        assert nearest is not None and nearest.slot == 0
+        alone = fleet._replace(robots={1: fleet.robots[1]})
+        told = answered("which robot is nearest to 1, 1", alone)
+        assert (
+            told == "no robot that knows its place is heard" and alone.nearest((1.0, 1.0)) is None
+        )
+
+
+def compose_of(places: list[tuple[int, float]]) -> FleetSummary:
+    """Of idle robots, by their slots and metres east, as a peer writes it and a tool reads it."""
+    rows = [MemberRow(slot, State.IDLE, "LIVE", x_m, x_m, 0.0, (), 0.1) for slot, x_m in places]
+    found = fleet_summary.read(fleet_summary.write(FleetSummary(0, 0, 0, tuple(rows))))
+    assert found is not None
+    return found
 
 
 def test_the_document_counts_as_the_file_does() -> None:
