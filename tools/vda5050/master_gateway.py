@@ -208,7 +208,8 @@ class MasterGateway:
             and inspector.allocation.phase_of(task) is not Phase.DONE
         ]  # fmt: skip
         return HeardRobot(
-            not seen.left and now_s - seen.last_s <= SILENT_S, seen.placed, seen.x_m, seen.y_m,
+            not seen.left and now_s - seen.last_s <= SILENT_S,
+            seen.placed and seen.has_place, seen.x_m, seen.y_m,
             self.courses.get(seen.slot, 0.0), seen.speed_m_s, seen.battery, seen.stopped,
             seen.started, seen.causes.sentences(round(now_s * 1e6)), loads,
         )  # fmt: skip

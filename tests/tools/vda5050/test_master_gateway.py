@@ -28,7 +28,7 @@ from crdt import Phase
 from protocol.authentication import Keys
 from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import TASK_NUMBERS
-from protocol.frames.fleet_frames import Member
+from protocol.frames.fleet_frames import Member, Pose
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import Command
 from protocol.frames.work_frames import TaskClaim, WorkProgress
@@ -285,6 +285,28 @@ def test_an_instant_action_that_comes_twice_is_done_once_also_after_the_next_ord
         assert not port.vehicle.instant
         gateway.act(port, InstantActions(actions=[act]))
         assert not gateway.working
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_robot_that_has_told_no_place_yet_is_not_initialized_at_the_origin(
+    tmp_path: Path,
+) -> None:
+    """The first states after the start of a gateway said so, and a master believed it."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port = gateway.ports[0]
+        for message in (AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0)):
+            gateway.hear(encode(message, 130))
+        gateway._observe(port)
+        at = port.vehicle.state("yard", gateway.serial).agv_position
+        assert at is not None and not at.position_initialized
+        gateway.hear(encode(Pose(1.5, 2.5, 0.0, 0.0, 1, False, 255), 130))
+        gateway._observe(port)
+        at = port.vehicle.state("yard", gateway.serial).agv_position
+        assert at is not None and at.position_initialized and at.x == 1.5
         await left(gateway)
 
     asyncio.run(story())
