@@ -194,8 +194,9 @@ class Ros2Feed(Watcher):
                 self._kinds.DiagnosticStatus.ERROR if bad else self._kinds.DiagnosticStatus.OK
             )
             status.message = "silent" if silent else robot.state
+            at = (f"{robot.x_m:.2f}", f"{robot.y_m:.2f}") if robot.has_place else ("", "")
             values = {
-                "x_m": f"{robot.x_m:.2f}", "y_m": f"{robot.y_m:.2f}", "health": f"{robot.health:.2f}",
+                "x_m": at[0], "y_m": at[1], "health": f"{robot.health:.2f}",
                 "held": str(robot.held), "operations": str(robot.operations),
             }  # fmt: skip
             status.values = [
@@ -245,6 +246,8 @@ class Ros2Feed(Watcher):
                 marked.markers.append(self._line(number, [*ring, ring[0]]))
         length_m = 2.0 * float(self.scene.get("radius_m", 0.8))
         for robot in self.robots.values():
+            if not robot.has_place:
+                continue
             marker = self._marker("robots", robot.slot, self._kinds.Marker.CUBE)
             if robot.left:
                 marker.action = self._kinds.Marker.DELETE

@@ -1,0 +1,67 @@
+"""What ROS is told of a robot that has told no place; no ROS is needed."""
+
+import asyncio
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+pytest.importorskip("rosbags", reason="the extra `ros` is not installed")
+
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Member, Pose
+from tools.ros2.bag_messages import jazzy, kinds_of
+from tools.ros2.graph import KINDS
+from tools.ros2.ros2_feed import Ros2Feed
+
+
+class Topics:
+    """A graph that nobody reads: the newest message of each topic."""
+
+    def __init__(self) -> None:
+        self.store = jazzy()
+        self.kinds = kinds_of(self.store, KINDS)
+        self.newest = dict[str, Any]()
+
+    def publisher(self, kind: str, topic: str, quality: object) -> Any:
+        def publish(message: Any) -> None:
+            self.newest[topic] = message
+
+        return SimpleNamespace(publish=publish)
+
+    def hear(self, *given: object) -> None:
+        """Nobody speaks."""
+
+    serve = hear
+
+    def stamp(self) -> Any:
+        return self.store.types["builtin_interfaces/msg/Time"](sec=0, nanosec=0)
+
+    def close(self) -> None:
+        """Nothing is held."""
+
+
+def test_a_robot_that_has_told_no_place_has_no_marker() -> None:
+    """It stood at the origin of the map, and its diagnostics said so."""
+
+    async def story() -> None:
+        graph = Topics()
+
+        async def never() -> None:
+            raise AssertionError("nobody asks")
+
+        feed = Ros2Feed(graph, None, never, never)
+        for slot in (0, 1):
+            feed.hear(1.0, encode(Member(slot, 1, 0), 0x80 + slot))
+        feed.hear(1.0, encode(Pose(3.0, 4.0, 0.0, 0.0, 1, False, 255), 0x81))
+        feed.tell()
+        (marker,) = graph.newest["markers"].markers
+        assert (marker.id, marker.pose.position.x) == (1, 3.0)
+        told = [
+            {each.key: each.value for each in status.values}["x_m"]
+            for status in graph.newest["/diagnostics"].status
+        ]
+        assert told == ["", "3.00"]
+        feed.close()
+
+    asyncio.run(story())
