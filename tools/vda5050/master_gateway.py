@@ -8,7 +8,7 @@ import asyncio
 from collections.abc import Awaitable, Callable
 from functools import partial
 from pathlib import Path
-from typing import Final, NamedTuple
+from typing import Any, Final, NamedTuple
 
 from agent.delivery.task_outcome import TaskPhase, outcome_of
 from agent.delivery.task_registry import HIGHEST_ASKED, TASKS_MAX
@@ -89,7 +89,7 @@ class MasterGateway:
         self.inspector.proven = proven
         self.courses: dict[int, float] = {}  # of each robot, radians
         self.ports: dict[int, _Port] = {}
-        self.working: set[asyncio.Task[None]] = set()
+        self.working: set[asyncio.Task[Any]] = set()
 
     def hear(self, frame: Frame) -> None:
         """Take one frame of the bus."""
@@ -333,11 +333,19 @@ class MasterGateway:
             return None
         if vehicle.outcome is not None and vehicle.outcome.phase is TaskPhase.ABOARD:
             return "the parcel is aboard, and will be delivered"
-        self._book(vehicle, booked._replace(cancelled=True, task=booked.task.taken_back))
-        self.desk.withdraw(booked.number)
+        if port.cancelling is None or port.cancelling.done():
+            self._book(vehicle, booked._replace(cancelled=True, task=booked.task.taken_back))
+            self.desk.withdraw(booked.number)
+            port.cancelling = asyncio.create_task(self._taken_back(vehicle, booked.order.order_id))
+            self.working.add(port.cancelling)
+            port.cancelling.add_done_callback(self.working.discard)
+        return await asyncio.shield(port.cancelling)
+
+    async def _taken_back(self, vehicle: FleetVehicle, order_id: str) -> str | None:
+        """When the fleet has said what becomes of an order: one wait for all that cancel it."""
         while (outcome := vehicle.outcome) is None or not outcome.final:
             await asyncio.sleep(TICK_S)
-            if vehicle.booked is None or vehicle.booked.order.order_id != booked.order.order_id:
+            if vehicle.booked is None or vehicle.booked.order.order_id != order_id:
                 return None  # it was over, and the master has ordered the next
         if outcome.phase is TaskPhase.WITHDRAWN:
             return None
@@ -360,6 +368,7 @@ class _Port:
     def __init__(self, gateway: MasterGateway, vehicle: FleetVehicle) -> None:
         self.vehicle, self.gateway = vehicle, gateway
         self.pausing = asyncio.Lock()
+        self.cancelling: asyncio.Task[str | None] | None = None  # the wait for its order's end
         self.index: int | None = None  # of its order at the desk
         booked = vehicle.booked
         if booked is not None and booked.number is not None:

@@ -27,7 +27,7 @@ from agent.runtime.vda5050.messages import (
 from crdt import Phase
 from protocol.authentication import Keys
 from protocol.frames.codec import encode
-from protocol.frames.delivery_frames import TASK_NUMBERS
+from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest
 from protocol.frames.fleet_frames import Member, Pose
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import Command
@@ -377,6 +377,32 @@ def test_a_cancellation_without_an_order_fails_with_the_error_of_the_standard(
             await asyncio.gather(*gateway.working)
         assert vehicle.instant["1"].action_status is ActionStatus.FAILED
         assert [error.error_type for error in vehicle.errors] == ["noOrderToCancel"]
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_master_that_cancels_again_and_again_is_waited_for_once(tmp_path: Path) -> None:
+    """While no robot answered, each cancelOrder was booked again, and looked for an answer by itself."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port = gateway.ports[0]
+        gateway.order(port, WHOLE)
+        (said,) = gateway.desk.due()
+        cancels = [instant("cancelOrder", f"{number}") for number in range(3)]
+        gateway.act(port, InstantActions(actions=cancels))
+        async with asyncio.timeout(WAIT_S):
+            await asyncio.wait(gateway.working, timeout=TICK_S)  # each has begun
+            assert (tmp_path / "book.jsonl").read_bytes().count(b"\n") == 2
+            (back,) = gateway.desk.due()
+            gateway.desk.hear(130, TaskBookDigest(said.task // BUCKET_TASKS, 0, 1, 0))
+            gateway.desk.hear(130, back)
+            gateway._observe(port)
+            await asyncio.gather(*gateway.working)
+        assert {each.action_status for each in port.vehicle.instant.values()} == {
+            ActionStatus.FINISHED
+        }
         await left(gateway)
 
     asyncio.run(story())
