@@ -227,7 +227,7 @@ def test_a_covered_place_that_is_not_in_degrees_is_told(
     (first, *ring), *holes = record.covered[0]
     part = (((lon, first[1]), *ring), *holes)
     write_geojson(record._replace(covered=(part,)), tmp_path / "work.geojson")
-    with pytest.raises(FieldFileError, match=r"not a work record: .* not in degrees"):
+    with pytest.raises(FieldFileError, match=r"not a work record: .* is no longitude and latitude"):
         read_work_geojson(tmp_path / "work.geojson")
 
 
