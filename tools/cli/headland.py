@@ -32,6 +32,7 @@ from tools.common.exit_codes import INTERRUPTED, WRONG, code_of, wrong
 from tools.common.gc_collector import GC_YOUNG
 from tools.common.kind_words import KIND_WORDS
 from tools.common.options import (
+    PAGE_PORT,
     PORT_MAX,
     Bitrate,
     Channel,
@@ -114,7 +115,7 @@ def run(
         typer.Option("--film", help="Also film.gif; of an exploration maps.gif, its map growing."),
     ] = False,
     show_map: Map = False,
-    page_port: PagePort = 8700,
+    page_port: PagePort = PAGE_PORT,
     json: Json = False,
 ) -> None:
     """Play a scenario in virtual time: a field, a building, a warehouse, an arena or a grid map.
@@ -141,6 +142,7 @@ def run(
         "--keys": keys is not None and not (worked or warehouse), "--film": film and kind is Kind.GRID,
     }  # fmt: skip
     _refuse(scenario, KIND_WORDS[kind.value], live, unfit)
+    _refuse_page_port(page_port, show_map)
     if warehouse:
         with told_loading():
             from tools.run.run_delivery import haul
@@ -176,6 +178,11 @@ def _refuse(scenario: str, kind: str, live: bool, unfit: Mapping[str, object]) -
             raise SystemExit(
                 wrong(f"{option}: does nothing here: {scenario} is {kind}{how}; leave it out")
             )
+
+
+def _refuse_page_port(page_port: int, show_map: bool) -> None:
+    if page_port != PAGE_PORT and not show_map:
+        raise SystemExit(wrong(f"--page-port {page_port}: does nothing without --map; add --map"))
 
 
 @app.command(hidden=True)
@@ -227,7 +234,7 @@ def launch(
         typer.Option("--no-keys", help="No keys: any device on the bus may release this fleet."),
     ] = False,
     show_map: Map = False,
-    page_port: PagePort = 8700,
+    page_port: PagePort = PAGE_PORT,
     operator_key: MapOperatorKey = None,
     segment: Annotated[
         int, typer.Option(min=0, max=0x7FFF, help="Of a fleet of several, for headland bridge.")
@@ -245,6 +252,7 @@ def launch(
     It has keys of its own, in its folder. Your tools on its bus take them by themselves.
     Example: headland launch --robots 6, then in another terminal: headland stop
     """
+    _refuse_page_port(page_port, show_map)
     with told_loading():
         from tools.run.launch_command import launch as command
 
@@ -279,7 +287,7 @@ def replay(
         str, typer.Option("-i", "--interface", help="Also send the frames to this interface.")
     ] = "",
     channel: Channel = "can0", bitrate: Bitrate = 250_000,
-    host: Host = "127.0.0.1", port: Port = 0, show_map: Map = False, page_port: PagePort = 8700,
+    host: Host = "127.0.0.1", port: Port = 0, show_map: Map = False, page_port: PagePort = PAGE_PORT,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Feed a log to the inspector, at the speed it was recorded or as fast as it goes.

@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 import typer
 
 PORT_MAX = 65535
+PAGE_PORT = 8700  # of the map's page
 Drive = Literal["mecanum", "differential", "ackermann"]
 Silence = Literal["stop", "slow", "continue"]
 Robots = Annotated[int | None, typer.Option(help="Instead of the scenario's number.")]

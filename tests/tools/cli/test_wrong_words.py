@@ -112,6 +112,8 @@ SAID = [
     ("mapf small.map --robots 4 --crash 9", "--crash 9: 0 to 3 of 4 robots can crash"),
     ("run small --limit -5", "-5 is too short; it needs more than 0"),
     ("run warehouse --limit 0", "0 is too short; it needs more than 0"),
+    ("run small --page-port 9000", "--page-port 9000: does nothing without --map"),
+    ("launch small --page-port 0", "--page-port 0: does nothing without --map"),
     ("tc nowhere --hitch 120", "--hitch 120: it is -100 to 100 metres"),
     ("tc nowhere --hitch -1e9", "--hitch -1e+09: it is -100 to 100 metres"),
     ("tc nowhere --accuracy -0.05", "--accuracy -0.05: it is 0 to 100 metres"),
