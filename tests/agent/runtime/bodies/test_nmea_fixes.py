@@ -87,7 +87,7 @@ def test_velocity_is_of_the_course_over_ground() -> None:
 
 
 def test_a_receiver_that_tells_no_velocity_does_not_make_a_robot_drive_that_stands() -> None:
-    """Its noise was a speed of 0.4 m/s, and no farewell of the robot was believed."""
+    """Its noise was a speed, and the farewell of the robot was perhaps not believed."""
     taken, rng, stands = fixes(), Random(1), 0
     for tick in range(200):
         east, north = (rng.gauss(0.0, 0.01) for _ in range(2))
