@@ -2,7 +2,7 @@
 
 import asyncio
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -50,7 +50,7 @@ def test_a_robot_that_has_told_no_place_has_no_marker() -> None:
         async def never() -> None:
             raise AssertionError("nobody asks")
 
-        feed = Ros2Feed(graph, None, never, never)
+        feed = Ros2Feed(cast(Any, graph), None, never, never)
         for slot in (0, 1):
             feed.hear(1.0, encode(Member(slot, 1, 0), 0x80 + slot))
         feed.hear(1.0, encode(Pose(3.0, 4.0, 0.0, 0.0, 1, False, 255), 0x81))
