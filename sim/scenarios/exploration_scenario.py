@@ -1,6 +1,6 @@
 """Indoor places to explore: scenario files with walls, and the cells that can truly be seen."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from math import dist, hypot
 from typing import Literal
@@ -87,6 +87,7 @@ class ExplorationSetup(FleetSetup):
                     f"{scenario.name}: order.{number}.points: outside of the arena, which reaches "
                     f"{table.width_m / 2:g} m east and west, {table.height_m / 2:g} m north and south"
                 )
+            _check_order(scenario, number, order.points)
         self.starts = list(table.starts)
         self.order, self.geometry = table.merge_order, table.geometry
 
@@ -196,6 +197,19 @@ def _check_starts(scenario: ExplorationScenario) -> None:
                 raise ScenarioError(
                     f"{where}: it touches robot {other}; both have a radius of {radius_m:g} m"
                 )
+
+
+def _check_order(scenario: ExplorationScenario, number: int, points: Sequence[XY]) -> None:
+    """Raises ScenarioError for a point so near to the outer wall that no robot can stand there.
+
+    Robots find out by themselves which points are in solid rectangles."""
+    table, radius_m = scenario.arena, scenario.fleet.radius_m
+    for x, y in points:
+        if abs(x) > table.width_m / 2 - radius_m or abs(y) > table.height_m / 2 - radius_m:
+            raise ScenarioError(
+                f"{scenario.name}: order.{number}.points: no robot can stand at {x:g}, {y:g}, "
+                f"nearer to the wall than its radius of {radius_m:g} m"
+            )
 
 
 def _ring(box: Box) -> list[XY]:

@@ -184,6 +184,15 @@ def test_orders_out_of_the_arena_are_refused() -> None:
         ExplorationRun(scenario.model_copy(update={"order": [away]}))
 
 
+def test_an_order_where_no_body_has_room_beside_the_wall_is_refused() -> None:
+    """The run lasted until its limit: a robot cannot come to such a point."""
+    scenario = load_arena("split")
+    east_m = scenario.arena.width_m / 2 - scenario.fleet.radius_m + 0.01
+    near = scenario.order[0].model_copy(update={"points": [(east_m, 0.0)]})
+    with pytest.raises(ScenarioError, match=r"order\.0\.points: no robot can stand at"):
+        ExplorationRun(scenario.model_copy(update={"order": [near]}))
+
+
 def test_an_arena_of_more_cells_than_a_map_has_is_refused() -> None:
     scenario = load_arena("arena")
     fine = scenario.arena.model_copy(update={"width_m": 96.0, "cell_m": 0.05})
