@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sim.files.palette import colour_of, rgb_of
 from sim.files.whole_file import whole_file
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
+from tools.common.counted import counted
 from tools.run.plain_text import plain_text
 
 GREYS = np.array([0.75, 1.0, 0.1])  # unknown, free, obstacle
@@ -67,7 +68,8 @@ def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) ->
     for axes in places[2 + len(slots) :]:
         axes.set_axis_off()
     figure.suptitle(
-        f"{outcome.scenario}: {outcome.robots} robots, seed {outcome.seed}", fontsize=11
+        f"{outcome.scenario}: {counted(outcome.robots, '{} robot{s}')}, seed {outcome.seed}",
+        fontsize=11,
     )
     figure.tight_layout()
     with whole_file(out) as part:

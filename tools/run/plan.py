@@ -21,6 +21,7 @@ from sim.runs.work_record import WorkRecord
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Scenario, ScenarioError, load
 from sim.scenarios.scenario_kind import Kind, named
+from tools.common.counted import counted
 from tools.common.exit_codes import WRONG, code_of, wrong
 
 SOME_FAILED = 1
@@ -153,7 +154,7 @@ def _print(plans: list[WorkPlan], files: list[str]) -> None:
         open_sections = planned.sections - planned.done
         table = Table(
             title=f"{escape(printable(planned.name))}: {planned.hectares:.2f} ha, {open_sections} of "
-            f"{planned.sections} sections, {planned.ends_at_s:.0f} s"
+            f"{counted(planned.sections, '{} section{s}')}, {planned.ends_at_s:.0f} s"
         )
         table.add_column("robot", justify="right")
         table.add_column("sections in order")

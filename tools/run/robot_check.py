@@ -24,6 +24,7 @@ from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, AttendedBody, keys_of, opened_body, opened_bus
 from agent.runtime.robot_work import work_of
 from tools.build.kernel_cache import WAIT
+from tools.common.counted import counted
 from tools.common.exit_codes import wrong
 from tools.common.findings import Finding, print_findings
 from tools.run.robot_command import (
@@ -133,7 +134,9 @@ def _work(declared: RobotFile) -> Finding:
     except RobotError as problem:
         return Finding("work", False, str(problem))
     if declared.field is not None:
-        return Finding("work", True, f"{declared.field.file}: {work.sections} sections")
+        return Finding(
+            "work", True, f"{declared.field.file}: {counted(work.sections, '{} section{s}')}"
+        )
     if declared.mission is not None:
         return Finding("work", True, declared.mission.factory)
     kind = next((name for name in WORKS if getattr(declared, name) is not None), None)

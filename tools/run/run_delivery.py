@@ -16,6 +16,7 @@ from sim.runs.delivery_run import DeliveryOutcome, DeliveryRun
 from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
 from tools.common.bus_address import CHANNEL, absolute
+from tools.common.counted import counted
 from tools.common.exit_codes import INTERRUPTED
 from tools.common.process_identity import identity
 from tools.common.result_table import Fact
@@ -179,7 +180,9 @@ def draw_warehouse(
                   linewidth=0.7, alpha=0.7, label=f"robot {slot}")  # fmt: skip
     for number, (x_m, y_m) in enumerate(setting.house.bays):
         axes.annotate(f"C{number}", (x_m, y_m), ha="center", va="center", fontsize=7)
-    axes.set_title(f"{outcome.scenario}: {outcome.delivered} parcels, {outcome.makespan_s:.0f} s")
+    axes.set_title(
+        f"{outcome.scenario}: {counted(outcome.delivered, '{} parcel{s}')}, {outcome.makespan_s:.0f} s"
+    )
     axes.set_xlabel("east, m")
     axes.set_ylabel("north, m")
     axes.set_aspect("equal")

@@ -96,7 +96,8 @@ class FieldCommand(MissionCommand[FieldRun]):
 
     def draw(self, outcome: FieldOutcome, folder: Path, log_hash: str) -> list[str]:
         field, tracks = self.run.setting.field, self.run.tracks
-        title = f"{outcome.scenario}: {outcome.robots} robots, {outcome.makespan_s:.0f} s"
+        robots = counted(outcome.robots, "{} robot{s}")
+        title = f"{outcome.scenario}: {robots}, {outcome.makespan_s:.0f} s"
         rows = {s: [(x, y, tool) for _, x, y, tool in t] for s, t in tracks.items()}
         missed = None if self.run.truth is None else self.run.truth.missed
         marks = marks_of(self.run.told_faults, tracks)
@@ -107,14 +108,17 @@ class FieldCommand(MissionCommand[FieldRun]):
         return ["field.png", "work.geojson"]
 
     def facts(self, outcome: FieldOutcome) -> list[Fact]:
-        sections = f"{outcome.sections} sections" + ("" if outcome.finished else ", not all done")
+        sections = counted(outcome.sections, "{} section{s}") + (
+            "" if outcome.finished else ", not all done"
+        )
         overlap = f"{outcome.worked_twice:.1%} of the area overlaps"
+        twice = counted(outcome.units_twice, "{} unit{s}")
         worst = f"{outcome.bus_load_worst_case:.1%}"
         return [
             ("coverage", f"{outcome.coverage:.2%} of the area that can be worked ({sections})"),
             ("reachable", told_reach(outcome)),
             ("makespan", f"{outcome.makespan_s:.1f} s of {outcome.simulated_s:.0f} s simulated"),
-            ("duplicate work", f"{outcome.units_twice} units announced twice; {overlap}"),
+            ("duplicate work", f"{twice} announced twice; {overlap}"),
             ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
             ("implements met", counted(outcome.implement_contacts, "{} time{s}, while they were down")),
             ("moved after a stop", str(outcome.moved_after_stop)),

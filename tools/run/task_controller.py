@@ -35,6 +35,7 @@ from protocol.frames.frame import Frame
 from protocol.name import fleet_name
 from tools.common.bus_address import CHANNEL, AttachError
 from tools.common.bus_attach import LOST_LOOK_S, lost_of, stay_attached
+from tools.common.counted import counted
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
 
@@ -114,10 +115,12 @@ class Service:
             implement = implements[source]
             name, sections = implement.pool.designator, len(implement.sections)
             self._known[source] = name
-            said = f"{name!r} at address {source} has logged in: {sections} sections"
+            said = (
+                f"{name!r} at address {source} has logged in: {counted(sections, '{} section{s}')}"
+            )
             self.sayer.say("log-in", said, address=source, name=name, sections=sections)
             if implement.refused:
-                said = f"{name!r} is not switched: {implement.refused} sections are too wide"
+                said = f"{name!r} is not switched: sections that are too wide: {implement.refused}"
                 self.sayer.say("refused", said, address=source, refused=implement.refused)
         for source in self._known.keys() - implements.keys():
             name = self._known.pop(source)
