@@ -54,6 +54,7 @@ class ControlCycle(Part):
         self._drove_at_us = 0  # time of the newest command to the actuator
         self._raised = False  # a command since the last control period raised the implement
         self._lowered_at_us = 0  # when the body was told to lower it
+        self._followed = False  # it was sensed down since then
 
     @property
     def listens_direct(self) -> Mapping[type[Any], DirectListener]:
@@ -77,7 +78,8 @@ class ControlCycle(Part):
             return NOTHING
         # If we were late, the command has expired and the implement is raised. One may also arrive late.
         late = now_us > self._drove_at_us + ACTUATOR_TTL_US
-        if self._raised or late or self._sensed_up(here, now_us):
+        up = self._sensed_up(here, now_us)
+        if self._raised or late or up:
             mission.on_implement_raised()
         self._raised, self._drove_at_us = False, now_us
         outputs: list[Any] = []
@@ -105,14 +107,22 @@ class ControlCycle(Part):
             wanted = wanted._replace(tool_on=False)
         drive = self.safety.gate(wanted, now_us)
         if drive.tool_on is not self._down:
-            self._down, self._lowered_at_us = drive.tool_on, now_us
+            self._down, self._lowered_at_us, self._followed = drive.tool_on, now_us, False
             outputs.append(notices.ImplementLowered(drive.tool_on))
         return [drive, *outputs, *self._watch(mission, view)]
 
     def _sensed_up(self, here: Observation, now_us: int) -> bool:
-        """Whether the implement is up, or was for a moment, long after it was told to be down."""
-        told_down = self._down and now_us > self._lowered_at_us + IMPLEMENT_FOLLOWS_US
-        return told_down and here.implement_down is False
+        """Whether the implement is up, or was for a moment, although it was told to be down.
+
+        The command may be on its way for as long as it lives. Then a slow implement has some time to go
+        down. A command that came late raises it again, also within that time, so the time ends when it is
+        down."""
+        if not self._down or here.implement_down is None:
+            return False
+        self._followed = self._followed or here.implement_down
+        told_for_us = now_us - self._lowered_at_us
+        goes_down = ACTUATOR_TTL_US < told_for_us <= IMPLEMENT_FOLLOWS_US and not self._followed
+        return not here.implement_down and not goes_down
 
     def commanded(self, drive: Drive) -> None:
         """A command to the body: ours, or of a part that brakes between two control periods.

@@ -27,9 +27,10 @@ if TYPE_CHECKING:
 TELL_US = 20_000  # one world step
 HELLO_S = 0.2  # a robot that has received nothing yet repeats its hello
 DRIVE = struct.Struct("<4sBdddBi")  # magic, slot, vx, vy, turn, implement, parcel to handle
-# magic, slot, sensed at (us of the world), x, y, heading, vx, vy, battery, load, number of parcels
-# in reach; the parcels and the rays follow
-SENSE = struct.Struct("<4sBqddddddiB")
+# magic, slot, sensed at (us of the world), x, y, heading, vx, vy, battery, load, implement, number of
+# parcels in reach; the parcels and the rays follow
+SENSE = struct.Struct("<4sBqddddddibB")
+NOT_SENSED = -1  # of an implement: up is 0, down is 1
 LYING = struct.Struct("<idd?")  # task, x, y, on a robot
 PARCELS_MAX = 32  # sent together; within an arm's reach
 RAY = struct.Struct("<f")
@@ -40,9 +41,11 @@ DRIFT_SHARE = 1e-4  # limit for how much faster than ours the world's clock may 
 def sense_bytes(slot: int, seen: Observation) -> bytes:
     """An observation as one message: a fixed head, up to `PARCELS_MAX` parcels, then the ranges."""
     parcels = sorted(seen.parcels.items())[:PARCELS_MAX]
+    implement = NOT_SENSED if seen.implement_down is None else int(seen.implement_down)
     head = SENSE.pack(
-        MAGIC_SENSE, slot, seen.sensed_at_us, *seen[:5], seen.battery, seen.load, len(parcels)
-    )
+        MAGIC_SENSE, slot, seen.sensed_at_us, *seen[:5], seen.battery, seen.load, implement,
+        len(parcels),
+    )  # fmt: skip
     lying = b"".join(LYING.pack(task, *where) for task, where in parcels)
     return head + lying + struct.pack(f"<{len(seen.ranges_m)}f", *seen.ranges_m)
 
@@ -51,7 +54,7 @@ def observation_of(data: bytes) -> Observation | None:
     """Parse an observation; None if `sense_bytes` did not make it. Its time is the world's."""
     if len(data) < SENSE.size:
         return None
-    _, _, sensed_at_us, *pose, battery, load, count = SENSE.unpack_from(data)
+    _, _, sensed_at_us, *pose, battery, load, implement, count = SENSE.unpack_from(data)
     begin = SENSE.size + count * LYING.size
     rays = (len(data) - begin) // RAY.size
     if rays < 0 or len(data) != begin + rays * RAY.size:
@@ -60,8 +63,9 @@ def observation_of(data: bytes) -> Observation | None:
     parcels = {task: VisibleParcel(x_m, y_m, on_robot) for task, x_m, y_m, on_robot in lying}
     ranges_m = struct.unpack_from(f"<{rays}f", data, begin)
     return Observation(*pose)._replace(
-        ranges_m=ranges_m, battery=battery, load=load, parcels=parcels, sensed_at_us=sensed_at_us
-    )
+        ranges_m=ranges_m, battery=battery, load=load, parcels=parcels, sensed_at_us=sensed_at_us,
+        implement_down=None if implement == NOT_SENSED else implement == 1,
+    )  # fmt: skip
 
 
 class BodyServer:
@@ -141,6 +145,9 @@ class RemoteBody(Link):
 
     The world uses another clock. The fastest message so far gives its offset from ours; a message
     that took longer is older by the difference.
+
+    The world raises the implement where a command comes too late, and several of its messages may come
+    between two control periods. So an implement that was up in any of them is said to be up.
     """
 
     def __init__(self, slot: int) -> None:
@@ -150,6 +157,7 @@ class RemoteBody(Link):
         self.first = asyncio.Event()
         self._behind_for_us: float | None = None  # how far the world's clock is behind ours
         self._heard_at_us = 0
+        self._lifted = False  # the implement was up in a message since the last look
 
     def take(self, message: bytes) -> None:
         seen = None
@@ -165,6 +173,7 @@ class RemoteBody(Link):
             behind_for_us = min(behind_for_us, drifted_for_us)
         self._behind_for_us, self._heard_at_us = behind_for_us, now_us
         self.seen = seen._replace(sensed_at_us=round(seen.sensed_at_us + behind_for_us))
+        self._lifted = self._lifted or seen.implement_down is False
         self.first.set()
 
     async def ready(self) -> None:
@@ -179,6 +188,9 @@ class RemoteBody(Link):
 
     def sense(self, now_us: int) -> Observation | None:
         """The newest observation, without time limit; its age shows how useful it is."""
+        lifted, self._lifted = self._lifted, False
+        if lifted and self.seen is not None:
+            return self.seen._replace(implement_down=False)
         return self.seen
 
     def drive(self, command: Drive, now_us: int) -> None:

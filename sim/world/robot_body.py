@@ -64,6 +64,9 @@ class SimulatedBody:
         self.radius_m, self.chassis = radius_m, chassis
         self.track = Track()
         self.frozen = False  # fault: the actuator gets no new commands
+        self.was_down = False  # the implement, when its track was last recorded
+        self.lifts = 0  # how often the implement has gone up
+        self._lifts_told = 0  # how often when it was last sensed
 
     @property
     def position(self) -> XY:
@@ -100,15 +103,19 @@ class SimulatedBody:
         return int(self.world.moved_at_us[self.index])
 
     def sense(self, now_us: int) -> Observation:
-        """Advance the world to `now_us`, and return what the sensors of this body see there."""
+        """Advance the world to `now_us`, and return what the sensors of this body see there.
+
+        An implement that was up for a moment since the last call is said to be up."""
         world = self.world
         world.advance(now_us)
         moved = MOTION.unpack_from(world.places, self.index * MOTION.size)
         x_m, y_m, heading, vx_m_s, vy_m_s, _, _ = moved
         ranges_m = world.ranges(self.index)
+        down = self.tool_on and self.lifts == self._lifts_told
+        self._lifts_told = self.lifts
         return OBSERVATION(Observation, (
             x_m, y_m, remainder(heading, 2 * pi), vx_m_s, vy_m_s, ranges_m, 1.0, (), -1,
-            NOTHING_SEEN, now_us, 1.0, 0.0, 0.0, self.tool_on, True,
+            NOTHING_SEEN, now_us, 1.0, 0.0, 0.0, down, True,
         ))  # fmt: skip
 
     def drive(self, command: Drive, now_us: int) -> None:

@@ -307,7 +307,10 @@ class World:
         for robot, place, tool in zip(
             self.robots.values(), self.motion.tolist(), tools, strict=True
         ):
-            robot.track.add(self.now_us, place[0], place[1], tool != 0.0)
+            down = tool != 0.0
+            robot.lifts += robot.was_down and not down
+            robot.was_down = down
+            robot.track.add(self.now_us, place[0], place[1], down)
 
     def _judge(self, touches: list[list[float]]) -> None:
         """Begin, deepen and end contacts; bodies that rest on each other stay one contact."""

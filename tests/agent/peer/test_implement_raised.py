@@ -1,8 +1,12 @@
 """The mission learns of every command that raises the implement, so no ground counts that is left."""
 
-from agent.interface.config import CONTROL_PERIOD_US, MS, S
+from collections.abc import Callable
+from functools import partial
+
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import HALT, Drive, Effect
 from agent.interface.lifecycle import State
+from agent.interface.observation import Observation
 from agent.peer.inputs import Heard
 from agent.peer.peer import Peer
 from protocol.frames.network_frames import AddressClaimed
@@ -79,3 +83,34 @@ def test_an_implement_that_was_up_against_the_command_is_said_to_be_up() -> None
     before = mission.raised
     robot.periods(5)
     assert mission.raised == before
+
+
+def lowered(down: Callable[[int], bool]) -> int:
+    """How often the mission is told that the implement is up, in 300 ms after the command to lower it.
+
+    `down`: whether it is sensed down, by the number of the control period after the command."""
+    mission, robot = Attentive(), Robot()
+    robot.peer = peer_in(State.WORKING, None, mission=mission)
+    robot.spoilt = lambda seen: seen._replace(implement_down=False)
+    while not robot.told.tool_on:
+        robot.period()
+    mission.raised = 0
+    for period in range(1, 7):
+        robot.spoilt = partial(Observation._replace, implement_down=down(period))
+        robot.period()
+        assert robot.told.tool_on
+    return mission.raised
+
+
+def test_an_implement_that_rises_again_soon_after_it_was_down_is_said_to_be_up() -> None:
+    """A robot goes on after a stop, and a command comes late within 300 ms: that time is for an implement
+    that goes down."""
+    assert lowered(lambda period: True) == 0
+    assert lowered(lambda period: period != 4) == 1
+
+
+def test_the_command_to_lower_an_implement_may_be_on_its_way_for_as_long_as_it_lives() -> None:
+    """A body that moves is past the place at which the command was sent. For a slow implement there is
+    more time."""
+    assert lowered(lambda period: period > 1) == 1
+    assert lowered(lambda period: False) == ACTUATOR_TTL_US // CONTROL_PERIOD_US

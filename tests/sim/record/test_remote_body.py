@@ -113,6 +113,38 @@ def test_item_3_what_was_long_on_its_way_is_old_when_it_comes() -> None:
     asyncio.run(story())
 
 
+def test_what_the_world_tells_of_the_implement_arrives() -> None:
+    """A launch of `small` on a loaded machine ended with "robots say 100 %, the ground says 99.99 %".
+    A command came late, the world raised the implement, and no robot of a launch knew of it."""
+
+    async def story() -> None:
+        world = World([], 1)
+        seen = world.add_robot(0, (0.0, 0.0), 0.5, Chassis()).sense(0)
+        for down in (True, False, None):
+            body = RemoteBody(0)
+            body.take(sense_bytes(0, seen._replace(implement_down=down)))
+            told = body.sense(0)
+            assert told is not None and told.implement_down is down
+
+    asyncio.run(story())
+
+
+def test_an_implement_that_was_up_in_one_of_several_messages_is_said_to_be_up_once() -> None:
+    """The world tells what is sensed every 20 ms, and a robot looks every 50 ms."""
+
+    async def story() -> None:
+        world = World([], 1)
+        seen = world.add_robot(0, (0.0, 0.0), 0.5, Chassis()).sense(0)
+        body = RemoteBody(0)
+        for down in (True, False, True):
+            body.take(sense_bytes(0, seen._replace(implement_down=down)))
+        first, second = body.sense(0), body.sense(0)
+        assert first is not None and first.implement_down is False
+        assert second is not None and second.implement_down is True
+
+    asyncio.run(story())
+
+
 def test_item_16_a_second_process_for_a_slot_moves_nothing_and_is_told_nothing() -> None:
     async def story() -> None:
         async with bodies() as (server, path):

@@ -301,3 +301,19 @@ def test_gliding_bodies_move_as_the_engine_moves_them(seed: int) -> None:
         np.testing.assert_array_equal(a[before], b[before])
         np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-6)
     np.testing.assert_allclose(glided.motion, engine.motion, rtol=0.0, atol=1e-6)
+
+
+def test_an_implement_that_a_late_command_raised_between_two_looks_is_sensed_up() -> None:
+    """The strip that a body rolls over meanwhile is not worked, and it is down again when it is looked
+    at."""
+    world = World([], 1)
+    body = world.add_robot(0, (0.0, 0.0), 0.5, Chassis())
+    for t_us in range(0, 1_000_000, 50_000):
+        assert body.sense(t_us).implement_down is (t_us > 0)
+        body.drive(Drive(2.0, 0.0, 0.0, True), t_us)
+    late_at_us = t_us + ACTUATOR_TTL_US + 20_000
+    body.drive(Drive(2.0, 0.0, 0.0, True), late_at_us)
+    world.advance(late_at_us + 20_000)
+    assert body.tool_on
+    assert body.sense(late_at_us + 20_000).implement_down is False
+    assert body.sense(late_at_us + 40_000).implement_down is True
