@@ -20,7 +20,15 @@ from numpy.typing import NDArray
 from shapely.geometry import LineString, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from agent.field.corner_cuts import AS_GOOD_M2, BESIDE_M, PAST_END_M, SHARP_RAD, SPARE
+from agent.field.corner_cuts import (
+    AS_GOOD_M2,
+    BESIDE_M,
+    OVER_M,
+    PAST_END_M,
+    SHARP_RAD,
+    SPARE,
+    bar_stays,
+)
 from agent.field.field_map import XY, Polyline
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.path_tracker import turn_at
@@ -49,6 +57,8 @@ POINTS_MAX: Final = 500  # about so many; thousands of ways are computed for eac
 PLACES: Final = 12  # of these points, far from each other: ways are tried to them
 TOUCHES_M: Final = 0.01  # a bar that is this much too wide touches the fence; it does not cross it
 TRIED: Final = 12  # of the ways that seem best: these are computed as they are driven
+# Of the ways that seem best, so many are looked at: on some the bar leaves the field as they are driven.
+LOOKED_AT: Final = 60
 
 
 class _Ways(NamedTuple):
@@ -98,7 +108,8 @@ class CornerStrokes:
         self._room = outline.buffer(-(keep_m + SPARE_M))
         self._last = outline.buffer(-(keep_m - NEARER_M))
         self._inside = outline.buffer(TOUCHES_M)
-        for ground in (self._room, self._last, self._inside):
+        self._within = outline.buffer(OVER_M)
+        for ground in (self._room, self._last, self._inside, self._within):
             shapely.prepare(ground)
         self._swaths, self._strokes = list(swaths), list[Polyline]()
         self._tree = shapely.STRtree([LineString(swath) for swath in swaths])
@@ -135,8 +146,15 @@ class CornerStrokes:
         ways = self._drivable(self._to(_apart(points, PLACES)))
         gains = np.count_nonzero(self._works(ways, points), axis=1)
         best, most_m2 = None, LEAST_M2 - AS_GOOD_M2
-        for k in np.argsort(-gains, kind="stable")[:TRIED]:
+        tried = 0
+        for k in np.argsort(-gains, kind="stable")[:LOOKED_AT]:
             stroke = _polyline(ways.where(np.array([k])))
+            led = smooth_way(_longer(stroke, LEAD_M), BEND_HALF_M)
+            if not bar_stays(led, self._reach_m, self._within):
+                continue
+            tried += 1
+            if tried > TRIED:
+                break
             worked = _swept(stroke, near, self._reach_m).intersection(left)
             # On another machine the last digits of an area may differ.
             if worked.area > most_m2 + AS_GOOD_M2:
@@ -165,7 +183,7 @@ class CornerStrokes:
         for along_m in np.arange(0.0, -STROKE_M - RUN_UP_M, -CHECK_M):
             x_m, y_m, _ = ways.at(along_m)
             ways = ways.where(shapely.contains_xy(self._room, x_m, y_m))
-        for along_m in (PAST_END_M, *np.arange(0.0, -STROKE_M - 1e-9, -CHECK_M)):
+        for along_m in (LEAD_M, *np.arange(0.0, -STROKE_M - 1e-9, -CHECK_M), -STROKE_M - LEAD_M):
             for share in BAR_SAMPLES:
                 x_m, y_m, heading = ways.at(along_m)
                 aside_m = share * self._reach_m
@@ -227,8 +245,7 @@ def _apart(points: Reals, most: int) -> Reals:
 
 def _swept(swath: Polyline, near: BaseGeometry, reach_m: float) -> BaseGeometry:
     """What the bar passes over on a swath and past its ends, at least near a place."""
-    longer = [_past(swath[1], swath[0]), *swath, _past(swath[-2], swath[-1])]
-    way = smooth_way(longer, BEND_HALF_M)
+    way = smooth_way(_longer(swath, PAST_END_M), BEND_HALF_M)
     close = shapely.dwithin(shapely.points(way[:, :2]), near, 2 * reach_m)
     bars = np.column_stack((-np.sin(way[:, 2]), np.cos(way[:, 2]))) * (reach_m - BESIDE_M)
     left, right = way[:, :2] + bars, way[:, :2] - bars
@@ -238,6 +255,11 @@ def _swept(swath: Polyline, near: BaseGeometry, reach_m: float) -> BaseGeometry:
     return shapely.union_all(shapely.convex_hull(shapely.multipoints(corners)))
 
 
-def _past(a: XY, b: XY) -> XY:
-    share = PAST_END_M / hypot(b[0] - a[0], b[1] - a[1])
+def _longer(swath: Polyline, past_m: float) -> list[XY]:
+    """A swath that goes on at both ends."""
+    return [_past(swath[1], swath[0], past_m), *swath, _past(swath[-2], swath[-1], past_m)]
+
+
+def _past(a: XY, b: XY, past_m: float) -> XY:
+    share = past_m / hypot(b[0] - a[0], b[1] - a[1])
     return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share

@@ -18,7 +18,7 @@ from shapely import affinity
 from shapely.geometry import LineString, MultiLineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from agent.field.corner_cuts import cut_at_corners
+from agent.field.corner_cuts import OVER_M, cut_at_corners
 from agent.field.corner_strokes import CornerStrokes, sharp_corners
 from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
 from agent.field.headland_rings import pieces, rings, swinging
@@ -32,6 +32,9 @@ UNITS_LEAST = 8  # of a whole field, so that in a tiny one, work beside a standi
 UNIT_LEAST_M = 1.0  # shortest unit: three times the lead of a stretch
 # The lead-out of a stretch goes 5 cm beyond this, and the body keeps 15 cm from the fence there.
 KEEP_MORE_M = 0.25
+# So much more than half of the overlap the bar of a row reaches over a fence that is nearly along it:
+# the lead-out goes on towards the fence. In a corner that is driven in one go it may do as much.
+LEANS_M = 0.02
 ASTRAY_M = 0.1  # how far off its way a body may drive a corner; 0.087 measured
 PIECE_MIN_M = 0.05  # strips that touch the deep part by less are served by the ring
 
@@ -55,7 +58,8 @@ def divide(
     `gate`: (x, y) metres. `section_length_m`, `unit_m`: wanted lengths of swath in a section and in
     a unit. For a body that steers (`turn_radius_m` > 0) the rings are cut at the corners that it
     cannot follow; every piece goes on straight while the middle of the body keeps `keep_m` from
-    fences. `pivots`: the body can turn on the spot, and drives corners in one go.
+    fences. `pivots`: the body can turn on the spot, and drives corners in one go. Its lowered bar reaches
+    over a fence by no more than half of the overlap and `LEANS_M`.
     """
     width_m, strip_m = implement_width_m, implement_width_m - overlap_m
     assert 0.0 < overlap_m < implement_width_m / 2
@@ -73,8 +77,12 @@ def divide(
         in_one_go = pivots and overlap_m / 2 >= ASTRAY_M
         room = polygon.buffer(-(keep_m + ASTRAY_M)) if in_one_go else None
         asked = polygon.buffer(-width_m / 2).buffer((width_m - overlap_m) / 2)
+        inside = polygon.buffer(OVER_M)
+        beside = polygon.buffer(overlap_m / 2 + LEANS_M)
+        shapely.prepare(inside)
+        shapely.prepare(beside)
         bundles = [
-            cut_at_corners(ring, turn_radius_m, width_m / 2, free, room, asked)
+            cut_at_corners(ring, turn_radius_m, width_m / 2, free, room, asked, inside, beside)
             for (ring,) in bundles
         ]
     if not deep.is_empty:

@@ -2,15 +2,18 @@
 
 from math import dist, radians, sin
 
+import numpy as np
 import pytest
+import shapely
 from shapely.geometry import LineString, MultiLineString, Point, Polygon, box
 from shapely.ops import unary_union
 
 from agent.field.corner_cuts import PAST_END_M, cut_at_corners
-from agent.field.field_division import divide
+from agent.field.field_division import LEANS_M, divide
 from agent.field.field_map import XY, Field, Polyline
 from agent.field.field_plan import FieldValues, divided, planned_radius_m
 from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.motion.implement_clearance import LEAD_M
 from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
@@ -113,6 +116,55 @@ def swept(field: Field, past_m: float = 0.0, turn_radius_m: float = 0.0) -> Cove
 def _beyond(a: XY, b: XY, past_m: float) -> XY:
     share = past_m / dist(a, b)
     return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share
+
+
+SHARP = (
+    Polygon([(-28, -31), (28, -27), (2, 0), (21, 31), (-28, 31), (-2, 2)]),
+    Polygon([(0, 0), (70, 5), (25, 45)]),
+    Polygon([(0, 0), (80, 0), (20, 22)]),
+)
+
+
+@pytest.mark.parametrize("outline", SHARP)
+@pytest.mark.parametrize("drive", (DriveTrain.DIFFERENTIAL, DriveTrain.ACKERMANN))
+@pytest.mark.parametrize("width_m", (2.5, 4.0, 6.0))
+def test_i26_the_bar_stays_within_the_fences(
+    outline: Polygon, drive: DriveTrain, width_m: float
+) -> None:
+    """Pieces of a ring went past sharp corners as far as the body had room. The bar crossed the fence
+    ahead by 0.8 m with an implement of 4 m, and by 1.4 m with one of 6 m."""
+    values = FieldValues(width_m)
+    field = divided("sharp", outline, (0.0, 0.0), values, Vehicle(radius_m=0.6, drive=drive))
+    swaths = [swath for section in field.sections for swath in section.swaths]
+    over_m = [bar_over_m(outline, swath, width_m / 2) for swath in swaths]
+    assert max(over_m) <= values.overlap_m / 2 + LEANS_M, sorted(over_m)[-8:]
+
+
+@pytest.mark.parametrize("width_m", (3.0, 4.0, 6.0, 12.0))
+def test_i26_the_bar_stays_within_the_fences_in_a_corner_that_is_driven_in_one_go(
+    width_m: float,
+) -> None:
+    """It crossed them by 0.17 m with an implement of 6 m, although half of the overlap was 0.1 m."""
+    values, outline = FieldValues(width_m), box(0, 0, 100, 80)
+    vehicle = Vehicle(radius_m=0.6, drive=DriveTrain.DIFFERENTIAL)
+    (ring, *others) = divided("box", outline, (0.0, 0.0), values, vehicle).sections[0].swaths
+    assert not others, "no corner is cut"
+    assert bar_over_m(outline, ring, width_m / 2) <= values.overlap_m / 2 + LEANS_M
+
+
+def bar_over_m(outline: Polygon, swath: Polyline, reach_m: float) -> float:
+    """How far the lowered bar reaches out of the outline on a swath and on the leads to it."""
+    line = [
+        _beyond(swath[1], swath[0], LEAD_M),
+        *swath[1:-1],
+        _beyond(swath[-2], swath[-1], LEAD_M),
+    ]
+    way = smooth_way(line, BEND_HALF_M)
+    bars = np.stack((-np.sin(way[:, 2]), np.cos(way[:, 2])), axis=1) * reach_m
+    lines = shapely.linestrings(np.stack((way[:, :2] + bars, way[:, :2] - bars), axis=1))
+    outside = shapely.segmentize(shapely.difference(lines, outline), 0.1)
+    places = shapely.points(shapely.get_coordinates(outside))
+    return float(shapely.distance(outline, places).max(initial=0.0))
 
 
 @pytest.mark.parametrize("lean_deg", (0, 15, -15))

