@@ -10,6 +10,9 @@ from functools import partial
 from math import copysign, dist, hypot, inf, sqrt
 from typing import Final
 
+from shapely.geometry import LineString
+from shapely.geometry import Point as Spot
+
 from agent.claims.claim_headway import NO_HEADWAY, Headway
 from agent.field.bar_swing import COURSE_M, BarSwing
 from agent.field.displacement_detector import DisplacementDetector
@@ -24,7 +27,9 @@ from agent.interface.config import LEASE_US, S
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement
+from agent.motion.obstacle_detector import stopping_m
 from agent.motion.path_tracker import FollowedWay, PathTracker
+from agent.motion.swept_ground import ASIDE_M
 from agent.paths.route import Route
 from crdt import Phase, Progress
 
@@ -111,6 +116,8 @@ class FieldMission(Mission):
         self.lifted = False  # the implement was up since the last check
         self.missed: int | None = None  # the unit that was driven last and does not count
         self.retried: set[int] = set()  # units of the section that were worked again at once
+        self.failed: set[int] = set()  # units of the section that were driven and do not count
+        self.beside: set[int] = set()  # units of the section that are left out beside a thing
         self.advanced = False  # a unit of the section was worked since it was begun
         self.up = False  # the implement was up in the last period
         self.lifted_to_m = 0.0  # arc length of the leg up to which it was up
@@ -123,6 +130,9 @@ class FieldMission(Mission):
         self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
         self.parking = Parking(field, radius_m, speed_m_s)
+        # From a thing to the lines of units at which the bar may have been up because of it.
+        way_m = stopping_m(speed_m_s, deceleration_m_s2) + LEAD_M
+        self.beside_bar_m = hypot(self.half_m + ASIDE_M, way_m) + field.unit_m
         bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
         self.blockage = FieldObstructions(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 
@@ -187,6 +197,8 @@ class FieldMission(Mission):
         self.worked.clear()
         self.doubted.clear()
         self.retried.clear()
+        self.failed.clear()
+        self.beside.clear()
         self.missed = None
         self.advanced = False
         self.headway.begin()
@@ -255,10 +267,11 @@ class FieldMission(Mission):
         late = self.headway.observe(bool(covered), self._left_m, view.now_us)
         if late and self.plans_without_headway:
             self.on_stalled(view)
-        if self.headway.lost and view.leave_out and self._leaves_out(view):
+        lost = self.headway.lost
+        if lost and ((view.leave_out and self._leaves_out(view)) or self._leaves_out_beside(view)):
             self.headway.begin()
             self._go_round(view)
-        elif self.headway.lost:
+        elif lost:
             self.given_up_why = NO_HEADWAY
             self.choosing.gave_back(self.section.id, self.section.units - missing, view.now_us)
             self.abandon()
@@ -302,6 +315,21 @@ class FieldMission(Mission):
             if unit not in blocked and not progress.has(section.id, unit)
         ]
         return self.blockage.out_of_reach(section, (view.here.x_m, view.here.y_m), left)
+
+    def _leaves_out_beside(self, view: FleetView) -> bool:
+        """Whether units are left out that could not be worked, because a thing stays under the bar.
+
+        They are tried again in another turn first: people go away, and another robot may do them."""
+        assert self.section is not None
+        section, before = self.section, len(self.beside)
+        if not view.under_bar or not self.choosing.has_given_back(section.id):
+            return False
+        for unit in self.failed - self.worked - self.beside:
+            line = LineString(section.unit_lines[unit])
+            near = any(line.distance(Spot(at)) < self.beside_bar_m for at in view.under_bar)
+            if near and not view.progress.has(section.id, unit):
+                self.beside.add(unit)
+        return len(self.beside) > before
 
     def _turns_back(self) -> bool:
         """Whether to work a unit again at once that was just missed, because the bar had to go up.
@@ -434,7 +462,8 @@ class FieldMission(Mission):
         away. Units under an obstacle come last, and are skipped if an operator ordered it.
         """
         assert self.section is not None
-        return self.blockage.units(self.section, things_too=view.leave_out or not last)
+        blocked = self.blockage.units(self.section, things_too=view.leave_out or not last)
+        return blocked.union(self.beside) if self.beside else blocked
 
     def _drive(self, view: FleetView) -> tuple[MotionRequest, list[int]]:
         """The motion along the legs, and the units that were completed."""
@@ -617,8 +646,9 @@ class FieldMission(Mission):
             wrongly = self.swing.wrongly and self._has_corner(begun_m, end_m)
             if not wrongly and self.worst_m <= self.tolerance_m and self._down_since(begun_m):
                 passed.append(self.leg.units[self.unit])
-            elif not is_last:
-                self.missed = self.leg.units[self.unit]
+            else:
+                self.failed.add(self.leg.units[self.unit])
+                self.missed = self.missed if is_last else self.leg.units[self.unit]
             self.unit += 1
             self.worst_m, self.swing.wrongly = self._off_m(view.here), False
         return passed
@@ -700,6 +730,8 @@ class FieldMission(Mission):
         """The stretches left to work; `last`: include those that come last."""
         mine = self.worked.union(self.doubted) if self.section is section else frozenset[int]()
         blocked = self.blockage.units(section, things_too=view.leave_out or not last)
+        if self.beside and self.section is section:
+            blocked = blocked.union(self.beside)
         return [
             working_leg(points, units, self._leads(section, units))
             for points, units in section.stretches(

@@ -275,6 +275,10 @@ class SectionChooser:
         end_at_us = now_us + (AGAIN_US << min(times - 1, AGAIN_TIMES))
         self._gave[section] = end_at_us, times, units
 
+    def has_given_back(self, section: int) -> bool:
+        """Whether we made no progress on this section once before."""
+        return section in self._gave
+
     def _left_to_others(self, section: int, view: FleetView) -> bool:
         end_at_us, _, units = self._gave.get(section, (0, 0, 0))
         return view.now_us < end_at_us and view.progress.covered(section) <= units

@@ -35,6 +35,8 @@ class FleetView(NamedTuple):
     leave_out: bool = False  # the units under these places are skipped
     may_move: bool = True  # no stop cause holds the robot
     placed: bool = True  # `here` is where the robot is; else it is a place that is not believed
+    # Places of things that have kept our implement up for some time, (x, y) metres.
+    under_bar: frozenset[tuple[float, float]] = frozenset()
 
 
 class ClaimRequest(NamedTuple):

@@ -45,6 +45,11 @@ class ObstacleQuestion(Protocol):
         """
         ...
 
+    @property
+    def under_bar(self) -> frozenset[Point]:
+        """For the mission: places that have kept the implement up for some time, (x, y) metres."""
+        ...
+
     def watch(
         self,
         wanted: Drive,

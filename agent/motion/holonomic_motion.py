@@ -64,6 +64,8 @@ def _place_error_m(here: Observation) -> float:
 class HolonomicMotion(MotionController):
     """The motion controller of a body that can drive in any direction at any heading."""
 
+    steers = False  # its course turns as the body does
+
     def __init__(
         self,
         slot: int,
@@ -78,6 +80,7 @@ class HolonomicMotion(MotionController):
         stops: bool = False,
         asks: bool = False,
         half_bar_m: float = 0.0,
+        overlap_m: float = 0.0,
     ) -> None:
         """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `fences`: impassable
         segments (n, 4) of ax, ay, bx, by in metres. None: use the walls that the range sensors see,
@@ -89,7 +92,7 @@ class HolonomicMotion(MotionController):
         fence nor a robot explains; the fences must be complete. `stops`: keep enough distance to
         stop behind a robot ahead that halts. `asks`: stop before an unannounced obstacle and ask an
         operator, even if `looks` would go round it; not without known fences. `half_bar_m`: see
-        `Implement`.
+        `Implement`. `overlap_m`: so much longer is the bar at each end.
         """
         self.slot, self.limits = slot, limits
         self.sensing = fences is None
@@ -108,6 +111,7 @@ class HolonomicMotion(MotionController):
         self.sensed = UnexplainedEchoes(fences, limits.radius_m) if looks else None
         self.right = RightOfWay()
         self.implement = Implement(half_bar_m, limits.radius_m)
+        self.whole_half_bar_m = half_bar_m + overlap_m  # to its very end
         self.pushed: PushedAhead | None = None
         if self.implement.has:
             self.pushed = PushedAhead(
@@ -144,7 +148,11 @@ class HolonomicMotion(MotionController):
         """A new obstacle stop; None for a robot that does not know every wall: it cannot tell a
         person from one.
         """
-        return ObstacleStop(self.slot, self.limits, self.lookout) if self.lookout else None
+        if self.lookout is None:
+            return None
+        return ObstacleStop(
+            self.slot, self.limits, self.lookout, self.whole_half_bar_m, self.steers
+        )
 
     def drive(
         self,

@@ -20,6 +20,7 @@ from agent.avoidance.fence_distance import gap_m, way_gap_m
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import StoppingZone
+from agent.motion.swept_ground import SweptGround
 
 Point = tuple[float, float]
 GroundCell = tuple[int, int]  # a square of the ground: one point is remembered in each
@@ -156,6 +157,37 @@ class ObstacleDetector:
             if best is None or free_m < best.free_m:
                 best = Detection(x_m, y_m, free_m)
         return best
+
+    def under_bar(
+        self,
+        here: Observation,
+        ground: SweptGround,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> list[GroundCell]:
+        """The remembered points that the lowered bar would sweep; call it after `observe`.
+
+        What explains an echo is the same as for the body.
+        """
+        if not here.ranges_m:
+            return []
+        if not self.points:
+            if min(here.ranges_m) > ground.reach_m:
+                return []
+            echoes = [
+                (x_m, y_m)
+                for x_m, y_m in self._echoes(here, ground.reach_m, None)
+                if ground.has(x_m - here.x_m, y_m - here.y_m)
+            ]
+            if not echoes or not self._strange(echoes, here, neighbours, now_us):
+                return []
+            everything = self._echoes(here, WATCH_M, None)
+            self._remember(self._strange(everything, here, neighbours, now_us), now_us)
+        return [
+            cell
+            for cell, ((x_m, y_m), _) in self.points.items()
+            if ground.has(x_m - here.x_m, y_m - here.y_m)
+        ]
 
     # ---------------------------------------------------------------- echoes
 

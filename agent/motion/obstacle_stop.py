@@ -17,6 +17,7 @@ from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send, Trace
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Neighbour, Observation
+from agent.motion.bar_guard import BarGuard
 from agent.motion.obstacle_detector import (
     CHAIN_M,
     MARGIN_M,
@@ -41,6 +42,7 @@ STUCK_US: Final = 4 * S  # a robot that is slower than this for this long asks a
 STUCK_M_S: Final = 0.05
 AHEAD_US: Final = 100 * MS  # time to accelerate until the next check is in force
 STANDING_M_S: Final = 0.02  # slower motion does not count
+NOWHERE: Final = frozenset[Point]()
 ANSWERS: Final = (Command.WAIT, Command.CONTINUE, Command.REPLAN)
 
 
@@ -91,9 +93,16 @@ class ObstacleStop:
     It implements `ObstacleQuestion` of `agent/interface/motion_controller.py`.
     """
 
-    def __init__(self, slot: int, limits: BodyLimits, lookout: ObstacleDetector) -> None:
-        """`slot`: ours. `limits`: our body. `lookout`: finds and remembers the obstacles."""
+    def __init__(
+        self, slot: int, limits: BodyLimits, lookout: ObstacleDetector,
+        half_bar_m: float = 0.0, steers: bool = False,
+    ) -> None:  # fmt: skip
+        """`slot`: ours. `limits`: our body. `lookout`: finds and remembers the obstacles. `half_bar_m`:
+        from our middle to an end of the implement; 0 without one. `steers`: the course turns as the
+        body does.
+        """
         self.slot, self.limits, self.lookout = slot, limits, lookout
+        self.bar = BarGuard(half_bar_m, steers, lookout) if half_bar_m > limits.radius_m else None
         self.number = 0  # of the newest question
         self.machine = StateMachine("obstacle question", QUESTION_TABLE, NONE)
         # Ground cells to go round by an operator's answer.
@@ -124,6 +133,11 @@ class ObstacleStop:
             self._known_as, self._places = self.things, frozenset(map(middle, self.things))
         return self._places, self.leave_out
 
+    @property
+    def under_bar(self) -> frozenset[Point]:
+        """For the mission: places that have kept the implement up for some time, (x, y) metres."""
+        return NOWHERE if self.bar is None else self.bar.stay
+
     # ---------------------------------------------------------------- each control period
 
     def watch(
@@ -133,8 +147,21 @@ class ObstacleStop:
         """Each control period: the drive that avoids the obstacle, and the effects.
 
         `wanted`: the drive of the motion controller. `neighbours`: newest poses by slot.
-        `may_move`: no stop cause holds the robot. The safety gate comes after the result.
+        `may_move`: no stop cause holds the robot. The safety gate comes after the result. The implement
+        is up where it would be drawn over something.
         """
+        drive, effects = self._before_body(wanted, here, neighbours, may_move, now_us)
+        if self.bar is None or not drive.tool_on:
+            return drive, effects
+        if self.bar.must_be_up(drive, here, self._motions(drive, here), neighbours, now_us):
+            drive = drive._replace(tool_on=False)
+        return drive, effects
+
+    def _before_body(
+        self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
+        may_move: bool, now_us: int,
+    ) -> tuple[Drive, list[Effect]]:  # fmt: skip
+        """The drive that keeps the body off obstacles."""
         if self.asking:
             if not here.ranges_m:
                 self._seen_at_us = now_us  # a robot that sees nothing does not see that it has gone

@@ -49,17 +49,19 @@ HALF_PERIOD_S = CONTROL_PERIOD_US / S / 2  # the course is that of the middle of
 class TractorMotion(HolonomicMotion):
     """The motion controller of a body that steers (bicycle model)."""
 
+    steers = True
+
     def __init__(
         self, slot: int, limits: Body, turns: TurnRoute, steering: SteeringLimits,
         fences: NDArray[np.float64], half_bar_m: float = 0.0, wheels: SteeredWheels | None = None,
-        turns_on_the_spot: bool = False,
+        turns_on_the_spot: bool = False, overlap_m: float = 0.0,
     ) -> None:  # fmt: skip
         """`slot`: ours. `limits`: our body; all bodies are taken to be alike. `turns`: knows which
         arcs stay on free ground. `steering`: our chassis. `fences`: known segments (n, 4) of ax,
-        ay, bx, by in metres. `half_bar_m`: see `Implement`. `wheels`: of our chassis; they are told
-        here what is commanded. `turns_on_the_spot`: it can.
+        ay, bx, by in metres. `half_bar_m`, `overlap_m`: see `HolonomicMotion`. `wheels`: of our
+        chassis; they are told here what is commanded. `turns_on_the_spot`: it can.
         """
-        super().__init__(slot, limits, np.empty((0, 4)), half_bar_m=half_bar_m)
+        super().__init__(slot, limits, np.empty((0, 4)), half_bar_m=half_bar_m, overlap_m=overlap_m)
         self.lookout = ObstacleDetector(
             limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
         )

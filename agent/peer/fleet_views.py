@@ -31,5 +31,5 @@ class FleetViews:
         return FleetView(
             members.slot, now_us, here, self.allocation, self.progress,
             members.live, members.fell_silent_at_us, members.neighbours, things, leave_out,
-            self.safety.may_move, self.senses.current,
+            self.safety.may_move, self.senses.current, self.obstacle.under_bar,
         )  # fmt: skip

@@ -10,7 +10,8 @@ from agent.safety.stop_controller import StopController
 from protocol.frames.safety_frames import Command
 
 Point = tuple[float, float]
-NOTHING_ROUND = (frozenset[Point](), False)
+NOWHERE = frozenset[Point]()
+NOTHING_ROUND = (NOWHERE, False)
 
 
 class ObstacleHold:
@@ -29,6 +30,11 @@ class ObstacleHold:
     def round(self) -> tuple[frozenset[Point], bool]:
         """For the mission: the places to go round, and whether to skip the units under them."""
         return NOTHING_ROUND if self.question is None else self.question.round
+
+    @property
+    def under_bar(self) -> frozenset[Point]:
+        """For the mission: places that have kept the implement up for some time."""
+        return NOWHERE if self.question is None else self.question.under_bar
 
     def watch(
         self,

@@ -85,6 +85,7 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
                 half_bar_m,
                 wheels,
                 turns_on_the_spot=vehicle.drive is DriveTrain.DIFFERENTIAL,
+                overlap_m=field.overlap_m,
             ),
         )
     return MissionParts(
@@ -96,7 +97,14 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
             vehicle.braking_m_s2,
             plan.travel,
         ),
-        HolonomicMotion(slot, vehicle.limits, plan.fences, half_bar_m=half_bar_m, stops=True),
+        HolonomicMotion(
+            slot,
+            vehicle.limits,
+            plan.fences,
+            half_bar_m=half_bar_m,
+            overlap_m=field.overlap_m,
+            stops=True,
+        ),
     )
 
 

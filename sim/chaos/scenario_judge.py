@@ -8,7 +8,10 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from math import dist, hypot
-from typing import Any
+from typing import Any, Final
+
+import numpy as np
+from shapely.geometry import Point as Spot
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S, beat_of
 from agent.interface.effects import Effect
@@ -42,7 +45,9 @@ from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import MOVES, ExclusiveWorkChecker, Violation
 from sim.world.contacts import TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
+from sim.world.implement_contacts import things_under_bars
 from sim.world.protocol_world import ProtocolWorld
+from sim.world.walls import AT_X, AT_Y, HALF_X, HALF_Y
 from sim.world.world import World
 
 RUNNER_LOG = peer_runner.log
@@ -59,6 +64,16 @@ LEFT_US = 50 * MS  # frames under way when an address was lost are on the bus by
 # A robot that is pushed, or has a box dropped before it, may touch something for this long. A long push
 # lasts longer.
 EXCUSED_US = 3 * S
+# A robot whose senses are wrong, or whose implement is stuck, may draw it over something until this much
+# later: its place is found again meanwhile.
+CLEAR_US: Final = 3 * S
+HIDDEN_M: Final = 1.5  # from the hull of another robot, whose place explains echoes
+AT_FENCE_M: Final = 0.35  # from a thing to a fence, which explains echoes
+SEES_WRONG: Final = (
+    kinds.NoRays, kinds.StuckRays, kinds.NoisyRays, kinds.Blind, kinds.Jumped, kinds.Drifting,
+    kinds.Late, kinds.Frozen, kinds.HungFixes, kinds.DeafWheels, kinds.Slipping, kinds.StuckImplement,
+    kinds.Freeze,
+)  # fmt: skip
 ROLLS_ON_US = 1 * S  # after the touch of a robot that a person pushes
 # The latest observation is one period old at most, expires one period after its limit, and that is
 # noticed one control period later.
@@ -138,6 +153,9 @@ class ScenarioJudge:
         self._pushes: list[tuple[int, int, int]] = []  # (robot, begin, end), microseconds
         # (robot, begin, end): it is pushed or has a box dropped before it, and may touch something
         self._excused: list[tuple[int, int, int]] = []
+        self._sees_wrong: list[
+            tuple[int, int, int]
+        ] = []  # the same of its senses and its implement
 
     def run(self) -> "ScenarioJudge":
         """Play the scenario to its end, or to the first violation with `first_only`, and judge what
@@ -221,6 +239,9 @@ class ScenarioJudge:
         # Before the clone itself counts as trouble.
         if isinstance(fault, kinds.Clone) and fault.wins:
             self._at(at_us, partial(self._loses_address, fault.robot))
+        if isinstance(fault, SEES_WRONG):
+            end_at_us = at_us + round(fault.for_s * S) + CLEAR_US
+            self._sees_wrong.append((fault.robot, at_us, end_at_us))
         if is_link_trouble(fault):
             lossy = isinstance(fault, LOSSY)
             end_at_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
@@ -686,6 +707,7 @@ class ScenarioJudge:
         world, end_at_s = self.cluster.world, outcome.simulated_s
         self._moved()
         self._contacts()
+        self._implements_over_things()
         bodies = self.protocol_world is None and self.scenario.fleet.silence == "stop"
         self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
@@ -777,6 +799,38 @@ class ScenarioJudge:
                 depth_cm = contact.depth_m * 100
                 what = f"robot {contact.first} {depth_cm:.0f} cm into {contact.against}"
                 self._add("S17", contact.t_us / 1e6, what)
+                return
+
+    def _implements_over_things(self) -> None:
+        """S23: by true places. What moves may have come under the bar by itself."""
+        world = self.cluster.world
+        if self.protocol_world is not None or not world.things:
+            return
+        field, radius_m = self.setting.field, self.scenario.fleet.radius_m
+        tracks = {slot: body.track.to_array() for slot, body in world.robots.items()}
+        points = {slot: body.track for slot, body in world.robots.items()}
+        for over in things_under_bars(points, world.things, field.implement_width_m):
+            excused = any(
+                over.slot == slot and begin_at_us <= over.t_us < end_at_us
+                for slot, begin_at_us, end_at_us in (*self._excused, *self._sees_wrong)
+            )
+            at, half_m = (
+                Spot(over.thing[AT_X], over.thing[AT_Y]),
+                hypot(*over.thing[HALF_X : HALF_Y + 1]),
+            )
+            at_fence = field.polygon.boundary.distance(at) < half_m + AT_FENCE_M
+            beside = any(
+                hypot(
+                    float(np.interp(over.t_us, track[:, 0], track[:, 1])) - at.x,
+                    float(np.interp(over.t_us, track[:, 0], track[:, 2])) - at.y,
+                )
+                < half_m + radius_m + HIDDEN_M
+                for slot, track in tracks.items()
+                if slot != over.slot
+            )
+            if over.stood and not (excused or at_fence or beside):
+                what = f"the implement of robot {over.slot} is drawn over {at.x:.1f}, {at.y:.1f}"
+                self._add("S23", over.t_us / 1e6, what)
                 return
 
     @property

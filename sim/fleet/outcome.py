@@ -54,6 +54,8 @@ class FieldOutcome(NamedTuple):
     # Contacts of lowered implements with each other or with bodies. They do not count for
     # `success`: robots that steer, and robots that lose frames, do not avoid all of them.
     implement_contacts: int = 0
+    # People, vehicles and boxes that lowered implements were drawn over, or that moved into them.
+    things_under_bars: int = 0
     first_contact: str = ""  # its time, robots and place; empty: none
 
     @property

@@ -11,7 +11,7 @@ from sim.runs.section_run import SectionRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.world.coverage_truth import Coverage, coverage, sample_points
 from sim.world.ground_truth import TrackPoint
-from sim.world.implement_contacts import implement_contacts
+from sim.world.implement_contacts import implement_contacts, things_under_bars
 from sim.world.missed_ground import told_missed
 
 RASTER_M = 0.25  # of the coverage check
@@ -56,6 +56,7 @@ class FieldRun(WorkRun[FieldSetup]):
         met = implement_contacts(
             self.tracks, field.implement_width_m, field.overlap_m, fleet.radius_m
         )
+        under = things_under_bars(self.tracks, cluster.world.things, field.implement_width_m)
         return {
             **super().measure(cluster),
             **of_bodies(cluster),
@@ -70,4 +71,5 @@ class FieldRun(WorkRun[FieldSetup]):
             "worked_twice": truth.twice,
             "work_m": field.work_m,
             "implement_contacts": len(met),
+            "things_under_bars": len(under),
         }

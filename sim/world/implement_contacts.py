@@ -6,10 +6,15 @@ wider than the body. A contact means that a bar that is down enters another bar 
 another body. Edges of neighbouring swaths overlap by plan, and each robot may be off its line by
 half of that, so a bar is judged without `overlap_m` at each end. Two that touch are one contact
 until they have been apart for a second.
+
+People, vehicles and boxes are under a bar that is down and moves if its whole width enters them. One
+that stood where it is a second before was there to be seen; one that moves may have come by itself.
 """
 
-from collections.abc import Iterable, Mapping
+from bisect import bisect_right
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
+from math import hypot
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -17,6 +22,7 @@ from numpy.typing import NDArray
 
 from sim.world.contact_free_steps import TRACK_US
 from sim.world.ground_truth import Track, TrackPoint
+from sim.world.walls import AT_X, AT_Y, BOX, COS, HALF_X, HALF_Y, SHAPE, SIN
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
@@ -25,6 +31,8 @@ APART_STEPS: Final = 1_000_000 // TRACK_US
 MOVED_M: Final = 0.02  # in a step; a robot that moves less keeps its course
 # Along the course; two robots that pass at 5 m/s are detected in at least one check.
 DEPTH_M: Final = 0.5
+STOOD_M: Final = 0.1  # a thing that has moved less than this in a second stands
+TOUCH_M: Final = 0.02  # less deep is no contact, as for bodies
 
 
 class Met(NamedTuple):
@@ -36,6 +44,15 @@ class Met(NamedTuple):
     body: bool  # a bar and a body; else two bars
     x_m: float  # of the first robot
     y_m: float
+
+
+class Over(NamedTuple):
+    """The beginning of a contact of a bar with a person, a vehicle or a box."""
+
+    t_us: int
+    slot: int
+    stood: bool  # the thing had been there for a second
+    thing: tuple[float, ...]  # a row of `sim.world.walls`
 
 
 class _Way(NamedTuple):
@@ -78,6 +95,69 @@ def implement_contacts(
                 Met(int(when[k]) * TRACK_US, a, b, bool(body[met][k]), float(at[0]), float(at[1]))
             )
     return sorted(found)
+
+
+def things_under_bars(
+    tracks: Mapping[int, Iterable[TrackPoint]],
+    things: Sequence[tuple[int, Sequence[Sequence[float]]]],
+    width_m: float,
+) -> list[Over]:
+    """Contacts of lowered bars with what stands or moves in a world, by time.
+
+    `things`: as `World` keeps them, rows from each time on. `width_m`: of the bar."""
+    if not any(rows for _, rows in things):
+        return []
+    begin_at_us, found = [t_us for t_us, _ in things], list[Over]()
+
+    def at(t_us: int) -> Sequence[Sequence[float]]:
+        index = bisect_right(begin_at_us, t_us) - 1
+        return things[index][1] if index >= 0 else ()
+
+    for slot, track in sorted(tracks.items()):
+        points = _points(track)
+        if not len(points):
+            continue
+        way = _way(points, 1 + int(points[-1, 0]) // TRACK_US)
+        moves = np.hypot(*np.diff(way.at, axis=0, prepend=way.at[:1]).T) > MOVED_M
+        last = -2 * APART_STEPS
+        for k in np.flatnonzero(way.down & moves).tolist():
+            under = [row for row in at(k * TRACK_US) if _is_over(way, k, row, width_m / 2)]
+            if not under:
+                continue
+            if k - last > APART_STEPS:
+                before = at(k * TRACK_US - 1_000_000)
+                stood = [row for row in under if any(_is_same(row, was) for was in before)]
+                thing = tuple((stood or under)[0])
+                found.append(Over(k * TRACK_US, slot, bool(stood), thing))
+            last = k
+    return sorted(found)
+
+
+def _is_same(row: Sequence[float], was: Sequence[float]) -> bool:
+    """Whether a thing is where one of this size was."""
+    away_m = hypot(row[AT_X] - was[AT_X], row[AT_Y] - was[AT_Y])
+    return away_m < STOOD_M and row[HALF_X] == was[HALF_X] and row[HALF_Y] == was[HALF_Y]
+
+
+def _is_over(way: _Way, step: int, row: Sequence[float], half_m: float) -> bool:
+    """Whether the bar is over a thing: no line along one of their sides separates them."""
+    (x_m, y_m), (ux, uy) = way.at[step].tolist(), way.course[step].tolist()
+    dx_m: float = row[AT_X] - x_m
+    dy_m: float = row[AT_Y] - y_m
+    ahead_m, aside_m = dx_m * ux + dy_m * uy, dy_m * ux - dx_m * uy
+    if row[SHAPE] != BOX:
+        before_m = max(abs(ahead_m) - DEPTH_M / 2, 0.0)
+        beside_m = max(abs(aside_m) - half_m, 0.0)
+        return bool(hypot(before_m, beside_m) < row[HALF_X] - TOUCH_M)
+    c, s, half_x_m, half_y_m = row[COS], row[SIN], row[HALF_X], row[HALF_Y]
+    along, across = abs(c * ux + s * uy), abs(s * ux - c * uy)  # of the two first sides
+    depth_m = DEPTH_M / 2
+    return bool(
+        abs(ahead_m) < depth_m + half_x_m * along + half_y_m * across - TOUCH_M
+        and abs(aside_m) < half_m + half_x_m * across + half_y_m * along - TOUCH_M
+        and abs(dx_m * c + dy_m * s) < half_x_m + depth_m * along + half_m * across - TOUCH_M
+        and abs(dy_m * c - dx_m * s) < half_y_m + depth_m * across + half_m * along - TOUCH_M
+    )
 
 
 def _points(track: Iterable[TrackPoint]) -> Floats:

@@ -53,6 +53,7 @@ from sim.world.walls import (
     FREE,
     OBSTACLE_COLUMNS,
     OBSTACLES_MAX,
+    SHAPE,
     XY,
     Grid,
     Walls,
@@ -129,6 +130,9 @@ class World:
         self._obstacles = np.zeros((OBSTACLES_MAX, OBSTACLE_COLUMNS))
         self._standing = self._obstacles[:0]  # rows up to the last one in use
         self._shapes: dict[int, tuple[int, pymunk.Shape]] = {}  # number: row, shape
+        # Boxes, people and vehicles from each of these times on, microseconds, where they changed.
+        self.things: list[tuple[int, list[list[float]]]] = []
+        self._stirred = False  # things came, went or moved since the last track point
         self._numbers = 0
         self._due: list[tuple[int, int, Callable[[], object]]] = []  # see `at`
         self._asked = 0
@@ -205,6 +209,7 @@ class World:
         free = next((k for k in range(OBSTACLES_MAX) if self._obstacles[k, 0] == FREE), None)
         assert free is not None, f"more than {OBSTACLES_MAX} obstacles at once: make them fences"
         self._obstacles[free] = row
+        self._stirred = True
         self._numbers += 1
         self._shapes[self._numbers] = (free, shape)
         self._standing = self._obstacles[: max(k for k, _ in self._shapes.values()) + 1]
@@ -215,6 +220,7 @@ class World:
         if number in self._shapes:
             row, shape = self._shapes.pop(number)
             self._obstacles[row] = 0.0
+            self._stirred = True
             self._physics.remove(shape)
 
     def obstacles(self) -> list[list[float]]:
@@ -303,6 +309,10 @@ class World:
             self._record()
 
     def _record(self) -> None:
+        if self._stirred:
+            self._stirred = False
+            things = [row for row in self.obstacles() if row[SHAPE] != FREE]
+            self.things.append((self.now_us, things))
         tools = self.rows[:, TOOL].tolist()
         for robot, place, tool in zip(
             self.robots.values(), self.motion.tolist(), tools, strict=True

@@ -8,7 +8,9 @@ from tools.common.counted import counted
 FLAWS = {
     "contacts": "{} contact{s} of bodies",
     "moved_after_stop": "{} time{s} a robot moved after a stop",
-    "implement_contacts": "implements met {} time{s}", "claims_lost": "{} claim{s} lost",
+    "implement_contacts": "implements met {} time{s}",
+    "things_under_bars": "a lowered implement was over a person or a thing {} time{s}",
+    "claims_lost": "{} claim{s} lost",
     "malformed": "{} malformed frame{s}", "uncovered": "{} cell{s} uncovered",
 }  # fmt: skip
 ALL_COVERED = 0.99995  # COVERAGE_MIN of sim/fleet/outcome.py, which would import numpy

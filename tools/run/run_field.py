@@ -121,6 +121,7 @@ class FieldCommand(MissionCommand[FieldRun]):
             ("duplicate work", f"{twice} announced twice; {overlap}"),
             ("contacts", f"{outcome.contacts} (closest {outcome.closest_m:.2f} m)"),
             ("implements met", counted(outcome.implement_contacts, "{} time{s}, while they were down")),
+            ("implements over things", counted(outcome.things_under_bars, "{} time{s}, while down")),
             ("moved after a stop", str(outcome.moved_after_stop)),
             ("replicas", "equal" if outcome.replicas_equal else "[red]differ[/red]"),
             ("driven", f"{outcome.travel_m:.0f} m for {outcome.work_m:.0f} m of swaths"),

@@ -12,7 +12,8 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from sim.world.contact_free_steps import TRACK_US
 from sim.world.ground_truth import Track, TrackPoint
-from sim.world.implement_contacts import Met, implement_contacts
+from sim.world.implement_contacts import Met, implement_contacts, things_under_bars
+from sim.world.walls import BOX, DISC
 
 WIDTH_M, OVERLAP_M, RADIUS_M = 4.0, 0.2, 0.8
 
@@ -85,6 +86,40 @@ def test_m21_of_two_bars_that_meet_the_higher_slot_raises_its_own() -> None:
         assert not implement.must_be_up(here, (2.5, 0.0), [other], 0)
         folded = other._replace(at_work=False)
         assert not implement.must_be_up(here, (2.5, 0.0), [folded], 2)
+
+
+PERSON = (DISC, 10.0, 1.7, 0.25, 0.25, 1.0, 0.0)  # beside the way of a robot with a bar of 4 m
+
+
+@pytest.mark.parametrize(
+    ("thing", "down", "is_under"),
+    [
+        (PERSON, True, True),
+        (PERSON, False, False),  # up, it is folded
+        ((DISC, 10.0, 2.3, 0.25, 0.25, 1.0, 0.0), True, False),  # beyond the end of the bar
+        ((BOX, 10.0, 2.3, 0.5, 0.5, 1.0, 0.0), True, True),
+        ((BOX, 10.0, 2.6, 0.5, 0.5, 1.0, 0.0), True, False),
+        ((BOX, 10.0, 2.6, 0.5, 0.5, 0.8**0.5, 0.2**0.5), True, True),  # with a corner towards it
+    ],
+)
+def test_a_bar_over_a_thing_is_one_contact(
+    thing: tuple[float, ...], down: bool, is_under: bool
+) -> None:
+    tracks = {0: drive(0.0, 0.0, 2.0, 0.0, down)}
+    found = things_under_bars(tracks, [(0, [thing])], WIDTH_M)
+    assert len(found) == is_under
+    assert all(over.stood and over.t_us == pytest.approx(4_800_000, abs=200_000) for over in found)
+
+
+def test_what_comes_under_a_bar_by_itself_did_not_stand() -> None:
+    tracks = {0: drive(0.0, 0.0, 2.0, 0.0)}
+    comes = [(k * TRACK_US, [(DISC, 10.0, 7.0 - k / 10, 0.25, 0.25, 1.0, 0.0)]) for k in range(100)]
+    (over,) = things_under_bars(tracks, comes, WIDTH_M)
+    assert not over.stood
+    stands = {0: drive(0.0, 0.0, 0.0, 0.0)}
+    assert not things_under_bars(stands, [(0, [(DISC, 0.0, 1.7, 0.25, 0.25, 1.0, 0.0)])], WIDTH_M)
+    gone = [(0, [PERSON]), (2_000_000, [])]
+    assert not things_under_bars(tracks, gone, WIDTH_M)
 
 
 def played(robots: int, seed: int) -> FieldOutcome:
