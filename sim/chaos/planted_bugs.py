@@ -13,6 +13,7 @@ from unittest.mock import patch
 from agent.field.field_mission import FieldMission
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.instants import FOREVER_US, NEVER_US
+from agent.motion.bar_guard import BarGuard
 from agent.motion.holonomic_motion import HolonomicMotion
 from agent.peer import member_conflicts as conflicts
 from agent.peer import section_claims as claims
@@ -325,6 +326,13 @@ MUTANTS: dict[str, Mutant] = {
         "_period",
         _constant(()),
         "implement",
+    ),
+    "bar-over-things": Mutant(
+        "the implement stays down beside people and things",
+        BarGuard,
+        "must_be_up",
+        _constant(False),
+        "traffic",
     ),
     "older-claim-wins": Mutant(
         "the register that came first stays", FieldAllocationCRDT, "apply", _older_wins, "split"
