@@ -153,8 +153,7 @@ def test_a_goal_of_a_robot_that_lost_its_address_is_given_up_and_told(
         device, lines = Operator(bus, None).device, EventLines(out=lambda line: None)
         desk = GoalDesk(bus, device, tmp_path / "key", inspector, SimpleNamespace(), lines)
         foreign = Name(1, industry_group=2, function=130)
-        for message in (AddressClaimed(fleet_name("yard", 0).pack()), Member(0, 1, 0)):
-            inspector.hear(1.0, encode(message, ROBOT))
+        inspector.hear(1.0, encode(Member(0, 1, 0), ROBOT))  # it claimed its address before
         assert 0 in inspector.robots
 
         async def obeys(*_: object) -> bool:
