@@ -1,7 +1,7 @@
 """Keeps the lowered implement off people and things: it goes up before it is drawn over one.
 
 The body stops and asks only before what is in its own way. What stands or walks beside the body, where
-the bar passes, holds nobody up: the bar is up there, and what it leaves is worked again later.
+the bar passes, stops no robot: the bar is up there, and what it leaves is worked again later.
 """
 
 from collections.abc import Mapping, Sequence

@@ -132,8 +132,8 @@ class Election:
     def take_slot(self, slot: int, met_others: bool, now_us: int) -> None:
         """We have another slot, or one for the first time. `met_others`: others have voted, it may be.
 
-        We, or who had the slot before, may have voted otherwise in this term, and others keep the first
-        vote that they heard from a slot. So a new term begins."""
+        We, or the robot that had the slot before, may have voted otherwise in this term, and others keep
+        the first vote that they heard from a slot. So a new term begins."""
         self.slot = slot
         if met_others:
             self._open(self.term + 1)

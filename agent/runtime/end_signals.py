@@ -20,7 +20,7 @@ def on_end(
     """Call `end` in the loop when one of the signals comes. Only in the main thread (ValueError).
 
     With SIGTERM also when the terminal is closed (SIGHUP), unless that is ignored, as with `nohup`, or
-    somebody handles it already."""
+    there is a handler for it already."""
     ends = list(numbers)
     if (
         HANG_UP is not None

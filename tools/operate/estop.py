@@ -210,7 +210,7 @@ def _word(operator: Operator, robot: KnownRobot, late: list[KnownRobot]) -> str:
 
 
 def lamp(operator: Operator) -> str:
-    """Whether all stand stopped, as far as robots are heard, and who does."""
+    """Whether all robots that are heard stand stopped, and which do."""
     live, silent = operator.live, [r.slot for r in operator.silent]
     stopped = [r.slot for r in live if r.stopped]
     # An address from which nobody has spoken lately is no robot that could move.

@@ -33,7 +33,7 @@ POSITION, COURSE_SPEED, GNSS, HEADING = 129025, 129026, 129029, 127250  # NMEA 2
 VEHICLE_POSITION, DIRECTION_SPEED = 65267, 65256  # J1939-71
 FAST_MAX: Final = 223  # bytes of a fast packet: 6 and 31 times 7
 RAPID_FOR_US: Final = S  # 129029 is no place while others came within this time
-COMPASS_FOR_US: Final = S  # who sends 127250 is heard within this time; 10 Hz is usual
+COMPASS_FOR_US: Final = S  # a device that sends 127250 is heard within this time; 10 Hz is usual
 TRUE_NORTH: Final = 0
 KMH_M_S: Final = 1 / 3.6
 

@@ -2,7 +2,7 @@
 
 serial:/dev/ttyUSB0@115200      tcp://10.0.0.5:2947      udp://0.0.0.0:5017
 
-UDP listens at its address, which is one of this computer, and answers who has sent last.
+UDP listens at its address, which is one of this computer, and answers the address that sent last.
 
 What is written to a device that has stalled waits in a queue, and is obeyed when it is old. So a line is
 not written while an older one waits for longer than a command lives: the newest line wins.

@@ -84,7 +84,7 @@ def test_t1_of_two_such_robots_the_one_that_still_speaks_is_named(first_agrees: 
         peer.step(Heard(201, POSE), (3 + k) * S)
     assert about(StopCause.CONFIG_MISMATCH, held_for(peer)) == 201
     peer.step(Heard(201, Member(3, 0, 1)), 9 * S)
-    assert StopCause.CONFIG_MISMATCH not in held_by(peer), "nobody is left who differs"
+    assert StopCause.CONFIG_MISMATCH not in held_by(peer), "no robot that differs is left"
 
 
 def held_for(peer: Peer) -> str:

@@ -95,7 +95,9 @@ NO_TEXTS = (None, True, "", ["a"], {"a": 1}, 1.5)
 def test_the_name_of_a_vehicle_is_a_text(name: str, value: Any) -> None:
     """`broker = 7` was "'int' object has no attribute 'rpartition'", and `map = 7` a vehicle that is on
     the map '7', not 7. A serial number may have no quotes."""
-    vda5050_body = pytest.importorskip("agent.runtime.bodies.vda5050_body")
+    vda5050_body = pytest.importorskip(
+        "agent.runtime.bodies.vda5050_body", reason="the extra `vda5050` is not installed"
+    )
     if name == "serial" and value == 7:
         made = vda5050_body.Vda5050Body(0, **{**VEHICLE, name: value})
         assert made.link.identity.serial == "7"
@@ -106,7 +108,9 @@ def test_the_name_of_a_vehicle_is_a_text(name: str, value: Any) -> None:
 
 @pytest.mark.parametrize("value", ["fast", [1], 7, 0.5])
 def test_what_a_vehicle_wants_with_pick_and_drop_is_a_table(value: Any) -> None:
-    vda5050_body = pytest.importorskip("agent.runtime.bodies.vda5050_body")
+    vda5050_body = pytest.importorskip(
+        "agent.runtime.bodies.vda5050_body", reason="the extra `vda5050` is not installed"
+    )
     with pytest.raises(ValueError, match=r"\Aoptions\.parameters: [^\n]+ is not a table[^\n]+\Z"):
         vda5050_body.Vda5050Body(0, **VEHICLE, parameters=value)
 

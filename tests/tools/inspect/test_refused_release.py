@@ -1,4 +1,4 @@
-"""A release that robots refuse is none for who listens to the bus (T11)."""
+"""A release that robots refuse is none for a listener on the bus (T11)."""
 
 import pytest
 

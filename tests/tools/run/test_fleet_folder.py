@@ -213,12 +213,12 @@ def test_f5_a_fleet_whose_file_is_lost_is_not_replaced_in_silence(
     file.unlink() if left is None else file.write_text(left)
     with pytest.raises(FolderError, match=r"runs/small-1 holds .*fleet\.json .*--fresh"):
         fleet_folder(None, _setting(), False)
-    anew = fleet_folder(None, _setting(), True)
-    _close(anew)
-    assert anew.folder == Path("runs/small-2") and not anew.continues
+    begun = fleet_folder(None, _setting(), True)
+    _close(begun)
+    assert begun.folder == Path("runs/small-2") and not begun.continues
     again = fleet_folder(None, _setting(), False)
     _close(again)
-    assert again.folder == anew.folder and again.continues
+    assert again.folder == begun.folder and again.continues
 
 
 def test_a_fleet_is_continued_when_its_old_robots_have_ended(folder: Path) -> None:
