@@ -35,14 +35,6 @@ def on_end(
             signal.signal(number, lambda *_: loop.call_soon_threadsafe(end))
 
 
-def on_hang_up(loop: asyncio.AbstractEventLoop, end: Callable[[], object]) -> None:
-    """Call `end` in the loop when the terminal is closed (SIGHUP), unless something else is done then: it
-    is ignored with `nohup`."""
-    hang_up = getattr(signal, "SIGHUP", None)  # Windows has none
-    if hang_up is not None and signal.getsignal(hang_up) == signal.SIG_DFL:
-        on_end(loop, end, (hang_up,))
-
-
 def on_closed_input(loop: asyncio.AbstractEventLoop, end: Callable[[], object]) -> None:
     """Call `end` when the process that started this one closes the pipe of its input, or is gone.
 

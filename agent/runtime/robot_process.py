@@ -31,7 +31,7 @@ from agent.interface.ports import Bus
 from agent.peer.inputs import DateTold
 from agent.peer.peer import Peer
 from agent.runtime.body_plugins import made
-from agent.runtime.end_signals import on_end, on_hang_up
+from agent.runtime.end_signals import on_end
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
@@ -420,7 +420,6 @@ async def until_told(robot: RobotFile, *, first_boot: bool = False, dry: bool = 
     """Run until SIGTERM, SIGHUP or SIGINT. Raises RobotError."""
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     on_end(loop, end.set)
-    on_hang_up(loop, end.set)
 
     def started(runner: PeerRunner) -> None:
         print(f"robot {runner.peer.slot} is up", flush=True)
