@@ -6,7 +6,7 @@ constant, which is the shortest difference seen between arrival and time: what a
 
 from collections import deque
 from collections.abc import Callable
-from math import cos, inf, radians, remainder, sin
+from math import cos, inf, radians, remainder, sin, tau
 from typing import Final
 
 from agent.interface.config import S
@@ -109,8 +109,8 @@ class PositionFixes:
         self._velocity: tuple[float, float, int] | None = None  # east, north, arrival
         self._accuracy: tuple[float, int] | None = None  # metres, arrival
         self._kind: tuple[int, int] | None = None  # of fix, arrival
-        # East and north, metres, and time of the places of `VELOCITY_OVER_US`.
-        self._recent: deque[tuple[float, float, int]] = deque()
+        # East, north, heading, and time of the middle of the body during `VELOCITY_OVER_US`.
+        self._recent: deque[tuple[float, float, float, int]] = deque()
 
     def take_place(self, longitude: float, latitude: float, at_us: int) -> None:
         """A place in degrees, and the time at which it was true, microseconds."""
@@ -127,7 +127,7 @@ class PositionFixes:
         self._heading = heading_rad, arrived_at_us
 
     def take_velocity(self, vx_m_s: float, vy_m_s: float, arrived_at_us: int) -> None:
-        """Metres a second, east and north."""
+        """Of the antenna, metres a second, east and north."""
         self._velocity = vx_m_s, vy_m_s, arrived_at_us
 
     def take_speed(self, speed_m_s: float, course_rad: float, arrived_at_us: int) -> None:
@@ -144,7 +144,7 @@ class PositionFixes:
         return 0.0 if self._heading is None else self._heading[0]
 
     def knows_velocity(self, now_us: int) -> bool:
-        """Whether the receiver has told its velocity within `VELOCITY_AGE_MAX_US`."""
+        """Whether the receiver has told a velocity within `VELOCITY_AGE_MAX_US`."""
         velocity = self._velocity
         return velocity is not None and now_us - velocity[2] <= VELOCITY_AGE_MAX_US
 
@@ -157,11 +157,19 @@ class PositionFixes:
         longitude, latitude, at_us = place
         heading_rad = heading[0]
         ahead_m, left_m = self.antenna_m
+        arm_x_m = cos(heading_rad) * ahead_m - sin(heading_rad) * left_m
+        arm_y_m = sin(heading_rad) * ahead_m + cos(heading_rad) * left_m
         x_m, y_m = self.to_metres(longitude, latitude)
-        x_m -= cos(heading_rad) * ahead_m - sin(heading_rad) * left_m
-        y_m -= sin(heading_rad) * ahead_m + cos(heading_rad) * left_m
+        x_m, y_m = x_m - arm_x_m, y_m - arm_y_m
         accuracy_m = self._accuracy_m(now_us)
-        vx_m_s, vy_m_s = self._velocity_m_s(x_m, y_m, at_us, now_us)
+        self._remember(x_m, y_m, heading_rad, at_us)
+        if self.knows_velocity(now_us):
+            assert self._velocity is not None
+            turn_rad_s = self._turn_rad_s()
+            vx_m_s = self._velocity[0] + turn_rad_s * arm_y_m
+            vy_m_s = self._velocity[1] - turn_rad_s * arm_x_m
+        else:
+            vx_m_s, vy_m_s = self._passed_m_s()
         return Observation(
             x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=at_us,
             position_accuracy_m=accuracy_m, heading_accuracy_rad=HEADING_ACCURACY_RAD,
@@ -175,20 +183,32 @@ class PositionFixes:
             return max(self._accuracy[0], 0.0 if kind is None else BEST_M.get(kind, inf))
         return self.accuracy_m if kind is None else ACCURACY_M.get(kind, inf)
 
-    def _velocity_m_s(self, x_m: float, y_m: float, at_us: int, now_us: int) -> tuple[float, float]:
-        recent, velocity = self._recent, self._velocity
-        if recent and at_us <= recent[-1][2]:  # the time went back
+    def _remember(self, x_m: float, y_m: float, heading_rad: float, at_us: int) -> None:
+        recent = self._recent
+        if recent and at_us <= recent[-1][3]:  # the time went back
             recent.clear()
-        recent.append((x_m, y_m, at_us))
-        while len(recent) > 2 and at_us - recent[0][2] > VELOCITY_OVER_US:
+        recent.append((x_m, y_m, heading_rad, at_us))
+        while len(recent) > 2 and at_us - recent[0][3] > VELOCITY_OVER_US:
             recent.popleft()
-        if velocity is not None and now_us - velocity[2] <= VELOCITY_AGE_MAX_US:
-            return velocity[:2]
-        was_x_m, was_y_m, was_at_us = recent[0]
-        if not 0 < at_us - was_at_us <= VELOCITY_AGE_MAX_US:
+
+    def _passed_for_s(self) -> float:
+        """Time from the oldest of the recent places to the newest; 0.0 if that is too long ago."""
+        passed_for_us = self._recent[-1][3] - self._recent[0][3]
+        return passed_for_us / S if passed_for_us <= VELOCITY_AGE_MAX_US else 0.0
+
+    def _passed_m_s(self) -> tuple[float, float]:
+        """Velocity of the body by its recent places, metres a second, east and north."""
+        passed_for_s, first, last = self._passed_for_s(), self._recent[0], self._recent[-1]
+        if not passed_for_s:
             return 0.0, 0.0
-        passed_for_s = (at_us - was_at_us) / S
-        return (x_m - was_x_m) / passed_for_s, (y_m - was_y_m) / passed_for_s
+        return (last[0] - first[0]) / passed_for_s, (last[1] - first[1]) / passed_for_s
+
+    def _turn_rad_s(self) -> float:
+        """How fast the body turns, counter-clockwise. The antenna moves by that around its middle."""
+        passed_for_s = self._passed_for_s()
+        if not passed_for_s:
+            return 0.0
+        return remainder(self._recent[-1][2] - self._recent[0][2], tau) / passed_for_s
 
 
 QUARTER_DEG: Final = 90.0  # from north to east

@@ -1,7 +1,7 @@
 """Observations from sentences: units, axes, times, and what is left out or broken."""
 
 from functools import reduce
-from math import cos, degrees, hypot, pi, radians, remainder, sin
+from math import atan2, cos, degrees, hypot, pi, radians, remainder, sin
 from operator import xor
 from random import Random
 
@@ -64,6 +64,28 @@ def test_a_place_and_a_heading_make_an_observation() -> None:
     assert seen.x_m == pytest.approx(0.06 * 1145.0, abs=0.3)
     assert seen.heading_rad == pytest.approx(0.0), "a bearing of 90 degrees is east"
     assert seen.sensed_at_us == S - LATENCY_US and seen.position_accuracy_m == 0.02
+
+
+@pytest.mark.parametrize("turn_rad_s", [0.5, -1.0])
+def test_an_antenna_that_a_turning_body_moves_does_not_move_the_body(turn_rad_s: float) -> None:
+    """A body that turns on the spot: its antenna, 1.5 m ahead and 0.4 m to the right, drives."""
+    ahead_m, left_m = 1.5, -0.4
+    taken, seen = fixes((ahead_m, left_m)), None
+    east_m, north_m = 1145.0, 1854.6  # of a minute of arc, as above
+    for step in range(20):
+        at_s = step / 20
+        heading = turn_rad_s * at_s
+        x_m = ahead_m * cos(heading) - left_m * sin(heading)
+        y_m = ahead_m * sin(heading) + left_m * cos(heading)
+        place = f"52{0.1 + y_m / north_m:010.7f},N,005{0.1 + x_m / east_m:010.7f},E"
+        at_us = round(at_s * S)
+        speed_kmh = abs(turn_rad_s) * hypot(ahead_m, left_m) * 3.6
+        course = 90 - degrees(atan2(turn_rad_s * x_m, -turn_rad_s * y_m))
+        taken.take(sentence(f"GNVTG,{course % 360:.2f},T,,M,,N,{speed_kmh:.3f},K,D"), at_us)
+        taken.take(gga(f"1235{19 + at_s:05.2f}", place), at_us)
+        seen = taken.take(hdt((90 - degrees(heading)) % 360), at_us) or seen
+    assert seen is not None
+    assert hypot(seen.vx_m_s, seen.vy_m_s) < 0.02
 
 
 @pytest.mark.parametrize("bearing", [0.0, 45.0, 180.0, 271.0])
