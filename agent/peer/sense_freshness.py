@@ -45,6 +45,9 @@ from agent.safety.stop_controller import StopController
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S
 
 STEADY_US: Final = 1 * S  # the senses must be in time for this long before it drives on
+# A start that comes sooner after a place froze was given by a person who has not seen the robot stand: a
+# body at 2.5 m/s rolls for 1.7 s.
+SEEN_STANDING_US: Final = 2 * S
 STAYS_M: Final = 0.005  # a smaller change is no movement; a hung filter repeats the same place
 # Expected displacement without a change of place, over this many periods at least.
 FROZEN_M: Final = 0.1
@@ -143,6 +146,7 @@ class Senses(Part):
         # and fro lead nowhere.
         self._turn_anchor_rad = self._expected_rad = 0.0
         self._turn_frozen = False  # PLACE_FROZEN was noticed by the heading
+        self._frozen_at_us: int | None = None  # when the place was found frozen; None: it follows
         self._unseen = NOTHING_UNSEEN  # before the last change of the place
         # A restart is no reason to believe a place that had jumped or stood still.
         record = recalled.get(PLACE_KEY, BELIEVED)
@@ -220,10 +224,13 @@ class Senses(Part):
     def _started(self, ctx: StepContext, notice: notices.WasStarted) -> Outputs:
         """Restart the checks. If the start is for this robot alone, its place is believed.
 
+        A place that froze just before is found frozen again before the robot drives.
         What the body may have driven while its place stood still remains: the place may be frozen yet."""
-        self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
-        self._periods, self._turn_frozen = 0, False
-        self.progress.forget()
+        frozen_at_us = self._frozen_at_us
+        if frozen_at_us is None or ctx.now_us - frozen_at_us >= SEEN_STANDING_US:
+            self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
+            self._periods, self._turn_frozen = 0, False
+            self.progress.forget()
         self._was_frozen = None
         if notice.named:
             self.jumps.forget()
@@ -282,6 +289,10 @@ class Senses(Part):
             and self._on_map
         ):
             frozen = self._hangs(self._sensed_at_us) or self._frozen(self._sensed_at_us)
+            if not frozen:
+                self._frozen_at_us = None
+            elif self._frozen_at_us is None:
+                self._frozen_at_us = now_us
             self._compared_at_us = self._sensed_at_us
         if frozen or self._changed:
             effects += self.safety.hold_while(StopCause.PLACE_FROZEN, bool(frozen), frozen, now_us)

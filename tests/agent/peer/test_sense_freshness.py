@@ -429,6 +429,26 @@ def test_a_start_while_the_place_is_frozen_forgets_no_way(periods: int, named: b
     assert not robot.held and robot.told != HALT
 
 
+@pytest.mark.parametrize("named", [False, True])
+@pytest.mark.parametrize("later_for_periods", [0, 1, 10, 30])
+def test_a_start_just_after_a_place_froze_moves_no_robot(
+    later_for_periods: int, named: bool
+) -> None:
+    """Found by chaos, `all` 112001178: the person who gave the start had not seen the robot stand. Its
+    body still drove, and was looked at as one that begins to drive."""
+    robot = driving()
+    robot.frozen = True
+    while not robot.held:
+        robot.period()
+    robot.periods(later_for_periods)
+    robot.peer.step(Start(named), robot.now_us)
+    for _ in range(60):
+        robot.period()
+        assert robot.held == {StopCause.PLACE_FROZEN} and robot.told == HALT
+    robot.frozen = False
+    assert not robot.periods(2).held, "it goes on by itself when the place follows"
+
+
 def test_a_place_that_comes_back_after_a_gap_must_be_where_the_body_can_have_stopped() -> None:
     for moved_m, held in ((0.0, set[StopCause]()), (20.0, {StopCause.PLACE_LOST})):
         robot = driving()
