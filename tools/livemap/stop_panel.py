@@ -131,6 +131,7 @@ class Panel:
         except AttachError as problem:
             raise PanelError(str(problem)) from None
         operator = Operator(self.bus, keyring, self.stopper.device)
+        operator.shown.ask()
         self._listeners.append(operator)
         try:
             await operator.listen(LISTEN_S, stops=True)

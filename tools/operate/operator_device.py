@@ -132,7 +132,7 @@ class Operator:
             self.shown.hear_held(message)
         if isinstance(message, FleetStop):
             far = RemoteStopDot(message.slot, message.incarnation, message.counter, message.segment)
-            self.shown.hear_far(far)
+            self.shown.hear_far(far, message.told)
         if isinstance(message, Challenge):
             self._prove(source, message)
         slot = self.slot_of.get(source)

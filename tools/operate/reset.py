@@ -58,6 +58,7 @@ async def _reset(
     try:
         operator = Operator(bus, keyring)
         operator.expect(robots_of_launch(interface, host, port, key))
+        operator.shown.ask()
         listen_to(bus, operator)
         await operator.listen(LISTEN_S, stops=True)
         operator.check_address()

@@ -3,7 +3,7 @@
 Latched robots send their stops by name, some at a time, and all of them in sum (STOPS_HELD). With keys
 a robot's sum has a tag, and names are believed only if they add up to it. The reason: any device can
 send a stop that was never pressed, and could keep a reset signed for it until that stop is pressed.
-A stop that is pressed while the reset runs was not shown to the operator, so it is not cleared.
+A stop that is pressed after the operator asked for a release was not shown, so it is not cleared.
 """
 
 from collections.abc import Collection
@@ -19,8 +19,8 @@ HEARD_MAX = 4096  # names that are kept; a device that sends more of them floods
 
 
 class ShownStops:
-    """Collects stops by name and in sum, as robots tell them. From the begin of a release on, stops
-    that are new are left alone."""
+    """Collects stops by name and in sum, as robots tell them. Stops that are pressed after the operator
+    asked for a release are left alone."""
 
     def __init__(self, keyring: Keyring | None) -> None:
         secret = None if keyring is None else keyring.keys.operator
@@ -36,10 +36,16 @@ class ShownStops:
         self.told: dict[int, StopsHeld] = {}  # by robots; with keys only what they have signed
         self.latched: set[int] = set()  # robots that have answered the newest question
         self.refused = 0  # answers without a valid tag
-        self._releasing = self._pressed = False
+        self._asked = self._releasing = False
+        self._pressed: set[StopDot | RemoteStopDot] = set()  # since the operator asked
+        # What robots that had not answered before said after such a press: it may hold them, too.
+        self._told_late: dict[int, StopsHeld] = {}
 
     def hear_stop(self, m: EmergencyStop) -> None:
-        """Take a stop of this segment. A press that comes during a release is not cleared."""
+        """Take a stop of this segment. A press that comes after a release was asked for is not cleared.
+
+        A robot repeats its press until the others have echoed it, for a moment. So a press that is heard
+        may have begun earlier, and waits for the next release."""
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if m.spent:
             if len(self.spent) < HEARD_MAX:
@@ -47,10 +53,16 @@ class ShownStops:
             return
         if len(self.recounted) < HEARD_MAX:
             self.recounted.add(dot)
-        if self._releasing and dot not in self.near and not m.echo:
-            self._pressed = True
-        if not self._pressed and len(self.near) < HEARD_MAX:
+        if self._is_shown(dot, dot in self.near, m.echo) and len(self.near) < HEARD_MAX:
             self.near.add(dot)
+
+    def _is_shown(self, dot: StopDot | RemoteStopDot, known: bool, told: bool) -> bool:
+        """Whether a stop was there when the operator asked. `told`: it is repeated, and no new press."""
+        if known or not self._asked:
+            return True
+        if not told and len(self._pressed) < HEARD_MAX:
+            self._pressed.add(dot)
+        return dot not in self._pressed and len(self._pressed) < HEARD_MAX
 
     def hear_held(self, m: StopsHeld) -> None:
         """Take what one robot says of all its stops. With keys its tag must fit our question."""
@@ -60,20 +72,28 @@ class ShownStops:
         self.latched.add(m.slot)
         self.counts[m.slot] = m.stops
         before = self.told.get(m.slot)
-        more = before is not None and m.stops > before.stops
-        if not (self._releasing and (more or self._pressed)):
+        if self._asked and before is not None and m.stops > before.stops:
+            return
+        if not self._pressed:
             self.told[m.slot] = m
+        elif before is None:
+            self._told_late[m.slot] = m
 
-    def hear_far(self, dot: RemoteStopDot) -> None:
-        """Take a stop of another segment."""
+    def hear_far(self, dot: RemoteStopDot, told: bool) -> None:
+        """Take a stop of another segment. `told`: it is repeated, and no new press."""
         if len(self.recounted_far) < HEARD_MAX:
             self.recounted_far.add(dot)
-        if not self._releasing and len(self.far) < HEARD_MAX:
+        shown = self._is_shown(dot, dot in self.far, told) and not self._releasing
+        if shown and len(self.far) < HEARD_MAX:
             self.far.add(dot)
 
+    def ask(self) -> None:
+        """The operator asks for a release: a press that comes from now on was not shown."""
+        self._asked = True
+
     def release(self) -> None:
-        """From now on a new press is one that was not shown."""
-        self._releasing = True
+        """From now on no stop of another segment is new."""
+        self._asked = self._releasing = True
 
     def recount(self) -> None:
         """From now on `recounted` has what robots still hold. The names that were shown stay, because a
@@ -101,8 +121,13 @@ class ShownStops:
 
     @property
     def sums(self) -> list[int]:
-        """Digests of all that robots hold."""
-        return sorted({held.digest for held in self.told.values() if held.stops})
+        """Digests of all that robots hold. One that was told after a press counts if the names of what
+        was shown add up to it."""
+        sums = {held.digest for held in self.told.values() if held.stops}
+        late = {held.digest for held in self._told_late.values() if held.stops}
+        if late - sums:
+            late &= {_digest([StopDot(*dot) for dot in self.near], self.far)}
+        return sorted(sums | late)
 
     @property
     def named(self) -> tuple[list[StopDot], list[RemoteStopDot]]:
@@ -113,11 +138,15 @@ class ShownStops:
         return sorted(near), far
 
     def _adds_up(self, near: Collection[StopDot], far: Collection[RemoteStopDot]) -> bool:
-        """A stop of the robots' own segment is said in both ways, and held once."""
-        stops, beyond = StopSet(), RemoteStopSet()
-        for dot in near:
-            stops.press(dot)
-        for away in far:
-            if StopDot(*away[:3]) not in stops.active:
-                beyond.press(away)
-        return held_digest(stops, beyond) in self.sums
+        return _digest(near, far) in self.sums
+
+
+def _digest(near: Collection[StopDot], far: Collection[RemoteStopDot]) -> int:
+    """Of stops by name. A stop of the robots' own segment is said in both ways, and held once."""
+    stops, beyond = StopSet(), RemoteStopSet()
+    for dot in near:
+        stops.press(dot)
+    for away in far:
+        if StopDot(*away[:3]) not in stops.active:
+            beyond.press(away)
+    return held_digest(stops, beyond)

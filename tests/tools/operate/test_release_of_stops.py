@@ -12,7 +12,7 @@ from agent.interface.lifecycle import State
 from agent.peer.inputs import Press
 from agent.runtime.files.key_file import OPERATOR, fresh, read, write
 from agent.safety.stop_cause import StopCause
-from crdt.stops import StopDot
+from crdt.stops import RemoteStopDot, RemoteStopSet, StopDot, StopSet, held_digest
 from protocol.authentication import Keyring
 from protocol.frames.fleet_frames import Heartbeat, Pose
 from protocol.frames.safety_frames import EmergencyStop, Reason, StopsHeld
@@ -22,6 +22,7 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse
 from sim.scenarios.scenario import load
 from tests.chaos.at_work import Done, at_work
+from tools.livemap.stop_panel import Panel
 from tools.operate import reset
 from tools.operate.operator_device import Operator
 from tools.operate.reset import LISTEN_S, release
@@ -191,6 +192,71 @@ def test_t9_what_is_pressed_during_a_reset_is_not_cleared() -> None:
     shown.hear_held(StopsHeld(0, 1, 79))
     shown.hear_stop(EmergencyStop(*second, 0, True))
     assert shown.sums == [77] and shown.named == ([first], [])
+
+
+@pytest.mark.parametrize("after_s", [0.05, 0.4])
+@pytest.mark.parametrize("signed", [False, True])
+@pytest.mark.parametrize("by", ["command", "map"])
+def test_t11_a_stop_that_is_pressed_after_a_release_was_asked_for_stays(
+    by: str,
+    signed: bool,
+    after_s: float,
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """`headland release` and the map listen for 0.7 s, and cleared what was pressed in that time."""
+    fleet, operator = tmp_path / "fleet.json", tmp_path / "operator.json"
+    write(fleet, operator, fresh(), 249)
+
+    async def ask(cluster: Cluster) -> list[int]:
+        key = operator if signed else None
+        if by == "command":
+            await on_field_bus(monkeypatch, cluster, key)
+            told = json.loads(capsys.readouterr().out)
+            return told["not_released"]  # type: ignore[no-any-return]
+        bus, loop = CanBus(FieldBus(cluster.channel)), asyncio.get_running_loop()
+        panel = Panel(bus, None, key)
+        bus.subscribe(lambda frame: panel.hear(loop.time(), frame))
+        await elapse(0.5)
+        return (await panel.release(not signed, True, False))["late"]  # type: ignore[no-any-return]
+
+    async def story(cluster: Cluster, seen: list[Done]) -> None:
+        cluster.robots[1].runner.operate(Press(Reason.PERSON_IN_FIELD))
+        await elapse(1.0)
+        asked = asyncio.ensure_future(ask(cluster))
+        await elapse(after_s + (0.5 if by == "map" else 0.0))
+        cluster.robots[2].runner.operate(Press(Reason.PERSON_IN_FIELD))
+        assert await asked == [0, 1, 2]
+        for robot in cluster.running:
+            assert 2 in {dot.slot for dot in robot.peer.safety.stops.active}
+        assert await ask(cluster) == [], "which is shown now"
+        assert not any(r.peer.safety.latched for r in cluster.running)
+
+    at_work(load("small").changed(3, 5, fleet if signed else None), story)
+
+
+def test_t9_names_and_sums_after_a_press_count_only_without_it() -> None:
+    first, second = StopDot(1, 1, 1), StopDot(2, 1, 1)
+    far, away = RemoteStopDot(3, 1, 1, 2), RemoteStopDot(4, 1, 1, 2)
+    held, more = StopSet(), StopSet()
+    held.press(first)
+    more.press(first)
+    more.press(second)
+    none = RemoteStopSet()
+    shown = ShownStops(None)
+    shown.ask()
+    shown.hear_stop(EmergencyStop(*second, 0))
+    for dot in (second, first):
+        shown.hear_stop(EmergencyStop(*dot, 0, echo=True))
+    shown.hear_held(StopsHeld(0, 2, held_digest(more, none)))
+    assert shown.sums == [] and shown.named == ([first], [])
+    shown.hear_held(StopsHeld(1, 1, held_digest(held, none)))
+    assert shown.sums == [held_digest(held, none)], "a robot that has missed the press"
+    shown.hear_far(away, False)
+    shown.hear_far(away, True)
+    shown.hear_far(far, True)
+    assert shown.named == ([first], [far])
 
 
 def test_beats_in_the_name_of_a_latched_robot_do_not_make_its_release_a_success(
