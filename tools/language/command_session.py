@@ -210,28 +210,46 @@ class CommandSession:
     # ---------------------------------------------------------------- goals that wait
 
     async def serve(self, tell: Callable[[Outcome], None]) -> None:
-        """Until the queue is empty: the oldest goal goes to the nearest robot that is idle."""
+        """Until the queue is empty: the oldest goal that can be given goes to the nearest robot that is
+        idle."""
         while self.queue:
             with self.queue.delivering() as ours:
-                goals = self.queue.goals
-                outcome = await self._deliver(goals[0]) if ours and goals else None
+                outcome = await self._deliver_oldest() if ours else None
             if outcome is not None:
                 tell(outcome)
             else:
                 await asyncio.sleep(SERVE_S)
 
-    async def _deliver(self, goal: Queued) -> Outcome | None:
-        """One goal, if a robot can take it. Waiting does not help when a robot refuses it."""
+    async def _deliver_oldest(self) -> Outcome | None:
+        """A goal that was given to a robot that is dead, or that does not answer, holds up no other."""
+        tried = set[int]()
+        while True:
+            # Read again: another command may have cleared the queue meanwhile.
+            goals = self.queue.goals
+            goal = next((goal for goal in goals if goal.number not in tried), None)
+            if goal is None:
+                return None
+            tried.add(goal.number)
+            given = frozenset(one.given_to for one in goals if one.given_to is not None)
+            outcome = await self._deliver(goal, given)
+            if outcome is not None:
+                return outcome
+
+    async def _deliver(self, goal: Queued, given: frozenset[int]) -> Outcome | None:
+        """One goal, if a robot can take it. Waiting does not help when a robot refuses it.
+
+        `given`: robots that may have a goal of the queue already."""
         fleet = await self.hear_fleet()
-        robot = fleet.nearest(goal.place)
-        if goal.given_to is not None:  # a command before us died while it was sending
+        robot = fleet.nearest(goal.place, given)
+        if goal.given_to is not None:  # it may go there: sent, and not confirmed
             robot = fleet.robots.get(goal.given_to)
-        if robot is None:
+        if robot is None or robot.silent:
             return None
         self.queue.give(goal.number, robot.slot)
         order = AuthorizedOrder(robot.slot, "set-goal", goal.place)
         word = await self._convey(order)
-        report = self.operator.robots[robot.slot].report
+        known = self.operator.robots.get(robot.slot)  # None: its address is another maker's
+        report = None if known is None else known.report
         if word is None and (report is None or report.matter is not ReportKind.REFUSED):
             return None  # not heard: the same robot gets the order again
         self.queue.done(goal.number)

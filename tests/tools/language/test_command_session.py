@@ -18,7 +18,9 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
+from tools.language.authorize import AuthorizedOrder
 from tools.language.command_session import CommandSession
+from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.goal_queue import GoalQueue
 from tools.language.intent import AnyIntent, Goal
 from tools.language.outcome import LATCHED, Outcome
@@ -233,6 +235,62 @@ def test_a_goal_waits_for_an_idle_robot(tmp_path: Path) -> None:
         assert word == "UNDER WAY" and len(speaker.queue) == 0
         await elapse(120.0)  # others stand on its way
         assert at_m(cluster, order.slot, (10.0, -5.0)) < 1.0
+
+    play(story, tmp_path)
+
+
+def idle(speaker: CommandSession, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Robots 1 and 2 stand without work; robot 0 was there."""
+    robots = {slot: RobotNow(slot, "IDLE", 0.0, 0.0, silent=not slot) for slot in range(3)}
+
+    async def hear_fleet() -> FleetNow:
+        return FleetNow(robots, {})
+
+    monkeypatch.setattr(speaker, "hear_fleet", hear_fleet)
+
+
+def test_the_goal_of_a_dead_robot_holds_up_no_other(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A command before had sent it and died, and its robot died, too: no later goal was given."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        idle(speaker, monkeypatch)
+        asked: list[int] = []
+
+        async def convey(order: AuthorizedOrder) -> str | None:
+            asked.append(order.slot)
+            return "UNDER WAY" if order.slot == 2 else None
+
+        monkeypatch.setattr(speaker, "_convey", convey)
+        given: list[Outcome] = []
+        for place in ("of the dead", "of the deaf", "shelf"):
+            speaker.queue.add(place, (10.0, -5.0))
+        speaker.queue.give(1, 0)
+        speaker.queue.give(2, 1)
+        serving = asyncio.create_task(speaker.serve(given.append))
+        await elapse(3.0)
+        serving.cancel()
+        assert [told.phrase for told in given] == ["queued: shelf"]
+        assert speaker.queue.names == ["of the dead", "of the deaf"], (
+            "no second robot is sent there"
+        )
+        assert set(asked) == {1, 2}
+
+    play(story, tmp_path)
+
+
+def test_a_goal_waits_on_when_the_address_of_its_robot_is_another_makers(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The operator's device drops that robot, and a conversation ended with a traceback."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        idle(speaker, monkeypatch)
+        speaker.operator.robots.clear()
+        speaker.queue.add("shelf", (10.0, -5.0))
+        assert await speaker._deliver(speaker.queue.goals[0], frozenset()) is None
+        assert speaker.queue.names == ["shelf"]
 
     play(story, tmp_path)
 
