@@ -19,12 +19,8 @@ class EventLines:
 
     def say(self, event: str, text: str, /, **values: object) -> None:
         """One event: its text, or with `as_json` its name and values. Words of others in the text do not
-        steer a terminal."""
-        self.out(
-            dumps({"event": event, **values})
-            if self.as_json
-            else "\n".join(printable(line) for line in text.split("\n"))
-        )
+        steer a terminal, and are no line of their own."""
+        self.out(dumps({"event": event, **values}) if self.as_json else printable(text))
 
     def note(self, text: str) -> None:
         """What only a person has a use for."""
