@@ -28,6 +28,7 @@ from agent.runtime.vda5050.messages import (
 )
 from crdt import Phase
 from protocol.frames.codec import Malformed, decode
+from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.fleet_frames import Pose
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
@@ -125,10 +126,13 @@ class MasterGateway:
                 if self.inspector.proven is not None:
                     for question in self.inspector.proven.questions(round(now_s * 1e6)):
                         self.operator.send(question)
+                for port in self.ports.values():
+                    self._observe(port)
                 if now_s - said_s >= SAY_S:
                     said_s = now_s
                     self._finish_delivered()
-                    for order in self.desk.due():
+                    self._book_again()
+                    for order in self.due():
                         self.operator.send(order)
                 if now_s - asked_s >= ASK_S:
                     asked_s = now_s
@@ -139,7 +143,6 @@ class MasterGateway:
                         self.operator.ask_work()
                         self.operator.send(HIGHEST_ASKED)  # orders get numbers above all others
                 for port in self.ports.values():
-                    self._observe(port)
                     port.tell(now_s, self)
                 await asyncio.sleep(TICK_S)
         finally:
@@ -179,9 +182,8 @@ class MasterGateway:
         if port.index is not None:
             number = self.desk.number_of(port.index)
             if number != booked.number:  # another device has used it as well
-                booked = booked._replace(number=number)
-                self.book.write(booked)
-                vehicle.booked = booked
+                booked = vehicle.booked = booked._replace(number=number)
+                self._book_number(port, booked)
         assert booked.number is not None
         order = self.desk.wanted.get(booked.number)
         task = booked.task if order is None else order[1]
@@ -193,6 +195,38 @@ class MasterGateway:
         if outcome.phase is TaskPhase.DELIVERED:
             self.desk.finish(booked.number)
         vehicle.outcome = outcome
+
+    def _book_number(self, port: "_Port", booked: BookedOrder) -> None:
+        """The new number of an order. Where the disk takes no record, robots hear of it later."""
+        try:
+            self.book.write(booked)
+        except OSError as problem:
+            if not port.unbooked:
+                why, order_id = problem.strerror or str(problem), booked.order.order_id
+                self.lines.say(
+                    "order-not-booked",
+                    f"{self.serial(booked.slot)}: order {order_id} is task {booked.number} now, and "
+                    f"waits until that can be booked: {why}",
+                    robot=booked.slot, order=order_id, task=booked.number, why=why,
+                )  # fmt: skip
+            port.unbooked = True
+        else:
+            port.unbooked = False
+
+    def _book_again(self) -> None:
+        for port in self.ports.values():
+            booked = port.vehicle.booked
+            if port.unbooked and booked is not None:
+                self._book_number(port, booked)
+
+    def due(self) -> list[TaskOrder]:
+        """Orders to say again: those whose number is booked."""
+        unbooked = {
+            port.vehicle.booked.number
+            for port in self.ports.values()
+            if port.unbooked and port.vehicle.booked is not None
+        }
+        return [order for order in self.desk.due() if order.task not in unbooked]
 
     def _finish_delivered(self) -> None:
         """Also those of earlier orders, which the book has recalled."""
@@ -370,6 +404,7 @@ class _Port:
         self.pausing = asyncio.Lock()
         self.cancelling: asyncio.Task[str | None] | None = None  # the wait for its order's end
         self.index: int | None = None  # of its order at the desk
+        self.unbooked = False  # its order has a number that the book does not have yet
         booked = vehicle.booked
         if booked is not None and booked.number is not None:
             wanted = gateway.desk.wanted.get(booked.number)

@@ -167,6 +167,48 @@ def test_an_order_that_lost_its_number_is_one_transport_also_after_a_restart(
     asyncio.run(story())
 
 
+def test_a_full_disk_does_not_end_a_gateway_whose_order_gets_another_number(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """`headland vda5050` ended with exit code 2, and all vehicles were gone."""
+    told: list[str] = []
+
+    async def story() -> None:
+        gateway, end = gateway_on(tmp_path, told), asyncio.Event()
+        port = gateway.ports[0]
+        running = asyncio.create_task(gateway.run(end))
+        await asyncio.wait({running}, timeout=0.01)
+        gateway.order(port, WHOLE)
+        (said,) = gateway.desk.due()
+
+        def full(_: int) -> None:
+            raise OSError(28, "No space left on device")
+
+        with monkeypatch.context() as patch:
+            patch.setattr("tools.vda5050.order_book.os.fsync", full)
+            gateway.desk.hear(128, said._replace(dropoff=said.dropoff + 1))
+            async with asyncio.timeout(WAIT_S):
+                while not any("waits until that can be booked" in line for line in told):
+                    assert not running.done()
+                    await asyncio.wait({running}, timeout=0.01)
+            vehicle = port.vehicle
+            assert vehicle.booked is not None and vehicle.booked.number == said.task + 1
+            assert gateway.due() == [], "no robot hears of what is not booked"
+        async with asyncio.timeout(WAIT_S):
+            while not gateway.due():
+                await asyncio.wait({running}, timeout=0.01)
+        assert [order.task for order in gateway.due()] == [said.task + 1]
+        end.set()
+        await running
+        await left(gateway)
+
+    asyncio.run(story())
+    again = OrderBook(tmp_path / "book.jsonl")
+    again.close()
+    number = again.orders[0].number
+    assert list(again.tasks) == [number] and sum("booked" in line for line in told) == 1
+
+
 def test_a_cancelled_order_that_has_just_lost_its_number_is_taken_back(tmp_path: Path) -> None:
     """The action failed without a word, and the parcel was carried."""
     told: list[str] = []
