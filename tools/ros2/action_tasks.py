@@ -45,6 +45,8 @@ class ActionTasks:
             await serve(goal)
         except AttachError as problem:  # the key has ended, or its file is gone
             self.abort(goal, str(problem))
+        except Exception as problem:  # a client would wait for ever for the end of its goal
+            self.abort(goal, f"it failed: {problem!r}")
 
     def cancel(self) -> None:
         """End all of them; clients are told nothing more."""

@@ -23,8 +23,9 @@ from tools.common.event_lines import EventLines
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
 from tools.ros2 import goal_desk, transport_desk
+from tools.ros2.action_tasks import ActionTasks
 from tools.ros2.goal_desk import GoalDesk
-from tools.ros2.graph import Ended, GoalPlace
+from tools.ros2.graph import ActionGoal, Ended, GoalPlace
 from tools.ros2.transport_desk import TransportDesk
 
 WAIT_S = 20.0
@@ -73,6 +74,21 @@ def test_a_goal_whose_key_is_gone_is_listened_for_no_more(
         assert goal.ended == [(Ended.ABORTED, "the key is gone")] and "the key is gone" in told[0]
         assert not desk._listeners and not desk._newest
         bus.close()
+
+    asyncio.run(story())
+
+
+def test_a_goal_that_fails_for_a_reason_that_nobody_expected_is_ended_all_the_same() -> None:
+    """Its client waited for ever, and people saw nothing until the end of the program."""
+
+    async def fails(goal: ActionGoal) -> None:
+        raise KeyError(7)
+
+    async def story() -> None:
+        goal, told = Goal(HERE), list[str]()
+        await ActionTasks(EventLines(out=told.append))._whole(fails, goal)
+        assert [how for how, _ in goal.ended] == [Ended.ABORTED]
+        assert told == ["goal aborted: it failed: KeyError(7)"]
 
     asyncio.run(story())
 
