@@ -18,13 +18,15 @@ def check(names: list[str], as_json: bool) -> int:
     """The exit code of `headland check`: 0, or 2 if one is wrong."""
     told = []
     for name in names:
-        row: dict[str, object] = {"scenario": name, "kind": named(name).kind.value}
+        row: dict[str, object] = {"scenario": name, "kind": Kind.FIELD.value}
         try:
+            row["kind"] = named(name).kind.value
             setup = setup_of(name)
-        except ScenarioError as problem:
-            row |= {"ok": False, "problem": str(problem)}
+        except (ScenarioError, OSError) as problem:  # a name may be too long for a file system
+            why = f"{name}: {problem.strerror}" if isinstance(problem, OSError) else str(problem)
+            row |= {"ok": False, "problem": why}
             if not as_json:
-                print(f"headland: {problem}", file=sys.stderr)
+                print(f"headland: {why}", file=sys.stderr)
         else:
             scenario = setup.scenario
             row |= {"ok": True, "robots": scenario.fleet.robots, "faults": len(scenario.fault)}

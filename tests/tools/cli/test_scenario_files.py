@@ -50,6 +50,20 @@ def test_everything_that_ships_is_listed_and_right(capsys: pytest.CaptureFixture
     }  # fmt: skip
 
 
+def test_a_name_that_no_file_system_takes_is_a_row_like_the_others(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    """`headland check --json` printed nothing on stdout, and did not look at the other scenarios."""
+    long = "n" * 300
+    assert scenario_check.check([long, "small"], True) == 2
+    first, second = json.loads(capsys.readouterr().out)
+    assert not first["ok"] and "too long" in first["problem"] and first["scenario"] == long
+    assert second["ok"]
+    assert scenario_check.check([long, "small"], False) == 2
+    said = capsys.readouterr()
+    assert "too long" in said.err and "small: right" in said.out
+
+
 @pytest.mark.parametrize("like", ["small", "rooms", "warehouse", "ring", "arenas/warehouse"])
 def test_a_new_scenario_is_right_as_it_is_written(
     like: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
