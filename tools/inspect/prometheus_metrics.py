@@ -22,7 +22,7 @@ from prometheus_client.registry import Collector
 
 from agent.interface.lifecycle import State
 from agent.safety.stop_cause import cause_of
-from tools.inspect.inspector import Seen
+from tools.inspect.inspector import SILENT_S, Seen
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError
 from tools.inspect.scrape_server import ScrapeServer
@@ -84,7 +84,11 @@ class FleetCollector(Collector):
         yield _by_robot(
             "placed", "1: it knows where it is.", robots, lambda r: r.placed and r.has_place
         )
-        yield _by_robot("speed_metres_per_second", "Its speed.", robots, lambda r: r.speed_m_s)
+        # Its last speed would be drawn on for ever, and count in sums.
+        heard = [r for r in robots if not r.left and now_s - r.last_s <= SILENT_S]
+        yield _by_robot(
+            "speed_metres_per_second", "Its speed, while it is heard.", heard, lambda r: r.speed_m_s
+        )
         yield _by_robot(
             "asking", "1: it waits for an operator's answer.", robots, lambda r: r.question > 0
         )

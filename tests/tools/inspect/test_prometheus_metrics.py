@@ -25,6 +25,7 @@ from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import WorkProgress
 from tests.tools.launching import WAIT_S, call, said, start
 from tools.bench.prometheus_server import FILES, Alert, PrometheusServer, page
+from tools.inspect.inspector import SILENT_S
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsError, metrics_address
 from tools.inspect.prometheus_metrics import FleetCollector, GatewayCollector, RobotProcesses
@@ -102,6 +103,18 @@ def test_silence_states_and_work_by_robot() -> None:
     assert fleet.value("headland_worked_units") == 3.0
     assert fleet.value("headland_frames_total", kind="POSE") == 3.0
     assert fleet.value("headland_robots") == 2.0
+
+
+def test_a_robot_that_is_silent_or_has_left_has_no_speed() -> None:
+    """It kept the last one that it had told."""
+    fleet, name = Fleet(), "headland_robot_speed_metres_per_second"
+    assert [fleet.value(name, robot=slot) for slot in "01"] == [1.5, 1.5]
+    fleet.now_s += SILENT_S + 0.1
+    fleet.pose(0, 1.0)
+    assert [fleet.value(name, robot=slot) for slot in "01"] == [1.0, None]
+    fleet.say(128, Heartbeat(1, State.IDLE, False, False, True, True, 1.0, 0, 0))
+    assert fleet.value("headland_robot_left", robot="0") == 1.0
+    assert fleet.value(name, robot="0") is None
 
 
 @pytest.mark.parametrize("keyed", [False, True])
