@@ -60,7 +60,8 @@ def stop(
     watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
     json: Json = False,
 ) -> None:  # fmt: skip
-    """Stop every robot on a bus, and say which have confirmed. Exit 0 only when all live ones did.
+    """Stop every robot on a bus, and say which have confirmed. Exit 0 only when all did
+    that are or were there.
 
     Example: headland stop -i socketcan -c can0
     """
