@@ -4,10 +4,13 @@ A simulation keeps it in its fleet, a launch in the process of the world; robots
 it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from functools import partial
+from math import isfinite
 
+from agent.delivery.cost_matrix import FULL, Trip
 from agent.delivery.task_registry import TransportTask
+from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import S
 from protocol.frames.codec import Malformed, decode_once
 from protocol.frames.delivery_frames import TASK_NUMBERS, TaskOrder
@@ -111,3 +114,22 @@ class WarehouseFloor:
             yield round(outage.at_s * S)
             if outage.bay < len(self.truth.bays):
                 self.truth.bays[outage.bay].works = False
+
+
+def beyond_battery(house: Warehouse, trips: Mapping[int, Trip]) -> frozenset[int]:
+    """Of tasks by number those that a battery that is full at any bay does not last for: from there to
+    both places, and to a bay again."""
+    if not (house.carrier.runs_dry and house.bays):
+        return frozenset()
+    return frozenset(task for task, trip in trips.items() if not _lasts(house, trip))
+
+
+def _lasts(house: Warehouse, trip: Trip) -> bool:
+    """Whether a battery that is full at some bay lasts for a task and the way to a bay again."""
+    for bay in house.bays:
+        if not isfinite(house.way_m(bay, trip.pickup)):
+            continue
+        done = house.after(CarrierState(0, bay, 0, FULL), trip, False)
+        if done.left >= house.home(trip.dropoff):
+            return True
+    return False

@@ -1,16 +1,13 @@
 """The fleet of a delivery run. It is apart from the run, because `headland compile` compiles it."""
 
 from collections.abc import Mapping
-from math import isfinite
 
-from agent.delivery.cost_matrix import FULL, Trip
 from agent.delivery.delivery_mission import DeliveryMission
-from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.runtime.peer_factory import MissionParts
 from crdt import Phase
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
-from sim.fleet.warehouse_floor import WarehouseFloor
+from sim.fleet.warehouse_floor import WarehouseFloor, beyond_battery
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody
 
@@ -74,25 +71,10 @@ class DeliveryFleet(Cluster):
         from there to both places, and to a bay again. No robot takes them once it has left its start."""
         left = self.truth.dropoff.keys() - self.truth.delivered_at_us.keys()
         left -= {*self.truth.aboard.values()} | self.unreachable
-        house = self.place.house
-        if not (left and house.carrier.runs_dry and house.bays):
-            return frozenset()
-        orders = {
-            task: order
+        trips = {
+            task: self.place.house.trip(order)
             for robot in self.running
             for task, order in self.missions[robot.slot].dispatch.book.tasks.items()
+            if task in left
         }
-        return frozenset(
-            task for task in left if task in orders and not _lasts(house, house.trip(orders[task]))
-        )
-
-
-def _lasts(house: Warehouse, trip: Trip) -> bool:
-    """Whether a battery that is full at some bay lasts for a task and the way to a bay again."""
-    for bay in house.bays:
-        if not isfinite(house.way_m(bay, trip.pickup)):
-            continue
-        done = house.after(CarrierState(0, bay, 0, FULL), trip, False)
-        if done.left >= house.home(trip.dropoff):
-            return True
-    return False
+        return beyond_battery(self.place.house, trips)

@@ -4,14 +4,17 @@ Transports may be ordered at any time, so it goes on until it is ended, by Ctrl-
 """
 
 import asyncio
+from math import isfinite
 
-from agent.delivery.task_registry import TASKS_MAX
+from agent.delivery.cost_matrix import Trip
+from agent.delivery.task_outcome import outcome_of
+from agent.delivery.task_registry import TASKS_MAX, TransportTask
 from agent.runtime.files.key_file import FLEET
 from crdt import Phase
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
 from sim.fleet.scheduler import follow
-from sim.fleet.warehouse_floor import WarehouseFloor
+from sim.fleet.warehouse_floor import WarehouseFloor, beyond_battery
 from sim.record.remote_body import BodyServer
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody, Parcels
@@ -112,10 +115,11 @@ class HaulLaunch(Launch):
             section >= TASKS_MAX and allocation.phase_of(section) is Phase.DONE
             for section in allocation.sections()
         )
+        beyond = self._beyond_battery()
         of_it = {
             "tasks": len(truth.dropoff), "delivered": len(truth.delivered_at_us), "known_to_all": known,
             "flaws": truth.flaws, "empty": sorted(truth.empty), "charges": charges,
-            "lowest_battery": min(truth.lowest.values(), default=1.0),
+            "lowest_battery": min(truth.lowest.values(), default=1.0), "beyond_battery": beyond,
         }  # fmt: skip
         if finished and not known:
             self.difference = "every parcel lies at its place, robots do not all say so"
@@ -123,4 +127,28 @@ class HaulLaunch(Launch):
             f"{len(truth.delivered_at_us)} of {len(truth.dropoff)} parcels delivered, "
             f"{counted(len(self.world.contacts), '{} contact{s}')}"
         )
+        if beyond:
+            verdict += (
+                f", a full battery does not last for {', '.join(f'task {n}' for n in beyond)}"
+            )
         self._write(elapsed_s, finished, of_it, verdict)
+
+    def _beyond_battery(self) -> list[int]:
+        """Tasks that wait because a battery that is full at any bay does not last for them.
+
+        Found at the end, because the ways are planned in the process that moves the world."""
+        assert isinstance(self.setting, DeliverySetup)
+        truth, house = self.floor.truth, self.setting.house
+        trips = {
+            task: Trip(at, truth.dropoff[task])
+            for task, at in truth.lies.items()
+            if not (task in truth.delivered_at_us or self._is_over(task))
+            and isfinite(house.way_m(at, truth.dropoff[task]))
+        }
+        return sorted(beyond_battery(house, trips))
+
+    def _is_over(self, task: int) -> bool:
+        """Also for one that was taken back."""
+        heard, order = self.inspector, self.inspector.transports.get(task)
+        asked = None if order is None else TransportTask(*order)
+        return outcome_of(task, asked, heard.allocation, heard.progress).final
