@@ -22,6 +22,9 @@ from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.world.plan_judge import lower_bound
 
 QUIET_US = 10 * S  # after the last cell, registers and replicas must be in order within this time
+# On a bus that loses frames, until a report that was lost is told again: a robot that has just heard
+# the others asks them for what it misses.
+TOLD_AGAIN_US = 5 * S
 
 
 class CoverageOutcome(NamedTuple):
@@ -36,7 +39,9 @@ class CoverageOutcome(NamedTuple):
     bound_s: float  # lower bound for any fleet: distance-aware, one cell a step
     replanned: int  # cells planned although the planner's own replica had them as covered
     redone: int  # cells planned although covered by a robot that is present and reachable by all
-    untold: int  # cells planned that a robot covered just before it died, and could not report
+    # Cells planned that a robot covered just before it died, and could not report; or just before the
+    # plan, where the bus loses frames.
+    untold: int
     contacts: int
     through_walls: int
     closest_m: float
@@ -107,6 +112,8 @@ class ReplanAuditor:
             # A round that began in a part of a cut fleet cannot know what the others covered.
             if not cut and rounds.begun_at_us >= self._whole_at_us:
                 told = np.isin(by, sorted(self.cluster.never_died))
+                if self.cluster.place.scenario.bus.loss:
+                    told &= first_at_us < rounds.begun_at_us - TOLD_AGAIN_US
                 self.redone += int(np.count_nonzero(before & told))
                 self.untold += int(np.count_nonzero(before & ~told))
 
