@@ -36,7 +36,7 @@ from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.livemap.stop_panel import Panel
-from tools.operate.estop import keyring_of
+from tools.operate.estop import stop_keyring
 
 if TYPE_CHECKING:
     from tools.livemap.foxglove_live import FoxgloveFeed
@@ -297,7 +297,7 @@ def _live(
 ) -> int:  # fmt: skip
     if launch is not None and keys == KeyFiles(None, None):
         keys = KeyFiles(launch[KEYS], launch[KEYS])
-    keyring = keyring_of(keys.panel)
+    keyring = stop_keyring(keys.panel)
     check_operator_key(keys.operator)
     interface, channel, bitrate, host, port = where
     if launch is not None:

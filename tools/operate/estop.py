@@ -75,14 +75,7 @@ async def _estop(
     else:
         bus = attach(interface, channel, bitrate, host, port)
     try:
-        keyring = None
-        try:
-            keyring = keyring_of(keys)
-        except AttachError as problem:
-            if code_of(problem) != TRY_AGAIN:
-                raise
-            # The counter of an operator's key has no room. Robots brake for a stop without a tag, too.
-            print(f"headland: {problem}; the stop is said unsigned", file=sys.stderr)
+        keyring = stop_keyring(keys)
         operator = Operator(bus, keyring)
         operator.expect(robots_of_launch(interface, host, port, keys))
         listen_to(bus, operator)
@@ -106,6 +99,18 @@ def keyring_of(keys: Path | None) -> Keyring | None:
         return read(keys, OPERATOR).keyring()
     except KeyFileError as problem:
         raise AttachError(f"--keys {problem}") from None
+
+
+def stop_keyring(keys: Path | None) -> Keyring | None:
+    """As `keyring_of`, and None where the counter of an operator's key has no room on a full disk: robots
+    brake for a stop without a tag, too. Raises AttachError."""
+    try:
+        return keyring_of(keys)
+    except AttachError as problem:
+        if code_of(problem) != TRY_AGAIN:
+            raise
+        print(f"headland: {problem}; the stop is said unsigned", file=sys.stderr)
+        return None
 
 
 def listen_to(bus: CanBus | SocketcandLink, operator: Operator) -> None:

@@ -1,6 +1,7 @@
 """A disk that is full in the middle of a file: one line, exit code 75, and no half of a file."""
 
 import errno
+import socket
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -12,10 +13,12 @@ from typer.testing import CliRunner
 from agent.runtime.files.key_file import fresh, write
 from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
-from protocol.frames.safety_frames import EmergencyStop
+from protocol.frames.safety_frames import EmergencyStop, Reason
 from tests.tools.cli.test_commands import headland
 from tools.cli.headland import app
 from tools.common.exit_codes import code_of
+from tools.livemap import command as map_command
+from tools.livemap.server import MapServer
 from tools.run import export
 
 PATH_WRITE = Path.write_bytes
@@ -112,6 +115,31 @@ def test_a_stop_is_said_also_where_the_disk_is_full(
     heard = [decode(frame)[1] for frame in frames]
     assert any(isinstance(message, EmergencyStop) for message in heard)
     assert told.exit_code == 1 and "NOT SIGNED" in told.stdout, told.output
+    assert "No space left on device; the stop is said unsigned" in told.stderr
+
+
+def test_a_map_stops_also_where_the_disk_is_full(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With an operator's key in --keys no page opened, and nobody could press its red button."""
+    key, pressed = key_without_room(tmp_path, monkeypatch), []
+
+    async def serve(server: MapServer, listener: socket.socket) -> None:
+        assert server.panel is not None
+        server.panel.stopper.stop(server.panel.stopper.new_stop(Reason.OPERATOR_INTERVENTION))
+        pressed.append(server.panel.signed)
+
+    monkeypatch.setattr(map_command, "serve", serve)
+    monkeypatch.chdir(tmp_path)
+    words = ["map", "-i", "virtual", "-c", str(tmp_path), "--page-port", "0", "--keys", str(key)]
+    with can.Bus(str(tmp_path), interface="virtual") as ear:
+        told = CliRunner().invoke(app, words)
+        frames = [
+            Frame(message.arbitration_id, bytes(message.data))
+            for message in iter(lambda: ear.recv(0.0), None)
+        ]
+    assert any(isinstance(decode(frame)[1], EmergencyStop) for frame in frames), told.output
+    assert pressed == [False], "the page says that it does not sign"
     assert "No space left on device; the stop is said unsigned" in told.stderr
 
 
