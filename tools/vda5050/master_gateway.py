@@ -351,11 +351,19 @@ class MasterGateway:
         return "the robot has not confirmed it; a fleet with keys needs --keys"
 
     async def _stop(self) -> str | None:
-        self._take_key()
+        unsigned = ""
+        try:
+            self._take_key()
+        except AttachError as problem:  # robots brake for a stop without a tag, too
+            self.operator.keyring, unsigned = None, f"{problem}; the stop is said unsigned; "
         late = await press(self.operator, Reason.OPERATOR_INTERVENTION, OBEY_S)
-        if not late:
-            return None
-        return f"not confirmed by {', '.join(self.serial(robot.slot) for robot in late)}"
+        names = [self.serial(robot.slot) for robot in late]
+        names += [f"address {address}" for address in sorted(self.operator.unknown)]
+        if names:
+            return f"{unsigned}not confirmed by {', '.join(names)}"
+        if not self.operator.live:
+            return f"{unsigned}no robot is heard"
+        return f"{unsigned}robots only brake while it is said" if unsigned else None
 
     async def _cancel(self, port: "_Port") -> str | None:
         self._observe(port)  # another device may have used its number

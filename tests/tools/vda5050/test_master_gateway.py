@@ -30,7 +30,7 @@ from protocol.frames.codec import encode
 from protocol.frames.delivery_frames import BUCKET_TASKS, TASK_NUMBERS, TaskBookDigest
 from protocol.frames.fleet_frames import Member, Pose
 from protocol.frames.network_frames import AddressClaimed
-from protocol.frames.safety_frames import Command
+from protocol.frames.safety_frames import Command, EmergencyStop
 from protocol.frames.work_frames import TaskClaim, WorkProgress
 from protocol.links.bus import CanBus
 from protocol.name import fleet_name
@@ -38,6 +38,7 @@ from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
 from tools.common.event_lines import EventLines
 from tools.inspect.proven_work import ProvenWork
+from tools.vda5050 import master_gateway
 from tools.vda5050.command import serve
 from tools.vda5050.fleet_vehicle import UNHEARD
 from tools.vda5050.master_gateway import TICK_S, FleetNames, MasterGateway
@@ -298,13 +299,55 @@ def test_an_instant_action_without_a_usable_key_fails_and_says_why(tmp_path: Pat
         gateway = gateway_on(tmp_path, [])
         gateway.keys = tmp_path / "no.key"  # gone since the start
         port = gateway.ports[0]
-        stop = Action(action_type="stop", action_id="s1", blocking_type=BlockingType.NONE)
-        gateway.act(port, InstantActions(actions=[stop]))
+        pause = Action(action_type="startPause", action_id="s1", blocking_type=BlockingType.NONE)
+        gateway.act(port, InstantActions(actions=[pause]))
         await asyncio.gather(*gateway.working)
         state = port.vehicle.instant["s1"]
         assert state.action_status is ActionStatus.FAILED and "no.key" in str(
             state.result_description
         )
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_stop_is_said_also_where_the_key_is_gone_and_is_reported_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Nothing was sent. Robots brake for a stop without a tag, too."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        gateway.keys = tmp_path / "no.key"  # gone since the start
+        port, sent = gateway.ports[0], list[EmergencyStop]()
+        monkeypatch.setattr(master_gateway, "OBEY_S", 0.1)
+        monkeypatch.setattr(gateway.operator, "stop", sent.append)
+        stop = Action(action_type="stop", action_id="s1", blocking_type=BlockingType.NONE)
+        gateway.act(port, InstantActions(actions=[stop]))
+        await asyncio.gather(*gateway.working)
+        state = port.vehicle.instant["s1"]
+        assert state.action_status is ActionStatus.FAILED and sent
+        assert "no.key" in str(state.result_description)
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_stop_that_no_robot_hears_has_failed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A master was told FINISHED, although nobody had confirmed it."""
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port = gateway.ports[0]
+        monkeypatch.setattr(master_gateway, "OBEY_S", 0.1)
+        stop = Action(action_type="stop", action_id="s1", blocking_type=BlockingType.NONE)
+        gateway.act(port, InstantActions(actions=[stop]))
+        await asyncio.gather(*gateway.working)
+        state = port.vehicle.instant["s1"]
+        assert state.action_status is ActionStatus.FAILED
+        assert state.result_description == "no robot is heard"
         await left(gateway)
 
     asyncio.run(story())
