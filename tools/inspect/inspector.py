@@ -40,6 +40,7 @@ from protocol.frames.safety_frames import (
     HeldReset,
     Switch,
 )
+from protocol.frames.segment_frames import FleetStop
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from tools.common.frame_makers import Makers
 from tools.inspect.bus_load import BIT_RATE, BusLoad, bits_of
@@ -53,6 +54,9 @@ NO_KEYS = "NO KEYS: any device on the bus can stop and release this fleet"
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 ASKED_S = 2.0  # a release that is asked for is said twice a second
 NEVER_S = float("-inf")
+# A robot that says so long after a reset that stops hold it has not taken that reset: it tells each of
+# its causes within seconds, and a reset is repeated for less than two.
+RESET_TAKEN_S, RESET_REFUSED_S = 2.0, 10.0
 
 
 @dataclass
@@ -124,6 +128,11 @@ class Inspector:
         self.others = 0  # frames with an 11-bit identifier, remote and error frames
         self.stops: dict[tuple[int, int, int], float] = {}
         self.cleared: dict[tuple[int, int, int], float] = {}
+        self._reset_s = NEVER_S  # when the newest reset was heard
+        self._by_reset: set[tuple[int, int, int]] = (
+            set()
+        )  # what it has cleared, and those just before
+        self._segments = False  # stops of other segments hold robots, too
         self.votes: dict[tuple[int, int], dict[int, int]] = {}
         self.transports: dict[int, tuple[int, int]] = {}  # task: cells of its pickup and dropoff
         self._buttons: dict[int, float] = {}  # address of a pressed button: when it was heard last
@@ -175,6 +184,8 @@ class Inspector:
                 self.stops.setdefault(message[:3], t_s)
         elif isinstance(message, HeldReset | EmergencyReset):
             self._reset(t_s, message)
+        elif isinstance(message, FleetStop):
+            self._segments = True
         elif isinstance(message, AllImplementsStop):
             self._button(t_s, source, message)
         elif isinstance(message, TaskOrder):  # of a tool, or of a robot that says it again
@@ -261,6 +272,7 @@ class Inspector:
                 self._state(t_s, robot, message.state, kind)
             case Standstill():
                 robot.causes.hear(message, round(t_s * 1e6))
+                self._refused(t_s, message)
             case VectorSlice():
                 for offset, count in enumerate(message.counts):
                     if message.base + offset != robot.slot and count:
@@ -295,13 +307,28 @@ class Inspector:
             robot.state = name
 
     def _reset(self, t_s: float, m: HeldReset | EmergencyReset) -> None:
-        """Robots of a fleet with keys clear nothing by a reset without a tag."""
+        """Robots of a fleet with keys clear nothing by a reset without a tag. Whether a tag is right a
+        listener cannot tell: see `_refused`."""
         if self.keyed and not (m.freshness or m.tag):
             return
-        if isinstance(m, EmergencyReset):
-            self.cleared.setdefault(m[:3], t_s)
-        else:  # names all that robots hold by one sum
-            self.cleared = dict.fromkeys(self.stops, t_s) | self.cleared
+        if t_s - self._reset_s > RESET_REFUSED_S:
+            self._by_reset.clear()
+        self._reset_s = t_s
+        # A sum names all that robots hold.
+        named = {m[:3]} if isinstance(m, EmergencyReset) else self.stops.keys()
+        new = named - self.cleared.keys()
+        self._by_reset |= new
+        self.cleared |= dict.fromkeys(sorted(new), t_s)
+
+    def _refused(self, t_s: float, m: Standstill) -> None:
+        """A robot that stops still hold, although each was named by a reset, has refused that reset: its
+        tag was wrong."""
+        told = m.cause == StopCause.STOP_DOT.number and m.number > 0
+        due = RESET_TAKEN_S < t_s - self._reset_s < RESET_REFUSED_S
+        if told and due and not (self._segments or self.latched):
+            for dot in self._by_reset:
+                del self.cleared[dot]
+            self._by_reset.clear()
 
     def _button(self, t_s: float, source: int, m: AllImplementsStop) -> None:
         """Each shortcut button permits for itself alone."""

@@ -52,6 +52,8 @@ class EventNotes:
             found.append(
                 NotedEvent(min(watcher.cleared[dot] for dot in cleared), "reset", "stop released")
             )
+        if self._cleared - set(watcher.cleared):
+            found.append(NotedEvent(now_s, "stop", "the release was refused: robots hold the stop"))
         self._stops, self._cleared = set(watcher.stops), set(watcher.cleared)
         return found
 

@@ -8,7 +8,7 @@ from math import cos, sin
 from typing import Any, Final
 
 from protocol.frames.codec import UNKNOWN, Malformed, decode_once
-from protocol.frames.fleet_frames import Pose
+from protocol.frames.fleet_frames import Pose, Standstill
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyReset, EmergencyStop, HeldReset
 from sim.record import foxglove
@@ -25,7 +25,7 @@ NOTHING, OPEN, SOLID = (0, 0, 0, 0), (220, 220, 220, 255), (60, 60, 60, 255)
 RADIUS_M = 0.8  # of a body whose scene is not known
 Dot = tuple[int, int, int]  # of a stop: slot, incarnation, counter
 Degrees = Callable[[float, float], tuple[float, float]]
-KINDS_OF_STOPS: Final = (EmergencyStop, EmergencyReset, HeldReset)
+KINDS_OF_STOPS: Final = (EmergencyStop, EmergencyReset, HeldReset, Standstill)
 
 
 class FleetTopics(Watcher):

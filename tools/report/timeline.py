@@ -124,6 +124,8 @@ class History(Inspector):
             self._press(t_s, frame)
         if len(self.cleared) > cleared:
             self._clear(t_s)
+        elif len(self.cleared) < cleared:
+            self._refuse(t_s)
         if group.pgn == OPERATOR_PGN:
             self._command(t_s, frame)
 
@@ -272,6 +274,14 @@ class History(Inspector):
                 stop.cleared_s = t_s
                 self.seen.append(
                     TimelineEvent(t_s, "reset", "an operator", f"clears {_dotted(stop.dot)}")
+                )
+
+    def _refuse(self, t_s: float) -> None:
+        for stop in self.pressed:
+            if stop.cleared_s is not None and stop.dot not in self.cleared:
+                stop.cleared_s = None
+                self.seen.append(
+                    TimelineEvent(t_s, "reset", "robots", f"refuse to clear {_dotted(stop.dot)}")
                 )
 
     def _command(self, t_s: float, frame: Frame) -> None:
