@@ -144,7 +144,9 @@ async def press(
             operator.stop(stop)
         now_s = operator.now_s = loop.time()
         late = [r for r in operator.members if not operator.confirmed(r)]
-        heard = bool(operator.live) and not operator.unknown
+        # A panel that runs for days has heard addresses that are long gone.
+        unnamed = any(t_s >= begun_s - LIVE_S for t_s in operator.unknown.values())
+        heard = bool(operator.live) and not unnamed
         if heard and not late and now_s - begun_s >= LISTEN_S:
             return []
         if now_s - begun_s >= timeout_s:
@@ -161,7 +163,7 @@ async def press(
             unlatched_s *= 2
         if late or not heard:
             operator.stop(stop)
-        if operator.unknown and round((now_s - begun_s) / REPEAT_S) % 20 == 0:
+        if unnamed and round((now_s - begun_s) / REPEAT_S) % 20 == 0:
             operator.ask_who()
 
 

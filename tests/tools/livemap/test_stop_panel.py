@@ -136,3 +136,31 @@ def test_a_stop_that_robots_hold_after_a_release_was_not_cleared() -> None:
         assert answer["late"] == [0] and answer["cleared"] == []
 
     run_virtual(story())
+
+
+@pytest.mark.parametrize("ago_s", [0.5, 60.0])
+def test_a_press_does_not_wait_for_an_address_that_is_long_gone(ago_s: float) -> None:
+    """A robot that fell silent before it had said who it is made every later press of that map last ten
+    seconds and 2,000 frames. A release in that time was answered by a new stop."""
+
+    async def story() -> None:
+        robots, loop = Robots(), asyncio.get_running_loop()
+        nameless = Heartbeat(1, State.WORKING, False, False, True, False, 1.0, 0, 0)
+        robots.panel.hear(loop.time(), encode(nameless, 140))
+        await elapse(ago_s)
+
+        async def beats() -> None:
+            while True:
+                for message in (
+                    Member(0, 1, 7), nameless._replace(stopped=robots.latched),
+                ):  # fmt: skip
+                    robots.panel.hear(loop.time(), encode(message, 128))
+                await elapse(PERIOD_S)
+
+        beating, begun_s = asyncio.create_task(beats()), loop.time()
+        told = await robots.panel.stop()
+        beating.cancel()
+        assert told["stopped"] == [0] and told["late"] == []
+        assert (loop.time() - begun_s < 1.0) is (ago_s > 1.0), "one that has just spoken may move"
+
+    run_virtual(story())
