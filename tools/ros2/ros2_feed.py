@@ -147,7 +147,8 @@ class Ros2Feed(Watcher):
 
     def _tell_stopped(self) -> None:
         """Whether every robot that is heard is latched, as the fleet's lamp."""
-        live = [r for r in self.robots.values() if self.now_s - r.last_s <= SILENT_S and not r.left]
+        now_s = self._loop.time()  # also where the whole bus is silent
+        live = [r for r in self.robots.values() if now_s - r.last_s <= SILENT_S and not r.left]
         stopped = bool(live) and all(robot.state == "EMERGENCY_STOP" for robot in live)
         if self._new("stopped", stopped):
             self._stopped.publish(self._kinds.Bool(data=stopped))

@@ -8,8 +8,11 @@ import pytest
 
 pytest.importorskip("rosbags", reason="the extra `ros` is not installed")
 
+from agent.interface.lifecycle import State
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Member, Pose
+from sim.fleet.virtual_clock import elapse, run_virtual
+from tools.inspect.inspector import SILENT_S
 from tools.ros2.bag_messages import jazzy, kinds_of
 from tools.ros2.graph import KINDS
 from tools.ros2.ros2_feed import Ros2Feed
@@ -65,3 +68,26 @@ def test_a_robot_that_has_told_no_place_has_no_marker() -> None:
         feed.close()
 
     asyncio.run(story())
+
+
+def test_a_fleet_that_nobody_hears_is_not_told_as_stopped() -> None:
+    """Where the bus was lost `/headland/stopped` stayed true, whatever robots did from then on."""
+
+    async def story() -> None:
+        graph = Topics()
+
+        async def never() -> None:
+            raise AssertionError("nobody asks")
+
+        feed, loop = Ros2Feed(cast(Any, graph), None, never, never), asyncio.get_running_loop()
+        feed.hear(loop.time(), encode(Member(0, 1, 0), 0x80))
+        latched = State.EMERGENCY_STOP.value
+        feed.hear(loop.time(), encode(Pose(3.0, 4.0, 0.0, 0.0, latched, True, 255), 0x80))
+        feed.tell()
+        assert graph.newest["stopped"].data is True
+        await elapse(SILENT_S + 0.1)
+        feed.tell()
+        assert graph.newest["stopped"].data is False
+        feed.close()
+
+    run_virtual(story())
