@@ -43,9 +43,9 @@ from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.protocol_setup import ProtocolSetup
 from sim.scenarios.scenario import DRILLS, Fault, Scenario
 from sim.world.checkers import MOVES, ExclusiveWorkChecker, Violation
-from sim.world.contacts import TOUCH_M
+from sim.world.contacts import THING, TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
-from sim.world.implement_contacts import things_under_bars
+from sim.world.implement_contacts import things_under_bars, was_there
 from sim.world.protocol_world import ProtocolWorld
 from sim.world.walls import AT_X, AT_Y, HALF_X, HALF_Y
 from sim.world.world import World
@@ -61,8 +61,8 @@ FORGET_US = 3 * S  # of silence, ISO 11783-7
 # After this time without trouble of links and members, all robots receive each other.
 SETTLED_US = 3 * S
 LEFT_US = 50 * MS  # frames under way when an address was lost are on the bus by then
-# A robot that is pushed, or has a box dropped before it, may touch something for this long. A long push
-# lasts longer.
+# A robot that is pushed may touch something for this long, and any robot what has come into the field. A
+# long push lasts longer.
 EXCUSED_US = 3 * S
 # A robot whose senses are wrong, or whose implement is stuck, may draw it over something until this much
 # later: its place is found again meanwhile.
@@ -151,8 +151,10 @@ class ScenarioJudge:
         # Of each robot: pairs of looks between which its implement was down against its command.
         self._spans_down: dict[int, list[tuple[int, int]]] = {}
         self._pushes: list[tuple[int, int, int]] = []  # (robot, begin, end), microseconds
-        # (robot, begin, end): it is pushed or has a box dropped before it, and may touch something
+        # (robot, begin, end): it is pushed, and may touch something.
         self._excused: list[tuple[int, int, int]] = []
+        # (begin, end): something comes into the field, and robots may touch it.
+        self._comes: list[tuple[int, int]] = []
         self._sees_wrong: list[
             tuple[int, int, int]
         ] = []  # the same of its senses and its implement
@@ -260,7 +262,7 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._by_hand.__setitem__, robot, let_go_at_us))
                 self._pushes.append((robot, at_us, let_go_at_us))
                 excused_for_us = max(EXCUSED_US, let_go_at_us + ROLLS_ON_US - at_us)
-                self._at(at_us, partial(self._excuse, (robot,), excused_for_us))
+                self._at(at_us, partial(self._excuse, robot, excused_for_us))
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, at_us + 1))
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
@@ -321,7 +323,7 @@ class ScenarioJudge:
                 # While a device outranks address claims, no other device can show its NAME.
                 self._at(at_us, self.witness.words.without_name)
             case kinds.Box() | kinds.Person() | kinds.PassingVehicle():
-                self._at(at_us, partial(self._excuse, tuple(range(self.scenario.fleet.robots))))
+                self._comes.append((at_us, at_us + EXCUSED_US))
 
     # ---------------------------------------------------------------- while it runs
 
@@ -510,9 +512,9 @@ class ScenarioJudge:
                 t_s = self.cluster.host.now_us() / 1e6
                 self._add("S13", t_s, f"robot {slot} sends {missing} although its disk is full")
 
-    def _excuse(self, slots: tuple[int, ...], for_us: int = EXCUSED_US) -> None:
+    def _excuse(self, slot: int, for_us: int) -> None:
         now_us = self.cluster.host.now_us()
-        self._excused += [(slot, now_us, now_us + for_us) for slot in slots]
+        self._excused.append((slot, now_us, now_us + for_us))
 
     def _shoved(self, slot: int, moved_at_us: int) -> None:
         """A person is about to move a robot; by `moved_at_us` it is done."""
@@ -795,6 +797,8 @@ class ScenarioJudge:
                 slot in slots and begin_at_us <= contact.t_us < end_at_us
                 for slot, begin_at_us, end_at_us in self._excused
             )
+            if contact.against.startswith(THING):
+                excused |= any(begin <= contact.t_us < end for begin, end in self._comes)
             if contact.depth_m > TOUCH_M and not excused:
                 depth_cm = contact.depth_m * 100
                 what = f"robot {contact.first} {depth_cm:.0f} cm into {contact.against}"
@@ -813,6 +817,9 @@ class ScenarioJudge:
             excused = any(
                 over.slot == slot and begin_at_us <= over.t_us < end_at_us
                 for slot, begin_at_us, end_at_us in (*self._excused, *self._sees_wrong)
+            ) or any(
+                begin <= over.t_us < end and not was_there(world.things, over.thing, begin)
+                for begin, end in self._comes
             )
             at, half_m = (
                 Spot(over.thing[AT_X], over.thing[AT_Y]),

@@ -15,6 +15,7 @@ TOUCH_M = 0.02  # deeper than this is a contact; bodies of robots are measured t
 
 TOUCHES_MAX = 1024  # overlaps at one instant; a hundred robots in one heap have about 300
 LOOK_M = 0.5  # gaps to fences and obstacles are computed up to this; larger ones do not matter
+THING = "box"  # how a contact with a box, a person or a vehicle is told, with its number
 FENCE, OBSTACLE = -1, -2  # the second body: a robot's index; the fence; OBSTACLE - k: obstacle k
 NEAREST_ROBOT, NEAREST_WALL = 0, 1
 STANDING_M_S = 1e-3  # a slower robot counts as standing

@@ -15,6 +15,7 @@ from bisect import bisect_right
 from collections.abc import Iterable, Mapping, Sequence
 from itertools import combinations
 from math import hypot
+from operator import itemgetter
 from typing import Final, NamedTuple
 
 import numpy as np
@@ -26,6 +27,7 @@ from sim.world.walls import AT_X, AT_Y, BOX, COS, HALF_X, HALF_Y, SHAPE, SIN
 
 Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
+Things = Sequence[tuple[int, Sequence[Sequence[float]]]]  # see `things_under_bars`
 
 APART_STEPS: Final = 1_000_000 // TRACK_US
 MOVED_M: Final = 0.02  # in a step; a robot that moves less keeps its course
@@ -99,7 +101,7 @@ def implement_contacts(
 
 def things_under_bars(
     tracks: Mapping[int, Iterable[TrackPoint]],
-    things: Sequence[tuple[int, Sequence[Sequence[float]]]],
+    things: Things,
     width_m: float,
 ) -> list[Over]:
     """Contacts of lowered bars with what stands or moves in a world, by time.
@@ -107,12 +109,7 @@ def things_under_bars(
     `things`: as `World` keeps them, rows from each time on. `width_m`: of the bar."""
     if not any(rows for _, rows in things):
         return []
-    begin_at_us, found = [t_us for t_us, _ in things], list[Over]()
-
-    def at(t_us: int) -> Sequence[Sequence[float]]:
-        index = bisect_right(begin_at_us, t_us) - 1
-        return things[index][1] if index >= 0 else ()
-
+    found = list[Over]()
     for slot, track in sorted(tracks.items()):
         points = _points(track)
         if not len(points):
@@ -121,16 +118,30 @@ def things_under_bars(
         moves = np.hypot(*np.diff(way.at, axis=0, prepend=way.at[:1]).T) > MOVED_M
         last = -2 * APART_STEPS
         for k in np.flatnonzero(way.down & moves).tolist():
-            under = [row for row in at(k * TRACK_US) if _is_over(way, k, row, width_m / 2)]
+            under = [
+                row for row in _there(things, k * TRACK_US) if _is_over(way, k, row, width_m / 2)
+            ]
             if not under:
                 continue
             if k - last > APART_STEPS:
-                before = at(k * TRACK_US - 1_000_000)
+                before = _there(things, k * TRACK_US - 1_000_000)
                 stood = [row for row in under if any(_is_same(row, was) for was in before)]
                 thing = tuple((stood or under)[0])
                 found.append(Over(k * TRACK_US, slot, bool(stood), thing))
             last = k
     return sorted(found)
+
+
+def _there(things: Things, t_us: int) -> Sequence[Sequence[float]]:
+    """The rows at a time."""
+    index = bisect_right(things, t_us, key=itemgetter(0)) - 1
+    return things[index][1] if index >= 0 else ()
+
+
+def was_there(things: Things, thing: Sequence[float], t_us: int) -> bool:
+    """Whether a thing stood where it is at an earlier time, microseconds; `things` as in
+    `things_under_bars`."""
+    return any(_is_same(thing, was) for was in _there(things, t_us))
 
 
 def _is_same(row: Sequence[float], was: Sequence[float]) -> bool:

@@ -36,6 +36,7 @@ from sim.world.contacts import (
     FENCE,
     NEAREST_ROBOT,
     OBSTACLE,
+    THING,
     TOUCHES_MAX,
     crossings,
     has_crossed,
@@ -342,7 +343,7 @@ class World:
             against = "fence"
         else:
             row = OBSTACLE - second
-            against = next(f"box {n}" for n, (k, _) in self._shapes.items() if k == row)
+            against = next(f"{THING} {n}" for n, (k, _) in self._shapes.items() if k == row)
         x_m, y_m = self.motion[first, :2].tolist()
         other = slots[second] if second >= 0 else None
         return self._note(Contact(self.now_us, slots[first], other, 0.0, against, x_m, y_m))

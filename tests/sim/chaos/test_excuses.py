@@ -1,0 +1,47 @@
+"""S17: a box or a person excuses who meets it, and nobody who meets another robot or a fence."""
+
+import pytest
+
+from agent.interface.config import S
+from sim.chaos.scenario_judge import ScenarioJudge
+from sim.fleet.simulated_fleet import Cluster
+from sim.scenarios import scenario as kinds
+from sim.scenarios.scenario import load
+
+COMES_S, MEETS_S, END_S = 6.0, 7.0, 9.0
+INTO_M = 0.3  # of one body into what it meets
+
+
+class Carried(ScenarioJudge):
+    """A run in which robot 1 is set into something a second after a person has come into the field."""
+
+    meets = "robot"
+
+    def _attach(self, cluster: Cluster) -> None:
+        super()._attach(cluster)
+        self._at(round(MEETS_S * S), self._carry)
+
+    def _carry(self) -> None:
+        world = self.cluster.world
+        world.advance(round(MEETS_S * S))
+        first, second = world.body(0), world.body(1)
+        x_m, y_m = first.position
+        if self.meets == "box":
+            world.add_box(x_m + first.radius_m + 1.0 - INTO_M, y_m, 2.0)
+        else:
+            world.place(second, x_m + 2 * first.radius_m - INTO_M, y_m, 0.0)
+
+
+@pytest.mark.parametrize(("meets", "broken"), [("robot", True), ("box", False)])
+def test_a_person_elsewhere_excuses_no_robot_that_touches_another(meets: str, broken: bool) -> None:
+    """S17 was not judged between robots, nor at fences, for 3 s after anything came into the field."""
+    person = kinds.Person(
+        at_s=COMES_S, kind="person", route=[(-19.0, -13.0), (-18.0, -13.0)], speed_m_s=0.5
+    )
+    scenario = load("yard").changed(2, 1)
+    run = scenario.run.model_copy(update={"time_limit_s": END_S})
+    judge = Carried(scenario.model_copy(update={"fault": [person], "run": run}))
+    judge.meets = meets
+    told = [each for each in judge.run().broken if each.rule == "S17"]
+    assert judge.cluster.world.contacts, "nothing was touched"
+    assert bool(told) is broken, told
