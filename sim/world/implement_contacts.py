@@ -8,7 +8,8 @@ half of that, so a bar is judged without `overlap_m` at each end. Two that touch
 until they have been apart for a second.
 
 People, vehicles and boxes are under a bar that is down and moves if its whole width enters them. One
-that stood where it is a second before was there to be seen; one that moves may have come by itself.
+that stood where it is a second before was there to be seen; one that moves may have come by itself. Each
+that stands is a contact of its own, and all that move are one.
 """
 
 from bisect import bisect_right
@@ -30,7 +31,8 @@ Bools = NDArray[np.bool_]
 Things = Sequence[tuple[int, Sequence[Sequence[float]]]]  # see `things_under_bars`
 
 APART_STEPS: Final = 1_000_000 // TRACK_US
-MOVED_M: Final = 0.02  # in a step; a robot that moves less keeps its course
+MOVED_M: Final = 0.02  # of a way; a robot keeps its course until it has moved further
+STILL_M: Final = 1e-6  # in a step; a robot that moves less stands
 # Along the course; two robots that pass at 5 m/s are detected in at least one check.
 DEPTH_M: Final = 0.5
 STOOD_M: Final = 0.1  # a thing that has moved less than this in a second stands
@@ -58,14 +60,16 @@ class Over(NamedTuple):
 
 
 class _Way(NamedTuple):
-    """(steps, 2) and (steps,): the middle, the course as a unit vector, whether the bar is down."""
+    """(steps, 2) and (steps,): the middle, the course as a unit vector, whether the bar is down, and
+    whether the robot moves."""
 
     at: Floats
     course: Floats
     down: Bools
+    moves: Bools  # whether it has moved so far that its course is known anew
 
     def during(self, steps: NDArray[np.intp]) -> "_Way":
-        return _Way(self.at[steps], self.course[steps], self.down[steps])
+        return _Way(self.at[steps], self.course[steps], self.down[steps], self.moves[steps])
 
 
 def implement_contacts(
@@ -115,20 +119,21 @@ def things_under_bars(
         if not len(points):
             continue
         way = _way(points, 1 + int(points[-1, 0]) // TRACK_US)
-        moves = np.hypot(*np.diff(way.at, axis=0, prepend=way.at[:1]).T) > MOVED_M
-        last = -2 * APART_STEPS
-        for k in np.flatnonzero(way.down & moves).tolist():
+        newest = dict[tuple[float, ...], int]()  # thing that stands: when the bar was last over it
+        moving = -2 * APART_STEPS  # the same of all that do not stand
+        for k in np.flatnonzero(way.down & way.moves).tolist():
             under = [
                 row for row in _there(things, k * TRACK_US) if _is_over(way, k, row, width_m / 2)
             ]
-            if not under:
-                continue
-            if k - last > APART_STEPS:
-                before = _there(things, k * TRACK_US - 1_000_000)
-                stood = [row for row in under if any(_is_same(row, was) for was in before)]
-                thing = tuple((stood or under)[0])
-                found.append(Over(k * TRACK_US, slot, bool(stood), thing))
-            last = k
+            for row in under:
+                thing, stood = tuple(row), was_there(things, row, k * TRACK_US - 1_000_000)
+                last = newest.get(thing, -2 * APART_STEPS) if stood else moving
+                if k - last > APART_STEPS:
+                    found.append(Over(k * TRACK_US, slot, stood, thing))
+                if stood:
+                    newest[thing] = k
+                else:
+                    moving = k
     return sorted(found)
 
 
@@ -184,12 +189,25 @@ def _way(rows: Floats, steps: int) -> _Way:
     at = np.column_stack([np.interp(at_us, rows[:, 0], rows[:, k]) for k in (1, 2)])
     down = rows[np.maximum(np.searchsorted(rows[:, 0], at_us, side="right") - 1, 0), 3] != 0.0
     moves = np.diff(at, axis=0, prepend=at[:1])
-    length_m = np.hypot(moves[:, 0], moves[:, 1])
-    moved = length_m > MOVED_M
+    moved = np.hypot(moves[:, 0], moves[:, 1]) > MOVED_M
+    _creeps(at, moves, moved)
     latest = np.maximum.accumulate(np.where(moved, np.arange(steps), 0))
-    course = moves[latest] / np.maximum(length_m[latest], MOVED_M)[:, None]
+    course = moves[latest] / np.maximum(np.hypot(*moves[latest].T), MOVED_M)[:, None]
     known = np.hypot(course[:, 0], course[:, 1]) > 0.5
-    return _Way(at, course, down & known)
+    return _Way(at, course, down & known, moved)
+
+
+def _creeps(at: Floats, moves: Floats, moved: Bools) -> None:
+    """Add to the steps that moved those by which a slow robot has come further than `MOVED_M` since it
+    last moved so far, with this way as the move."""
+    fast = np.maximum.accumulate(np.where(moved, np.arange(len(at)), 0))
+    slow = np.flatnonzero(~moved & (np.hypot(moves[:, 0], moves[:, 1]) > STILL_M))
+    last = 0
+    for k in slow.tolist():
+        last = max(last, int(fast[k]))
+        way = at[k] - at[last]
+        if hypot(*way.tolist()) > MOVED_M:
+            moves[k], moved[k], last = way, True, k
 
 
 def _reaches(way: _Way, at: Floats, half_m: float, radius_m: float) -> Bools:

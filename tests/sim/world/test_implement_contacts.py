@@ -122,6 +122,36 @@ def test_what_comes_under_a_bar_by_itself_did_not_stand() -> None:
     assert not things_under_bars(tracks, gone, WIDTH_M)
 
 
+def test_each_thing_under_a_bar_is_a_contact_of_its_own() -> None:
+    """A thing that is excused hid another one that the bar was over within the same second."""
+    beside = (DISC, 11.0, -1.5, 0.25, 0.25, 1.0, 0.0)
+    tracks = {0: drive(0.0, 0.0, 2.0, 0.0)}
+    found = things_under_bars(tracks, [(0, [PERSON, beside])], WIDTH_M)
+    assert [over.thing for over in found] == [PERSON, beside]
+
+
+def test_what_comes_by_itself_and_then_stands_is_drawn_over() -> None:
+    """A robot drove on, slowly, over a person that had stepped under its bar a second ago."""
+    long = (BOX, 13.0, 1.7, 3.0, 0.25, 1.0, 0.0)
+    tracks = {0: drive(0.0, 0.0, 2.0, 0.0)}
+    found = things_under_bars(tracks, [(0, []), (5_500_000, [long])], WIDTH_M)
+    assert [over.stood for over in found] == [False, True]
+    assert found[1].t_us == pytest.approx(6_500_000, abs=100_000)
+
+
+@pytest.mark.parametrize("speed_m_s", [0.5, 0.15, 0.05])
+def test_a_robot_that_creeps_draws_its_bar_too(speed_m_s: float) -> None:
+    """A step of less than 2 cm counted as none, so that no bar of a robot below 0.2 m/s was judged."""
+    tracks = {0: drive(9.55 - 5.0 * speed_m_s, 0.0, speed_m_s, 0.0)}
+    found = things_under_bars(tracks, [(0, [PERSON])], WIDTH_M)
+    assert [over.stood for over in found] == [True]
+
+
+def test_a_bar_of_a_robot_that_creeps_meets_a_body() -> None:
+    (one,) = met(drive(9.0, 0.0, 0.15, 0.0), drive(11.0, 2.0, 0.0, 0.0, down=False))
+    assert one.body
+
+
 def played(robots: int, seed: int) -> FieldOutcome:
     print("seed", seed)
     return FieldRun(
