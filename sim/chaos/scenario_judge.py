@@ -34,7 +34,7 @@ from sim.fleet.fault_injector import PUSHED_M_S
 from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_disk import Disk, LogJournal
 from sim.fleet.simulated_fleet import Cluster, Record
-from sim.fleet.stop_monitor import motions
+from sim.fleet.stop_monitor import NOBODY, motions
 from sim.runs.field_run import FieldRun
 from sim.runs.protocol_run import ProtocolRun
 from sim.runs.run import RunProgress
@@ -125,6 +125,8 @@ class ScenarioJudge:
         # Dead robot -> watches of the robots that must stand.
         self._silences: dict[int, list[int]] = {}
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
+        # Seconds at which all robots received each other, in a field under another policy than `stop`.
+        self._all_told_at_s: set[int] = set()
         self._trouble_at_us = 0  # the newest trouble of a link or a member
         self._cut_ends_at_us = SETTLED_US  # until then, some robots may be unable to receive
         self._lies: list[tuple[int, int]] = []  # from when to when a thief speaks with a stolen key
@@ -214,6 +216,9 @@ class ScenarioJudge:
         if self.protocol_world is not None:
             stops = self.scenario.fleet.silence == "stop"
             self.protocol_world.counts = self._can_know if stops else self._all_told
+        elif self.scenario.fleet.silence != "stop":
+            for second in range(round(self.scenario.run.time_limit_s)):
+                self._at(second * S, self._hear_all)
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         self.senseless = motions(cluster.world)
         cluster.on_power = self._power
@@ -609,6 +614,12 @@ class ScenarioJudge:
         calm = now_us - self._trouble_at_us > SETTLED_US and now_us >= self._cut_ends_at_us
         return calm and self._one_bus and not lossy
 
+    def _hear_all(self) -> None:
+        """Once a second in a field under another policy than `stop`."""
+        now_us = self.cluster.host.now_us()
+        if self._all_told(NOBODY, NOBODY):
+            self._all_told_at_s.add(now_us // S)
+
     @property
     def _stand_for_us(self) -> int:
         return beat_of(self.scenario.fleet.robots).silence_for_us + SLACK_US
@@ -710,7 +721,7 @@ class ScenarioJudge:
         self._moved()
         self._contacts()
         self._implements_over_things()
-        bodies = self.protocol_world is None and self.scenario.fleet.silence == "stop"
+        bodies = self.protocol_world is None
         self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
             self._add("L1", end_at_s, "replicas differ")
@@ -851,7 +862,10 @@ class ScenarioJudge:
         sections = {number: list(section.swaths) for number, section in enumerate(field.sections)}
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = ExclusiveWorkChecker(sections, ON_LINE_M, least_m=LEAD_M + 0.5)
-        return list(checker.violations(tracks, self._spans_down))
+        found = checker.violations(tracks, self._spans_down)
+        if self.scenario.fleet.silence == "stop":
+            return found
+        return [each for each in found if each.t_us // S in self._all_told_at_s]
 
     def _add(self, rule: str, t_s: float, what: str) -> None:
         self.broken.append(RuleViolation(rule, t_s, what))

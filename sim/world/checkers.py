@@ -7,6 +7,7 @@ invariants; ARCHITECTURE.md lists them.
 
 from collections.abc import Collection, Mapping, Sequence
 from math import inf
+from operator import attrgetter
 from types import MappingProxyType
 from typing import Final, NamedTuple
 
@@ -22,6 +23,7 @@ from sim.world.world import STEP_US, World
 # A broken rule is broken at every step; the first thousand are enough.
 MOVES: Final = "moves after a stop"
 VIOLATIONS_MAX: Final = 1_000
+PAUSE_US: Final = 5 * S  # of a pass: a robot at 0.1 m/s comes to the next sample meanwhile
 BESIDE_SHARE: Final = 0.6  # of the way between samples: one further ahead than this is not beside
 
 
@@ -143,7 +145,7 @@ class ExclusiveWorkChecker:
     def __init__(
         self, sections: Mapping[int, Sequence[Polyline]], tolerance_m: float, least_m: float = 0.0
     ) -> None:
-        """`least_m`: shorter distances worked within a second do not count."""
+        """`least_m`: shorter distances worked at a stretch do not count."""
         self.least = 1 + round(least_m / SAMPLE_M)  # samples at both ends of this distance
         lines = [(number, line) for number, group in sorted(sections.items()) for line in group]
         self.truth = LineTruth([line for _, line in lines], tolerance_m)
@@ -170,26 +172,47 @@ class ExclusiveWorkChecker:
         tracks: Mapping[int, Track],
         spans_down: Mapping[int, Sequence[tuple[int, int]]] = MappingProxyType({}),
     ) -> list[Violation]:
-        """One for each section and second in which two robots worked at least `least` samples.
+        """One for each pass of a robot in a section in which another one is at work, when it begins.
 
-        `spans_down`: by robot, pairs of times, microseconds. Between them its implement was down against
-        its command.
+        A robot works there from the first to the last sample of a pass along one line, of `least` samples
+        or more. A pass ends where it is at no new sample for `PAUSE_US`. `spans_down`: by robot, pairs of
+        times, microseconds. Between them its implement was down against its command.
         """
-        at: dict[tuple[int, int], int] = {}  # section, second: the first robot seen at work there
-        found: list[Violation] = []
+        passes: dict[int, list[tuple[int, int, int]]] = {}  # section: begin, end and robot
         for slot, track in sorted(tracks.items()):
             points = track.to_array()
             for begin_at_us, end_at_us in spans_down.get(slot, ()):
                 points[(begin_at_us <= points[:, 0]) & (points[:, 0] < end_at_us), 3] = 0.0
-            worked_at_us = self.truth.worked_at_us(points)
-            mine = (worked_at_us != NEVER_US) & self.is_clear
-            sections = self.sample_section[mine]
-            instants, counts = np.unique(
-                np.column_stack((sections, worked_at_us[mine] // S)), axis=0, return_counts=True
-            )
-            for section, second in instants[counts >= self.least].tolist():
-                other = at.setdefault((section, second), slot)
-                if other != slot and len(found) < VIOLATIONS_MAX:
-                    what = f"section {section} worked by both"
-                    found.append(Violation("exclusive work", second * S, (other, slot), what))
+            for section, begin_at_us, end_at_us in self._passes(points):
+                passes.setdefault(section, []).append((begin_at_us, end_at_us, slot))
+        found: list[Violation] = []
+        for section, spans in sorted(passes.items()):
+            open_spans = list[tuple[int, int, int]]()
+            for begin_at_us, end_at_us, slot in sorted(spans):
+                open_spans = [span for span in open_spans if span[1] > begin_at_us]
+                for other in sorted({span[2] for span in open_spans} - {slot}):
+                    pair, what = tuple(sorted((slot, other))), f"section {section} worked by both"
+                    found.append(Violation("exclusive work", begin_at_us, pair, what))
+                open_spans.append((begin_at_us, end_at_us, slot))
+        return sorted(found, key=attrgetter("t_us"))[:VIOLATIONS_MAX]
+
+    def _passes(self, points: NDArray[np.float64]) -> list[tuple[int, int, int]]:
+        """Section, begin and end of each pass, microseconds.
+
+        What a robot works while its implement stays down is judged by itself, because it may come to a
+        sample again later."""
+        found: list[tuple[int, int, int]] = []
+        down = points[:, 3] != 0.0
+        edges = np.flatnonzero(np.diff(down, prepend=False, append=False))
+        for begin, end in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
+            worked_at_us = self.truth.worked_at_us(points[begin : end + 1])
+            mine = np.flatnonzero((worked_at_us != NEVER_US) & self.is_clear)
+            mine = mine[np.lexsort((worked_at_us[mine], self.truth.line_of[mine]))]
+            lines, at_us = self.truth.line_of[mine], worked_at_us[mine]
+            cuts = np.flatnonzero((np.diff(lines) != 0) | (np.diff(at_us) > PAUSE_US)) + 1
+            for run in np.split(mine, cuts):
+                if len(run) >= self.least:
+                    section = int(self.sample_section[run[0]])
+                    first, last = worked_at_us[run[[0, -1]]].tolist()
+                    found.append((section, first, last))
         return found

@@ -133,3 +133,37 @@ def test_a_robot_beside_a_near_line_of_another_section_does_not_work_in_both(
         tracks[0].add(5_000_000 + k * 100_000, 22.0 + 0.2 * k, 9.0, True)
         tracks[1].add(5_000_000 + k * 100_000, near[0][0] + 0.2 * k, near[0][1], True)
     assert bool(checker.violations(tracks)) is found
+
+
+@pytest.mark.parametrize("speed_m_s", [0.15, 0.6, 2.5])
+def test_slow_robots_in_one_section_at_once_are_found(speed_m_s: float) -> None:
+    """Only four samples within one second were work, so that no robot below 0.75 m/s could be found."""
+    sections = {0: [[(5.0, 2.0), (45.0, 2.0)]]}
+    tracks = {0: Track(), 1: Track()}
+    for k in range(100):
+        tracks[0].add(k * 100_000, 5.0 + 0.1 * speed_m_s * k, 2.0, True)
+        tracks[1].add(k * 100_000, 30.0 + 0.1 * speed_m_s * k, 2.0, True)
+    (found,) = ExclusiveWorkChecker(sections, 0.2, least_m=0.8).violations(tracks)
+    assert found.slots == (0, 1)
+
+
+def test_a_robot_that_works_a_line_again_beside_another_is_found() -> None:
+    """As one that has lost its progress in a restart. Only its first way along a line was judged."""
+    sections = {0: [[(5.0, 2.0), (25.0, 2.0)], [(5.0, 6.0), (25.0, 6.0)]]}
+    tracks = {0: Track(), 1: Track()}
+    for again in range(2):
+        for k in range(80):
+            tracks[0].add(again * 20_000_000 + k * 100_000, 5.0 + 0.2 * k, 2.0, k < 79)
+            if again:
+                tracks[1].add(again * 20_000_000 + k * 100_000, 5.0 + 0.2 * k, 6.0, True)
+    (found,) = ExclusiveWorkChecker(sections, 0.2, least_m=0.8).violations(tracks)
+    assert found.slots == (0, 1) and found.t_us >= 20_000_000
+
+
+def test_one_robot_after_another_in_a_second_is_in_order() -> None:
+    sections = {0: [[(5.0, 2.0), (25.0, 2.0)], [(5.0, 6.0), (25.0, 6.0)]]}
+    tracks = {0: Track(), 1: Track()}
+    for k in range(6):
+        tracks[0].add(k * 100_000, 5.0 + 0.25 * k, 2.0, k < 5)
+        tracks[1].add(500_000 + k * 80_000, 5.0 + 0.25 * k, 6.0, k < 5)
+    assert not ExclusiveWorkChecker(sections, 0.2, least_m=0.8).violations(tracks)
