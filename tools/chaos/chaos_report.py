@@ -16,6 +16,8 @@ KEYED = ("forged", "forged_field", "stolen")  # fleets with keys, and attackers 
 ATTACKED = "+forger"  # at the end of the name of any profile: the same with keys and an attacker
 KEYED_HOURS_WANTED = 5_000
 RUNS_WANTED = 10_000_000  # of decoders
+PLACED = {"profile", "seeds"}  # of a campaign; `headland chaos --scenario --json` prints no seeds
+TOLD = {"runs", "cpu_s", "failed", "broken", "faults", "code", "hash"}  # of a campaign too
 Result = dict[str, Any]
 Kept = dict[tuple[str, int], str]  # profile and seed: code of the checkers that found nothing
 
@@ -118,8 +120,17 @@ def _results(folder: Path) -> Iterable[tuple[Path, Result]]:
 
 
 def _judged(results: Iterable[tuple[Path, Result]]) -> tuple[list[Result], Kept]:
-    campaigns, kept = _judged_again([result for _, result in results if "robot_hours" in result])
+    told = [(path, result) for path, result in results if "robot_hours" in result]
+    for path, result in told:
+        if not result.keys() >= PLACED:
+            raise ReportError(
+                f"{path} is of one scenario, not of a campaign: take it out of the folder"
+            )
+    campaigns, kept = _judged_again([result for _, result in told])
     _no_seed_twice(campaigns)
+    for path, result in told:
+        if lacks := sorted(TOLD - result.keys()):
+            raise ReportError(f"{path} is not a whole result of headland chaos: no {lacks[0]}")
     return campaigns, kept
 
 
@@ -135,7 +146,7 @@ def _judged_again(campaigns: list[Result]) -> tuple[list[Result], Kept]:
         runs = [(c["profile"], seed) for seed in range(*c["seeds"])]
         if any(failed.get(run, c) is c for run in runs):
             proper.append(c)
-        elif not c["failed"]:
+        elif not c.get("failed"):
             same = [run for run in runs if failed[run].get("robots") == c.get("robots", "")]
             kept.update((run, str(c["code"])) for run in same)
     return proper, kept

@@ -95,6 +95,17 @@ def test_hours_are_not_counted_twice(tmp_path: Path) -> None:
         report(tmp_path)
 
 
+@pytest.mark.parametrize(("row", "said"), [
+    ({"profile": "story.toml", "robot_hours": 0.2}, "a.json is of one scenario, not of a campaign"),
+    ({"profile": "all", "seeds": [0, 5], "robot_hours": 0.2}, "a.json is not a whole result"),
+])  # fmt: skip
+def test_what_is_no_campaign_is_one_line(tmp_path: Path, row: dict[str, Any], said: str) -> None:
+    """`headland chaos --scenario FILE --json` in the folder of results made a traceback."""
+    (tmp_path / "a.json").write_text(json.dumps(row))
+    done = CliRunner().invoke(app, ["chaos", "--report", str(tmp_path)])
+    assert done.exit_code == 2 and said in done.stderr and done.stderr.count("\n") == 1
+
+
 @pytest.mark.parametrize(("robots", "again", "broken"), [
     ("same", [], 0), ("same", [7], 1), ("other", [], 1),
 ])  # fmt: skip
