@@ -8,7 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from math import dist, hypot
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from shapely.geometry import Point as Spot
@@ -103,6 +103,14 @@ def _outranks_claims(babble: kinds.Babble) -> bool:
     return (babble.priority if number is None else number >> 26) < CLAIM_PRIORITY
 
 
+class _FrozenPlace(NamedTuple):
+    """A robot whose place stands still, or falls back again and again."""
+
+    driven_m: float  # its true way until then
+    end_at_us: int
+    unnoticed_m: frozenset[float]  # the distances that it may drive before each of its faults shows
+
+
 class StopEarly(Exception):
     """A violation was found, and only the first one is wanted."""
 
@@ -136,8 +144,7 @@ class ScenarioJudge:
         # x, y, radius (m) of ground that may be left.
         self._left: list[tuple[float, float, float]] = []
         self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
-        # The true position of each when it froze.
-        self._frozen_at: dict[int, tuple[float, float]] = {}
+        self._frozen: dict[int, _FrozenPlace] = {}
         self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
         self._far_m: dict[int, float] = {}  # by which the newest jump of its place is wrong
         self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
@@ -292,7 +299,7 @@ class ScenarioJudge:
                 self._at(at_us, partial(self._loses_senses, robot, end_at_us))
             # Includes a start: a robot with a frozen position tries again.
             case kinds.Reset() | kinds.Order():
-                self._at(at_us, self._frozen_at.clear)
+                self._at(at_us, self._frozen.clear)
                 if isinstance(fault, kinds.Order) and fault.order == "start":
                     self._at(at_us, partial(self._vouched_for, fault.robot))
             case kinds.Frozen(robot=robot, for_s=for_s):
@@ -448,7 +455,7 @@ class ScenarioJudge:
                 self._blind[slot].remove(number)
                 self.senseless.release(number)
         if watch is None:
-            self._frozen_at.pop(slot, None)
+            self._frozen.pop(slot, None)
 
     def _place_freezes(self, slot: int, end_at_us: int, unnoticed_m: float) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
@@ -457,19 +464,27 @@ class ScenarioJudge:
             if let_go_at_us < end_at_us:
                 self._at(let_go_at_us, partial(self._place_freezes, slot, end_at_us, unnoticed_m))
         elif self.protocol_world is None and self.cluster.is_up(slot):
-            self._frozen_at[slot] = self.cluster.world.body(slot).position
-            self._at(end_at_us, partial(self._thaws, slot, unnoticed_m))
+            now_m = self.cluster.world.body(slot).track.driven_m
+            before = self._frozen.get(slot, _FrozenPlace(now_m, end_at_us, frozenset()))
+            self._frozen[slot] = _FrozenPlace(
+                before.driven_m,
+                max(before.end_at_us, end_at_us),
+                before.unnoticed_m | {unnoticed_m},
+            )
+            self._at(end_at_us, partial(self._thaws, slot))
 
-    def _thaws(self, slot: int, unnoticed_m: float) -> None:
-        self._now_us()
-        before, body = self._frozen_at.pop(slot, None), self.cluster.world.robots[slot]
-        if before is not None:
-            way_m = hypot(body.position[0] - before[0], body.position[1] - before[1])
-            speed_m_s = body.chassis.speed_m_s
-            most_m = speed_m_s * (SENSELESS_US / S + body.chassis.stopping_for_s / 2) + unnoticed_m
-            if way_m > most_m:
-                what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
-                self._add("S19", self.cluster.host.now_us() / 1e6, what)
+    def _thaws(self, slot: int) -> None:
+        """A fault of its place ends; the way is judged when the last of those that overlap does."""
+        now_us, frozen = self._now_us(), self._frozen.get(slot)
+        if frozen is None or now_us < frozen.end_at_us:
+            return
+        del self._frozen[slot]
+        body = self.cluster.world.robots[slot]
+        way_m = body.track.driven_m - frozen.driven_m
+        most_m = body.chassis.speed_m_s * (SENSELESS_US / S + body.chassis.stopping_for_s / 2)
+        if way_m > most_m + sum(frozen.unnoticed_m):
+            what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
+            self._add("S19", now_us / 1e6, what)
 
     def _implement_sticks(self, slot: int, end_at_us: int) -> None:
         """One watch for each robot: faults that overlap are one fault, and its way counts once."""

@@ -1,0 +1,55 @@
+"""S19: how far a robot really drives while its place is frozen."""
+
+from math import cos, pi, sin
+
+import pytest
+
+from agent.interface.config import CONTROL_PERIOD_US, S
+from sim.chaos.scenario_judge import ScenarioJudge
+from sim.fleet.simulated_fleet import Cluster
+from sim.scenarios import scenario as kinds
+from sim.scenarios.scenario import load
+
+BEGIN_S, END_S = 10.0, 14.0
+STEP_RAD = 0.1
+TURN_STEPS = round(2 * pi / STEP_RAD)
+
+
+class Carried(ScenarioJudge):
+    """A run in which robot 0 goes round in a circle of 1 m, once, whatever its wheels are told."""
+
+    def _attach(self, cluster: Cluster) -> None:
+        super()._attach(cluster)
+        self.middle: tuple[float, float] | None = None
+        for k in range(TURN_STEPS):
+            self._at(round(BEGIN_S * S) + k * CONTROL_PERIOD_US, lambda k=k: self._step(k))
+
+    def _step(self, k: int) -> None:
+        world, angle_rad = self.cluster.world, STEP_RAD * k
+        world.advance(self.cluster.host.now_us())
+        body = world.body(0)
+        if self.middle is None:
+            self.middle = body.position[0] - 1.0, body.position[1]
+        x_m, y_m = self.middle[0] + cos(angle_rad), self.middle[1] + sin(angle_rad)
+        world.place(body, x_m, y_m, body.heading_rad)
+
+
+@pytest.mark.parametrize(
+    "spans_s",
+    [[(9.5, 14.0)], [(6.0, 9.8), (9.5, 14.0)], [(6.0, 14.0), (7.0, 8.0)]],
+    ids=["one", "overlapping", "one within the other"],
+)
+def test_a_robot_that_goes_round_with_a_frozen_place_is_found(
+    spans_s: list[tuple[float, float]],
+) -> None:
+    """It ended where it began, and only the distance between both was judged. Of two faults that
+    overlap, nothing was judged after the end of the first."""
+    scenario = load("yard").changed(2, 1)
+    faults = [
+        kinds.Frozen(at_s=begin_s, kind="frozen", robot=0, for_s=end_s - begin_s)
+        for begin_s, end_s in spans_s
+    ]
+    run = scenario.run.model_copy(update={"time_limit_s": END_S + 1.0})
+    judge = Carried(scenario.model_copy(update={"fault": faults, "run": run}))
+    found = [each.what for each in judge.run().broken if each.rule == "S19"]
+    assert len(found) == 1 and "while its place is frozen" in found[0]
