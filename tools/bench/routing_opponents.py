@@ -14,18 +14,19 @@ STEPS = 4  # of PyVRP's bisection, each with its share of the time
 SPAN_COST = 100  # of a millisecond of the last finish, in those of travel
 
 
-def pyvrp_makespan(work: Workload, most_ms: int, seconds: float, seed: int) -> int:
+def pyvrp_makespan(work: Workload, most_ms: int, seconds: float, seed: int) -> int | None:
     """Milliseconds until the last finish of the best plan that PyVRP finds in `seconds`, at most
-    the number `most_ms`, that of a plan which is known already."""
+    the number `most_ms`, that of a plan which is known already. None: it finds none."""
     low, high = bound_ms(work), most_ms
-    best = most_ms
+    best: int | None = None
     for _ in range(STEPS):
         limit = (low + high) // 2
         found = _pyvrp(work, limit, seconds / STEPS, seed)
         if found is None:
             low = limit
         else:
-            best, high = min(best, found), min(limit, found)
+            best = found if best is None else min(best, found)
+            high = min(limit, found)
     return best
 
 
