@@ -1,11 +1,15 @@
 """The benches run and their scales are right; how fast things are is for the benches to say."""
 
+from math import inf
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 from scipy.ndimage import label
 
+from sim.runs.exploration_fleet import Sharing
 from tools.bench import crowd, exploration, sync, theta
 from tools.bench.map_kinds import KINDS, read, small_maps
 from tools.bench.optimum import Judge
@@ -46,6 +50,28 @@ def test_a_map_file_is_read(tmp_path: Path) -> None:
 
 def test_the_order_of_merging_maps_does_not_matter() -> None:
     assert exploration.merge_orders(1_000, 3).holds
+
+
+@pytest.mark.parametrize(
+    ("times_s", "holds"),
+    [
+        ((100.0, 50.0, 100.0, 50.0), True),
+        ((100.0, 80.0, 100.0, 50.0), False),
+        ((inf, 50.0, 100.0, 50.0), False),  # one robot has not seen 95 %
+        ((100.0, inf, 100.0, 50.0), False),
+        ((100.0, 50.0, 100.0, inf), False),  # nor has the omniscient fleet
+    ],
+)
+def test_a_speed_up_of_who_has_not_arrived_does_not_hold(
+    times_s: tuple[float, ...], holds: bool
+) -> None:
+    """It held with an infinite speed-up, and divided by zero."""
+    keys = [(n, how) for how in (Sharing.FLEET, Sharing.AT_ONCE) for n in (1, 2)]
+    runs: Any = {
+        key: [SimpleNamespace(time_95_s=time_s)] for key, time_s in zip(keys, times_s, strict=True)
+    }
+    *_, share = exploration.speed(runs, [1, 2], "nowhere")
+    assert share.holds is holds, share
 
 
 def test_a_hundred_robots_in_rooms_have_a_plan_that_brings_all_to_their_goals() -> None:
