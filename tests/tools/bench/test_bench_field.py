@@ -1,7 +1,9 @@
 """The plan of the whole fleet by OR-Tools, and what robots stand."""
 
+from itertools import islice
 from math import pi, sqrt
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 from shapely.geometry import LineString, Point
@@ -12,6 +14,7 @@ from agent.motion.tractor_tracker import LATERAL_M_S2
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
+from tools.bench import field
 from tools.bench.drawn_fields import drawn_setup
 from tools.bench.field_changes import WatchedRun
 from tools.bench.field_opponent import (
@@ -109,3 +112,26 @@ def test_the_plan_of_tractors_takes_every_swath_once() -> None:
     work_s = float(problem.work[::2].sum()) * TICK_S
     assert work_s == pytest.approx(setup.field.work_m / setup.vehicle.speed_m_s, rel=0.001)
     assert work_s / 3 < central_plan_s(problem, 0.5) < 2 * work_s
+
+
+@pytest.mark.parametrize("success", [True, False])
+def test_a_fleet_that_leaves_work_undone_is_not_as_fast_as_a_plan(
+    success: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The mean of the makespans held with the short ones of fleets that had not finished."""
+    outcome = SimpleNamespace(makespan_s=50.0, success=success)
+    run = SimpleNamespace(run=lambda: outcome, tracks={})
+    stands = SimpleNamespace(total_s=0.0, before_s=0.0, after_s=0.0)
+    split = SimpleNamespace(split_end_s=1.0, end_s=1.0, splits=0, mean_end_s=1.0)
+    for name, stand_in in (
+        ("FieldRun", lambda _: run),
+        ("problem_of", lambda _: None),
+        ("standing_times", lambda *_: stands),
+        ("central_plan_s", lambda *_: 60.0),
+        ("ideal_split", lambda *_: split),
+        ("QUICK", [("small", 3)]),
+    ):
+        monkeypatch.setattr(field, name, stand_in)
+    told = islice(field.figures(quick=True), 5)
+    (mean,) = (figure for figure in told if figure.figure == "makespan, mean of all")
+    assert mean.holds is success
