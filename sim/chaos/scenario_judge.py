@@ -130,6 +130,7 @@ class ScenarioJudge:
         self.on_effect: Record | None = None
         self.broken: list[RuleViolation] = []
         self.outcome: FieldOutcome | None = None
+        self._applied: list[tuple[float, Fault]] = []
         # Dead robot -> watches of the robots that must stand.
         self._silences: dict[int, list[int]] = {}
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
@@ -197,6 +198,7 @@ class ScenarioJudge:
         except Exception as problem:
             text = f"{type(problem).__name__}: {problem}"
             self.broken.append(RuleViolation("S15", self.cluster.host.now_us() / 1e6, text))
+        self._applied = run.faults
         if self.outcome is not None:
             self._judge(self.outcome)
         self.broken += self.witness.broken
@@ -210,8 +212,8 @@ class ScenarioJudge:
 
     @property
     def faults(self) -> Counter[str]:
-        """The number of faults of each kind before the repairs."""
-        return Counter(f.kind for f in self.scenario.fault if f.at_s <= self.span.calm_at_s)
+        """The number of faults of each kind that were applied before the repairs."""
+        return Counter(f.kind for _, f in self._applied if f.at_s <= self.span.calm_at_s)
 
     def _attach(self, cluster: Cluster) -> None:
         self.cluster, self.witness.clock = cluster, cluster.host.now_us

@@ -48,7 +48,9 @@ class FaultPlan:
 
     def __init__(self, cluster: Cluster) -> None:
         self.cluster = cluster
-        self.done: list[tuple[float, str]] = []
+        # Those that found what they are about, and when, seconds.
+        self.done: list[tuple[float, kinds.Fault]] = []
+        self._begun = 0  # faults whose time has come
         self._slips: dict[int, int] = {}  # how many faults of slip a robot has had
         self._jam_ends_at_us: dict[int, int] = {}
         self._rng = Random(f"{cluster.scenario.run.seed}/faults")
@@ -62,7 +64,9 @@ class FaultPlan:
         later is a script of its own."""
         for fault in sorted(self.cluster.scenario.fault, key=lambda f: f.at_s):
             yield round(fault.at_s * S)
-            self.done.append((self.cluster.host.now_us() / S, fault.kind))
+            self._begun += 1
+            if not self._is_void(fault):
+                self.done.append((self.cluster.host.now_us() / S, fault))
             self._trouble(fault)
             after = self._carry_out(fault)
             if after is not None:
@@ -136,7 +140,7 @@ class FaultPlan:
                     identifier = priority << 26 | UNKNOWN_GROUP | BABBLER
                 return self._babble(identifier, for_s)
             case kinds.Buttons():
-                return buttons(cluster, fault, self._rng, len(self.done))
+                return buttons(cluster, fault, self._rng, self._begun)
             case kinds.UsedStop():
                 return used_stop(cluster, fault, self._rng)
             case kinds.Foreign():
@@ -211,6 +215,16 @@ class FaultPlan:
         yield end_at_us
         if self._now_us() >= self._jam_ends_at_us[robot]:
             body.jam(False)
+
+    def _is_void(self, fault: kinds.Fault) -> bool:
+        """Whether the fault finds nothing to change: a robot that does not exist yet, one that is off
+        already, or on."""
+        match fault:
+            case kinds.Join(robot=robot):
+                return self.cluster.is_up(robot)
+            case kinds.Crash(robot=robot) | kinds.BusOff(robot=robot) | kinds.Estop(robot=robot):
+                return not self.cluster.is_up(robot)
+        return self._absent(fault)
 
     def _absent(self, fault: kinds.Fault) -> bool:
         """Whether the fault names a robot that has not been switched on yet."""

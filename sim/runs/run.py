@@ -20,6 +20,7 @@ from sim.fleet.settling import quiet_for_us
 from sim.fleet.simulated_fleet import Cluster, Record
 from sim.fleet.trace_recorder import Recorder
 from sim.scenarios.fleet_setup import FleetSetup
+from sim.scenarios.scenario import Fault
 from sim.world.ground_truth import Contact, TrackPoint
 
 _numbers = itertools.count()
@@ -57,7 +58,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         self.logs = logs
         self.tally = FrameCounter()
         self.recorder: Recorder | None = None  # None: a new one
-        self.faults: list[tuple[float, str]] = []
+        self.faults: list[tuple[float, Fault]] = []  # that were applied, and when; after the run
         self.cluster: FleetT | None = None  # once it has begun
 
     # ---------------------------------------------------------------- what a mission says
@@ -103,10 +104,9 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
     @property
     def told_faults(self) -> list[dict[str, Any]]:
         """The faults applied to the fleet, and when, as plain values."""
-        planned = sorted(self.setting.scenario.fault, key=lambda fault: fault.at_s)
         return [
             {"t_s": t_s, **fault.model_dump(mode="json", exclude={"at_s"})}
-            for (t_s, _), fault in zip(self.faults, planned, strict=False)
+            for t_s, fault in self.faults
         ]
 
     def run(self) -> OutcomeT:
