@@ -4,12 +4,16 @@ import re
 import subprocess
 import tomllib
 from pathlib import Path
+from typing import get_args
 
 from agent.interface.lifecycle import TABLE, State
 from agent.peer.diagnostics import fault_table
 from agent.safety.stop_cause import cause_table
 from protocol.frames.messages import GROUPS
 from protocol.state_machine import to_mermaid
+from sim.chaos.fault_profiles import APART, PROFILES, SPANS
+from sim.chaos.planted_bugs import MUTANTS
+from sim.scenarios.scenario import Fault
 
 ROOT = Path(__file__).parents[1]
 
@@ -44,6 +48,7 @@ def test_every_frame_is_in_the_table() -> None:
 
 
 NAMED = re.compile(r"(?<![\w./-])(?:agent|protocol|crdt|sim|tools|tests|docs|examples)/[\w/]+\.\w+")
+TERM = re.compile(r"`(\w+)`")
 OVER = (
     "CHANGELOG.md",
     "changes/",
@@ -115,3 +120,38 @@ def test_a_fragment_is_a_list_of_short_items() -> None:
         if path.name != "README.md":
             assert re.fullmatch(r"\d+-[a-z0-9-]+\.md", path.name), path.name
             assert path.read_text().startswith(("* ", "- ")), path.name
+
+
+def test_the_page_of_chaos_has_each_profile_with_its_fleet_and_its_end() -> None:
+    text = (ROOT / "docs" / "how" / "chaos.md").read_text(encoding="utf-8")
+    for name, profile in PROFILES.items():
+        assert f"| `{name}` | {profile.robots[0]} to {profile.robots[1]} " in text, name
+    ends_s = {name: f"{span.calm_at_s:.0f} s" for name, span in SPANS.items()}
+    assert (
+        f"Until {ends_s['field']} ({APART.calm_at_s:.0f} s in `apart`, {ends_s['drill']} in drills, "
+        f"{ends_s['sprint']} in sprints)" in text
+    )
+    for mission in ("drill", "sprint"):
+        *most, last = [f"`{n}`" for n, profile in PROFILES.items() if profile.mission == mission]
+        assert f"{', '.join(most)} and {last} play **{mission}s**" in " ".join(text.split()), (
+            mission
+        )
+    assert f"has {len(MUTANTS)} bugs." in text
+
+
+def test_the_page_of_chaos_has_each_kind_of_fault_and_a_story_with_it() -> None:
+    text = (ROOT / "docs" / "how" / "chaos.md").read_text(encoding="utf-8")
+    rows = text.split("## Faults")[1].split("## Rules")[0]
+    told = {
+        kind for row in re.findall(r"^\| (`[^|]*) \|", rows, re.M) for kind in TERM.findall(row)
+    }
+    faults = get_args(get_args(Fault)[0])
+    kinds = {get_args(fault.model_fields["kind"].annotation)[0] for fault in faults}
+    assert told == kinds
+    stories = ROOT / "tests" / "chaos" / "stories"
+    named = {stories / name for name in re.findall(r"(\w+\.toml)`", rows)}
+    assert kinds == {
+        fault["kind"]
+        for story in named
+        for fault in tomllib.loads(story.read_text(encoding="utf-8"))["fault"]
+    }
