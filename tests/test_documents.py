@@ -9,7 +9,9 @@ from typing import get_args
 from agent.interface.lifecycle import TABLE, State
 from agent.peer.diagnostics import fault_table
 from agent.safety.stop_cause import cause_table
+from agent.segments.segment_reachability import SEGMENTS_MAX
 from protocol.frames.messages import GROUPS
+from protocol.frames.segment_frames import SEGMENT_MAX
 from protocol.state_machine import to_mermaid
 from sim.chaos.fault_profiles import APART, PROFILES, SPANS
 from sim.chaos.planted_bugs import MUTANTS
@@ -155,3 +157,10 @@ def test_the_page_of_chaos_has_each_kind_of_fault_and_a_story_with_it() -> None:
         for story in named
         for fault in tomllib.loads(story.read_text(encoding="utf-8"))["fault"]
     }
+
+
+def test_the_page_of_several_segments_has_the_limit_of_a_gateway() -> None:
+    """Numbers reach further than the segments that a gateway keeps."""
+    text = " ".join((ROOT / "docs" / "use" / "scale.md").read_text(encoding="utf-8").split())
+    assert f"up to {SEGMENTS_MAX + 1:,} segments, with numbers from 1 to {SEGMENT_MAX:,}" in text
+    assert f"A gateway keeps {SEGMENTS_MAX:,} others" in text
