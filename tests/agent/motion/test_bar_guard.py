@@ -10,7 +10,7 @@ from agent.interface.effects import Drive
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Neighbour, Observation
-from agent.motion.bar_guard import FORGET_US, STAYS_US
+from agent.motion.bar_guard import FORGET_US, PLACES_MAX, STAYS_US
 from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.obstacle_stop import ObstacleStop
 from agent.motion.stopping_zone import StoppingZone
@@ -22,9 +22,11 @@ NO_FENCES = np.empty((0, 4))
 EAST = Drive(2.5, 0.0, 0.0, True)
 
 
-def stop(fences: np.ndarray = NO_FENCES, half_bar_m: float = HALF_BAR_M) -> ObstacleStop:
+def stop(
+    fences: np.ndarray = NO_FENCES, half_bar_m: float = HALF_BAR_M, steers: bool = False
+) -> ObstacleStop:
     lookout = ObstacleDetector(RADIUS_M, 1.5, fences, StoppingZone(RADIUS_M, 1.5))
-    return ObstacleStop(0, BodyLimits(RADIUS_M, 2.5, 1.5), lookout, half_bar_m)
+    return ObstacleStop(0, BodyLimits(RADIUS_M, 2.5, 1.5), lookout, half_bar_m, steers)
 
 
 def seen(x_m: float, y_m: float, vx_m_s: float = 2.5, vy_m_s: float = 0.0) -> Observation:
@@ -68,9 +70,17 @@ def test_what_explains_an_echo_to_the_body_explains_it_to_the_bar() -> None:
 
 
 def test_the_bar_that_swings_round_a_corner_goes_up() -> None:
-    """The course turns from east to north: the bar passes ahead on the right and behind on the left."""
+    """The course turns from east to north: the bar passes ahead on the right and behind on the left.
+
+    These places are in the strip of neither course.
+    """
     north = Drive(0.0, 2.5, 0.0, True)
-    for x_m, y_m, down in ((2.5, -2.5, False), (-2.5, 2.5, False), (-2.5, -2.5, True)):
+    for x_m, y_m, down in (
+        (3.5, -1.5, False),
+        (-1.5, 3.5, False),
+        (3.0, 3.0, True),
+        (-3.0, -3.0, True),
+    ):
         drive, _ = stop().watch(north, seen(x_m, y_m, 2.5, 0.0), {}, True, 0)
         assert drive.tool_on is down, (x_m, y_m)
 
@@ -96,6 +106,21 @@ def test_the_bar_of_a_steered_body_follows_its_bend() -> None:
             for end_m in (-2.0, -1.0, 1.0, 2.0):
                 x_m = middle[0] - end_m * sin(course_rad)
                 assert ground.has(x_m, middle[1] + end_m * cos(course_rad)), (way_m, end_m)
+
+
+def test_only_a_body_that_steers_bends_its_bar_with_its_turn() -> None:
+    """The outer end comes further than on a straight way; another body turns, and its course does not."""
+    bend = EAST._replace(turn_rad_s=0.625)
+    here = seen(4.21, -1.96)
+    assert not stop(steers=True).watch(bend, here, {}, True, 0)[0].tool_on
+    assert stop().watch(bend, here, {}, True, 0)[0].tool_on
+
+
+def test_places_that_keep_the_bar_up_are_limited() -> None:
+    question, here = stop(), seen(1.5, 1.7)
+    for metre in range(2 * PLACES_MAX):
+        question.watch(EAST, here._replace(x_m=float(metre)), {}, True, metre)
+    assert question.bar is not None and len(question.bar.kept_up) == PLACES_MAX
 
 
 def test_what_stays_is_told_to_the_mission_and_what_has_gone_is_not() -> None:
