@@ -97,6 +97,8 @@ PERSON = (DISC, 10.0, 1.7, 0.25, 0.25, 1.0, 0.0)  # beside the way of a robot wi
         (PERSON, True, True),
         (PERSON, False, False),  # up, it is folded
         ((DISC, 10.0, 2.3, 0.25, 0.25, 1.0, 0.0), True, False),  # beyond the end of the bar
+        ((DISC, 10.0, 2.24, 0.25, 0.25, 1.0, 0.0), True, False),  # it touches it
+        ((DISC, 10.0, 2.22, 0.25, 0.25, 1.0, 0.0), True, True),
         ((BOX, 10.0, 2.3, 0.5, 0.5, 1.0, 0.0), True, True),
         ((BOX, 10.0, 2.6, 0.5, 0.5, 1.0, 0.0), True, False),
         ((BOX, 10.0, 2.6, 0.5, 0.5, 0.8**0.5, 0.2**0.5), True, True),  # with a corner towards it
@@ -150,6 +152,15 @@ def test_a_robot_that_creeps_draws_its_bar_too(speed_m_s: float) -> None:
 def test_a_bar_of_a_robot_that_creeps_meets_a_body() -> None:
     (one,) = met(drive(9.0, 0.0, 0.15, 0.0), drive(11.0, 2.0, 0.0, 0.0, down=False))
     assert one.body
+
+
+def test_what_comes_to_a_bar_that_stands_is_not_under_it() -> None:
+    stops = [
+        (t_us, min(x_m, 10.0), y_m, down) for t_us, x_m, y_m, down in drive(0.0, 0.0, 2.0, 0.0)
+    ]
+    assert not things_under_bars({0: stops}, [(0, []), (6_000_000, [PERSON])], WIDTH_M)
+    goes_on = {0: drive(0.0, 0.0, 1.5, 0.0)}
+    assert things_under_bars(goes_on, [(0, []), (6_000_000, [PERSON])], WIDTH_M)
 
 
 def played(robots: int, seed: int) -> FieldOutcome:
