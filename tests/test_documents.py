@@ -164,3 +164,12 @@ def test_the_page_of_several_segments_has_the_limit_of_a_gateway() -> None:
     text = " ".join((ROOT / "docs" / "use" / "scale.md").read_text(encoding="utf-8").split())
     assert f"up to {SEGMENTS_MAX + 1:,} segments, with numbers from 1 to {SEGMENT_MAX:,}" in text
     assert f"A gateway keeps {SEGMENTS_MAX:,} others" in text
+
+
+def test_the_threat_model_says_no_more_hours_with_keys_than_the_report() -> None:
+    report = (ROOT / "docs" / "measured" / "chaos_report.md").read_text(encoding="utf-8")
+    text = (ROOT / "docs" / "how" / "trust.md").read_text(encoding="utf-8")
+    found = re.search(r"^([\d.]+) robot-hours are of fleets with keys", report, re.M)
+    said = re.search(r"^\* More than ([\d,]+) robot-hours with keys", text, re.M)
+    assert found is not None and said is not None
+    assert float(found[1]) > float(said[1].replace(",", ""))
