@@ -353,7 +353,7 @@ def plan(
     seed: Annotated[int, typer.Option(min=0, help="Of the search; robots use 0.")] = 0,
     json: Json = False,
 ) -> None:
-    """Plan who works which sections from when to when, as robots do it, without a run.
+    """Plan which robot works which sections from when to when, as robots do it, without a run.
 
     Exit 0 when every field is planned, 1 when one could not be, 2 when none could.
     Example: headland plan oxted --robots 6 --out plan

@@ -19,7 +19,7 @@ def routes() -> str:
     return "\n".join(
         ["# Routes", "", about, "", *HEAD, *_rows(ROUTES), "",
          "## Fleets of several segments", "", of_segments, "", *HEAD, *_rows(SEGMENT_ROUTES), "",
-         "## Not for robots", "", "| message | for whom it is |", "|---|---|", *others, ""]
+         "## Not for robots", "", "| message | for which devices it is |", "|---|---|", *others, ""]
     )  # fmt: skip
 
 

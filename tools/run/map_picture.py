@@ -62,7 +62,7 @@ def draw_maps(survey: ExplorationRun, outcome: ExplorationOutcome, out: Path) ->
         xy = np.array([(x, y) for _, x, y, _ in track])
         places[0].plot(xy[:, 0], xy[:, 1], color=colour_of(slot), linewidth=0.8)
     again = f"{100 * outcome.overlap_end:.0f} % seen again by another"
-    _who(places[1], survey, survey.seen.first, f"who saw it first; {again}")
+    _who(places[1], survey, survey.seen.first, f"which robot saw it first; {again}")
     for axes, slot in zip(places[2:], slots, strict=False):
         _plain(axes, survey, survey.charts[slot], f"what robot {slot} saw itself")
     for axes in places[2 + len(slots) :]:
@@ -89,7 +89,7 @@ def film(survey: ExplorationRun, out: Path) -> None:
         left.clear()
         right.clear()
         _plain(left, survey, still.values, f"{still.now_s:.0f} s, as robot {still.slot} knows it")
-        _who(right, survey, still.first, "who saw it first")
+        _who(right, survey, still.first, "which robot saw it first")
         for slot, (x_m, y_m) in still.places.items():
             for axes, edge in ((left, "none"), (right, "black")):
                 axes.plot([x_m], [y_m], "o", color=colour_of(slot), markeredgecolor=edge,

@@ -1,4 +1,4 @@
-"""`headland plan`: who would work what, from when to when, without a run."""
+"""`headland plan`: which robot would work what, from when to when, without a run."""
 
 import sys
 from collections.abc import Iterator

@@ -166,7 +166,7 @@ def _compile(console: Console, warm: Callable[[], None] | None) -> None:
 LOOKS = (
     ("report {}", "one page: tracks, stops, bus load"),
     ("map {}", "the run in a browser"),
-    ("inspect {}", "states, sections, who knew what"),
+    ("inspect {}", "states, sections, which robot knew what"),
 )
 
 
