@@ -9,7 +9,7 @@ from agent.interface.config import S
 from agent.interface.effects import HALT, Drive, Effect, Send
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
-from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
+from agent.interface.mission import Mission
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
 from agent.motion.holonomic_motion import HolonomicMotion
@@ -21,33 +21,15 @@ from protocol.controller_health import Health
 from protocol.frames.fleet_frames import Member
 from protocol.frames.network_frames import AddressClaimed
 from protocol.name import fleet_name, tool_name
+from sim.rigs.keyed_rig import AlwaysForward
 
-FULL = MotionRequest(2.0, 0.0, 0.0, True)
 BY_TIME_US = 1 * S  # what is raised with a time holds so long here
 
 
-class Eager(Mission):
-    """A mission that always wants full speed."""
+class Eager(AlwaysForward):
+    """A mission of one section that always wants full speed."""
 
     section_units: Mapping[int, int] = {0: 4}
-
-    def choose(self, view: FleetView) -> ClaimRequest | None:
-        return None
-
-    def approach(self, section: int, view: FleetView) -> MotionRequest:
-        return FULL
-
-    def work(self, view: FleetView) -> MotionRequest:
-        return FULL
-
-    def accepts_goal(self, goal: tuple[float, float]) -> bool:
-        return True
-
-    def travel(self, goal: tuple[float, float], view: FleetView) -> MotionRequest:
-        return FULL
-
-    def idle(self, view: FleetView) -> MotionRequest:
-        return FULL
 
 
 def peer_in(

@@ -55,7 +55,6 @@ def play(
             # `--out` is not the newest launch.
             scenario = ("--scenario", "yard.toml") if words[0] == "launch" else ()
             add = ("task", "add", "--file", "more.csv", *scenario, "--json")
-            # `--out` is not the newest launch.
             own = ("--keys", "out/keys") if words[0] == "launch" else ()
             code, text = await call(folder, *add, *own, "--port", port)
             print(text)

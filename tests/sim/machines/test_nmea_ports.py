@@ -25,6 +25,14 @@ async def _where(port: int) -> bytes:
     return answer
 
 
+async def _long_line_ends_one_client(control: int) -> None:
+    reader, writer = await _opened(control)
+    writer.write(b"x" * (4 * LINE_MAX) + b"\n")
+    with suppress(ConnectionError):
+        assert await asyncio.wait_for(reader.read(), WAIT_S) == b""
+    assert b"x_m" in await _where(control), "the next one is served"
+
+
 def test_hostile_clients_of_a_machine_keep_no_robot_out() -> None:
     async def story() -> None:
         made = NmeaMachine(WheeledBody(Dimensions(), 0.0, 0.0, 0.0), ORIGIN)
@@ -39,12 +47,8 @@ def test_hostile_clients_of_a_machine_keep_no_robot_out() -> None:
             talker.write(bytes(65_536))
         with suppress(ConnectionError):
             await asyncio.wait_for(talker.drain(), WAIT_S)
-        long, writer = await _opened(control)
-        writer.write(b"x" * (4 * LINE_MAX) + b"\n")
-        with suppress(ConnectionError):
-            assert await asyncio.wait_for(long.read(), WAIT_S) == b"", "a long line ends it"
-        assert b"x_m" in await _where(control)
-        for _, each in (*idle,):
+        await _long_line_ends_one_client(control)
+        for _, each in idle:
             each.close()
         await made.stop()
 
@@ -58,12 +62,8 @@ def test_hostile_clients_of_a_tractor_keep_no_order_out() -> None:
         made = IsobusMachine(body, ORIGIN, bus)
         control = await made.start_on_bus("127.0.0.1", 0)
         idle = [await _opened(control) for _ in range(4 * CLIENTS_MAX)]
-        long, writer = await _opened(control)
-        writer.write(b"x" * (4 * LINE_MAX) + b"\n")
-        with suppress(ConnectionError):
-            assert await asyncio.wait_for(long.read(), WAIT_S) == b"", "a long line ends it"
-        assert b"x_m" in await _where(control)
-        for _, each in (*idle,):
+        await _long_line_ends_one_client(control)
+        for _, each in idle:
             each.close()
         await made.stop()
 

@@ -18,7 +18,7 @@ from protocol.frames.codec import Malformed, decode, encode
 from protocol.frames.fleet_frames import MEMBER, STATES, Member
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import Identifier
-from protocol.frames.messages import GROUP_OF, GROUPS, Message
+from protocol.frames.messages import GROUPS
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.safety_frames import ALL_IMPLEMENTS_STOP, AllImplementsStop, Switch
 from protocol.name import Name
@@ -27,7 +27,7 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tests.tools.documented import blocks, lines_of
-from tools.bench.cantools_judge import judge
+from tools.bench.cantools_judge import expected_values, judge
 from tools.cli.arxml import to_arxml
 from tools.cli.dbc import dbc as dbc_command
 from tools.cli.dbc import to_dbc
@@ -58,22 +58,6 @@ def short_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return out
 
 
-def flat(message: Message) -> dict[str, float]:
-    """Our fields under the names of signals; fields of several bytes one by one."""
-    values: dict[str, float] = {}
-    fields = message._asdict()
-    if isinstance(message, AddressClaimed):
-        fields = Name.unpack(message.name)._asdict()
-    renamed = {f.name: f.signal for f in GROUP_OF[type(message)].fields if f.signal}
-    for field, value in fields.items():
-        name = renamed.get(field, field)
-        if isinstance(value, bytes | tuple):
-            values |= {f"{name}_{k}": part for k, part in enumerate(value)}
-        else:
-            values[name] = float(value)
-    return values
-
-
 def compare(identifier: int, data: bytes, by_group: dict[int, Any]) -> str:
     _, ours = decode(Frame(identifier, data))
     assert not isinstance(ours, Malformed), (hex(identifier), data.hex(), ours)
@@ -83,10 +67,10 @@ def compare(identifier: int, data: bytes, by_group: dict[int, Any]) -> str:
         for name, value in definition.decode(data, decode_choices=False).items()
         if not name.startswith("reserved_")
     }
-    ours_flat = flat(ours)
-    assert theirs.keys() == ours_flat.keys()
+    expected = expected_values(ours)
+    assert theirs.keys() == expected.keys()
     for name, value in theirs.items():
-        assert value == pytest.approx(ours_flat[name], abs=1e-9), (definition.name, name)
+        assert value == pytest.approx(float(expected[name]), abs=1e-9), (definition.name, name)
     return str(definition.name)
 
 

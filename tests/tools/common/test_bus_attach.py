@@ -44,6 +44,21 @@ async def until(holds: Callable[[], bool]) -> None:
             await passed(0.01)
 
 
+async def begun(name: str, port: int = 0) -> Hub:
+    """A bus of this name, and its hub."""
+    hub = Hub(segment(name), CHANNEL)
+    await hub.start(port=port)
+    return hub
+
+
+async def ended(hub: Hub, name: str) -> int:
+    """The port at which the bus can begin again."""
+    port = hub.port
+    await hub.stop()
+    forget(name)
+    return port
+
+
 async def joined(hub: Hub) -> None:
     await until(lambda: any(client.bus is not None for client in hub.clients))
 
@@ -59,8 +74,7 @@ def test_who_stays_on_a_bus_takes_no_core_without_it_and_hears_the_next_one() ->
 
     async def story() -> None:
         name, heard = "a program that stays", list[Frame]()
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start()
+        hub = await begun(name)
         bus = await stay_attached("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port, name)
         bus.subscribe(heard.append)
         for _ in range(2):
@@ -70,15 +84,11 @@ def test_who_stays_on_a_bus_takes_no_core_without_it_and_hears_the_next_one() ->
             await until(lambda: heard == [BEAT])
             other.shutdown()
             heard.clear()
-            port = hub.port
-            await hub.stop()
-            forget(name)
+            port = await ended(hub, name)
             assert await share_of_a_core() < CPU_MAX
-            hub = Hub(segment(name), CHANNEL)
-            await hub.start(port=port)
+            hub = await begun(name, port)
         bus.close()
-        await hub.stop()
-        forget(name)
+        await ended(hub, name)
 
     asyncio.run(story())
 
@@ -86,25 +96,20 @@ def test_who_stays_on_a_bus_takes_no_core_without_it_and_hears_the_next_one() ->
 def test_a_watch_goes_on_after_a_restart_of_its_bus() -> None:
     async def story() -> None:
         name, told = "a watch", list[int]()
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start()
+        hub = await begun(name)
         where = ("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
         watching = asyncio.create_task(
             inspection._listen(Inspector(), *where, None, lambda seen: told.append(1))
         )
         await joined(hub)
-        port = hub.port
-        await hub.stop()
-        forget(name)
+        port = await ended(hub, name)
         assert await share_of_a_core() < CPU_MAX
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start(port=port)
+        hub = await begun(name, port)
         await joined(hub)
         assert not watching.done()
         watching.cancel()
         await asyncio.gather(watching, return_exceptions=True)
-        await hub.stop()
-        forget(name)
+        await ended(hub, name)
 
     asyncio.run(story())
 
@@ -115,29 +120,24 @@ def test_a_stop_that_is_held_goes_on_after_a_restart_of_its_bus(watch: bool) -> 
 
     async def story() -> None:
         name = f"a stop that is held {watch}"
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start()
+        hub = await begun(name)
         where = ("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
         reason = Reason.OPERATOR_INTERVENTION
         held = asyncio.create_task(
             estop._estop(*where, None, reason, 0.1, watch=watch, as_json=False, hold=True)
         )
         await joined(hub)
-        port = hub.port
-        await hub.stop()
-        forget(name)
+        port = await ended(hub, name)
         assert watch or await share_of_a_core() < CPU_MAX
         heard = list[Frame]()
         segment(name).taps.append(lambda t_us, frame: heard.append(frame))
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start(port=port)
+        hub = await begun(name, port)
         await joined(hub)
         await until(lambda: watch or any(isinstance(decode(f)[1], EmergencyStop) for f in heard))
         assert not held.done()
         held.cancel()
         await asyncio.gather(held, return_exceptions=True)
-        await hub.stop()
-        forget(name)
+        await ended(hub, name)
 
     asyncio.run(story())
 
@@ -150,26 +150,21 @@ def test_a_stop_in_words_is_said_after_a_restart_of_its_bus(
 
     async def story() -> None:
         name = "a conversation"
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start()
+        hub = await begun(name)
         where = ("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
         conversation = Conversation(Options(where, timeout_s=0.5))
         talking = asyncio.create_task(conversation.hold(None))
         await joined(hub)
-        port = hub.port
-        await hub.stop()
-        forget(name)
+        port = await ended(hub, name)
         heard = list[Frame]()
         segment(name).taps.append(lambda t_us, frame: heard.append(frame))
-        hub = Hub(segment(name), CHANNEL)
-        await hub.start(port=port)
+        hub = await begun(name, port)
         await joined(hub)
         conversation.lines.put_nowait("stop all robots")
         await until(lambda: bool(heard))
         talking.cancel()
         await asyncio.gather(talking, return_exceptions=True)
-        await hub.stop()
-        forget(name)
+        await ended(hub, name)
 
     asyncio.run(story())
 

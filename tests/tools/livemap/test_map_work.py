@@ -2,6 +2,7 @@
 round, once by keyboard alone and once by touch on a phone, in a real browser."""
 
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -96,6 +97,15 @@ def working() -> Recording:
     return made
 
 
+@contextmanager
+def shown(recording: Recording) -> Iterator["Chrome"]:
+    """The page of a recording, in a browser."""
+    served = MapThread(recording, "a recording", 0)
+    with browser() as page:
+        page.get(served.url)
+        yield page
+
+
 def player_of(recording: Recording) -> PageUpdates:
     index = Index(recording)
     index.work(1e9)
@@ -126,9 +136,7 @@ def test_an_order_that_is_taken_back_is_told() -> None:
 def test_a_parcel_whose_order_was_taken_back_in_time_is_not_waited_for() -> None:
     """It lay at its pickup for ever, or far off the map, and the work never was all done."""
     aboard, waits = TaskOrder(5, WITHDRAWN, 44), TaskOrder(6, WITHDRAWN, 40)
-    served = MapThread(delivering(TaskOrder(6, 4, 40), aboard, waits), "house", 0)
-    with browser() as page:
-        page.get(served.url)
+    with shown(delivering(TaskOrder(6, 4, 40), aboard, waits)) as page:
         until(page, "headland.field?.transports.size === 3", WAIT_S)
         until(page, "document.getElementById('work').textContent === '1 of 2'")
         assert page.execute_script("return headland.field.parcels.map(([task]) => task)") == [0, 5]
@@ -148,9 +156,7 @@ def test_why_a_section_is_whose_is_told_with_what_led_to_it() -> None:
 @pytest.mark.slow
 @needs_browser
 def test_a_warehouse_shows_its_parcels() -> None:
-    served = MapThread(delivering(), "house", 0)
-    with browser() as page:
-        page.get(served.url)
+    with shown(delivering()) as page:
         until(page, "document.getElementById('work').textContent === '1 of 2'", WAIT_S)
         until(
             page,
@@ -185,9 +191,7 @@ def test_an_event_that_has_the_focus_keeps_it_when_another_one_comes() -> None:
     made.write(0, encode(Member(0, 1, 0), 0x80))
     made.write(1, encode(EmergencyStop(0, 1, 1, 1), 0x80))
     made.write(1_000_000, encode(Pose(10.0, 20.0, 0.0, 0.0, 4, True, 255), 0x80))
-    served = MapThread(made, "strip", 0)
-    with browser() as page:
-        page.get(served.url)
+    with shown(made) as page:
         until(page, "document.querySelector('#events [data-kind=stop]')", WAIT_S)
         page.execute_script("document.querySelector('#events [data-kind=stop]').focus()")
         made.write(2_000_000, encode(EmergencyReset(0, 1, 1, 200, 0, 0), 0x80))
@@ -207,9 +211,7 @@ def test_a_robot_that_has_told_no_place_is_in_the_table_and_not_on_the_map() -> 
         made.write(t_us, encode(Pose(10.0, 20.0, 0.0, 0.0, 1, False, 255), 0x80))
         made.write(t_us, encode(nowhere, 0x81))
     made.close()
-    served = MapThread(made, "strip", 0)
-    with browser() as page:
-        page.get(served.url)
+    with shown(made) as page:
         until(page, "document.querySelector('#fleet [data-slot=\"1\"]')", WAIT_S)
         until(page, "headland.state().robots.length === 2")
         page.execute_script("document.querySelector('#fleet [data-slot=\"1\"] button').click()")
@@ -239,9 +241,7 @@ def test_a_screen_reader_is_told_only_what_is_new() -> None:
     stopped.write(1, encode(EmergencyStop(0, 1, 1, 1), 0x80))
     stopped.write(2, encode(Pose(10.0, 20.0, 0.0, 0.0, 4, True, 255), 0x80))
     stopped.close()
-    served = MapThread(stopped, "strip", 0)
-    with browser() as page:
-        page.get(served.url)
+    with shown(stopped) as page:
         until(page, "document.getElementById('link').textContent === 'connected'", WAIT_S)
         until(page, "document.getElementById('stopped-why').textContent !== ''")
         page.execute_script(SPOKEN)
@@ -270,9 +270,7 @@ def test_another_light_changes_colours_and_nothing_else() -> None:
 @pytest.mark.slow
 @needs_browser
 def test_a_section_says_why_by_click_and_by_key_and_a_robot_is_followed() -> None:
-    served = MapThread(working(), "strip", 0)
-    with browser() as page:
-        page.get(served.url)
+    with shown(working()) as page:
         until(page, "document.querySelector('button.section')", WAIT_S)
         page.execute_script(CLICK)
         until(page, "document.getElementById('why-name').textContent === 'section 7'")

@@ -108,6 +108,17 @@ async def left(gateway: MasterGateway) -> None:
     gateway.book.close()
 
 
+def instant(kind: str, name: str) -> Action:
+    return Action(action_type=kind, action_id=name, blocking_type=BlockingType.HARD)
+
+
+async def done(gateway: MasterGateway, *actions: Action) -> None:
+    """A master asks the first vehicle for these, and each of them ends."""
+    gateway.act(gateway.ports[0], InstantActions(actions=list(actions)))
+    async with asyncio.timeout(WAIT_S):
+        await asyncio.gather(*gateway.working)
+
+
 WHOLE = order(FETCH, BRING | {"sequenceId": 2}, name="o\x1b[2J1")
 
 
@@ -299,9 +310,7 @@ def test_an_instant_action_without_a_usable_key_fails_and_says_why(tmp_path: Pat
         gateway = gateway_on(tmp_path, [])
         gateway.keys = tmp_path / "no.key"  # gone since the start
         port = gateway.ports[0]
-        pause = Action(action_type="startPause", action_id="s1", blocking_type=BlockingType.NONE)
-        gateway.act(port, InstantActions(actions=[pause]))
-        await asyncio.gather(*gateway.working)
+        await done(gateway, instant("startPause", "s1"))
         state = port.vehicle.instant["s1"]
         assert state.action_status is ActionStatus.FAILED and "no.key" in str(
             state.result_description
@@ -361,10 +370,9 @@ def test_an_instant_action_that_comes_twice_is_done_once_also_after_the_next_ord
     async def story() -> None:
         gateway = gateway_on(tmp_path, [])
         port = gateway.ports[0]
-        act = Action(action_type="stateRequest", action_id="c1", blocking_type=BlockingType.HARD)
+        act = instant("stateRequest", "c1")
         gateway.order(port, WHOLE)
-        gateway.act(port, InstantActions(actions=[act]))
-        await asyncio.gather(*gateway.working)
+        await done(gateway, act)
         port.vehicle.outcome = TaskOutcome(TaskPhase.DELIVERED, 0)
         gateway.order(port, order(FETCH, BRING | {"sequenceId": 2}, name="o2"))
         assert not port.vehicle.instant
@@ -397,10 +405,6 @@ def test_a_robot_that_has_told_no_place_yet_is_not_initialized_at_the_origin(
     asyncio.run(story())
 
 
-def instant(kind: str, name: str) -> Action:
-    return Action(action_type=kind, action_id=name, blocking_type=BlockingType.HARD)
-
-
 def test_a_pause_that_ends_before_the_robot_has_told_of_it_ends(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -419,11 +423,7 @@ def test_a_pause_that_ends_before_the_robot_has_told_of_it_ends(
             loop.call_later(TICK_S, told, said is Command.START)
 
         monkeypatch.setattr(gateway.operator, "command", command)
-        gateway.act(
-            port, InstantActions(actions=[instant("startPause", "1"), instant("stopPause", "2")])
-        )
-        async with asyncio.timeout(WAIT_S):
-            await asyncio.gather(*gateway.working)
+        await done(gateway, instant("startPause", "1"), instant("stopPause", "2"))
         assert vehicle.robot.started
         assert {each.action_status for each in vehicle.instant.values()} == {ActionStatus.FINISHED}
         await left(gateway)
@@ -440,9 +440,7 @@ def test_a_robot_that_nobody_hears_confirms_no_pause(
     async def story() -> None:
         gateway = gateway_on(tmp_path, [])
         vehicle = gateway.ports[0].vehicle
-        gateway.act(gateway.ports[0], InstantActions(actions=[instant("stopPause", "1")]))
-        async with asyncio.timeout(WAIT_S):
-            await asyncio.gather(*gateway.working)
+        await done(gateway, instant("stopPause", "1"))
         assert vehicle.instant["1"].action_status is ActionStatus.FAILED
         await left(gateway)
 
@@ -457,9 +455,7 @@ def test_a_cancellation_without_an_order_fails_with_the_error_of_the_standard(
     async def story() -> None:
         gateway = gateway_on(tmp_path, [])
         vehicle = gateway.ports[0].vehicle
-        gateway.act(gateway.ports[0], InstantActions(actions=[instant("cancelOrder", "1")]))
-        async with asyncio.timeout(WAIT_S):
-            await asyncio.gather(*gateway.working)
+        await done(gateway, instant("cancelOrder", "1"))
         assert vehicle.instant["1"].action_status is ActionStatus.FAILED
         assert [error.error_type for error in vehicle.errors] == ["noOrderToCancel"]
         await left(gateway)
