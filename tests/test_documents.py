@@ -8,6 +8,13 @@ from typing import get_args
 
 from agent.interface.lifecycle import TABLE, State
 from agent.peer.diagnostics import fault_table
+from agent.runtime.robot_file import (
+    CarrierTable,
+    ExplorationTable,
+    FactoryTable,
+    GridTable,
+    NavigationTable,
+)
 from agent.safety.stop_cause import cause_table
 from agent.segments.segment_reachability import SEGMENTS_MAX
 from protocol.frames.messages import GROUPS
@@ -173,3 +180,18 @@ def test_the_threat_model_says_no_more_hours_with_keys_than_the_report() -> None
     said = re.search(r"^\* More than ([\d,]+) robot-hours with keys", text, re.M)
     assert found is not None and said is not None
     assert float(found[1]) > float(said[1].replace(",", ""))
+
+
+def test_the_page_of_the_robot_file_has_the_keys_of_each_table_of_work() -> None:
+    """A key of a scenario that a robot does not know is an error, and the page said that it is none."""
+    text = (ROOT / "docs" / "use" / "robot.md").read_text(encoding="utf-8")
+    for table, model in (
+        ("warehouse", CarrierTable),
+        ("navigation", NavigationTable),
+        ("exploration", ExplorationTable),
+        ("coverage", GridTable),
+        ("mission", FactoryTable),
+    ):
+        row = re.search(rf"^\| `\[{table}\]` \|[^|]*\|([^|]*)\|$", text, re.M)
+        assert row is not None, table
+        assert set(re.findall(rf"`(?:\[+{table}\.)?(\w+)\]*`", row[1])) == set(model.model_fields)

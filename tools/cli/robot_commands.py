@@ -49,7 +49,7 @@ def robot(
     ] = None,
     body: Annotated[
         str | None,
-        typer.Option(help="Body plug-in, instead of the file's: nmea, replay, standing."),
+        typer.Option(help="Body plug-in, instead of the file's: nmea, ros2, isobus, vda5050 ..."),
     ] = None,
     first_boot: Annotated[
         bool, typer.Option("--first-boot", help="A new machine: an empty memory is no loss.")
