@@ -62,7 +62,9 @@ def robot(
     ] = False,
     metrics: Metrics = None,
     foxglove: Foxglove = None,
-    json: Json = False,
+    json: Annotated[
+        bool, typer.Option("--json", help="Of --check: print JSON instead of text.")
+    ] = False,
 ) -> None:
     """Run one robot on a machine: its bus, its body, its work and its memory from a file.
 
