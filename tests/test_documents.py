@@ -8,11 +8,11 @@ from typing import get_args
 
 from agent.interface.lifecycle import TABLE, State
 from agent.peer.diagnostics import fault_table
+from agent.runtime.declared_values import GridTable
 from agent.runtime.robot_file import (
     CarrierTable,
     ExplorationTable,
     FactoryTable,
-    GridTable,
     NavigationTable,
 )
 from agent.safety.stop_cause import cause_table
