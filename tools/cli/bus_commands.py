@@ -57,7 +57,9 @@ def stop(
     reason: Annotated[str, typer.Option(help=f"Why: {REASONS}.")] = BY_A_PERSON,
     timeout_s: Timeout = 2.0,
     hold: Annotated[bool, typer.Option("--hold", help=HOLD)] = False,
-    watch: Annotated[bool, typer.Option("--watch", help="Keep showing who is stopped.")] = False,
+    watch: Annotated[
+        bool, typer.Option("--watch", help="Press nothing: keep showing which robots are stopped.")
+    ] = False,
     json: Json = False,
 ) -> None:  # fmt: skip
     """Stop every robot on a bus, and say which have confirmed. Exit 0 only when all did

@@ -4,6 +4,7 @@ import asyncio
 import sys
 from math import inf
 from pathlib import Path
+from typing import NamedTuple
 
 from agent.runtime.files.key_file import OPERATOR, KeyFileError, read, read_panel
 from protocol.authentication import Keyring
@@ -27,6 +28,9 @@ SIGN_AGAIN_S = 0.5  # robots echo each dot once; if an echo was lost, a new dot 
 FIRST_STOP = 1  # count of stops in the standard frame, since this device was started
 NOT_ALL = 1
 AGAIN = "press again, or use --hold to press until all have confirmed"
+ONLY_SHOWN = (
+    "nothing is pressed, only shown; without --watch, or with --hold, every robot is stopped"
+)
 NOT_SIGNED = (
     "NOT SIGNED: a fleet without keys believes any device on the bus; one with keys only brakes"
 )
@@ -79,8 +83,9 @@ async def _estop(
         operator = Operator(bus, keyring)
         operator.expect(robots_of_launch(interface, host, port, keys))
         listen_to(bus, operator)
-        if watch:
-            return await _watch(operator)
+        if watch and not hold:
+            print(f"headland: {ONLY_SHOWN}", file=sys.stderr)
+            return await _watch(operator, as_json)
         with told_wait("until every robot confirms the stop", timeout_s):
             late = await press(operator, reason, timeout_s, hold)
         return tell(operator, late, as_json, keyring is not None)
@@ -216,8 +221,24 @@ def _word(operator: Operator, robot: KnownRobot, late: list[KnownRobot]) -> str:
     return "NOT STOPPED"
 
 
-def lamp(operator: Operator) -> str:
-    """Whether all robots that are heard stand stopped, and which do."""
+class Lamp(NamedTuple):
+    """Whether all robots that are heard stand stopped, and which do; by their numbers."""
+
+    says: str
+    live: list[int]
+    stopped: list[int]
+    not_heard: list[int]
+
+    def told(self, as_json: bool) -> str:
+        """As one line."""
+        if as_json:
+            return dumps(self._asdict())
+        missed = f"  not heard {self.not_heard}" if self.not_heard else ""
+        return f"{self.says}  live {self.live}  stopped {self.stopped}{missed}"
+
+
+def lamp(operator: Operator) -> Lamp:
+    """What the robots say now."""
     live, silent = operator.live, [r.slot for r in operator.silent]
     stopped = [r.slot for r in live if r.stopped]
     # An address from which nobody has spoken lately is no robot that could move.
@@ -229,18 +250,17 @@ def lamp(operator: Operator) -> str:
         colour = "NOBODY"
     elif silent or unnamed:
         colour = "NOT ALL HEARD"
-    missed = f"  not heard {silent}" if silent else ""
-    return f"{colour}  live {[r.slot for r in live]}  stopped {stopped}{missed}"
+    return Lamp(colour, [r.slot for r in live], stopped, silent)
 
 
-async def _watch(operator: Operator) -> int:
+async def _watch(operator: Operator, as_json: bool) -> int:
     """A lamp: one line whenever it changes."""
     shown = ""
     operator.ask_who()
     while True:
         await asyncio.sleep(0.2)
         operator.now_s = asyncio.get_running_loop().time()
-        line = lamp(operator)
+        line = lamp(operator).told(as_json)
         if line != shown:
             shown = line
             print(line, flush=True)
