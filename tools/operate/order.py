@@ -82,6 +82,8 @@ async def _order(
         robot = next((r for r in operator.live if r.slot == slot), None)
         if robot is None:
             heard = ", ".join(str(r.slot) for r in operator.live) or "none"
+            if as_json:
+                print(_document(slot, what, False, False, None, keyring is not None, "not heard"))
             print(f"headland: robot {slot} is not heard; heard: {heard}", file=sys.stderr)
             return NOT_ALL
         question = robot.question
@@ -176,18 +178,26 @@ def _why(robot: KnownRobot, what: str, asked: bool) -> str:
     return ""
 
 
+def _document(
+    slot: int, what: str, asked: bool, obeyed: bool, report: OperatorReport | None, signed: bool,
+    why: str,
+) -> str:  # fmt: skip
+    """What became of an order, as JSON."""
+    return dumps({
+        "robot": slot, "order": what, "obeyed": obeyed, "was_asking": asked,
+        "answer": None if report is None else report.matter.name,
+        "x_m": None if report is None else round(report.x_m, 1),
+        "y_m": None if report is None else round(report.y_m, 1), "signed": signed, "why": why or None,
+    })  # fmt: skip
+
+
 def _tell(
     robot: KnownRobot, what: str, asked: bool, obeyed: bool, signed: bool, as_json: bool
 ) -> None:
     report = robot.report
     why = "" if obeyed else _why(robot, what, asked)
     if as_json:
-        print(dumps({
-            "robot": robot.slot, "order": what, "obeyed": obeyed, "was_asking": asked,
-            "answer": None if report is None else report.matter.name,
-            "x_m": None if report is None else round(report.x_m, 1),
-            "y_m": None if report is None else round(report.y_m, 1), "signed": signed, "why": why or None,
-        }))  # fmt: skip
+        print(_document(robot.slot, what, asked, obeyed, report, signed, why))
         return
     said = "" if report is None else f"; it says: {report.matter.name.replace('_', ' ')}"
     if report is None and not obeyed:

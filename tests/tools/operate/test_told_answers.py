@@ -59,3 +59,14 @@ def test_a_refusal_says_what_a_person_can_do(
     robot = KnownRobot(3, 128, 0.0, stopped=stopped, started=started, report=refused)
     order._tell(robot, what, False, False, True, False)
     assert capsys.readouterr().out.endswith(f"{ends}\n")
+
+
+def test_a_robot_that_is_not_heard_is_a_document_for_programs(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Asked for JSON, it printed nothing, and a program that read it failed."""
+    monkeypatch.setattr(order, "LISTEN_S", 0.01)
+    nobody = ("virtual", "a bus without robots", 250_000, "127.0.0.1", 0)
+    assert order.order(1, "wait", None, nobody, None, 0.1, True) == 1
+    told = json.loads(capsys.readouterr().out)
+    assert (told["robot"], told["obeyed"], told["why"]) == (1, False, "not heard")
