@@ -9,7 +9,7 @@ from agent.interface.mission import FleetView, MotionRequest
 from agent.interface.observation import Observation
 from agent.peer.implement_check import RISES_WITHIN_US
 from agent.safety.stop_cause import StopCause
-from tests.agent.lone_peer import FULL, Eager, held_by, peer_in
+from tests.agent.lone_peer import Eager, held_by, peer_in
 from tests.agent.peer.test_sense_freshness import Robot
 
 
@@ -25,7 +25,7 @@ class Raised(Eager):
     """Drives with its implement up."""
 
     def work(self, view: FleetView) -> MotionRequest:
-        return FULL._replace(tool_on=False)
+        return super().work(view)._replace(tool_on=False)
 
 
 def driving(mission: Eager | None = None) -> Robot:

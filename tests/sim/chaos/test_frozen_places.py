@@ -1,5 +1,6 @@
 """S19: how far a robot really drives while its place is frozen."""
 
+from functools import partial
 from math import cos, pi, sin
 
 import pytest
@@ -22,7 +23,7 @@ class Carried(ScenarioJudge):
         super()._attach(cluster)
         self.middle: tuple[float, float] | None = None
         for k in range(TURN_STEPS):
-            self._at(round(BEGIN_S * S) + k * CONTROL_PERIOD_US, lambda k=k: self._step(k))
+            self._at(round(BEGIN_S * S) + k * CONTROL_PERIOD_US, partial(self._step, k))
 
     def _step(self, k: int) -> None:
         world, angle_rad = self.cluster.world, STEP_RAD * k
