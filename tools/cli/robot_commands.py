@@ -114,15 +114,22 @@ def body_check(
     Exit 0 if no check failed, 1 if one did.
     Example: headland body-check rover:Rover --origin 52,5 --machine 127.0.0.1:5003
     """
-    from agent.interface.vehicle import DriveTrain, Vehicle
+    from pydantic import ValidationError
+
+    from agent.runtime.declared_values import FleetTable, first_error
     from tools.run.body_check import body_check as command
 
-    vehicle = Vehicle(
-        speed_m_s=speed, acceleration_m_s2=acceleration, drive=DriveTrain[drive.upper()],
-        wheelbase_m=wheelbase, track_m=track,
-    )  # fmt: skip
+    try:  # the limits of a robot file: a machine of speed 0 cannot be tried
+        fleet = FleetTable(
+            drive=drive, speed_m_s=speed, acceleration_m_s2=acceleration, wheelbase_m=wheelbase,
+            track_m=track,
+        )  # fmt: skip
+    except ValidationError as problem:
+        raise typer.BadParameter(first_error(problem, FleetTable)) from None
     raise SystemExit(
-        command(body, option or [], vehicle, _place(origin) if origin else None, machine, json)
+        command(
+            body, option or [], fleet.vehicle, _place(origin) if origin else None, machine, json
+        )
     )
 
 
