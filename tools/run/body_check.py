@@ -29,6 +29,7 @@ from agent.peer.place_jumps import (
     JUMP_M,
     POSITION_ACCURACY_M,
 )
+from agent.peer.sense_freshness import unusable
 from agent.runtime.body_plugins import made, plugins
 from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody, fault_text
 from sim.files.strict_json import dumps
@@ -312,10 +313,15 @@ async def tells_its_accuracy(trial: BodyTrial) -> str:
             f"the heading is {here.heading_rad:.1f}; is it in degrees, not in radians?"
         )
     accuracy_m, turn_rad = here.position_accuracy_m, here.heading_accuracy_rad
-    if not accuracy_m <= POSITION_ACCURACY_M or not turn_rad <= HEADING_ACCURACY_RAD:
+    # Some receivers say by -1 that they do not know it.
+    if not 0.0 <= accuracy_m <= POSITION_ACCURACY_M or not turn_rad <= HEADING_ACCURACY_RAD:
         raise WrongError(
             f"accurate to {accuracy_m:.2f} m and {degrees(turn_rad):.0f} degrees; a robot needs "
             f"{POSITION_ACCURACY_M} m and {degrees(HEADING_ACCURACY_RAD):.0f} degrees"
+        )
+    if stops := unusable(here, POSITION_ACCURACY_M, here.sensed_at_us):
+        raise WrongError(
+            f"{here.x_m:.0f} m east and {here.y_m:.0f} m north of the origin of the field: {stops}"
         )
     middle = sum(s.x_m for s in seen) / len(seen), sum(s.y_m for s in seen) / len(seen)
     wanders_m = max(dist(middle, s[:2]) for s in seen)

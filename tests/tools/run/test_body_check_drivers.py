@@ -1,0 +1,99 @@
+"""Drivers of a machine that is computed, in virtual time: what is wrong with each is found."""
+
+import asyncio
+from collections.abc import Iterator
+
+import pytest
+
+from agent.interface.config import ACTUATOR_TTL_US, S
+from agent.interface.effects import GatedDrive
+from agent.interface.observation import Observation
+from agent.interface.vehicle import DriveTrain, Vehicle
+from agent.runtime.robot_body import RobotBody
+from sim.fleet.virtual_clock import run_virtual
+from tools.run.body_check import CHECKS, BodyTrial, judged
+
+STEP_US = 5000
+ACCELERATION_M_S2 = 1.5
+BEGINS_AT_US = 1000 * S  # no unit of time is mistaken for another one
+
+
+@pytest.fixture(autouse=True)
+def virtual_time(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Checks measure with the clock of the loop, as robots do."""
+
+    def now_us() -> int:
+        return BEGINS_AT_US + round(asyncio.get_running_loop().time() * S)
+
+    monkeypatch.setattr(BodyTrial, "now_us", staticmethod(now_us))
+    yield
+
+
+class Exact(RobotBody):
+    """A mecanum body without noise, at first eastward, and a driver without a fault."""
+
+    def __init__(self) -> None:
+        self.place = [0.0, 0.0, 0.0]
+        self.velocity = self.wanted = [0.0, 0.0, 0.0]
+        self.moved_at_us, self.ends_at_us = BEGINS_AT_US, 0
+
+    def sense(self, now_us: int) -> Observation | None:
+        self._move(now_us)
+        (x_m, y_m, heading_rad), (vx_m_s, vy_m_s, _) = self.place, self.velocity
+        seen = Observation(x_m, y_m, heading_rad, vx_m_s, vy_m_s, sensed_at_us=self.moved_at_us)
+        return seen._replace(position_accuracy_m=0.01)
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        self._move(now_us)
+        self.wanted = [command.vx_m_s, command.vy_m_s, command.turn_rad_s]
+        self.ends_at_us = now_us + ACTUATOR_TTL_US
+
+    def close(self) -> None:
+        self.wanted = [0.0, 0.0, 0.0]
+
+    def _move(self, now_us: int) -> None:
+        while self.moved_at_us + STEP_US <= now_us:
+            wanted = self.wanted if self.moved_at_us < self.ends_at_us else [0.0, 0.0, 0.0]
+            most = ACCELERATION_M_S2 * STEP_US / S
+            pairs = zip(self.velocity, wanted, strict=True)
+            self.velocity = [is_ + max(-most, min(most, to - is_)) for is_, to in pairs]
+            pairs = zip(self.place, self.velocity, strict=True)
+            self.place = [at + each * STEP_US / S for at, each in pairs]
+            self.moved_at_us += STEP_US
+
+
+def failed(body: RobotBody) -> dict[str, str]:
+    """What all the checks say that do not pass."""
+    trial = BodyTrial(body, Vehicle(drive=DriveTrain.MECANUM), None)
+    findings = run_virtual(judged(trial, lambda finding: None))
+    return {each.what: each.found for each in findings if each.ok is False}
+
+
+def test_a_driver_without_a_fault_passes() -> None:
+    assert failed(Exact()) == {} and len(CHECKS) == 10
+
+
+class OfTheGrid(Exact):
+    """Its metres are those of a national grid."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return seen and seen._replace(x_m=seen.x_m + 637_000.0, y_m=seen.y_m + 5_762_000.0)
+
+
+def test_a_place_of_another_origin_is_found() -> None:
+    """A driver passed whose robot would have stood for ever: frames cannot say its places."""
+    assert "637000 m east and 5762000 m north of the origin" in failed(OfTheGrid())["accuracy"]
+
+
+class Unknown(Exact):
+    """It says -1 where it knows no accuracy."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return seen and seen._replace(position_accuracy_m=-1.0)
+
+
+def test_an_accuracy_below_nothing_is_none() -> None:
+    """The accuracy passed, and the check `stop` said that the body does not stop."""
+    assert "accurate to -1.00 m" in failed(Unknown())["accuracy"]
