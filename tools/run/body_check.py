@@ -369,6 +369,22 @@ async def drives_ahead(trial: BodyTrial) -> str:
     return f"told {trial.speed_m_s:.2f} m/s, drove {speed_m_s:.2f}, says {says_m_s:.2f}"
 
 
+def check_velocity(seen: Sequence[Observation]) -> None:
+    """The velocity that it says at the end has the course that its places have. Raises WrongError."""
+    first, last = last_window(seen)
+    middle = [each for each in seen if each.sensed_at_us >= first.sensed_at_us]
+    east_m_s, north_m_s = fmean(s.vx_m_s for s in middle), fmean(s.vy_m_s for s in middle)
+    course_rad = speed_of(first, last)[1]
+    off_rad = remainder(atan2(north_m_s, east_m_s) - course_rad, 2 * pi)
+    if abs(off_rad) <= ASIDE_RAD:
+        return
+    by_body = abs(remainder(off_rad + last.heading_rad, 2 * pi)) < HINT_RAD
+    raise WrongError(
+        f"the velocity that it says points {side_of(off_rad)} of its course"
+        f"{'; is it that along the body, not east and north?' if by_body else ''}"
+    )
+
+
 async def turns_the_right_way(trial: BodyTrial) -> str:
     """Left is left: a course to either side is reached, and headings grow to the left, on the spot, too.
 
@@ -393,6 +409,7 @@ async def turns_the_right_way(trial: BodyTrial) -> str:
             raise WrongError(
                 f"told to the {side}, its heading turned {degrees(turned_rad):.0f} degrees"
             )
+        check_velocity(seen_in(samples))
         said.append(f"{degrees(turned_rad):+.0f}")
     if trial.vehicle.drive is not DriveTrain.ACKERMANN:  # on the spot, as out of a corner
         before = trial.here()
@@ -429,6 +446,7 @@ async def speeds_up_as_declared(trial: BodyTrial) -> str:
     said = f"{change_m_s:.2f} m/s in {SLEW_S} s; {most_m_s:.2f} m/s at most"
     if change_m_s > most_m_s:
         raise WrongError(said)
+    check_velocity(seen)  # a mecanum body has another heading here than when it drove ahead
     return said
 
 

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Iterator
+from math import cos, sin
 
 import pytest
 
@@ -97,3 +98,32 @@ class Unknown(Exact):
 def test_an_accuracy_below_nothing_is_none() -> None:
     """The accuracy passed, and the check `stop` said that the body does not stop."""
     assert "accurate to -1.00 m" in failed(Unknown())["accuracy"]
+
+
+class AlongItself(Exact):
+    """Its velocity is ahead and left, as in ROS, not east and north."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        if seen is None:
+            return None
+        x_m_s, y_m_s, angle_rad = seen.vx_m_s, seen.vy_m_s, seen.heading_rad
+        return seen._replace(
+            vx_m_s=x_m_s * cos(angle_rad) + y_m_s * sin(angle_rad),
+            vy_m_s=y_m_s * cos(angle_rad) - x_m_s * sin(angle_rad),
+        )
+
+
+class Mirrored(Exact):
+    """The north of its velocity is south."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return seen and seen._replace(vy_m_s=-seen.vy_m_s)
+
+
+def test_a_velocity_of_wrong_axes_is_found_on_a_machine_that_began_eastward() -> None:
+    """Both passed all checks: eastward such a velocity is right."""
+    assert "points 120 degrees to the right of its course" in failed(Mirrored())["sides"]
+    said = failed(AlongItself())["acceleration"]
+    assert "34 degrees to the right" in said and "along the body, not east and north?" in said
