@@ -79,7 +79,7 @@ def calling(name: str) -> Iterator[None]:
     Raises WrongError."""
     try:
         yield
-    except (WrongError, TimeoutError):
+    except WrongError:
         raise
     except Exception as problem:
         if name == "open" and isinstance(problem, OSError):
@@ -261,11 +261,16 @@ def moves(first: Observation, last: Observation) -> bool:
 async def opens(trial: BodyTrial) -> str:
     """It connects, and senses a place."""
     start_us = trial.now_us()
-    async with asyncio.timeout(OPEN_S):
-        with calling("open"):
-            await trial.body.open()
-        while trial.sense(trial.now_us()) is None:
-            await asyncio.sleep(CONTROL_PERIOD_US / S)
+    try:
+        async with asyncio.timeout(OPEN_S) as opening:
+            with calling("open"):
+                await trial.body.open()
+            while trial.sense(trial.now_us()) is None:
+                await asyncio.sleep(CONTROL_PERIOD_US / S)
+    except TimeoutError:
+        if opening.expired():
+            raise WrongError(f"no place in {OPEN_S:.0f} s") from None
+        raise  # of the driver
     return f"in {(trial.now_us() - start_us) / S:.1f} s"
 
 
@@ -674,8 +679,6 @@ async def judged(
         try:
             said = await confirmed(trial, name, check)
             finding = Finding(name, True if said else None, said or "not tried: needs --machine")
-        except TimeoutError:
-            finding = Finding(name, False, f"no place in {OPEN_S:.0f} s")
         except (WrongError, OSError) as problem:
             finding = Finding(name, False, str(problem) or type(problem).__name__)
         if not finding.ok:

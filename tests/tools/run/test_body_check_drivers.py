@@ -127,3 +127,34 @@ def test_a_velocity_of_wrong_axes_is_found_on_a_machine_that_began_eastward() ->
     assert "points 120 degrees to the right of its course" in failed(Mirrored())["sides"]
     said = failed(AlongItself())["acceleration"]
     assert "34 degrees to the right" in said and "along the body, not east and north?" in said
+
+
+class TimesOut(Exact):
+    """Its port waits, and raises after a second."""
+
+    def __init__(self, call: str) -> None:
+        super().__init__()
+        self.call = call
+
+    async def open(self) -> None:
+        if self.call == "open":
+            raise TimeoutError("the read operation timed out")
+
+    def sense(self, now_us: int) -> Observation | None:
+        if self.call == "sense" and now_us > BEGINS_AT_US + S:
+            raise TimeoutError("the read operation timed out")
+        return super().sense(now_us)
+
+
+class Silent(Exact):
+    """It never has a place."""
+
+    def sense(self, now_us: int) -> Observation | None:
+        return None
+
+
+def test_a_driver_that_times_out_is_told_so() -> None:
+    """Its checks said "no place in 10 s", after one."""
+    assert failed(TimesOut("open"))["opens"] == "the read operation timed out"
+    assert failed(TimesOut("sense"))["times"].startswith("sense raised TimeoutError: the read")
+    assert failed(Silent())["opens"] == "no place in 10 s"
