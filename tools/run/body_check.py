@@ -100,8 +100,20 @@ def checked(seen: object) -> Observation | None:
         # An infinite accuracy says that there is none.
         if not isfinite(value) and "accuracy" not in name:
             raise WrongError(f"{name} is {value}")
-    if not isinstance(seen.sensed_at_us, (int, float)):
-        raise WrongError(f"sensed_at_us is {seen.sensed_at_us!r}, not a number")
+    if type(seen.sensed_at_us) is not int:
+        raise WrongError(
+            f"sensed_at_us is {seen.sensed_at_us!r}, not a whole number of microseconds"
+        )
+    for name, value in (("battery", seen.battery), ("health", seen.health)):
+        if not isinstance(value, (int, float)) or not 0.0 <= value <= 1.0:
+            raise WrongError(f"{name} is {value!r}, not a share from 0.0 to 1.0")
+    ranges_m: object = seen.ranges_m
+    if not isinstance(ranges_m, tuple) or not all(
+        isinstance(each, (int, float)) and each >= 0.0 for each in ranges_m
+    ):
+        raise WrongError("ranges_m is not a tuple of distances")
+    if not isinstance(seen.implement_down, bool | None):
+        raise WrongError(f"implement_down is {seen.implement_down!r}, not True, False or None")
     return seen
 
 

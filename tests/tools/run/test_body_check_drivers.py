@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Iterator
 from math import cos, sin
+from typing import Any
 
 import pytest
 
@@ -158,3 +159,31 @@ def test_a_driver_that_times_out_is_told_so() -> None:
     assert failed(TimesOut("open"))["opens"] == "the read operation timed out"
     assert failed(TimesOut("sense"))["times"].startswith("sense raised TimeoutError: the read")
     assert failed(Silent())["opens"] == "no place in 10 s"
+
+
+class Says(Exact):
+    """One value is not as a robot needs it."""
+
+    def __init__(self, **values: Any) -> None:
+        super().__init__()
+        self.values = values
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return seen and seen._replace(**self.values)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"sensed_at_us": 1e9}, "sensed_at_us is 1000000000.0, not a whole number"),
+        ({"battery": 87.0}, "battery is 87.0, not a share"),
+        ({"health": None}, "health is None, not a share"),
+        ({"ranges_m": None}, "ranges_m is not a tuple"),
+        ({"ranges_m": [1.0, 2.0]}, "ranges_m is not a tuple"),
+        ({"implement_down": "up"}, "implement_down is 'up', not True, False or None"),
+    ],
+)
+def test_what_ends_a_robot_or_passes_for_full_is_found(values: dict[str, Any], said: str) -> None:
+    """A compiled robot ended at a time that is no whole number, and 87 percent were a full battery."""
+    assert said in failed(Says(**values))["opens"]
