@@ -9,7 +9,7 @@ import asyncio
 import json
 import time
 from collections.abc import Awaitable, Callable, Iterator, Mapping, Sequence
-from contextlib import contextmanager, suppress
+from contextlib import closing, contextmanager, suppress
 from itertools import combinations, pairwise
 from math import atan2, cos, degrees, dist, hypot, isfinite, pi, radians, remainder, sin, sqrt
 from pathlib import Path
@@ -35,6 +35,8 @@ from agent.runtime.robot_body import DeclaredMachine, FactoryError, RobotBody, f
 from sim.files.strict_json import dumps
 from tools.common.exit_codes import INTERRUPTED, wrong
 from tools.common.findings import Finding, print_findings
+from tools.common.options import PORT_MAX
+from tools.run.machine_command import ANSWER_FOR_S
 from tools.run.robot_command import import_from
 
 SPEED_M_S: Final = 0.5  # at most, while it is tried
@@ -178,13 +180,22 @@ class BodyTrial:
         return Drive(self.speed_m_s * cos(course_rad), self.speed_m_s * sin(course_rad))
 
     async def order(self, line: str) -> Any:
-        """The simulated machine's answer to an order."""
+        """The simulated machine's answer to an order. Raises WrongError."""
         assert self.orders is not None
-        reader, writer = await asyncio.open_connection(*self.orders)
-        writer.write(line.encode() + b"\n")
-        answer = (await reader.readline()).strip()
-        writer.close()
-        return json.loads(answer) if answer.startswith(b"{") else answer.decode()
+        where = "{}:{}".format(*self.orders)
+        try:
+            async with asyncio.timeout(ANSWER_FOR_S):
+                reader, writer = await asyncio.open_connection(*self.orders)
+                with closing(writer):
+                    writer.write(line.encode() + b"\n")
+                    answer = (await reader.readline()).decode().strip()
+            return json.loads(answer) if answer.startswith("{") else answer
+        except TimeoutError:
+            raise WrongError(f"no machine answers {line!r} at {where}") from None
+        except OSError as problem:
+            raise WrongError(f"no machine at {where}: {problem.strerror or problem}") from None
+        except ValueError:  # no text, or no JSON
+            raise WrongError(f"what answers at {where} is no machine") from None
 
     async def stand(self) -> None:
         """Let it stop."""
@@ -570,7 +581,10 @@ async def shows_missing_and_late_places(trial: BodyTrial) -> str:
         await trial.run(HALT, 1.0 + LATE_S)
     await _worse_places(trial)
     truth, seen = await trial.order("where"), trial.here()
-    apart_m = dist((truth["x_m"], truth["y_m"]), seen[:2])
+    try:
+        apart_m = dist((truth["x_m"], truth["y_m"]), seen[:2])
+    except (TypeError, KeyError):
+        raise WrongError(f"where: the machine says {truth!r}, not where it truly is") from None
     if apart_m > POSITION_ACCURACY_M:
         raise WrongError(f"{apart_m:.2f} m from where the machine truly is")
     return f"{', '.join(said)}; {apart_m:.3f} m from the truth"
@@ -733,8 +747,7 @@ def body_check(
     try:
         orders = None
         if machine is not None:
-            host, _, port = machine.rpartition(":")
-            orders = host, int(port)
+            orders = orders_at(machine)
         values = {key: _value(text) for key, _, text in (each.partition("=") for each in options)}
         plugin, factory = (None, name) if name not in plugins() and ":" in name else (name, None)
         body = made(plugin, factory, 0, values)
@@ -760,6 +773,19 @@ def body_check(
     else:
         console.print(f"{passed} of {len(CHECKS)} checks passed")
     return 1 if bad else 0
+
+
+def orders_at(machine: str) -> tuple[str, int]:
+    """Host and port of the orders of a machine. Raises ValueError.
+
+    >>> orders_at("[::1]:5003")
+    ('::1', 5003)
+    """
+    host, _, port = machine.rpartition(":")
+    host = host[1:-1] if host.startswith("[") and host.endswith("]") else host
+    if not host or not port.isdecimal() or not 0 < int(port) <= PORT_MAX:
+        raise ValueError(f"--machine {machine}: it is HOST:PORT, as 127.0.0.1:5003")
+    return host, int(port)
 
 
 def _value(text: str) -> Any:

@@ -13,7 +13,7 @@ from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.runtime.robot_body import RobotBody
 from sim.fleet.virtual_clock import run_virtual
-from tools.run.body_check import CHECKS, BodyTrial, judged
+from tools.run.body_check import CHECKS, BodyTrial, WrongError, judged, orders_at
 
 STEP_US = 5000
 ACCELERATION_M_S2 = 1.5
@@ -187,3 +187,29 @@ class Says(Exact):
 def test_what_ends_a_robot_or_passes_for_full_is_found(values: dict[str, Any], said: str) -> None:
     """A compiled robot ended at a time that is no whole number, and 87 percent were a full battery."""
     assert said in failed(Says(**values))["opens"]
+
+
+async def _answers(answer: bytes, line: str) -> object:
+    async def serve(reader: asyncio.StreamReader, writer: asyncio.StreamWriter) -> None:
+        await reader.readline()
+        writer.write(answer)
+        writer.close()
+
+    server = await asyncio.start_server(serve, "127.0.0.1", 0)
+    orders = server.sockets[0].getsockname()
+    async with server:
+        return await BodyTrial(Exact(), Vehicle(), orders).order(line)
+
+
+@pytest.mark.parametrize("answer", [b"{\n", b"\xff\xfe\n"])
+def test_what_is_no_machine_is_told_so(answer: bytes) -> None:
+    with pytest.raises(WrongError, match="is no machine"):
+        asyncio.run(_answers(answer, "where"))
+
+
+@pytest.mark.parametrize("machine", ["5003", ":5003", "127.0.0.1:", "127.0.0.1:99999", "a:b"])
+def test_an_address_of_orders_is_a_host_and_a_port(machine: str) -> None:
+    """A port of 99999 ended the checks with a traceback, after half a minute of driving."""
+    with pytest.raises(ValueError, match="it is HOST:PORT"):
+        orders_at(machine)
+    assert orders_at("[::1]:5003") == ("::1", 5003) and orders_at("::1:5003") == ("::1", 5003)
