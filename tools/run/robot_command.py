@@ -17,6 +17,7 @@ from agent.runtime.ready_kernels import are_ready
 from agent.runtime.robot_body import FactoryError, named
 from agent.runtime.robot_file import Changes, RobotError, RobotFile
 from agent.runtime.robot_process import until_told
+from agent.runtime.sqlite_journal import MARK_SUFFIX
 from tools.build.kernel_cache import WAIT
 from tools.common.exit_codes import INTERRUPTED, NO_ROOM
 from tools.common.verbosity import Verbosity
@@ -117,8 +118,9 @@ def memory_wrong(declared: RobotFile) -> str:
 
 
 def is_written(memory: Path) -> bool:
-    """Whether a robot has ever had this memory: one that could not start leaves an empty file."""
-    return memory.exists() and memory.stat().st_size > 0
+    """Whether a robot has ever had this memory. One that could not start leaves a file without records:
+    only the first record brings the mark of the newest one beside it."""
+    return memory.exists() and memory.with_name(memory.name + MARK_SUFFIX).exists()
 
 
 def sees(declared: RobotFile) -> bool:

@@ -18,16 +18,18 @@ from typer.testing import CliRunner
 from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
+from agent.interface.effects import Persist
 from agent.runtime.robot_body import named
 from agent.runtime.robot_file import Changes, RobotFile
 from agent.runtime.robot_work import work_of
+from agent.runtime.sqlite_journal import SqliteJournal
 from tests.tools.launching import ENVIRONMENT, ROOT
 from tools.build.kernel_cache import is_kept
 from tools.build.warmup import rehearse
 from tools.cli.robot_commands import app
 from tools.run import robot_check
 from tools.run.needed_kernels import NEEDED, TURNS
-from tools.run.robot_command import robot
+from tools.run.robot_command import is_written, robot
 
 LIMIT_S = 60
 FILE = """
@@ -139,6 +141,18 @@ def test_it_takes_part_and_ends_with_a_farewell(dry: tuple[str, ...], folder: Pa
     assert code == 0 and "foreign []" in err and "for people []" in err, err
     assert (folder / "robot0.sqlite").exists()
     assert "headland: robot 0: NO KEYS: any device on the bus can stop and release it\n" in err
+
+
+def test_a_start_that_failed_leaves_no_memory(tmp_path: Path) -> None:
+    """`--check` said that there is one, and the next start without --first-boot did not say why it stays
+    stopped."""
+    journal, _ = SqliteJournal.opened(tmp_path / "robot0.sqlite")
+    journal.close()
+    assert (tmp_path / "robot0.sqlite").exists() and not is_written(tmp_path / "robot0.sqlite")
+    journal, _ = SqliteJournal.opened(tmp_path / "robot0.sqlite")
+    journal.write([Persist("place", b"\0")])
+    journal.close()
+    assert is_written(tmp_path / "robot0.sqlite")
 
 
 def test_a_driver_beside_the_robot_file_is_found(folder: Path) -> None:
