@@ -27,11 +27,12 @@ def machine(
     body = WheeledBody(Dimensions(drive, rate_hz=rate_hz), *place)
     try:
         if bus is not None:
-            asyncio.run(
-                _serve_on_bus(
-                    IsobusMachine(body, origin, opened(bus), seed), host, ports[2], as_json
-                )
-            )
+            try:
+                on_bus = opened(bus)
+            except OSError as problem:
+                return wrong(problem)
+            made = IsobusMachine(body, origin, on_bus, seed)
+            asyncio.run(_serve_on_bus(made, host, ports[2], as_json))
             return 0
         asyncio.run(_serve(body, origin, ports, host, seed, as_json))
     except BrokenPipeError:
@@ -59,7 +60,7 @@ def order(words: str, host: str, port: int) -> int:
     try:
         with (
             socket.create_connection((host, port), ANSWER_FOR_S) as line,
-            line.makefile("rw", encoding="utf-8") as text,
+            line.makefile("rw", encoding="ascii", errors="backslashreplace") as text,
         ):
             text.write(words + "\n")
             text.flush()
@@ -67,8 +68,11 @@ def order(words: str, host: str, port: int) -> int:
     except OSError as problem:
         why = problem.strerror or problem
         return wrong(f"no machine answers at {host}:{port}: {why}")
+    refused = answer.startswith("not understood")
+    if answer != "ok" and not answer.startswith("{") and not refused:
+        return wrong(f"what answers at {host}:{port} takes no orders of a machine")
     print(answer)
-    return WRONG if answer.startswith("not understood") else 0
+    return WRONG if refused else 0
 
 
 async def _serve(
