@@ -369,21 +369,7 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
         f"{'kernels ready' if are_ready() else 'kernels by numba: headland compile --kernels'}; "
         f"Python {sys.version_info[0]}.{sys.version_info[1]}"
     )
-    for fault in FAULTS:
-        own = [each for each in yard.trials if each.fault == fault and each.order != NO_FAULT]
-        if not own:
-            continue
-        yield from way_figures(fault, own, scope)
-        outside_m = max(max(trial.outside_m - MARGIN_M, 0.0) for trial in own)
-        yield Figure(f"{fault}: beyond the margin of {MARGIN_M} m, worst of {len(own)}", outside_m, "m",
-                     "0", outside_m == 0.0, "", scope)  # fmt: skip
-        lost = [f"{trial.order}: {trial.why}" for trial in own if not trial.returned]
-        yield Figure(f"{fault}: robots that did not go on by themselves, of {len(own)}", len(lost), "",
-                     "0", not lost, "", f"within {BACK_S:.0f} s; {lost or ''}; {scope}")  # fmt: skip
-        stuck = sum(not trial.witness_went_on for trial in own)
-        yield Figure(f"{fault}: the robot without trials did not go on, of {len(own)}", stuck, "", "0",
-                     stuck == 0, "",
-                     f"less than {WENT_ON_M} m by {BACK_S:.0f} s after the return; {scope}")  # fmt: skip
+    yield from trial_figures(yard.trials, scope)
     stood = [each.why for each in yard.trials if each.order == NO_FAULT]
     yield Figure("times that a robot did not drive for a minute, without a fault", len(stood), "", "0",
                  not stood, "", f"{stood or ''}; {scope}")  # fmt: skip
@@ -404,6 +390,27 @@ def figures(quick: bool, seed: int = 1, seconds: float | None = None) -> Iterato
         yield from driver_figures()
     if not quick:
         yield from long_day.figures(quick, seed)
+
+
+def trial_figures(trials: Sequence[LostPlaceTrial], scope: str) -> Iterator[Figure]:
+    """Of each fault what its trials show, or that there were none."""
+    for fault in FAULTS:
+        own = [each for each in trials if each.fault == fault and each.order != NO_FAULT]
+        if not own:
+            yield Figure(f"{fault}: trials", 0, "", "", None, "",
+                         f"not measured: no machine drove in time; {scope}")  # fmt: skip
+            continue
+        yield from way_figures(fault, own, scope)
+        outside_m = max(max(trial.outside_m - MARGIN_M, 0.0) for trial in own)
+        yield Figure(f"{fault}: beyond the margin of {MARGIN_M} m, worst of {len(own)}", outside_m, "m",
+                     "0", outside_m == 0.0, "", scope)  # fmt: skip
+        lost = [f"{trial.order}: {trial.why}" for trial in own if not trial.returned]
+        yield Figure(f"{fault}: robots that did not go on by themselves, of {len(own)}", len(lost), "",
+                     "0", not lost, "", f"within {BACK_S:.0f} s; {lost or ''}; {scope}")  # fmt: skip
+        stuck = sum(not trial.witness_went_on for trial in own)
+        yield Figure(f"{fault}: the robot without trials did not go on, of {len(own)}", stuck, "", "0",
+                     stuck == 0, "",
+                     f"less than {WENT_ON_M} m by {BACK_S:.0f} s after the return; {scope}")  # fmt: skip
 
 
 def way_limit_m(trial: LostPlaceTrial) -> float:
