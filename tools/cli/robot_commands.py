@@ -77,6 +77,8 @@ def robot(
     from agent.runtime.robot_file import Changes
 
     changes = Changes(slot, interface, channel, body)
+    if json and not check:  # a script that forgot --check must not start a machine
+        raise typer.BadParameter("--json: does nothing without --check; add --check")
     if not check:
         from tools.run.robot_command import robot as command
 

@@ -121,6 +121,7 @@ SAID = [
     ("machine --place 1e400,0,0", "finite"),
     ("machine --origin 95,0", "latitude is -90 to 90"),
     ("machine --origin nan,0", "finite"),
+    ("robot nowhere.toml --slot 0 --json", "--json: does nothing without --check"),
     ("body-check standing --origin inf,0", "finite"),
     ("body-check standing --speed 0", "speed_m_s"),
     ("body-check standing --acceleration 0", "acceleration_m_s2"),
