@@ -89,7 +89,7 @@ def robot(
         )
     from tools.run.robot_check import check as look
 
-    raise SystemExit(look(file, changes, as_json=json))
+    raise SystemExit(look(file, changes, as_json=json, metrics=metrics, foxglove=foxglove))
 
 
 @app.command("body-check", rich_help_panel=SET_UP)

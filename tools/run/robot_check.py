@@ -45,17 +45,33 @@ MEMORY_FREE_BYTES = 8 << 20
 UNCONFIRMED = "no frame is confirmed, so a robot that is alone stands for ever (UNHEARD)"
 
 
-def check(file: Path, changes: Changes, as_json: bool) -> int:
+def check(
+    file: Path, changes: Changes, as_json: bool, metrics: str | None = None, foxglove: int | None = None
+) -> int:  # fmt: skip
     """What would run and what is missing; nothing is sent and nothing driven. 0: all is there, 2: a
-    person has to mend something first."""
+    person has to mend something first. `metrics`, `foxglove`: ports of the robot, as it is told them."""
     import_from(file.parent)
     try:
-        return asyncio.run(_check(declared_in(file, changes), as_json))
+        declared = declared_in(file, changes)
+        return asyncio.run(_check(declared, as_json, _viewers(metrics, foxglove)))
     except RobotError as problem:
         return wrong(problem)
 
 
-async def _check(declared: RobotFile, as_json: bool) -> int:
+def _viewers(metrics: str | None, foxglove: int | None) -> list[Finding]:
+    """Whether the ports of figures and viewers are free; without such ports there is nothing to say."""
+    if metrics is None and foxglove is None:
+        return []
+    from tools.run.robot_viewers import check_viewers
+
+    try:
+        check_viewers(metrics, foxglove)
+    except RobotError as problem:
+        return [Finding("viewers", False, str(problem))]
+    return [Finding("viewers", True, "their ports are free")]
+
+
+async def _check(declared: RobotFile, as_json: bool, viewers: list[Finding]) -> int:
     findings = [
         _file(declared),
         *_machine(declared),
@@ -67,6 +83,7 @@ async def _check(declared: RobotFile, as_json: bool) -> int:
         _journal(declared),
         await _bus(declared),
         *await _body(declared),
+        *viewers,
     ]
     findings = _once(findings)
     bad = [finding for finding in findings if finding.ok is False]

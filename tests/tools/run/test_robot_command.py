@@ -436,6 +436,18 @@ def test_a_port_that_is_taken_is_said_before_the_robot_starts(folder: Path) -> N
     assert list(folder.glob("*.sqlite")) == []
 
 
+def test_check_says_that_a_port_of_viewers_is_taken(
+    folder: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It said `ready`, and the robot ended with code 2."""
+    pytest.importorskip("prometheus_client", reason="the extra `metrics` is not installed")
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = str(taken.getsockname()[1])
+        code = robot_check.check(folder / "fleet.toml", Changes(slot=0), True, metrics=port)
+    found = {each["what"]: each for each in json.loads(capsys.readouterr().out)["findings"]}
+    assert code == 2 and found["viewers"]["ok"] is False and port in found["viewers"]["found"]
+
+
 FIELD = """{"type": "Feature", "properties": {"name": "yard"}, "geometry": {"type": "Polygon",
 "coordinates": [[[5.0, 52.0], [5.001, 52.0], [5.001, 52.001], [5.0, 52.001], [5.0, 52.0]]]}}"""
 LATE = """
