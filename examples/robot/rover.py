@@ -21,7 +21,8 @@ class Rover(RobotBody):
         self.newest: Observation | None = None
 
     def declare(self, machine: DeclaredMachine) -> None:
-        assert machine.origin is not None
+        if machine.origin is None:
+            raise ValueError("the origin is missing: --origin, or [field] of the robot file")
         self.fixes = PositionFixes(in_field(machine.origin), antenna_m=(0.0, 0.0))  # ahead, left
         self.wheel_drive = WheelDrive(WheelBase.of(machine.vehicle, wheel_radius_m=0.1))
 

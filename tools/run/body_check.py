@@ -753,7 +753,11 @@ def body_check(
         body = made(plugin, factory, 0, values)
         body.declare(DeclaredMachine(vehicle, origin))
     except (FactoryError, ValueError) as problem:
-        return wrong(problem)
+        return wrong(str(problem) or type(problem).__name__)
+    except OSError:  # a device that is not there, which every command tells
+        raise
+    except Exception as problem:  # drivers raise what they like
+        return wrong(f"declare raised {fault_text(problem)}")
     rehearse(vehicle)
     console = Console(highlight=False)
 
@@ -764,7 +768,8 @@ def body_check(
     try:
         findings = asyncio.run(judged(BodyTrial(body, vehicle, orders), tell))
     except KeyboardInterrupt:
-        body.close()
+        with suppress(Exception):  # of a driver that is not open
+            body.close()
         return INTERRUPTED
     bad = [finding for finding in findings if finding.ok is False]
     passed = sum(finding.ok is True for finding in findings)

@@ -11,9 +11,10 @@ from agent.interface.config import ACTUATOR_TTL_US, S
 from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
-from agent.runtime.robot_body import RobotBody
+from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from sim.fleet.virtual_clock import run_virtual
-from tools.run.body_check import CHECKS, BodyTrial, WrongError, judged, orders_at
+from tests.tools.launching import ROOT
+from tools.run.body_check import CHECKS, BodyTrial, WrongError, body_check, judged, orders_at
 
 STEP_US = 5000
 ACCELERATION_M_S2 = 1.5
@@ -213,3 +214,28 @@ def test_an_address_of_orders_is_a_host_and_a_port(machine: str) -> None:
     with pytest.raises(ValueError, match="it is HOST:PORT"):
         orders_at(machine)
     assert orders_at("[::1]:5003") == ("::1", 5003) and orders_at("::1:5003") == ("::1", 5003)
+
+
+class Undeclared(Exact):
+    """Its `declare` has a fault; it takes the slot, as bodies do."""
+
+    def __init__(self, slot: int) -> None:
+        super().__init__()
+
+    def declare(self, machine: DeclaredMachine) -> None:
+        raise KeyError("origin")
+
+
+def test_a_driver_that_cannot_be_declared_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    assert body_check(f"{__name__}:Undeclared", [], Vehicle(), None, None, False) == 2
+    assert capsys.readouterr().err.startswith("headland: declare raised KeyError: 'origin' (test_")
+
+
+def test_the_driver_of_the_tutorial_says_that_it_needs_an_origin(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`headland body-check rover:Rover` ended with a traceback of an assertion."""
+    pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
+    monkeypatch.syspath_prepend(ROOT / "examples" / "robot")
+    assert body_check("rover:Rover", [], Vehicle(), None, None, False) == 2
+    assert "the origin is missing: --origin" in capsys.readouterr().err
