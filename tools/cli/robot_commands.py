@@ -2,12 +2,16 @@
 
 from math import isfinite
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from tools.cli.panels import OPERATE, SET_UP
+from tools.common.exit_codes import wrong
 from tools.common.options import PORT_MAX, Drive, Foxglove, Json, Metrics
+
+if TYPE_CHECKING:
+    from agent.interface.vehicle import Vehicle
 
 app = typer.Typer()
 LATITUDE_MAX, LONGITUDE_MAX = 90.0, 180.0  # degrees
@@ -30,6 +34,24 @@ def _place(text: str) -> tuple[float, float]:
     if not (abs(latitude) <= LATITUDE_MAX and abs(longitude) <= LONGITUDE_MAX):
         raise typer.BadParameter(f"{text}: latitude is -90 to 90, longitude -180 to 180 degrees")
     return latitude, longitude
+
+
+def _vehicle(
+    drive: Drive, speed_m_s: float, acceleration_m_s2: float, wheelbase_m: float, track_m: float
+) -> "Vehicle":
+    """Within the limits of a robot file: a machine of speed 0 cannot be tried."""
+    from pydantic import ValidationError
+
+    from agent.runtime.declared_values import FleetTable, first_error
+
+    try:
+        fleet = FleetTable(
+            drive=drive, speed_m_s=speed_m_s, acceleration_m_s2=acceleration_m_s2,
+            wheelbase_m=wheelbase_m, track_m=track_m,
+        )  # fmt: skip
+    except ValidationError as problem:
+        raise typer.BadParameter(first_error(problem, FleetTable)) from None
+    return fleet.vehicle
 
 
 @app.command(rich_help_panel=OPERATE)
@@ -78,7 +100,7 @@ def robot(
 
     changes = Changes(slot, interface, channel, body)
     if json and not check:  # a script that forgot --check must not start a machine
-        raise typer.BadParameter("--json: does nothing without --check; add --check")
+        raise SystemExit(wrong("--json: does nothing without --check; add --check"))
     if not check:
         from tools.run.robot_command import robot as command
 
@@ -116,22 +138,11 @@ def body_check(
     Exit 0 if no check failed, 1 if one did.
     Example: headland body-check rover:Rover --origin 52,5 --machine 127.0.0.1:5003
     """
-    from pydantic import ValidationError
-
-    from agent.runtime.declared_values import FleetTable, first_error
     from tools.run.body_check import body_check as command
 
-    try:  # the limits of a robot file: a machine of speed 0 cannot be tried
-        fleet = FleetTable(
-            drive=drive, speed_m_s=speed, acceleration_m_s2=acceleration, wheelbase_m=wheelbase,
-            track_m=track,
-        )  # fmt: skip
-    except ValidationError as problem:
-        raise typer.BadParameter(first_error(problem, FleetTable)) from None
+    vehicle = _vehicle(drive, speed, acceleration, wheelbase, track)
     raise SystemExit(
-        command(
-            body, option or [], fleet.vehicle, _place(origin) if origin else None, machine, json
-        )
+        command(body, option or [], vehicle, _place(origin) if origin else None, machine, json)
     )
 
 
