@@ -38,6 +38,7 @@ from tools.run.body_check import (
     confirmed,
     hint_of,
     judged,
+    rehearse,
     unit_of,
 )
 from tools.run.machine_command import order
@@ -72,6 +73,7 @@ def trial(
     ports: dict[str, Any], drive: str = "differential", body: type[NmeaBody] = NmeaBody
 ) -> BodyTrial:
     vehicle = Vehicle(drive=DriveTrain[drive.upper()])
+    rehearse(vehicle)  # as the command does: a busy computer loads kernels for seconds
     gnss, wheels = (f"tcp://127.0.0.1:{ports[name]}" for name in ("gnss", "wheels"))
     made = body(0, gnss, wheels)
     made.declare(DeclaredMachine(vehicle, ORIGIN))
