@@ -1,6 +1,6 @@
 """Lines of text from and to a device: serial, TCP or UDP, read by a thread that reconnects.
 
-serial:/dev/ttyUSB0@115200      tcp://10.0.0.5:2947      udp://0.0.0.0:5017
+serial:/dev/ttyUSB0@115200      tcp://10.0.0.5:2947      tcp://[fd00::5]:2947      udp://0.0.0.0:5017
 
 UDP listens at its address, which is one of this computer, and answers the address that sent last.
 
@@ -244,6 +244,8 @@ def _opener(address: str) -> Callable[[], DeviceStream]:
     host, _, port = rest.removeprefix("//").rpartition(":")
     if kind not in ("tcp", "udp") or not port.isdecimal() or not 0 < int(port) < 1 << 16:
         raise ValueError(f"{address!r} is not {FORMS}")
+    if host.startswith("[") and host.endswith("]"):  # IPv6, as URLs have it
+        host = host[1:-1]
     try:
         host.encode("idna")
     except UnicodeError:
@@ -264,7 +266,8 @@ def _tcp(where: tuple[str, int]) -> socket.socket:
 
 
 def _udp(where: tuple[str, int]) -> socket.socket:
-    stream = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+    family = socket.AF_INET6 if ":" in where[0] else socket.AF_INET
+    stream = socket.socket(family, socket.SOCK_DGRAM)
     try:
         stream.bind(where)
     except OSError:

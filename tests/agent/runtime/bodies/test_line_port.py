@@ -111,6 +111,29 @@ def test_datagrams_are_lines_and_the_last_sender_is_answered(opened: Open) -> No
         assert port.write(b"answer\n") and device.recv(100) == b"answer\n"
 
 
+def test_an_address_of_ipv6_is_in_brackets(opened: Open) -> None:
+    """A robot with tcp://[fd00::5]:2947 ended with "Name or service not known", and was started again
+    for ever."""
+    try:
+        server = socket.create_server(("::1", 0), family=socket.AF_INET6)
+    except OSError as problem:
+        pytest.skip(f"this machine has no IPv6: {problem}")
+    with server:
+        server.settimeout(LIMIT_S)
+        number = server.getsockname()[1]
+        _, lines = opened(f"tcp://[::1]:{number}")
+        device, _ = server.accept()
+        device.sendall(b"one\n")
+        assert lines.get(timeout=LIMIT_S) == b"one"
+        device.close()
+        port, lines = opened(f"udp://[::1]:{number}")
+        with socket.socket(socket.AF_INET6, socket.SOCK_DGRAM) as sender:
+            sender.settimeout(LIMIT_S)
+            sender.sendto(b"two", ("::1", number))
+            assert lines.get(timeout=LIMIT_S) == b"two"
+            assert port.write(b"told\n") and sender.recv(100) == b"told\n"
+
+
 def test_nothing_there_is_one_line(opened: Open) -> None:
     with socket.create_server(("127.0.0.1", 0)) as gone:
         address = where(gone)
