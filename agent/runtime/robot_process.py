@@ -121,9 +121,14 @@ class AttendedBody(RobotBody):
     def _failure(self, call: str, problem: Exception) -> RobotError:
         self._failed = True
         if isinstance(problem, OSError):
-            said = f"{call}: {problem.strerror or problem}"
+            said = f"{call}: {problem.strerror or said_by(problem)}"
             return AbsentError(f"robot {self.slot}: body: {said}")
         return driver_error(self.slot, call, self.body, problem)
+
+
+def said_by(problem: Exception) -> str:
+    """What an error says; its kind where it says nothing, as TimeoutError()."""
+    return str(problem) or type(problem).__name__
 
 
 def driver_of(body: RobotBody) -> RobotBody:
@@ -293,9 +298,9 @@ async def opened_body(robot: RobotFile, *, dry: bool = False) -> RobotBody:
         key = "plugin" if robot.body.factory is None else "factory"
         raise RobotError(f"robot {slot}: body.{key}: {problem}") from problem
     except OSError as problem:
-        raise AbsentError(f"robot {slot}: body: {problem}") from None
+        raise AbsentError(f"robot {slot}: body: {said_by(problem)}") from None
     except ValueError as problem:
-        raise RobotError(f"robot {slot}: body: {problem}") from problem
+        raise RobotError(f"robot {slot}: body: {said_by(problem)}") from problem
     except Exception as problem:  # drivers raise what they like
         raise driver_error(slot, call, body, problem) from problem
     return body

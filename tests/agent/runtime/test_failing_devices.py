@@ -13,7 +13,7 @@ from agent.interface.observation import Observation
 from agent.runtime import robot_process
 from agent.runtime.robot_body import StandingBody
 from agent.runtime.robot_file import AbsentError, RobotFile
-from agent.runtime.robot_process import AttendedBody, run_robot
+from agent.runtime.robot_process import AttendedBody, opened_body, run_robot
 
 EX_TEMPFAIL = 75  # `headland@.service` starts a robot again after this
 
@@ -60,6 +60,26 @@ def test_a_driver_whose_device_fails_ends_the_robot_with_code_75(robot: Any, cal
     with pytest.raises(AbsentError, match=f"robot 0: body: {call}: Input/output error") as ended:
         asyncio.run(run_robot(robot(call), asyncio.Event(), first_boot=True))
     assert ended.value.code == EX_TEMPFAIL
+
+
+class Waits(StandingBody):
+    """A body whose device does not answer in time."""
+
+    async def open(self) -> None:
+        raise TimeoutError
+
+    def sense(self, now_us: int) -> Observation | None:
+        raise TimeoutError
+
+
+def test_a_device_that_says_nothing_of_its_fault_is_told_by_the_kind(robot: Any) -> None:
+    """The line ended with "body: " and "body: sense: "."""
+    with pytest.raises(AbsentError, match=r"robot 0: body: sense: TimeoutError$"):
+        AttendedBody(Waits(0), 0).sense(0)
+    waits = robot("none")
+    table = waits.body.model_copy(update={"factory": f"{__name__}:Waits", "options": {}})
+    with pytest.raises(AbsentError, match=r"robot 0: body: TimeoutError$"):
+        asyncio.run(opened_body(waits.model_copy(update={"body": table})))
 
 
 def test_what_a_device_that_failed_says_when_it_is_closed_hides_nothing() -> None:
