@@ -8,17 +8,34 @@ The robot sees the places and drives nothing: to look at its decisions again, or
 """
 
 from bisect import bisect_right
-from itertools import pairwise
+from math import remainder
 from pathlib import Path
 
 from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.runtime.bodies.nmea_body import in_field
 from agent.runtime.bodies.nmea_fixes import NmeaFixes
+from agent.runtime.bodies.position_fixes import DAY_US
 from agent.runtime.option_values import antenna, origin_or_none, text
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 
 LOG_BYTES_MAX = 1 << 28  # a day at 20 Hz
+
+
+class _LogClock:
+    """The time of a log, which goes on at midnight. Where a log goes back, its time stands."""
+
+    def __init__(self) -> None:
+        self.at_us = 0  # of the newest place, since the first
+        self._utc_at_us: int | None = None
+
+    def at(self, utc_at_us: int) -> int:
+        """The time of a place; `utc_at_us`: of it since midnight."""
+        if self._utc_at_us is not None:
+            passed_for_us = round(remainder(utc_at_us - self._utc_at_us, DAY_US))
+            self.at_us += max(passed_for_us, 0)
+        self._utc_at_us = utc_at_us
+        return self.at_us
 
 
 class ReplayBody(RobotBody):
@@ -58,17 +75,20 @@ class ReplayBody(RobotBody):
             lines = self.log.read_bytes().splitlines()
         except OSError as problem:
             raise ValueError(f"options.log: {self.log}: {problem.strerror}") from None
+        clock = _LogClock()
         fixes = NmeaFixes(
-            in_field(self.origin), self.antenna_m, lambda utc_at_us, arrived_at_us: utc_at_us
+            in_field(self.origin),
+            self.antenna_m,
+            lambda utc_at_us, arrived_at_us: clock.at(utc_at_us),
         )
-        taken = (fixes.take(line, fixes.utc_at_us) for line in lines)
+        taken = (fixes.take(line, clock.at_us) for line in lines)
         places = [each for each in taken if each is not None]
         if not places:
             raise ValueError(f"options.log: {self.log}: no place and heading in it")
-        at_us, self.seen = 0, [places[0]._replace(sensed_at_us=0)]
-        for before, after in pairwise(places):
-            at_us += max(after.sensed_at_us - before.sensed_at_us, 0)
-            self.seen.append(after._replace(sensed_at_us=at_us))
+        begins_at_us = places[0].sensed_at_us
+        self.seen = [
+            each._replace(sensed_at_us=each.sensed_at_us - begins_at_us) for each in places
+        ]
         self._begins_at_us = None
 
     def sense(self, now_us: int) -> Observation | None:

@@ -11,6 +11,7 @@ from agent.interface.config import MS
 
 pytest.importorskip("pynmeagps", reason="the extra nmea is not installed")
 
+from agent.runtime.bodies.replay_body import ReplayBody
 from agent.runtime.robot_file import RobotError, RobotFile
 from agent.runtime.robot_process import opened_body
 
@@ -41,6 +42,21 @@ def test_a_log_is_found_beside_the_robot_file_and_tells_its_places_in_time(tmp_p
     assert [each and each.sensed_at_us - NOW_US for each in seen] == [0, 50 * MS, 100 * MS]
     # 0.0001 minutes are 0.1854 m.
     assert [each and each.y_m for each in seen] == pytest.approx([0.0, 0.927, 1.854], abs=0.01)
+
+
+def test_a_log_goes_on_at_midnight(tmp_path: Path) -> None:
+    """The place after a gap at midnight came in no time after the one before, as a jump, and what a
+    receiver had said before midnight passed for new all day."""
+    lines = [
+        sentence(f"GNGGA,{at},5200.{tick:04d},N,00500.0000,E,4,17,0.6,80.0,M,46.0,M,,")
+        + sentence("GNHDT,0.0,T")
+        for tick, at in enumerate(("235950.00", "000010.00", "000010.05", "000009.00", "000009.10"))
+    ]
+    (tmp_path / "night.nmea").write_bytes(b"".join(lines))
+    body = asyncio.run(opened_body(robot(tmp_path, "night.nmea")))
+    assert isinstance(body, ReplayBody)
+    times_ms = [each.sensed_at_us / MS for each in body.seen]
+    assert times_ms == [0, 20_000, 20_050, 20_050, 20_150]
 
 
 @pytest.mark.parametrize("content", [None, b"", b"no sentence\n"])
