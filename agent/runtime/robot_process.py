@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from ipaddress import ip_address
+from numbers import Real
 from pathlib import Path
 from random import Random
 from traceback import clear_frames
@@ -88,16 +89,19 @@ class AttendedBody(RobotBody):
             seen: object = self.body.sense(now_us)
         except Exception as problem:  # drivers raise what they like
             raise self._failure("sense", problem) from problem
-        if seen is None or isinstance(seen, Observation):
-            return seen
+        if seen is None:
+            return None
+        if isinstance(seen, Observation):
+            wrong = wrong_kind(seen)
+            if not wrong:
+                return seen
+        else:
+            wrong = f"no Observation but {type(seen).__name__}"
         self._failed = True
         driver = type(driver_of(self.body))
-        code = driver.sense.__code__
-        where = f"{Path(code.co_filename).name}:{code.co_firstlineno}"
-        kind = type(seen).__name__
-        raise DriverError(
-            f"robot {self.slot}: body: sense returned no Observation but {kind} ({where})"
-        )
+        code = getattr(driver.sense, "__code__", None)  # none of a compiled driver
+        where = f"{Path(code.co_filename).name}:{code.co_firstlineno}" if code else driver.__name__
+        raise DriverError(f"robot {self.slot}: body: sense returned {wrong} ({where})")
 
     def drive(self, command: GatedDrive, now_us: int) -> None:
         """Let the body obey."""
@@ -124,6 +128,24 @@ class AttendedBody(RobotBody):
             said = f"{call}: {problem.strerror or said_by(problem)}"
             return AbsentError(f"robot {self.slot}: body: {said}")
         return driver_error(self.slot, call, self.body, problem)
+
+
+NUMBERS = (
+    "x_m", "y_m", "heading_rad", "vx_m_s", "vy_m_s", "battery", "sensed_at_us", "health",
+    "position_accuracy_m", "heading_accuracy_rad",
+)  # fmt: skip
+
+
+def wrong_kind(seen: Observation) -> str:
+    """Which value of an observation no robot can compute with; empty if there is none."""
+    for name in NUMBERS:
+        value: object = getattr(seen, name)
+        if not isinstance(value, Real):
+            return f"{name} = {value!r}, which is no number"
+    ranges_m: object = seen.ranges_m
+    if not isinstance(ranges_m, tuple | list) or not all(isinstance(r, Real) for r in ranges_m):
+        return "ranges_m that are no tuple of numbers"
+    return ""
 
 
 def said_by(problem: Exception) -> str:

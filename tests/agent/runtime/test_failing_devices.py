@@ -2,17 +2,19 @@
 
 import asyncio
 from errno import ENODEV
+from math import inf
 from pathlib import Path
 from typing import Any
 
 import can
 import pytest
+from numpy import float32
 
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
 from agent.runtime import robot_process
 from agent.runtime.robot_body import StandingBody
-from agent.runtime.robot_file import AbsentError, RobotFile
+from agent.runtime.robot_file import AbsentError, DriverError, RobotFile
 from agent.runtime.robot_process import AttendedBody, opened_body, run_robot
 
 EX_TEMPFAIL = 75  # `headland@.service` starts a robot again after this
@@ -80,6 +82,35 @@ def test_a_device_that_says_nothing_of_its_fault_is_told_by_the_kind(robot: Any)
     table = waits.body.model_copy(update={"factory": f"{__name__}:Waits", "options": {}})
     with pytest.raises(AbsentError, match=r"robot 0: body: TimeoutError$"):
         asyncio.run(opened_body(waits.model_copy(update={"body": table})))
+
+
+class Says(StandingBody):
+    """A body one of whose values is of another kind."""
+
+    def __init__(self, slot: int, **values: Any) -> None:
+        super().__init__(slot)
+        self.values = values
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        return seen and seen._replace(**self.values)
+
+
+@pytest.mark.parametrize(
+    ("values", "said"),
+    [
+        ({"x_m": "3"}, "x_m = '3', which is no number"), ({"health": None}, "health = None"),
+        ({"sensed_at_us": None}, "sensed_at_us = None"), ({"ranges_m": None}, "ranges_m that are no"),
+        ({"ranges_m": ("1",)}, "ranges_m that are no"),
+    ],
+)  # fmt: skip
+def test_a_value_of_another_kind_is_a_fault_of_the_driver(
+    values: dict[str, Any], said: str
+) -> None:
+    """It ended the robot in its core, with a traceback that names no driver."""
+    with pytest.raises(DriverError, match=rf"robot 0: body: sense returned {said}.*py:"):
+        AttendedBody(Says(0, **values), 0).sense(0)
+    assert AttendedBody(Says(0, ranges_m=(float32(1.0), inf), x_m=float32(1.0)), 0).sense(0)
 
 
 def test_what_a_device_that_failed_says_when_it_is_closed_hides_nothing() -> None:
