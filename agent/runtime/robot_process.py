@@ -111,8 +111,12 @@ class AttendedBody(RobotBody):
             raise self._failure("drive", problem) from problem
 
     async def watch(self, peer: Peer) -> None:
-        """Run what the body runs beside the robot."""
-        await self.body.watch(peer)
+        """Run what the body runs beside the robot. A failure of it is told, and the robot goes on."""
+        try:
+            await self.body.watch(peer)
+        except Exception as problem:  # drivers raise what they like
+            told = driver_error(self.slot, "watch", self.body, problem)
+            print(f"headland: {told}; the robot goes on without it", file=sys.stderr)
 
     def close(self) -> None:
         """Let the body stand. After another failure, one of this call says nothing new."""

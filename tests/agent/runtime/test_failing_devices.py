@@ -5,6 +5,7 @@ from errno import ENODEV
 from math import inf
 from pathlib import Path
 from typing import Any
+from unittest.mock import Mock
 
 import can
 import pytest
@@ -12,6 +13,7 @@ from numpy import float32
 
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
+from agent.peer.peer import Peer
 from agent.runtime import robot_process
 from agent.runtime.robot_body import StandingBody
 from agent.runtime.robot_file import AbsentError, DriverError, RobotFile
@@ -82,6 +84,19 @@ def test_a_device_that_says_nothing_of_its_fault_is_told_by_the_kind(robot: Any)
     table = waits.body.model_copy(update={"factory": f"{__name__}:Waits", "options": {}})
     with pytest.raises(AbsentError, match=r"robot 0: body: TimeoutError$"):
         asyncio.run(opened_body(waits.model_copy(update={"body": table})))
+
+
+class Watches(StandingBody):
+    """A body whose display fails."""
+
+    async def watch(self, peer: Peer) -> None:
+        raise KeyError("lamp")
+
+
+def test_what_fails_beside_a_robot_is_told(capsys: pytest.CaptureFixture[str]) -> None:
+    """Nothing was said, and a body that reads there where parcels lie saw no new ones."""
+    asyncio.run(AttendedBody(Watches(0), 0).watch(Mock(Peer)))
+    assert "robot 0: body: watch raised KeyError: 'lamp' (test_fail" in capsys.readouterr().err
 
 
 class Says(StandingBody):
