@@ -10,6 +10,7 @@ from random import Random
 from typing import NamedTuple
 
 from sim.chaos.fault_generators import CLUSTERS, DRAWS, before_revocation
+from sim.fleet.fault_injector import PUSHED_M_S
 from sim.scenarios import scenario as kinds
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import drill
@@ -381,22 +382,34 @@ def _believed(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
     )
 
 
+def _unfelt(push: kinds.Pushed, drawn: list[Fault]) -> bool:
+    """Whether the clock of the robot goes back while a person pushes it: it does nothing until its clock
+    shows again what it had shown."""
+    ends_at_s = push.at_s + hypot(push.dx_m, push.dy_m) / PUSHED_M_S
+    return any(
+        each.at_s <= ends_at_s and push.at_s <= each.at_s - each.by_s
+        for each in drawn
+        if isinstance(each, kinds.ClockJump) and each.by_s < 0.0 and each.robot == push.robot
+    )
+
+
 def vouch(drawn: list[Fault], span: Span) -> list[Fault]:
     """The starts that a person gives after looking at robots which cannot go on by themselves.
 
     A robot needs one if its place jumped, or came back, while it sensed nothing, or if it believed
     the jump. It cannot distinguish such a jump along its way from its own braking. So what it notices
     as a jump is the return to the true place, or it does not notice the return. The same holds for a
-    push while it senses nothing accurate, for wheels that did not answer, and for fixes that hung. A
-    robot notices by the times of frames that its clock went back; one that receives no frames seems
-    to jump. A robot that is switched off while its place is wrong does not know afterwards by how
-    much. All other robots go on by themselves.
+    push while it senses nothing accurate or does nothing because its clock went back, for wheels that
+    did not answer, and for fixes that hung. A robot notices by the times of frames that its clock went
+    back; one that receives no frames seems to jump. A robot that is switched off while its place is
+    wrong does not know afterwards by how much. All other robots go on by themselves.
     """
     blind = {each.robot for each in drawn if isinstance(each, SENSELESS)}
     jumps = [each for each in drawn if isinstance(each, kinds.Jumped)]
     robots = {each.robot for each in jumps if _unseen(each, drawn) or _believed(each, drawn)}
     robots |= {each.robot for each in drawn if isinstance(each, kinds.DeafWheels | kinds.HungFixes)}
-    robots |= {each.robot for each in drawn if isinstance(each, kinds.Pushed)} & blind
+    pushes = [each for each in drawn if isinstance(each, kinds.Pushed)]
+    robots |= {each.robot for each in pushes if each.robot in blind or _unfelt(each, drawn)}
     if any(isinstance(each, LONELY) for each in drawn):
         robots |= {f.robot for f in drawn if isinstance(f, kinds.ClockJump) and f.by_s < 0.0}
     ended = [each for each in drawn if isinstance(each, ENDED)]

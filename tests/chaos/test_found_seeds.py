@@ -119,6 +119,8 @@ MENDED = {
     ("senses", 107000097): "agent/peer/sense_freshness.py",
     # A receiver hung at a corner, and each fall of the place turned the command across the motion.
     ("fixes", 110000064): "agent/peer/place_progress.py",
+    # A person pushed a robot whose clock had gone back, and did not start it.
+    ("all", 112001244): "sim/chaos/fault_profiles.py",
     # A start came just after a place froze, while the body still drove.
     ("all", 112001178): "agent/peer/sense_freshness.py",
 }
