@@ -1,7 +1,7 @@
 """The map's operator device on a live bus: stops immediately, releases with the operator's key."""
 
 import asyncio
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +11,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
 from tools.common.bus_address import AttachError
 from tools.operate.estop import press
-from tools.operate.operator_device import KnownRobot, Operator
+from tools.operate.operator_device import LIVE_S, KnownRobot, Operator
 from tools.operate.reset import LISTEN_S, STEP_S, held_still, operator_keyring, release
 
 CONFIRM_S = 10.0  # repeated until every live robot has echoed, at most this long
@@ -28,6 +28,13 @@ NO_KEY = (
     "this map holds no operator's key: start it with --operator-key, or use headland release; "
     "where the fleet has no keys, say so"
 )
+
+
+def not_confirmed(answer: Mapping[str, Any]) -> str:
+    """Who has not confirmed, by the answer of a panel to a press or a release; empty if all have."""
+    missing = [f"robot {slot}" for slot in answer["late"]]
+    missing += [f"address {address}" for address in answer.get("unnamed", ())]
+    return ", ".join(missing)
 
 
 class Panel:
@@ -66,9 +73,9 @@ class Panel:
             await asyncio.sleep(ASK_S if self.stopper.robots else LISTEN_S)
 
     async def stop(self) -> dict[str, Any]:
-        """Press, and report which robots have not confirmed. A second press waits for the same answer,
-        unless robots were released meanwhile: then it is a press of its own. A press ends a release
-        that is under way."""
+        """Press, and report which robots have not confirmed, and which addresses have not said which
+        robot they are. A second press waits for the same answer, unless robots were released meanwhile:
+        then it is a press of its own. A press ends a release that is under way."""
         if self._releasing is not None:
             self._releasing.cancel()
             self._releasing = None
@@ -80,6 +87,7 @@ class Panel:
         live = [robot.slot for robot in self.stopper.live]
         return {
             "stopped": [slot for slot in live if slot not in late], "late": late,
+            "unnamed": self.stopper.unnamed(self.stopper.now_s - LIVE_S),
             "heard": bool(live), "signed": self.signed,
         }  # fmt: skip
 

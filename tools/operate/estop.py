@@ -150,7 +150,7 @@ async def press(
         now_s = operator.now_s = loop.time()
         late = [r for r in operator.members if not operator.confirmed(r)]
         # A panel that runs for days has heard addresses that are long gone.
-        unnamed = any(t_s >= begun_s - LIVE_S for t_s in operator.unknown.values())
+        unnamed = operator.unnamed(begun_s - LIVE_S)
         heard = bool(operator.live) and not unnamed
         if heard and not late and now_s - begun_s >= LISTEN_S:
             return []
@@ -242,7 +242,7 @@ def lamp(operator: Operator) -> Lamp:
     live, silent = operator.live, [r.slot for r in operator.silent]
     stopped = [r.slot for r in live if r.stopped]
     # An address from which nobody has spoken lately is no robot that could move.
-    unnamed = [a for a, t_s in operator.unknown.items() if operator.now_s - t_s < LIVE_S]
+    unnamed = operator.unnamed(operator.now_s - LIVE_S)
     colour = "ALL STOPPED"
     if len(stopped) < len(live):
         colour = "MOVING"

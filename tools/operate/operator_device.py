@@ -249,6 +249,10 @@ class Operator:
         if self.device.crowded_out:
             raise AttachError(CROWDED_OUT)
 
+    def unnamed(self, since_s: float) -> list[int]:
+        """Addresses that sent a beat since then and have not said which robot they are, in order."""
+        return sorted(address for address, t_s in self.unknown.items() if t_s >= since_s)
+
     def ask_who(self) -> None:
         """Ask all robots for their slots."""
         self.send(Request(GROUP_OF[Member].pgn))

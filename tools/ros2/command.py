@@ -35,7 +35,7 @@ from tools.common.launch_keys import keys_in
 from tools.inspect.log_frames import SourceError
 from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
 from tools.livemap.command import check_operator_key
-from tools.livemap.stop_panel import Panel, PanelError
+from tools.livemap.stop_panel import Panel, PanelError, not_confirmed
 from tools.operate.estop import stop_keyring
 from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
@@ -185,9 +185,12 @@ async def _serve(
 
     async def stop() -> tuple[bool, str]:
         found = await panel.stop()
-        late = found["late"]
-        said = f"not confirmed: {late}" if late else f"stopped: {found['stopped']}"
-        return bool(found["heard"]) and not late, said if found["heard"] else "no robot is heard"
+        missing = not_confirmed(found)
+        if missing:
+            return False, f"not confirmed: {missing}"
+        return bool(found["heard"]), (
+            f"stopped: {found['stopped']}" if found["heard"] else "no robot is heard"
+        )
 
     async def release() -> tuple[bool, str]:
         if not panel.releases:
@@ -196,8 +199,9 @@ async def _serve(
             found = await panel.release(keyless=False, reset=True, start=True)
         except PanelError as problem:
             return False, str(problem)
-        late = found["late"]
-        return bool(found["heard"]) and not late, f"not released: {late}" if late else "released"
+        missing = not_confirmed(found)
+        told = f"not released: {missing}" if missing else "released"
+        return bool(found["heard"]) and not missing, told
 
     graph = await _joined(namespace, domain, zenoh)
     feed = Ros2Feed(graph, scene, stop, release)

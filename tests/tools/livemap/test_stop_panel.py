@@ -12,7 +12,7 @@ from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import StateSyncRequest
 from sim.fleet.virtual_clock import elapse, run_virtual
-from tools.livemap.stop_panel import CONFIRM_S, Panel, PanelError
+from tools.livemap.stop_panel import CONFIRM_S, Panel, PanelError, not_confirmed
 
 PERIOD_S = 0.05
 
@@ -161,6 +161,30 @@ def test_a_press_does_not_wait_for_an_address_that_is_long_gone(ago_s: float) ->
         told = await robots.panel.stop()
         beating.cancel()
         assert told["stopped"] == [0] and told["late"] == []
+        assert not told["unnamed"] and not not_confirmed(told)
         assert (loop.time() - begun_s < 1.0) is (ago_s > 1.0), "one that has just spoken may move"
+
+    run_virtual(story())
+
+
+def test_an_address_that_has_not_said_which_robot_it_is_has_not_confirmed() -> None:
+    """The map said that all had confirmed, beside a robot whose name nobody had heard yet."""
+
+    async def story() -> None:
+        robots, loop = Robots(), asyncio.get_running_loop()
+        nameless = Heartbeat(1, State.WORKING, False, False, True, False, 1.0, 0, 0)
+
+        async def speaks() -> None:
+            while True:
+                robots.panel.hear(loop.time(), encode(nameless, 140))
+                await elapse(PERIOD_S)
+
+        speaking = asyncio.create_task(speaks())
+        await robots.run(1.0)
+        pressed = asyncio.create_task(robots.panel.stop())
+        await robots.run(CONFIRM_S + 0.5)
+        told = await pressed
+        speaking.cancel()
+        assert told["unnamed"] == [140] and "address 140" in not_confirmed(told)
 
     run_virtual(story())

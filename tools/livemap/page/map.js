@@ -275,8 +275,9 @@ async function stop() {
   $("release").close(); $("help").close();
   $("hand-says").textContent = "stopping …";
   try {
-    const { late, heard, problem } = await send("/stop");
-    $("hand-says").textContent = problem ?? (!heard ? "nobody was heard: nobody has confirmed" : late.length ? `NOT CONFIRMED by ${late.join(" ")}` : "all have confirmed");
+    const { late, unnamed, heard, problem } = await send("/stop");
+    const missing = problem ? [] : [...late, ...unnamed.map((address) => `address ${address}`)];
+    $("hand-says").textContent = problem ?? (missing.length ? `NOT CONFIRMED by ${missing.join(" ")}` : heard ? "all have confirmed" : "no robot was heard: none has confirmed");
   } catch {
     $("hand-says").textContent = "the map's server does not answer: use a stop on a machine";
   }
@@ -305,7 +306,7 @@ async function release() {
     const answer = await send(`/${order}`, { keyless: $("keyless").checked, start: $("also").checked });
     if (answer.problem) { $("release-says").textContent = answer.problem; return; }
     if (!answer.heard || answer.late.length) {
-      $("release-says").textContent = answer.heard ? `not ${order === "start" ? "started" : "released"}: ${answer.late.join(" ")}` : "nobody was heard";
+      $("release-says").textContent = answer.heard ? `not ${order === "start" ? "started" : "released"}: ${answer.late.join(" ")}` : "no robot was heard";
       return;
     }
     $("release").close();
