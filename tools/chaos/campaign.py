@@ -7,6 +7,7 @@ import os
 import signal
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor
+from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager, suppress
 from multiprocessing import parent_process
 from multiprocessing.connection import wait
@@ -30,6 +31,10 @@ def workers(jobs: int = 0, cluster: str = "") -> Iterator[Executor]:
         with ProcessPoolExecutor(jobs or os.cpu_count() or 1, initializer=end_with_parent) as pool:
             try:
                 yield pool
+            except BrokenProcessPool:
+                raise ClusterError(
+                    "a process of the campaign was killed; where memory is short, fewer --jobs need less"
+                ) from None
             except BaseException:  # Ctrl-C too: what they compute is of no use any more
                 for worker in list((pool._processes or {}).values()):
                     worker.terminate()

@@ -60,7 +60,10 @@ def chaos(
     jobs = jobs or os.cpu_count() or 1
     freeze_gc()  # and the workers inherit it
     if mutants:
-        rows = hunt_all(console, only, jobs, seconds, out, as_json, numbers.start)
+        try:
+            rows = hunt_all(console, only, jobs, seconds, out, as_json, numbers.start)
+        except ClusterError as problem:
+            return wrong(problem)
         found = sum(row["found"] for row in rows)
         console.print(f"{found} of {len(rows)} planted bugs found")
         return 0 if found == len(rows) else FAILED

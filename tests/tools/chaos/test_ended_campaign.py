@@ -62,6 +62,29 @@ def test_workers_end_with_their_campaign(
     assert "Traceback" not in said
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
+@pytest.mark.parametrize("words", [[], ["--mutants"]])
+def test_a_worker_that_is_killed_ends_the_campaign_in_one_line(
+    tmp_path: Path, words: list[str]
+) -> None:
+    """As a system does that has no memory left: the campaign ended with a traceback."""
+    command = subprocess.Popen(
+        [sys.executable, "-m", "tools.cli.headland", "chaos", "--seeds", "0:1000", "--jobs", "1",
+         "-o", str(tmp_path), *words],
+        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    end_s = time.monotonic() + WAIT_S
+    while not (workers := children(command.pid)):
+        assert time.monotonic() < end_s and goes_on(command, 0.05)
+    assert goes_on(command, 0.5)
+    os.kill(workers[0], signal.SIGKILL)
+    _, said = command.communicate(timeout=WAIT_S)
+    assert command.returncode == 2 and "Traceback" not in said
+    assert said.splitlines()[-1].startswith("headland: a process of the campaign was killed")
+
+
 @pytest.mark.parametrize(
     "seeds", ["0:99999999999999999999", "9223372036854775808", "0:" + "9" * 5000, "9" * 5000]
 )
