@@ -29,6 +29,7 @@ FIRST_LEVEL = 13  # on the wire in the first lap: the level of certain cells
 LEVEL_BITS = 4
 TIME_BITS = 13
 LAST_TIME = (1 << 36) - 1  # a thousand years; with the record it fits into 63 bits
+LAST_LAP = LAST_TIME // LAP_S
 
 
 def code_of(lap: int) -> int:
@@ -76,7 +77,10 @@ class PassingMap(OccupancyMap):
         """The full time, in seconds, of a level and a `stamp` in seconds of its lap. `now`: what our
         clock shows."""
         code = (level - FIRST_LEVEL) % (1 << LEVEL_BITS)
-        return lap_of(code, now // LAP_S) * LAP_S + stamp
+        lap = lap_of(code, now // LAP_S)
+        # Each record of a broken or hostile device can move all clocks by eleven laps. None follows the
+        # last lap, so such a record is of an old one.
+        return (lap if lap <= LAST_LAP else lap - LAPS) * LAP_S + stamp
 
     def join(self, patch: int, keys: Keys) -> int:
         """Join the 16 `keys` of one patch, shape (16,), as in any map, but none older than the lap

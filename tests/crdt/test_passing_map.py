@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from crdt.occupancy import Geometry, OccupancyMap, patch_of
-from crdt.passing_map import LAP_S, LAPS, PassingMap, code_of, lap_of
+from crdt.passing_map import LAP_S, LAPS, LAST_TIME, PassingMap, code_of, lap_of
 from crdt.sighting import OBSTACLE, RECORD_BITS, MergeOrder
 
 SMALL = Geometry(4, 8, (0.0, 0.0), 0.1)
@@ -94,3 +94,14 @@ def test_records_of_later_laps_are_not_recalled() -> None:
     for lap, recalled in ((0, 1), (1, 0), (7, 0)):
         chart, again = made([(0, OBSTACLE, lap * LAP_S + 5, 1)]), PassingMap(SMALL)
         assert again.join_bytes(0, chart.patch_bytes(0)) == recalled
+
+
+def test_at_the_end_of_the_clock_every_record_that_a_frame_can_carry_is_taken_or_old() -> None:
+    chart = made([(0, OBSTACLE, LAST_TIME, 1)])
+    values = np.ones(16, dtype=np.int64)
+    for level in range(16):
+        for stamp in (0, LAP_S - 1):
+            time = chart.time_of(level, stamp, LAST_TIME)
+            assert 0 <= time <= LAST_TIME
+            chart.apply(patch_of(0, 0), values, level, time, 2)
+    assert int(chart.keys().max()) >> RECORD_BITS == LAST_TIME
