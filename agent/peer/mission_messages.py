@@ -1,6 +1,6 @@
 """Passes the frames of a mission to it, and sends what it wants to say with each beacon."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Set
 from typing import Any
 
 from agent.interface.effects import Persist, Send
@@ -32,8 +32,10 @@ OF_MISSIONS = (
 class MissionMessages(Part):
     """The part between the mission and the bus."""
 
-    def __init__(self, mission: Mission | None) -> None:
-        self.mission = mission
+    def __init__(self, mission: Mission | None, members: Set[int]) -> None:
+        """`members`: the slots of the fleet, as configured."""
+        self.mission, self.members = mission, members
+        self.refused = 0  # frames about robots that the fleet does not have
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
@@ -45,6 +47,9 @@ class MissionMessages(Part):
 
     def _message(self, ctx: StepContext, header: Header, m: Any) -> Outputs:
         if self.mission is None:
+            return NOTHING
+        if type(m) is SilentPosition and m.slot not in self.members:
+            self.refused += 1  # it would be told on for ever, as a body that nobody can take away
             return NOTHING
         records = self.mission.on_message(header.slot, m, ctx.now_us)
         return [Persist(*record) for record in records]

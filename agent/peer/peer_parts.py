@@ -175,7 +175,7 @@ class PeerParts:
         self.directive = OperatorDirective(
             slot, self.safety, self.senses, mission, self.obstacle, recalled
         )
-        self.mission_messages = MissionMessages(mission)
+        self.mission_messages = MissionMessages(mission, identity.members)
         self.progress_told = ProgressAnnouncements(self.progress, self.sync, beat, now_us)
         self.progress_told.with_heartbeats = bool(self.proven.kinds)
         self.claims = SectionClaims(slot, self.allocation)
