@@ -44,7 +44,7 @@ from protocol.frames.work_frames import (
     TaskClaim,
     WorkProgress,
 )
-from protocol.name import Name
+from protocol.name import GATEWAY_FUNCTION, Name
 from protocol.sync.synchronizer import Synchronizer
 
 SHARE = 0.10  # share of the bus for all frames that are not stops
@@ -59,6 +59,7 @@ LEFT_US = 60 * S  # a robot silent for longer is no longer counted as silent
 TELL_STEP_US = 20 * MS  # gateways send their stops to a new segment one after the other
 TELL_SPACING_US = 1 * S  # shortest time between two such sendings of one gateway
 STOPS_PER_MESSAGE = 64
+DEFENCE_GAP_US = 200 * MS  # between two answers to devices that claim our address: five a second
 
 
 class Publish(NamedTuple):
@@ -110,6 +111,7 @@ class Gateway:
         self._stops_differ: Counter[int] = Counter()
         self._sequence = self._turn = 0
         self._announced: int | None = None  # the address that we have announced
+        self._defended_at_us = now_us - DEFENCE_GAP_US
         self.proofs = None if keys is None else GatewayProofs(keys, self.boot, now_us)
         self.origins = Origins(name)  # frames of other makers are not forwarded
 
@@ -141,7 +143,7 @@ class Gateway:
             self.counts[f"malformed {message.reason}"] += 1
             return ()
         if isinstance(message, AddressClaimed | Request):
-            return self._on_network_message(source, message, destination_of(frame))
+            return self._on_network_message(source, message, destination_of(frame), now_us)
         if type(message) in PROPRIETARY and self.origins.of(source) is Origin.FOREIGN:
             self.counts["foreign"] += 1
             return ()
@@ -173,19 +175,36 @@ class Gateway:
         return ()
 
     def _on_network_message(
-        self, source: int, message: AddressClaimed | Request, destination: int
+        self, source: int, message: AddressClaimed | Request, destination: int, now_us: int
     ) -> Sequence[Out]:
         """Track devices by NAME."""
         if isinstance(message, AddressClaimed):
-            self.origins.claimed(source, message.name)
+            origin = self.origins.claimed(source, message.name)
             if self.proofs is not None and self._name_at.get(source) != message.name:
                 # Another device: its slot is to be proven again.
                 self._name_at[source] = message.name
                 self._slot_of.pop(source, None)
                 self.proofs.checker.forget(source)
-            return ()
+            gateway = Name.unpack(message.name).function == GATEWAY_FUNCTION
+            if origin is Origin.OURS and gateway:
+                return ()  # gateways settle by their beats who has a number
+            return self._on_foreign_claim(source, message.name, now_us)
         here = self._announced is not None and destination in (GLOBAL_ADDRESS, self._announced)
         if here and message.pgn == CLAIM_PGN:
+            return [self._send(AddressClaimed(self.name.pack()))]
+        return ()
+
+    def _on_foreign_claim(self, source: int, name: int, now_us: int) -> Sequence[Out]:
+        """A device that is no gateway claims an address. The lower NAME keeps one that both want."""
+        number = gateway_slot(source)
+        if number is None:
+            return ()
+        if number != self.candidacy.number or name < self.name.pack():
+            if source == self._announced:
+                self._announced = None  # it is announced again if it is taken again
+            self.candidacy.lose(number, now_us)
+        elif now_us - self._defended_at_us >= DEFENCE_GAP_US:
+            self._defended_at_us = now_us
             return [self._send(AddressClaimed(self.name.pack()))]
         return ()
 

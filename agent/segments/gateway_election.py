@@ -11,6 +11,7 @@ from enum import Enum
 
 from agent.interface.config import MS
 from agent.interface.effects import Effect, Send, Trace
+from agent.interface.instants import NEVER_US
 from agent.peer.leader_election import Election
 from protocol.frames.fleet_frames import LeaderElectionVote
 from protocol.frames.messages import Message
@@ -42,7 +43,7 @@ class CandidateEvent(Enum):
 
     NUMBER_FREE = "a number is free, and is taken"
     NONE_FREE = "no number is free"
-    YIELDED = "another candidate with the same number has the lower lot"
+    YIELDED = "another candidate has this number and the lower lot, or another device the address"
 
 
 LISTENING, CROWDED, CANDIDATE = CandidateState
@@ -72,6 +73,8 @@ class GatewayElection:
         self.election = Election(SEGMENT_GATEWAY, NUMBERS[0], name_hash)
         self.machine = StateMachine("gateway candidate", CANDIDATE_TABLE, LISTENING)
         self._heard: dict[int, tuple[int, int]] = {}  # number -> last beat, lot
+        # Number -> when a device that is no gateway claimed its address last.
+        self._lost_at_us: dict[int, int] = {}
         self._live: frozenset[int] = frozenset()
         self._beat_at_us = now_us + LISTEN_US
         self._led = False
@@ -119,6 +122,12 @@ class GatewayElection:
         self.number = None
         self._beat_at_us = now_us + LISTEN_US
 
+    def lose(self, number: int, now_us: int) -> None:
+        """A device that is no gateway has the address of that number, and keeps it."""
+        self._lost_at_us[number] = now_us
+        if number == self.number:
+            self._give_up(now_us)
+
     def on_fence(self, term: int, now_us: int) -> None:
         """Other segments know a gateway of ours with a later term."""
         self.election.fence(term, now_us)
@@ -156,7 +165,9 @@ class GatewayElection:
         return effects
 
     def _choose(self, now_us: int) -> None:
-        """Take the lowest number that is free."""
+        """Take the lowest number that is free, and one whose address was lost only if there is no other:
+        the device that had it may be gone.
+        """
         taken = {
             n for n, (heard_at_us, _) in self._heard.items() if now_us - heard_at_us < SILENT_US
         }
@@ -164,8 +175,8 @@ class GatewayElection:
         self.machine.fire(CandidateEvent.NUMBER_FREE if free else CandidateEvent.NONE_FREE)
         if not free:
             return
-        self.number = free[0]
-        self.election.take_slot(free[0], bool(self._heard), now_us)
+        self.number = min(free, key=lambda number: (self._lost_at_us.get(number, NEVER_US), number))
+        self.election.take_slot(self.number, bool(self._heard), now_us)
 
     def _observe_candidates(self, now_us: int) -> None:
         """Check which candidates are live; a change causes a vote."""
