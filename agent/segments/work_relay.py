@@ -209,9 +209,9 @@ class WorkRelay:
         claim = Claim.unpack(known)
         if claim.phase == Phase.DONE or claim.phase == Phase.FREE:
             return  # nothing to decide
-        lamport = self.allocation.lamport + 1
-        if claim.epoch == EPOCH_MAX or lamport > LAMPORT_MAX:
+        if claim.epoch == EPOCH_MAX:
             return  # as with `allocation`: there is no later claim
+        lamport = min(self.allocation.lamport + 1, LAMPORT_MAX)
         if self.allocation.apply(
             change.section, claim._replace(epoch=claim.epoch + 1, lamport=lamport).pack()
         ):

@@ -3,6 +3,7 @@
 from agent.segments.segment_area import Area, SegmentPlace
 from agent.segments.work_relay import REPAIRS_APART_MAX, UNKNOWN_OWNER, WorkRelay
 from crdt import Phase
+from crdt.claim_register import LAMPORT_MAX, pack
 from protocol.backbone_messages import Entry
 from protocol.frames.work_frames import TASK_CLAIM, TaskClaim
 
@@ -48,3 +49,17 @@ def test_a_segment_without_memory_learns_from_the_home_what_it_had() -> None:
     assert decided(relay, Phase.FREE, 3) == [(BORROWED, None)]
     assert relay.allocation.entry(BORROWED)[:2] == (3, Phase.FREE)
     assert decided(relay, Phase.CLAIMED, 3) == [(BORROWED, None)]
+
+
+def test_the_home_decides_between_two_equal_claims_when_the_clock_has_stopped() -> None:
+    """One wrong frame carries the clock to its end. Then two segments worked each section that both had
+    claimed, because all their claims have the same time."""
+    home = WorkRelay(Area(2, 10, lent={4: frozenset({NEIGHBOUR})}))
+    home.allocation.apply(9, pack(0, Phase.FREE, 0, LAMPORT_MAX, 0))
+    home.allocation.claim(4, 5, bid=3)
+    theirs = TaskClaim(4, epoch=0, phase=Phase.CLAIMED, bid=3, lamport=LAMPORT_MAX, owner=1)
+    told = Entry(1, 2, 4, NEIGHBOUR, 1, TASK_CLAIM.pack(theirs))
+    assert list(home.on_entries(NEIGHBOUR, [told])) == [(4, None)]
+    assert home.allocation.entry(4) == (1, Phase.CLAIMED, 3, LAMPORT_MAX, 5)
+    ((_, (answer,)),) = home.outgoing()
+    assert TASK_CLAIM.unpack(answer.data).epoch == 1, "the neighbour is told"
