@@ -107,7 +107,7 @@ class StopReception(Part):
             doubted = self.senders.doubted(source, m, now_us)
             if doubted is not None:
                 return doubted
-        effects = self.safety.receive_stop(m, slot, now_us)
+        effects = self.safety.receive_stop(m, slot, now_us, source)
         latched = notices.Latched(
             f"stop {m.slot}.{m.incarnation}.{m.counter} from address {source}"
         )

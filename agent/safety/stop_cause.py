@@ -242,6 +242,7 @@ _ABOUT = {
     StopCause.CONFIG_MISMATCH: ("address", re.compile(r"address (\d+)")),
     StopCause.DUPLICATE_ID: ("address", re.compile(r"address (\d+)")),
     StopCause.UNAUTHENTICATED_STOP: ("address", re.compile(r"address (\d+)")),
+    StopCause.SPENT_STOP: ("address", re.compile(r"address (\d+)")),
     StopCause.IMPLEMENTS_STOP: ("address", re.compile(r"address (\d+)")),
     StopCause.WORK_OFF: ("address", re.compile(r"address (\d+)")),
     StopCause.MEMBER_SILENT: ("robot", re.compile(r"(\d+)")),

@@ -241,18 +241,19 @@ class StopController:
         ]
 
     def receive_stop(
-        self, m: EmergencyStop, source_slot: int | None, now_us: int
+        self, m: EmergencyStop, source_slot: int | None, now_us: int, source: int | None = None
     ) -> Sequence[Effect]:
         """A stop frame: its first reception brakes, echoes once and persists; later ones only count
         echoes.
 
-        `source_slot`: the slot of the sender, or None if its address is not bound to one. A stop
+        `source_slot`: the slot of the sender, or None if its address is not bound to one. `source`: its
+        bus address, for people who look for it; None: not known. A stop
         without a valid tag brakes for `UNAUTHENTICATED_HOLD_US` after its last frame and challenges
         its signer.
         """
         dot = StopDot(m.slot, m.incarnation, m.counter)
         if m.spent:
-            return self._hear_spent(dot, now_us)
+            return self._hear_spent(dot, source_slot, source, now_us)
         signer = source_slot if m.echo else m.slot
         silent = source_slot is None or not (m.echo or m.slot == source_slot)
         said = () if silent or source_slot is None else (source_slot,)
@@ -260,12 +261,11 @@ class StopController:
             self._echoes.setdefault(dot, set()).update(said)
             return ()
         if not self.authority.believes(m, signer, now_us):
-            self.raise_cause(
-                StopCause.UNAUTHENTICATED_STOP, now_us, f"dot {dot}", UNAUTHENTICATED_HOLD_US
-            )
+            why = said_by(dot, source)
+            self.raise_cause(StopCause.UNAUTHENTICATED_STOP, now_us, why, UNAUTHENTICATED_HOLD_US)
             return [HALT, *self.authority.ask(signer, now_us)]
         if self.stops.is_cleared(dot):  # by an operator, exactly this dot: an echo is late
-            return () if m.echo else self._press_spent(dot, now_us)
+            return () if m.echo else self._press_spent(dot, now_us, source)
         if self.stops.full:
             return self._hold_more(m.echo, now_us)
         self.stops.press(dot)
@@ -282,7 +282,7 @@ class StopController:
             Trace("safety", "", "HEARD_STOP", "LATCHED", f"dot {dot}"),
         ]
 
-    def _press_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
+    def _press_spent(self, dot: StopDot, now_us: int, source: int | None) -> Sequence[Effect]:
         """A press with a dot that was cleared before.
 
         These are late frames of an old press, or a new press of a panel that has only this dot or
@@ -290,7 +290,7 @@ class StopController:
         to take another dot. A press that is still sent after `AGAIN_US` is a new one. The first
         robot in slot order that is not latched by then presses with a dot of its own.
         """
-        self.press_used(dot, now_us)
+        self.press_used(dot, now_us, source)
         rank = sum(slot < self.slot for slot in self._live)
         turn_at_us = max(self._spent_told_at_us + ANSWER_SPACING_US, self._spent_first_at_us)
         if now_us < turn_at_us + rank * STOP_REPEAT_US:
@@ -300,8 +300,10 @@ class StopController:
         answer = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, True, spent=True)
         return [HALT, Send(self.authority.sign(answer))]
 
-    def press_used(self, dot: StopDot | RemoteStopDot, now_us: int) -> Sequence[Effect]:
-        """An authenticated press with a dot that was cleared before: brake.
+    def press_used(
+        self, dot: StopDot | RemoteStopDot, now_us: int, source: int | None = None
+    ) -> Sequence[Effect]:
+        """An authenticated press with a dot that was cleared before: brake. `source`: its bus address.
 
         If it is still sent after `AGAIN_US`, the first robot in slot order presses with a dot of
         its own, unless a stop latches it already.
@@ -309,19 +311,24 @@ class StopController:
         if now_us - self._spent_last_at_us > SPENT_FORGET_US or now_us < self._spent_last_at_us:
             self._spent_first_at_us = now_us
         self._spent_last_at_us = now_us
-        self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+        self.raise_cause(StopCause.SPENT_STOP, now_us, said_by(dot, source), SPENT_HOLD_US)
         if now_us - self._spent_first_at_us >= AGAIN_US and not self.stops.latched:
             rank = sum(slot < self.slot for slot in self._live)
             self._renew_at_us = min(self._renew_at_us, now_us + rank * STOP_REPEAT_US)
         return [HALT]
 
-    def _hear_spent(self, dot: StopDot, now_us: int) -> Sequence[Effect]:
+    def _hear_spent(
+        self, dot: StopDot, source_slot: int | None, source: int | None, now_us: int
+    ) -> Sequence[Effect]:
         """A member reports that a press used a cleared dot. If the press is ours, press with a new
         dot.
         """
         self._spent_told_at_us = now_us
         if dot not in self._own:
-            self.raise_cause(StopCause.SPENT_STOP, now_us, f"dot {dot}", SPENT_HOLD_US)
+            why = said_by(dot, source)
+            if source_slot is not None:  # a robot's answer to the device that people look for
+                why = self._causes.get(StopCause.SPENT_STOP, said_by(dot, None))
+            self.raise_cause(StopCause.SPENT_STOP, now_us, why, SPENT_HOLD_US)
             return [HALT]
         if not self._renewals or now_us - self._pressed_at_us < STOP_SPACING_US:
             return ()
@@ -686,3 +693,8 @@ class StopController:
     def _remember(self) -> list[Effect]:
         stops, counter = self.stops.serialize(), self.counter.to_bytes(4, "little")
         return [Persist(STOPS_KEY, stops), Persist(COUNTER_KEY, counter), self.remember_hold()]
+
+
+def said_by(dot: StopDot | RemoteStopDot, source: int | None) -> str:
+    """The detail of a cause: which device says a stop, and which one. `source`: bus address, or None."""
+    return f"dot {dot}" if source is None else f"address {source} says dot {dot}"

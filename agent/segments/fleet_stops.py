@@ -32,6 +32,7 @@ from agent.safety.stop_controller import (
     ANSWER_SPACING_US,
     UNAUTHENTICATED_HOLD_US,
     StopController,
+    said_by,
 )
 from crdt.stops import RemoteStopDot, StopDot, next_in_rotation
 from protocol.fleet_tags import FleetTags, plain_reset, plain_stop
@@ -100,7 +101,7 @@ class FleetStops(Part):
             doubted = self.senders.doubted(source, m, now_us)
             if doubted is not None:
                 return doubted
-        effects = self.on_stop(m, now_us)
+        effects = self.on_stop(m, now_us, source)
         return [*effects, notices.Latched(f"a stop from address {source}")]
 
     def _reset(self, ctx: StepContext, header: Header, m: FleetReset) -> Outputs:
@@ -189,8 +190,8 @@ class FleetStops(Part):
 
     # ---------------------------------------------------------------- from the bus
 
-    def on_stop(self, m: FleetStop, now_us: int) -> Sequence[Effect]:
-        """A stop of any segment: brake and latch if it is genuine and new.
+    def on_stop(self, m: FleetStop, now_us: int, source: int | None = None) -> Sequence[Effect]:
+        """A stop of any segment: brake and latch if it is genuine and new. `source`: its bus address.
 
         A stop without a valid tag brakes for `UNAUTHENTICATED_HOLD_US` after its last frame.
         """
@@ -202,12 +203,13 @@ class FleetStops(Part):
             return ()
         if m != self.stop_frame(far)._replace(told=m.told):
             self.refused += 1
+            why = said_by(far, source)
             self.safety.raise_cause(
-                StopCause.UNAUTHENTICATED_STOP, now_us, f"{far}", UNAUTHENTICATED_HOLD_US
+                StopCause.UNAUTHENTICATED_STOP, now_us, why, UNAUTHENTICATED_HOLD_US
             )
             return [HALT]
         if self._cleared_here(far, near):
-            return self.safety.press_used(far, now_us)
+            return self.safety.press_used(far, now_us, source)
         if near is None:
             self.holds_far = True
             latched = self.safety.latch_far(far, now_us)

@@ -7,11 +7,12 @@ import pytest
 
 from agent.interface.config import MS, STOP_REPEAT_US, S
 from agent.interface.effects import HALT, Effect, Persist, Send
-from agent.interface.identity import SilencePolicy
+from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.lifecycle import State
 from agent.peer.inputs import Heard, ManualReset, Press, Start, Timer
 from agent.peer.peer import Peer
-from agent.safety.stop_cause import StopCause
+from agent.runtime.peer_factory import make_peer
+from agent.safety.stop_cause import StopCause, about
 from agent.safety.stop_controller import (
     AGAIN_US,
     HELD,
@@ -19,9 +20,10 @@ from agent.safety.stop_controller import (
     SPENT_HOLD_US,
     StopController,
 )
+from agent.segments.fleet_stops import FleetStops
 from crdt.stops import ACTIVE_MAX, StopDot
 from protocol.authentication import Keyring, Keys
-from protocol.fleet_tags import HeldTags
+from protocol.fleet_tags import FleetTags, HeldTags
 from protocol.frames.safety_frames import (
     Challenge,
     EmergencyReset,
@@ -30,6 +32,8 @@ from protocol.frames.safety_frames import (
     Reason,
     StopsHeld,
 )
+from protocol.frames.segment_frames import FleetStop
+from protocol.name import fleet_name
 from tests.agent.lone_peer import held_by, introduce, introduce_tools, peer_in
 
 PANEL, OPERATOR = 140, 200
@@ -242,3 +246,35 @@ def test_t16_a_stop_whose_questions_are_starved_brakes_at_once_and_latches_in_th
         if safety.stops.latched:
             break
     assert safety.stops.latched and asked > 1, "seed 16"
+
+
+def told_address(peer: Peer) -> int:
+    """The address that this robot tells people to look for, with the one cause that holds it."""
+    ((cause, detail),) = peer.safety.causes
+    return about(cause, detail)
+
+
+def test_a_device_that_holds_a_fleet_with_an_untagged_stop_is_named() -> None:
+    """People were told to look for the device, and not for which one."""
+    identity = Identity(0, frozenset(range(3)), fleet_name("total", 0), 1, SilencePolicy.STOP, True)
+    keyring = Keyring(KEYS, 0, b"robot")
+    peer = introduce_tools(make_peer(identity, Random(1), 0, {}, keyring=keyring), PANEL, 141)
+    peer.safety.start(0)
+    peer.safety.clear_cause(StopCause.BOOT_UNCONFIRMED, 0)
+    peer.step(Heard(PANEL, PRESS), S)
+    assert held_by(peer) == {StopCause.UNAUTHENTICATED_STOP} and told_address(peer) == PANEL
+    everywhere = FleetStops(1, peer.safety, peer.senders, FleetTags(KEYS))
+    everywhere.direct[FleetStop](141, None, FleetStop(2, *DOT), S)
+    assert told_address(peer) == 141
+
+
+def test_a_device_that_holds_a_fleet_with_a_used_name_is_named() -> None:
+    peer = cleared_before()
+    peer.step(Heard(PANEL, PRESS), 0)
+    assert held_by(peer) == {StopCause.SPENT_STOP} and told_address(peer) == PANEL
+    introduce(peer, 141, 1)
+    answer = PRESS._replace(echo=True, spent=True)
+    peer.step(Heard(141, answer), MS)
+    assert told_address(peer) == PANEL, "a robot only answers"
+    peer.step(Heard(249, answer), MS)
+    assert told_address(peer) == 249, "who only says that a name was used holds the fleet, too"
