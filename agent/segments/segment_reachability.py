@@ -47,6 +47,9 @@ class SegmentReachability:
         remote = self.remotes.get(header.segment)
         if remote is None:
             if len(self.remotes) >= SEGMENTS_MAX:
+                # Somebody may have made them up: what is not heard any more leaves room.
+                self.remotes = {s: self.remotes[s] for s in self.heard(now_us)}
+            if len(self.remotes) >= SEGMENTS_MAX:
                 self.counts["too many"] += 1
                 return False
             remote = self.remotes[header.segment] = RemoteSegment()
