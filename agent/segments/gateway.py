@@ -435,7 +435,7 @@ class Gateway:
 
     def _publish_stops(self) -> list[Out]:
         effects: list[Out] = []
-        stops = [stop._replace(told=True) for stop in self.stops.stops.values()]
+        stops = [stop._replace(told=True) for stop in self.stops.stops]
         halves = [half for both in self.stops.resets.values() for half in both.values()]
         for at in range(0, len(halves), STOPS_PER_MESSAGE):
             effects += self._publish(

@@ -56,27 +56,27 @@ class StopRelay:
     def __init__(self, segment: int, now_us: int) -> None:
         self.segment = segment
         self.leads = False
-        self.stops: dict[RemoteStopDot, FleetStop] = {}
+        # Presses, without the bit `told`. A dot may be said with several tags. The relay does not know
+        # the right one, so each is a stop of its own.
+        self.stops: dict[FleetStop, None] = {}
         self.resets: dict[RemoteStopDot, dict[int, FleetReset]] = {}
         self.refused = 0  # dots beyond the limit of news
-        # Dots whose repeats were all sent without any robot here stopping for them.
-        self.disbelieved: set[RemoteStopDot] = set()
-        self._repeated: dict[RemoteStopDot, Repetition] = {}
+        # Stops whose repeats were all sent without any robot here stopping for them.
+        self.disbelieved: set[FleetStop] = set()
+        self._repeated: dict[FleetStop, Repetition] = {}
         self._robots: dict[int, tuple[int, bool]] = {}  # address -> last beat, stands stopped
         self._echoes: dict[RemoteStopDot, set[int]] = {}
         self._next_at_us = 0  # we send one stop at a time, regardless of their number
         self._again_at_us = 0
         # When a press, not a repetition, was forwarded last.
-        self._pressed_at_us: dict[RemoteStopDot, int] = {}
+        self._pressed_at_us: dict[FleetStop, int] = {}
         self._to_reset: list[FleetReset] = []
         self._news = TokenBucket(NEWS_A_SECOND / 1e6, NEWS_BURST, now_us)
 
     @property
     def digest(self) -> int:
         """32 bits that are equal for equal stops and resets; equal ones need no exchange."""
-        total = sum(
-            mix(int.from_bytes(FLEET_STOP.pack(stop), "little")) for stop in self.stops.values()
-        )
+        total = sum(mix(int.from_bytes(FLEET_STOP.pack(stop), "little")) for stop in self.stops)
         for halves in self.resets.values():
             total += sum(
                 mix(int.from_bytes(FLEET_RESET.pack(half), "little")) for half in halves.values()
@@ -93,7 +93,7 @@ class StopRelay:
         self._robots[address] = now_us, stopped
         if stopped or now_us < self._again_at_us or self._repeated:
             return
-        active = [d for d in self.stops if self._active(d) and d not in self.disbelieved]
+        active = [s for s in self.stops if self._active(_dot(s)) and s not in self.disbelieved]
         if active:
             self._again_at_us = now_us + AGAIN_US
             self._repeat(active[-1], True, now_us)
@@ -108,15 +108,15 @@ class StopRelay:
 
         `source`: its bus address.
         """
-        dot = _dot(stop)
-        self._echoes.setdefault(dot, set()).add(source)
-        known = dot in self.stops
-        if not known and not self._keep(dot, stop):
+        self._echoes.setdefault(_dot(stop), set()).add(source)
+        press = stop._replace(told=False)
+        known = press in self.stops
+        if not known and not self._keep(press):
             return []
         if known and (not self._is_press(stop, now_us) or not self._news.take(1, now_us)):
             return []
         if not stop.told:
-            self._pressed_at_us[dot] = now_us
+            self._pressed_at_us[press] = now_us
         return [stop]
 
     def _is_press(self, stop: FleetStop, now_us: int) -> bool:
@@ -125,10 +125,9 @@ class StopRelay:
         A press counts once. With a dot that has a reset it counts again in intervals while it is
         sent.
         """
-        dot = _dot(stop)
-        if stop.told or dot not in self._pressed_at_us:
+        if stop.told or stop not in self._pressed_at_us:
             return not stop.told
-        return not self._active(dot) and now_us - self._pressed_at_us[dot] >= USED_US
+        return not self._active(_dot(stop)) and now_us - self._pressed_at_us[stop] >= USED_US
 
     def on_reset(self, half: FleetReset) -> list[FleetReset]:
         """One half of a reset on our bus. Returns both halves to publish when the second one is
@@ -147,20 +146,20 @@ class StopRelay:
     def on_backbone_stops(self, stops: Iterable[FleetStop], now_us: int) -> None:
         """Stops from the backbone, to repeat on our bus if they are news."""
         for stop in stops:
-            dot = _dot(stop)
-            known = dot in self.stops
+            dot, press = _dot(stop), stop._replace(told=False)
+            known = press in self.stops
             if known and not self._is_press(stop, now_us):
                 continue
             if not self._news.take(1, now_us):
                 self.refused += 1  # its sender repeats it, because our digest still differs
                 continue
-            if not self._keep(dot, stop):
+            if not self._keep(press):
                 continue
             if known and not self._active(dot):  # earlier echoes do not count for this press
                 self._echoes.pop(dot, None)
             if not stop.told:
-                self._pressed_at_us[dot] = now_us
-            self._repeat(dot, stop.told, now_us + (TOLD_WAIT_US if stop.told else 0))
+                self._pressed_at_us[press] = now_us
+            self._repeat(press, stop.told, now_us + (TOLD_WAIT_US if stop.told else 0))
 
     def on_backbone_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
         """Halves of resets from the backbone; complete ones are sent on our bus."""
@@ -172,30 +171,38 @@ class StopRelay:
                     self._to_reset += known.values()
         self._trim()
 
-    def _repeat(self, dot: RemoteStopDot, told: bool, now_us: int) -> None:
+    def _repeat(self, press: FleetStop, told: bool, now_us: int) -> None:
         next_at_us = now_us if self.leads else now_us + STANDBY_US
-        self._repeated[dot] = Repetition(REPEATS_MAX, next_at_us, told)
+        self._repeated[press] = Repetition(REPEATS_MAX, next_at_us, told)
 
-    def _keep(self, dot: RemoteStopDot, stop: FleetStop) -> bool:
-        self.stops[dot] = stop._replace(told=False)
+    def _keep(self, press: FleetStop) -> bool:
+        self.stops[press] = None
         self._trim()
-        return dot in self.stops
+        return press in self.stops
 
     def _trim(self) -> None:
-        for dot in [d for d in self.stops if not self._active(d)] + list(self.stops):
-            if len(self.stops) <= DOTS_MAX:
-                break
-            self.stops.pop(dot, None)
-            self.resets.pop(dot, None)
-            self._repeated.pop(dot, None)
-            self._pressed_at_us.pop(dot, None)
-            self.disbelieved.discard(dot)
-        while (
+        if len(self.stops) > DOTS_MAX:
+            for press in [s for s in self.stops if not self._active(_dot(s))] + list(self.stops):
+                if len(self.stops) <= DOTS_MAX:
+                    break
+                self._forget(press)
+        if (
             len(self.resets) > DOTS_MAX
         ):  # a stop that is kept without its reset would be active again
-            del self.resets[next(dot for dot in self.resets if dot not in self.stops)]
+            needed = set(map(_dot, self.stops))
+            for dot in [d for d in self.resets if d not in needed][: len(self.resets) - DOTS_MAX]:
+                del self.resets[dot]
         while len(self._echoes) > DOTS_MAX:
             del self._echoes[next(iter(self._echoes))]
+
+    def _forget(self, press: FleetStop) -> None:
+        """Drop a stop, and the reset of its dot if no other tag of it is left."""
+        self.stops.pop(press, None)
+        self._repeated.pop(press, None)
+        self._pressed_at_us.pop(press, None)
+        self.disbelieved.discard(press)
+        if all(_dot(kept) != _dot(press) for kept in self.stops):
+            self.resets.pop(_dot(press), None)
 
     def _active(self, dot: RemoteStopDot) -> bool:
         return len(self.resets.get(dot, ())) < 2
@@ -217,24 +224,26 @@ class StopRelay:
         if now_us < self.due_at_us:
             return []
         self._next_at_us = now_us + STOP_REPEAT_US
-        for dot, said in sorted(self._repeated.items(), key=lambda item: item[1].next_at_us):
+        for press, said in sorted(self._repeated.items(), key=lambda item: item[1].next_at_us):
             if said.next_at_us > now_us:
                 break
+            dot = _dot(press)
             cleared = said.told and not self._active(dot)
             enough = said.left <= REPEATS_MAX - TIMES_MIN and self._all_stand(dot, now_us)
             enough = enough or (cleared and said.left <= REPEATS_MAX - CLEARED_TIMES)
             if said.left <= 0 or enough or self._leader_sent(dot):
-                del self._repeated[dot]
+                del self._repeated[press]
                 live, halted = self.halted(now_us)
                 if said.left <= 0 and live and not halted:
-                    self.disbelieved.add(dot)  # without a valid tag it held only while it was sent
+                    # Without a valid tag it held only while it was sent.
+                    self.disbelieved.add(press)
                 continue
-            self._repeated[dot] = Repetition(said.left - 1, now_us + STOP_REPEAT_US, said.told)
+            self._repeated[press] = Repetition(said.left - 1, now_us + STOP_REPEAT_US, said.told)
             if cleared and said.left == REPEATS_MAX:  # else a robot that knows neither would latch
                 halves = list(self.resets[dot].values())
                 self._to_reset = [half for half in self._to_reset if half not in halves]
                 return [*halves, *halves]
-            return [self.stops[dot]._replace(told=said.told)]
+            return [press._replace(told=said.told)]
         halves, self._to_reset = self._to_reset[:2], self._to_reset[2:]
         return [*halves, *halves]
 

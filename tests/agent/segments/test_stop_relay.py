@@ -82,3 +82,23 @@ def test_a_cleared_stop_stays_cleared_whatever_resets_follow() -> None:
         relay.on_reset(plain_reset(unknown)[0])
     assert len(relay.resets) == DOTS_MAX
     assert not sent(relay, 4 * S, 4 * S, beats=True)
+
+
+def test_a_stop_is_carried_though_its_name_was_said_with_another_tag_before() -> None:
+    """The next name of a robot is known. A device without keys said it once in advance, and the stop that
+    the robot pressed then reached no other segment."""
+    false, true = STOP._replace(tag=1), STOP._replace(tag=2)
+    near, far = StopRelay(1, 0), StopRelay(2, 0)
+    near.leads = far.leads = True
+    for at_us, stop in ((0, false), (10 * S, true)):
+        carried = near.on_stop(ROBOT, stop, at_us)
+        assert carried == [stop]
+        far.on_backbone_stops(carried, at_us)
+    said = [m for now_us in range(0, 13 * S, MS) for m in far.on_tick(now_us)]
+    assert {m.tag for m in said if isinstance(m, FleetStop)} == {1, 2}
+    assert near.digest == far.digest, "nothing has to be told again"
+    resets = plain_reset(dot_of(STOP))
+    for half in resets:
+        near.on_reset(half)
+    far.on_backbone_resets(resets, 20 * S)
+    assert sent(far, 21 * S, 4 * S, beats=True) == 2 * len(resets), "one reset clears the name"
