@@ -23,6 +23,8 @@ class AbsentOwners:
     def __init__(self) -> None:
         self._standing = StandingOwners(STAYS_M)
         self._stopped_at_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
+        # Task that was given back after its pickup -> since when its last carrier does not plan it.
+        self._unplanned_at_us: dict[int, int] = {}
 
     def observe(self, view: FleetView) -> None:
         """Update from the newest beats; call it a few times a second."""
@@ -49,6 +51,23 @@ class AbsentOwners:
         stopped_at_us = self._stopped_at_us.get(owner, view.now_us)
         gone = view.now_us - stopped_at_us >= LEASE_US or self._standing.stands(owner)
         return not picked_up and gone
+
+    def began(self, task: int) -> None:
+        """A robot has begun this task: what `drops` knows of it is past."""
+        self._unplanned_at_us.pop(task, None)
+
+    def drops(self, carrier: int, task: int, planned: bool, view: FleetView) -> bool:
+        """Whether others may take a task that a live robot has given back after its pickup.
+
+        `carrier`: the slot of that robot. `planned`: whether the task is in its itinerary. A robot with
+        the parcel aboard plans to go on. One that was to fetch it from a dead robot, and cannot reach
+        it, does not: others may take the task after `LEASE_US`.
+        """
+        if planned or carrier not in view.live or carrier in self._stopped_at_us:
+            self._unplanned_at_us.pop(task, None)
+            return False
+        start_at_us = self._unplanned_at_us.setdefault(task, view.now_us)
+        return view.now_us - start_at_us >= LEASE_US
 
     def silent(self, owner: int, view: FleetView) -> bool:
         """Whether the robot of the slot `owner` has been silent for `LEASE_US`. One that charges stands

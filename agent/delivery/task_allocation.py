@@ -221,12 +221,19 @@ class TaskAllocation:
                 self.itinerary.insert(0, task)  # we had begun it: find out where its parcel is
             if owner is None:
                 fresh.append(task)
-            elif owner != self.slot and self.absence.leaves(owner, task, view):
+            elif owner != self.slot and self._left_by(owner, task, phase, view):
                 order = (
                     self.remote_itineraries[owner].whole if owner in self.remote_itineraries else ()
                 )
                 orphans.append((order.index(task) if task in order else -1, task))
         return sorted(fresh), [task for _, task in sorted(orphans, reverse=True)]
+
+    def _left_by(self, owner: int, task: int, phase: Phase, view: FleetView) -> bool:
+        """Whether others may take a task from a slot: it is gone, or has given the task back for good."""
+        if self.absence.leaves(owner, task, view):
+            return True
+        given_back = phase is Phase.FREE and bool(view.progress.bits(task, 0))
+        return given_back and self.absence.drops(owner, task, task in self.means(owner), view)
 
     def taken_back(self, task: int, view: FleetView) -> bool:
         """Whether a task was taken back before its parcel was picked up, as far as we know."""
@@ -249,6 +256,7 @@ class TaskAllocation:
         return holder.get(task)
 
     def _began(self, task: int, owner: int) -> None:
+        self.absence.began(task)
         workers = self.workers.setdefault(task, [])
         if not workers or workers[-1] != owner:
             workers.append(owner)

@@ -191,6 +191,36 @@ def test_a_parcel_of_a_robot_that_died_is_fetched_from_where_it_died() -> None:
 
 
 @pytest.mark.slow
+def test_i24_a_dead_robots_parcel_that_one_robot_cannot_reach_is_fetched_by_another() -> None:
+    """The robot that gave it back was live, and counted as its carrier for good."""
+    hall = "############......############\n" + "." * 30 + "\n############......############\n"
+    given = scenario(map=hall, random_tasks=0)
+    setting = DeliverySetup(given)
+    setting.starts = [(13.5, 1.5), (2.5, 1.5), (29.5, 1.5)]
+    setting.rows = [TaskRow((14.5, 2.5), (27.5, 1.5))]
+    orders = {0: setting.order(setting.house, setting.rows[0])}
+    setting.house = Warehouse(setting.floor, setting.carrier, (), orders)
+
+    class Blocks:
+        done = False
+
+        def __call__(self, cluster: DeliveryFleet) -> None:
+            if cluster.truth.aboard.get(0) == 0 and cluster.is_up(0):
+                cluster.kill(0)
+            known = cluster.missions[2].dispatch.workers.get(0, [])
+            if 1 in known and not self.done:  # the nearer robot is on its way
+                self.done = True
+                cluster.world.add_box(8.5, 1.5, 0.9)
+
+    blocker, run = Blocks(), DeliveryRun(setting)
+    run.watch = blocker
+    outcome = run.run()
+    print(outcome)
+    assert blocker.done
+    assert outcome.finished and not outcome.flawed
+
+
+@pytest.mark.slow
 def test_a_carrier_that_restarts_brings_what_it_has_aboard() -> None:
     class Restarts(KillsTheCarrier):
         def __call__(self, cluster: DeliveryFleet) -> None:
