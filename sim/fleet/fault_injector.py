@@ -119,6 +119,7 @@ class FaultPlan:
             case kinds.BusOff(robot=robot, for_s=for_s):
                 if cluster.is_up(robot):  # the controller of a dead robot is off already
                     wire.bus_off(cluster.node_of(robot), now_us + round(for_s * S))
+                    cluster.segment.arm()  # no other robot may send until it is back
             case kinds.Estop(robot=robot, reason=reason):
                 cluster.press(robot, Reason[reason])
             case kinds.Reset():

@@ -125,6 +125,12 @@ def test_a_stopped_robot_is_gone_round_and_one_that_comes_back_works() -> None:
     assert outcome.uncovered == outcome.replanned == outcome.redone == 0, outcome
 
 
+def test_i24_a_robot_alone_works_on_after_its_bus_off() -> None:
+    """Nobody else sent a frame, so the wire was never asked again, and the robot stayed off the bus."""
+    outcome = play(scene(6, 1, 4), BusOff(at_s=5.0, kind="bus_off", robot=0, for_s=3.0))
+    assert outcome.success, outcome
+
+
 def test_corridors_full_of_robots() -> None:
     """A comb of dead ends one cell wide: who is in the way goes on, in the order of the plan."""
     walls = np.ones((5, 13), dtype=np.bool_)
