@@ -7,20 +7,22 @@ sync and all frames on a bus of 250 kbit/s. Only bodies and sensors are simpler 
 (`grid_world`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from agent.coverage.cell_map import NONE
 from agent.interface.config import S
-from sim.fleet.scheduler import Host
+from sim.fleet.scheduler import Handle, Host
 from sim.fleet.simulated_fleet import Record
 from sim.runs.grid_fleet import CoverageFleet
 from sim.runs.run import MissionRun, RunProgress, states_of
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.world.plan_judge import lower_bound
 
+# A robot that was frozen or off the bus has a part in the next plan again within this time.
+BACK_US = 5 * S
 QUIET_US = 10 * S  # after the last cell, registers and replicas must be in order within this time
 # On a bus that loses frames, until a report that was lost is told again: a robot that has just heard
 # the others asks them for what it misses.
@@ -123,6 +125,7 @@ class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
 
     kind = CoverageOutcome
     quiet_for_us = QUIET_US
+    _undone_at_us = 0  # when the fleet was last not done
 
     def make_fleet(self, channel: str, record: Record, host: Host) -> CoverageFleet:
         """Also begins to compare plans."""
@@ -132,6 +135,12 @@ class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
 
     def look(self, cluster: CoverageFleet) -> None:
         self.witness.look()
+        if not cluster.finished:
+            self._undone_at_us = cluster.host.now_us()
+
+    def is_over(self, cluster: CoverageFleet, scripts: Sequence[Handle]) -> bool:
+        waited = cluster.host.now_us() - self._undone_at_us > BACK_US
+        return super().is_over(cluster, scripts) and (waited or cluster.waits_for_nobody)
 
     def progress(self, cluster: CoverageFleet) -> RunProgress:
         """Cells covered of all free ones."""

@@ -10,6 +10,7 @@ import numpy as np
 
 from agent.coverage.cell_map import NONE
 from agent.coverage.coverage_mission import GridWork
+from agent.interface.lifecycle import State
 from sim.fleet.scheduler import Host
 from sim.fleet.simulated_fleet import Cluster, Record, Robot
 from sim.scenarios.coverage_setup import CoverageSetup
@@ -69,9 +70,21 @@ class CoverageFleet(Cluster):
 
     @property
     def finished(self) -> bool:
-        """Whether every running robot is at the end of its plan, and covered cells are done."""
+        """Whether every running robot is at the end of its plan, and covered cells are done. One that is
+        off the bus reports nothing."""
         return any(self.mission(robot).agreement.going for robot in self.running) and all(
-            self.mission(robot).over and self._in_order(robot) for robot in self.running
+            robot.peer.state is not State.DISCONNECTED
+            and self.mission(robot).over
+            and self._in_order(robot)
+            for robot in self.running
+        )
+
+    @property
+    def waits_for_nobody(self) -> bool:
+        """Whether each running robot has a part in its plan, or stands until a person comes."""
+        return all(
+            self.mission(robot).agreement.going or robot.peer.state is State.EMERGENCY_STOP
+            for robot in self.running
         )
 
     def _in_order(self, robot: Robot) -> bool:

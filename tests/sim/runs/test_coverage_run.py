@@ -17,6 +17,7 @@ from sim.scenarios.scenario import (
     Crash,
     Estop,
     Fault,
+    Freeze,
     Heal,
     Join,
     Loss,
@@ -123,6 +124,15 @@ def test_a_stopped_robot_is_gone_round_and_one_that_comes_back_works() -> None:
     outcome = play(scene(12, 4, 8), *faults)
     assert outcome.finished and outcome.replicas_equal and outcome.contacts == 0, outcome
     assert outcome.uncovered == outcome.replanned == outcome.redone == 0, outcome
+
+
+def test_i24_a_run_does_not_end_before_a_robot_that_was_frozen_has_its_part_again() -> None:
+    """The plan that was made as it woke up counted it as standing, and the run told that all was over."""
+    walls = np.zeros((1, 8), dtype=np.bool_)
+    walls[0, 1] = True
+    instance = Instance("two rooms", walls, [(0, 0), (0, 7)])
+    outcome = play(instance, Freeze(at_s=4.0, kind="freeze", robot=1, for_s=25.0))
+    assert outcome.finished and outcome.uncovered == 0, outcome
 
 
 def test_i24_a_robot_alone_works_on_after_its_bus_off() -> None:
