@@ -301,6 +301,7 @@ class DeliveryMission(NavigationMission):
     def _go(self, goal: Point) -> None:
         if goal != self.goal:
             self.goal, self._tracker, self._handling_at_us = goal, None, None
+            self._nearest = (inf, 0)  # the way to this goal begins
             self.cut_off.forget(UNDER_WAY)
 
     def work(self, view: FleetView) -> MotionRequest:

@@ -1,6 +1,7 @@
 """Whole peers that carry parcels: what is true of parcels and batteries at the end, whatever happens."""
 
 from collections.abc import Sequence
+from math import dist
 from typing import Any
 
 import pytest
@@ -138,6 +139,16 @@ def test_tasks_in_a_trickle_are_auctioned_one_by_one() -> None:
     assert outcome.frames["TaskBid"] >= 5
     assert len(carried) >= 2
     assert outcome.makespan_s < 60.0  # the last task comes after 27 s
+
+
+def test_i24_a_parcel_is_carried_to_the_neighbouring_cell_too() -> None:
+    """Nearest to the pickup, the robot came no nearer to the dropoff: it put the parcel down at once."""
+    setting = DeliverySetup(scenario(robots=1, random_tasks=0))
+    setting.rows = [TaskRow((2.5, 0.5), (3.5, 0.5), 1.0)]
+    run = DeliveryRun(setting)
+    outcome = run.run()
+    assert outcome.finished and run.cluster is not None, outcome
+    assert dist(run.cluster.truth.lies[0], (3.5, 0.5)) < 0.3
 
 
 @pytest.mark.parametrize(("count", "rounds"), [(4, 0), (5, 1)])
