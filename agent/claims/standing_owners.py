@@ -25,9 +25,11 @@ FORGET_US: Final = LOOK_US + 2 * CONTROL_PERIOD_US
 class StandingOwners:
     """For how long each live owner of sections has stood in one place without a further unit."""
 
-    def __init__(self, stays_m: float) -> None:
-        """`stays_m`: an owner that moves further than this does not stand still."""
-        self.stays_m = stays_m
+    def __init__(self, stays_m: float, stands_for_us: int = STANDS_US) -> None:
+        """`stays_m`: an owner that moves further than this does not stand still. `stands_for_us`: a live
+        owner that stands still keeps its sections this long, if this mission has another limit.
+        """
+        self.stays_m, self.stands_for_us = stays_m, stands_for_us
         # Slot -> position, units done, and for how long it has stood there.
         self._stands: dict[int, tuple[Point, int, int]] = {}
         self._asked_at_us = 0
@@ -56,8 +58,8 @@ class StandingOwners:
         self._stands = seen
 
     def stands(self, slot: int) -> bool:
-        """Whether this live owner has stood for `STANDS_US`."""
-        return slot in self._stands and self._stands[slot][2] >= STANDS_US
+        """Whether this live owner has stood for `stands_for_us`."""
+        return slot in self._stands and self._stands[slot][2] >= self.stands_for_us
 
     def standing(self) -> Iterator[int]:
         """The slots of all owners that have, ascending."""

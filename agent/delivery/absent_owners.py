@@ -9,8 +9,8 @@ from collections.abc import Sequence
 from functools import partial
 from typing import Final
 
-from agent.claims.standing_owners import STANDS, StandingOwners
-from agent.interface.config import LEASE_US
+from agent.claims.standing_owners import STANDS_US, StandingOwners
+from agent.interface.config import LEASE_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 
@@ -20,8 +20,9 @@ STAYS_M: Final = 1.0  # an owner that moves further than this does not stand
 class AbsentOwners:
     """Since when each robot reports that it is stopped, or stands, and what follows for its tasks."""
 
-    def __init__(self) -> None:
-        self._standing = StandingOwners(STAYS_M)
+    def __init__(self, handle_for_us: int = 0) -> None:
+        """`handle_for_us`: how long a robot stands to load a parcel; it keeps its task meanwhile."""
+        self._standing = StandingOwners(STAYS_M, max(STANDS_US, handle_for_us + LEASE_US))
         self._stopped_at_us: dict[int, int] = {}  # slot -> since when it reports "stopped"
         # Task that was given back after its pickup -> since when its last carrier does not plan it.
         self._unplanned_at_us: dict[int, int] = {}
@@ -43,7 +44,7 @@ class AbsentOwners:
         """Whether others may take this task from its owner (a slot).
 
         They may if the owner has been silent for `LEASE_US`. If it has not picked the parcel up, they
-        may also if it has been stopped for `LEASE_US`, or has stood for `STANDS_US`.
+        may also if it has been stopped for `LEASE_US`, or stands.
         """
         if owner not in view.live:
             return self.silent(owner, view)
@@ -77,7 +78,9 @@ class AbsentOwners:
 
     def why(self, owner: int) -> str:
         """Why a task is taken from this owner, for the trace."""
-        return f"robot {owner} {STANDS}" if self._standing.stands(owner) else ""
+        if not self._standing.stands(owner):
+            return ""
+        return f"robot {owner} stands for {self._standing.stands_for_us // S} s"
 
 
 def _units_done(view: FleetView, sections: Sequence[int]) -> int:

@@ -85,7 +85,7 @@ class TaskAllocation:
         self.round = PlanNegotiation(slot, seed)
         self.itinerary: list[int] = []  # tasks that we intend to begin, not those begun
         self.telling = ItineraryBroadcast(now_us)
-        self.absence = AbsentOwners()
+        self.absence = AbsentOwners(house.carrier.handle_ms * MS)
         self.haste = WaitingPolicy(now_us)
         self.left = FULL
         self._auction: Auction | None = None

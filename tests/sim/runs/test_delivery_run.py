@@ -288,10 +288,17 @@ def deaf(robot: int, at_s: float) -> DeafWheels:
 def test_i24_a_live_robot_that_stands_loses_the_task_that_it_has_not_picked_up() -> None:
     """Its wheels get no command, so it stands. It is live, so no lease ends: its task lay for good."""
     recorder = Claims()
-    outcome, _ = play(scenario(faults=[deaf(0, 30.0)]), recorder=recorder)
+    outcome, _ = play(scenario(faults=[deaf(0, 24.0)]), recorder=recorder)
     assert outcome.finished and outcome.delivered == 6
-    assert outcome.makespan_s < 30.0 + 1.5 * STANDS_US / S
+    assert outcome.makespan_s < 24.0 + 1.5 * STANDS_US / S
     assert [why for why in recorder.claimed if "robot 0 stands for 60 s" in why]
+
+
+@pytest.mark.slow
+def test_i24_a_robot_that_loads_for_long_keeps_its_task() -> None:
+    """It stood for 60 s beside the parcel, so another took its task, and stood for 60 s, and so on."""
+    outcome, _ = play(scenario(robots=2, random_tasks=1, handle_s=70.0))
+    assert outcome.finished and outcome.delivered == 1
 
 
 @pytest.mark.parametrize("at_s", [20.0, 30.0])
