@@ -3,7 +3,7 @@
 Paths lead round them, and the units under them cannot be worked while they are there.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from math import dist, inf
 from typing import Final
 
@@ -49,6 +49,8 @@ class FieldObstructions:
         self.unit_m = max(self.body_m, bar_m)  # from a silent body to a unit that is worked
         self._way: Route | None = route  # the route planner with all obstructions; None: to be made
         self.things: frozenset[Point] = frozenset()
+        # Places that kept our implement up: paths planned from now on lead round them.
+        self.under_bar: frozenset[Point] = frozenset()
         self.coasting = StoppingZone(radius_m, deceleration_m_s2)
         self.bodies: tuple[Point, ...] = ()  # where silent members may stand
         # Robots in our way -> where they may stand, and when that was seen.
@@ -64,6 +66,7 @@ class FieldObstructions:
         others.
         """
         self.coasting.observe(view.neighbours, view.here, view.now_us)
+        self.under_bar = view.under_bar
         places = {slot: self.coasting.places(slot) for slot in sorted(view.fell_silent_at_us)}
         silent = tuple(slot for slot in places if places[slot] is not None)
         bodies = tuple(place for slot in silent for place in places[slot] or ())
@@ -143,9 +146,14 @@ class FieldObstructions:
     def path(self, start: Point, goal: Point, view: FleetView) -> tuple[Point, ...]:
         """A path from start to goal round all obstructions, and round idle robots that stand on it.
 
-        Idle robots may have nowhere to go.
+        Idle robots may have nowhere to go. It also leads round places that have kept our implement up,
+        if it would meet them.
         """
-        way = self.way.path(start, goal)
+        free = self.way
+        way = free.path(start, goal)
+        if self.under_bar and self._meets(way, self.under_bar):
+            free = free.round(sorted(self.under_bar), self.radius_m + THING_M)
+            way = free.path(start, goal)
         stand = [
             (pose.x_m, pose.y_m)
             for slot, (pose, heard_at_us) in sorted(view.neighbours.items())
@@ -158,14 +166,18 @@ class FieldObstructions:
         if all(line.distance(Spot(at)) >= self.pass_m - BESIDE_M for at in stand):
             return way
         near = [at for at in stand if dist(at, goal) > self.body_m and dist(at, start) > NEAR_M / 2]
-        return self.way.round(near, self.pass_m).path(start, goal) if near else way
+        return free.round(near, self.pass_m).path(start, goal) if near else way
+
+    def _meets(self, points: Sequence[Point], places: Iterable[Point]) -> bool:
+        """Whether the body would come too near to one of these places on this path."""
+        line, near_m = LineString(points), self.radius_m + THING_M
+        return any(line.distance(Spot(place)) < near_m for place in places)
 
     def touches(self, points: list[Point], new: frozenset[Point]) -> bool:
         """Whether a path along these points meets one of the new obstacles."""
         if not new or len(points) < 2:
             return bool(new)
-        line, near_m = LineString(points), self.radius_m + THING_M
-        return any(line.distance(Spot(thing)) < near_m for thing in new)
+        return self._meets(points, new)
 
     def units(self, section: Section, things_too: bool) -> frozenset[int]:
         """Units of a section that a silent body blocks.

@@ -211,7 +211,10 @@ class TractorMission(FieldMission):
             if view.now_us < self._again_at_us:
                 return False
             standing = [*self.bodies, *self.blockage.bodies, *view.things]
-            pieces = self.turns.way(here, start, standing, self.reach_m, self.run_out_m)
+            round_things = [*standing, *view.under_bar]
+            pieces = self.turns.way(here, start, round_things, self.reach_m, self.run_out_m)
+            if pieces is None and view.under_bar:  # it may pass, and asks if it may not
+                pieces = self.turns.way(here, start, standing, self.reach_m, self.run_out_m)
             if pieces == []:  # we are there
                 self.joined = True
                 return self._next(view, here, only_approach)

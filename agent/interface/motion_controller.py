@@ -57,11 +57,14 @@ class ObstacleQuestion(Protocol):
         neighbours: Mapping[int, Neighbour],
         may_move: bool,
         now_us: int,
+        way: Point | None = None,
     ) -> tuple[Drive, list[Effect]]:
         """Each control period: the drive that avoids the obstacle, and the effects.
 
         `wanted`: the drive of the motion controller. `neighbours`: newest poses by slot.
-        `may_move`: no stop cause holds the robot. The safety gate comes after the result.
+        `may_move`: no stop cause holds the robot. The safety gate comes after the result. `way`: the
+        velocity of the mission, before it gives way to robots, (x, y) metres a second; None: `wanted`
+        is that.
         """
         ...
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from math import hypot
 from typing import Final
 
-from agent.interface.config import S
+from agent.interface.config import MS, S
 from agent.interface.effects import Drive
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.obstacle_detector import GroundCell, ObstacleDetector, middle
@@ -16,6 +16,9 @@ from agent.motion.swept_ground import Point, SweptGround
 
 STANDING_M_S: Final = 0.02  # slower motion has no direction
 STAYS_US: Final = 10 * S  # what keeps the bar up again after so long has not gone
+# It is lowered when the ground was free for so long: a turning body's course lags, and what it senses of
+# its course is noisy.
+FREE_US: Final = 150 * MS
 FORGET_US: Final = 60 * S  # a place that kept it up is forgotten after this
 # The newest places that kept it up. Noise would make any number of them.
 PLACES_MAX: Final = 64
@@ -31,6 +34,7 @@ class BarGuard:
         self.half_m, self.steers, self.lookout = half_m, steers, lookout
         # When a thing in each ground cell kept the bar up first, and last.
         self.kept_up: dict[GroundCell, tuple[int, int]] = {}
+        self._up_at_us = -FREE_US  # when a thing was in the ground last
         self.stay = frozenset[Point]()  # the middles of those that have stayed
 
     def must_be_up(
@@ -59,7 +63,9 @@ class BarGuard:
         things = self.lookout.under_bar(here, ground, neighbours, now_us)
         if things or self.kept_up:
             self._note(things, now_us)
-        return bool(things)
+        if things:
+            self._up_at_us = now_us
+        return now_us - self._up_at_us < FREE_US
 
     def _note(self, things: Sequence[GroundCell], now_us: int) -> None:
         """Remember what keeps the bar up, and since when."""

@@ -142,15 +142,17 @@ class ObstacleStop:
 
     def watch(
         self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
-        may_move: bool, now_us: int,
+        may_move: bool, now_us: int, way: Point | None = None,
     ) -> tuple[Drive, list[Effect]]:  # fmt: skip
         """Each control period: the drive that avoids the obstacle, and the effects.
 
         `wanted`: the drive of the motion controller. `neighbours`: newest poses by slot.
         `may_move`: no stop cause holds the robot. The safety gate comes after the result. The implement
-        is up where it would be drawn over something.
+        is up where it would be drawn over something. `way`: the velocity of the mission, before it
+        gives way to robots, (x, y) metres a second; None: `wanted` is that. What is beside that way
+        stops the robot, but it does not ask.
         """
-        drive, effects = self._before_body(wanted, here, neighbours, may_move, now_us)
+        drive, effects = self._before_body(wanted, here, neighbours, may_move, now_us, way)
         if self.bar is None or not drive.tool_on:
             return drive, effects
         if self.bar.must_be_up(drive, here, self._motions(drive, here), neighbours, now_us):
@@ -159,7 +161,7 @@ class ObstacleStop:
 
     def _before_body(
         self, wanted: Drive, here: Observation, neighbours: Mapping[int, Neighbour],
-        may_move: bool, now_us: int,
+        may_move: bool, now_us: int, way: Point | None,
     ) -> tuple[Drive, list[Effect]]:  # fmt: skip
         """The drive that keeps the body off obstacles."""
         if self.asking:
@@ -179,6 +181,11 @@ class ObstacleStop:
             return (self._slowed(wanted, here) if self.things else wanted), []
         if self._known((sighting.x_m, sighting.y_m)):
             return self._creep(wanted, here, sighting, may_move, now_us)
+        if (
+            way is not None
+            and self.lookout.ahead(here, way, self.lookout.reach_m(hypot(*way))) is None
+        ):
+            return HALT, []  # it swerved for a robot, or was turning
         return HALT, self._ask(here, motions, sighting, now_us)
 
     def _motions(self, wanted: Drive, here: Observation) -> list[Point]:

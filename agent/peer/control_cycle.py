@@ -101,7 +101,8 @@ class ControlCycle(Part):
             wanted = HALT  # it is no member, so nobody knows where it is: it does not even give way
         # Rays say nothing from a place that is not ours, or that are old.
         seen = here if view.placed else here._replace(ranges_m=())
-        wanted, asked = self.obstacle.watch(wanted, seen, view.neighbours, now_us)
+        way = self.wish.vx_m_s, self.wish.vy_m_s
+        wanted, asked = self.obstacle.watch(wanted, seen, view.neighbours, now_us, way)
         outputs += asked
         if off and wanted.tool_on:
             wanted = wanted._replace(tool_on=False)

@@ -42,13 +42,17 @@ class ObstacleHold:
         here: Observation,
         neighbours: Mapping[int, Neighbour],
         now_us: int,
+        way: Point | None = None,
     ) -> tuple[Drive, Sequence[Effect]]:
-        """The drive that may be, before the gate, and what is told to people."""
+        """The drive that may be, before the gate, and what is told to people.
+
+        `way`: the velocity that the mission wants, (x, y) metres a second.
+        """
         question = self.question
         if question is None:
             return wanted, ()
         asked, may_move = question.asking, self.safety.may_move
-        wanted, effects = question.watch(wanted, here, neighbours, may_move, now_us)
+        wanted, effects = question.watch(wanted, here, neighbours, may_move, now_us, way)
         self._follow(asked, now_us)
         return wanted, effects
 

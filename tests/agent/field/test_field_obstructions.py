@@ -42,7 +42,7 @@ def test_i24_ways_and_units_go_round_a_live_robot_that_has_lost_its_place() -> N
     lost = Neighbour(Pose(*at, 0.0, 0.0, State.WORKING, False, 255), 0)
     fleet = SimpleNamespace(
         slot=0, here=here, live=frozenset({0, 1}), neighbours={1: lost}, fell_silent_at_us={},
-        things=frozenset(), leave_out=False, now_us=10 * S,
+        things=frozenset(), leave_out=False, under_bar=frozenset(), now_us=10 * S,
     )  # fmt: skip
     view: Any = fleet
     around.observe(view)
@@ -57,3 +57,17 @@ def test_i24_ways_and_units_go_round_a_live_robot_that_has_lost_its_place() -> N
     fleet.neighbours = {1: lost._replace(heard_at_us=fleet.now_us)}
     assert around.observe(view) is None, "it knows its place again, and may drive"
     assert 5 not in around.units(section, things_too=True)
+
+
+def test_a_path_leads_round_places_that_have_kept_the_bar_up() -> None:
+    """A robot without work parked behind a box that it had seen, drove straight at it, and asked."""
+    around = FieldObstructions(PLAN.route, 0.8, 1.4)
+    line = PLAN.field.sections[0].unit_lines[5]
+    start, goal = line[0], line[-1]
+    thing = (start[0] + goal[0]) / 2, (start[1] + goal[1]) / 2
+    view: Any = SimpleNamespace(neighbours={}, now_us=0)
+    assert LineString(around.path(start, goal, view)).distance(Spot(thing)) < 0.1
+    around.under_bar = frozenset({thing})
+    assert LineString(around.path(start, goal, view)).distance(Spot(thing)) >= 1.2
+    around.under_bar = frozenset({(thing[0] + 30.0, thing[1] + 30.0)})
+    assert LineString(around.path(start, goal, view)).distance(Spot(thing)) < 0.1

@@ -10,7 +10,7 @@ from agent.interface.effects import Drive
 from agent.interface.lifecycle import State
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Neighbour, Observation
-from agent.motion.bar_guard import FORGET_US, PLACES_MAX, STAYS_US
+from agent.motion.bar_guard import FORGET_US, FREE_US, PLACES_MAX, STAYS_US
 from agent.motion.obstacle_detector import ObstacleDetector
 from agent.motion.obstacle_stop import ObstacleStop
 from agent.motion.stopping_zone import StoppingZone
@@ -134,3 +134,13 @@ def test_what_stays_is_told_to_the_mission_and_what_has_gone_is_not() -> None:
     clear = here._replace(ranges_m=(inf,) * RAYS)
     question.watch(EAST, clear, {}, True, 2 * STAYS_US + FORGET_US)
     assert not question.under_bar
+
+
+def test_the_bar_stays_up_for_a_moment_after_the_ground_is_free() -> None:
+    """It was lowered while it still swung over a box: the course that was sensed had turned before."""
+    question, here = stop(), seen(1.5, 1.7)
+    past = here._replace(ranges_m=seen(-2.0, 2.0).ranges_m)
+    assert not question.watch(EAST, here, {}, True, 0)[0].tool_on
+    question.lookout.points.clear()
+    assert not question.watch(EAST, past, {}, True, FREE_US - 1)[0].tool_on
+    assert question.watch(EAST, past, {}, True, FREE_US)[0].tool_on

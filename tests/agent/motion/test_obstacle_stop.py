@@ -75,6 +75,25 @@ def test_a_robot_without_scans_does_not_see_that_an_obstacle_has_gone() -> None:
     assert not stop.asking
 
 
+@pytest.mark.parametrize(
+    ("way_m_s", "asks"), [((0.0, 2.0), True), ((2.0, 0.0), False), ((0.0, 0.0), False)]
+)
+def test_a_robot_asks_only_about_what_is_in_the_way_of_its_mission(
+    way_m_s: tuple[float, float], asks: bool
+) -> None:
+    """It stops before a thing towards which it swerves for a robot, and drives on when it need not."""
+    lookout = ObstacleDetector(0.6, 1.5, np.empty((0, 4)), StoppingZone(0.6, 1.5))
+    stop = ObstacleStop(0, BodyLimits(0.6, 2.5, 1.5), lookout)
+    ranges_m = [inf] * 72
+    ranges_m[17] = ranges_m[18] = ranges_m[19] = 1.1  # to the north
+    here = Observation(0.0, 0.0, 0.0, 0.0, 0.0, tuple(ranges_m))
+    swerve, east = HALT._replace(vy_m_s=1.0), HALT._replace(vx_m_s=1.0)
+    drive, _ = stop.watch(swerve, here, {}, True, 0, way_m_s)
+    assert drive == HALT and stop.asking is asks
+    if not asks:
+        assert stop.watch(east, here, {}, True, 50_000, way_m_s)[0].vx_m_s == 1.0
+
+
 def past_a_point(x_m: float, y_m: float) -> float:
     """How fast a robot that goes round a confirmed obstacle drives east past its nearest point, m/s."""
     lookout = ObstacleDetector(0.35, 2.0, np.empty((0, 4)), StoppingZone(0.35, 2.0))

@@ -26,11 +26,14 @@ RING = """{"type": "Polygon", "coordinates": [[[10.99973, 47.999901], [11.00027,
 [11.00027, 48.000099], [10.99973, 48.000099], [10.99973, 47.999901]]]}"""
 
 
-def played(folder: Path, fault: Box | Person, drive: str = "mecanum") -> FieldOutcome:
+def played(
+    folder: Path, fault: Box | Person, drive: str = "mecanum", robots: int = 1
+) -> FieldOutcome:
     """A field of 40 by 22 m whose inner row is the line y = 0."""
     (folder / "field.geojson").write_text(RING)
     file = folder / "bar.toml"
-    file.write_text(YARD.replace("FIELD", "field.geojson").replace("DRIVE", drive))
+    text = YARD.replace("FIELD", "field.geojson").replace("DRIVE", drive)
+    file.write_text(text.replace("robots = 1", f"robots = {robots}"))
     scenario = load(str(file)).model_copy(update={"fault": [fault]})
     return FieldRun(FieldSetup(scenario.with_engine("contact_free"))).run()
 
@@ -44,6 +47,14 @@ def test_the_bar_is_not_drawn_over_a_box_that_stays_beside_the_row(
     tmp_path: Path, drive: str
 ) -> None:
     outcome = played(tmp_path, box(600.0), drive)
+    assert outcome.finished and outcome.contacts == 0 and outcome.things_under_bars == 0
+    assert 0.97 < outcome.coverage < 0.999, "the ground beside the box is left, and no other"
+
+
+def test_two_robots_end_the_work_beside_a_box_that_stays(tmp_path: Path) -> None:
+    """One swerved for the other, towards the box, and asked about it for good. So did the other one
+    after it, and a robot whose way to its parking place led through the box."""
+    outcome = played(tmp_path, box(600.0), robots=2)
     assert outcome.finished and outcome.contacts == 0 and outcome.things_under_bars == 0
     assert 0.97 < outcome.coverage < 0.999, "the ground beside the box is left, and no other"
 
