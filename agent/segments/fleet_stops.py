@@ -197,11 +197,12 @@ class FleetStops(Part):
         """
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
-        if near is not None:
+        is_genuine = m == self.stop_frame(far)._replace(told=m.told)
+        if near is not None and is_genuine:
             self._stop_due_at_us.pop(near, None)  # another robot has sent it, so we need not
         if self._held(far, near) or (m.told and self._cleared_here(far, near)):
             return ()
-        if m != self.stop_frame(far)._replace(told=m.told):
+        if not is_genuine:
             self.refused += 1
             why = said_by(far, source)
             self.safety.raise_cause(
@@ -237,7 +238,8 @@ class FleetStops(Part):
         far = RemoteStopDot(m.slot, m.incarnation, m.counter, m.segment)
         near = StopDot(*far[:3]) if far.segment == self.segment else None
         if self._cleared_here(far, near):
-            self._reset_due_at_us.pop(far, None)
+            if m == self.reset_frames(far)[m.part]:  # another robot has sent it
+                self._reset_due_at_us.pop(far, None)
             return ()
         self._halves.pop((far, m.part), None)
         self._halves[far, m.part] = m.half  # keep the newest only, so each guess costs a frame
