@@ -397,8 +397,7 @@ class StopController:
         missed = dot not in self.stops.active and not self.latched
         if not self.stops.clear(dot):
             return ()
-        self._own.pop(dot, None)
-        self._echoes.pop(dot, None)
+        self._end_press(dot)
         held: list[Effect] = []
         if missed:
             self.raise_cause(StopCause.NOT_STARTED, now_us, "a stop that it missed was cleared")
@@ -468,8 +467,7 @@ class StopController:
         if not self.authority.agreed(m, now_us) or not held.stops or held.digest != m.digest:
             return ()
         for dot in self.stops.clear_all():
-            self._own.pop(dot, None)
-            self._echoes.pop(dot, None)
+            self._end_press(dot)
         self.far.clear_all()
         cleared = Trace("safety", "", "CLEARED", "", f"all that are held by {m.operator}")
         return [Persist(FAR_KEY, self.far.serialize()), *self._remember(), cleared]
@@ -685,6 +683,12 @@ class StopController:
         return GatedDrive(wanted)
 
     # ---------------------------------------------------------------- inside
+
+    def _end_press(self, dot: StopDot) -> None:
+        """A stop was cleared: it is repeated no more, and who has said it does not matter."""
+        self._own.pop(dot, None)
+        self._reasons.pop(dot, None)
+        self._echoes.pop(dot, None)
 
     def _stop(self, dot: StopDot, reason: Reason, echo: bool = False) -> EmergencyStop:
         message = EmergencyStop(dot.slot, dot.incarnation, dot.counter, reason, echo)

@@ -185,3 +185,15 @@ def test_a_press_after_its_stop_was_cleared_is_a_new_one_before_the_reset_too() 
     )
     safety.receive_reset(EmergencyReset(1, 1, 1, 249), 95 * MS)
     assert safety.stops.latched and not safety.manual_reset(98 * MS)
+
+
+def test_a_press_that_is_cleared_while_it_is_repeated_leaves_nothing_behind() -> None:
+    """Its reason was kept for ever: one more with each press that a person cleared at once."""
+    safety = StopController(0, 1, SilencePolicy.STOP, None, {}, 0)
+    safety.members(frozenset({0, 1}), frozenset(), 0)
+    for k in range(300):
+        safety.press(Reason.OPERATOR_INTERVENTION, k * S)
+        (dot,) = safety.stops.active
+        safety.clear_near(dot, "a test", k * S + 10 * MS)
+        safety.on_tick(k * S + 20 * MS)
+    assert not (safety._reasons or safety._own or safety._echoes)
