@@ -8,7 +8,7 @@ died is where that robot stands. The robot that takes the task over fetches it f
 
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from functools import partial
-from math import hypot, inf
+from math import dist, hypot, inf
 
 from agent.delivery.charging import ChargerState, Charging
 from agent.delivery.cost_matrix import FULL, Trip
@@ -260,11 +260,25 @@ class DeliveryMission(NavigationMission):
         elif task is not None:
             onward = self._pickup(task, view)
         shunned = {s for s, end_at_us in self._shun_ends_at_us.items() if end_at_us > view.now_us}
-        shunned |= self.cut_off.sections
+        shunned |= self.cut_off.sections | self._occupied(view)
         at, absence = (view.here.x_m, view.here.y_m), self.dispatch.absence
         return self.charging.visit(
             at, onward, view.allocation, shunned, lambda owner: absence.silent(owner, view)
         )
+
+    def _occupied(self, view: FleetView) -> set[int]:
+        """The bays in which a latched robot stands: it stays until a person comes."""
+        width_m = 2 * self.floor.radius_m
+        latched = [
+            (n.pose.x_m, n.pose.y_m)
+            for slot, n in view.neighbours.items()
+            if slot in view.live and n.pose.state == State.EMERGENCY_STOP
+        ]
+        return {
+            TASKS_MAX + bay
+            for bay, place in enumerate(self.house.bays)
+            if any(dist(place, at) < width_m for at in latched)
+        }
 
     # ---------------------------------------------------------------- the section under way
 

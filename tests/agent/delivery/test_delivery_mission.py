@@ -11,11 +11,12 @@ from agent.delivery.warehouse import SECTIONS_END, CarrierState, Warehouse
 from agent.interface.config import LEASE_US, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
-from agent.interface.observation import Observation, VisibleParcel
+from agent.interface.observation import Neighbour, Observation, VisibleParcel
 from agent.mapping.building import Floor
 from crdt import FieldAllocationCRDT, Progress
 from crdt.claim_register import EPOCH_MAX
 from protocol.frames.delivery_frames import TaskOrder
+from protocol.frames.fleet_frames import Pose
 
 WIDE = 60
 FLOOR = Floor.drawn("." * WIDE, 1.0, 0.3)
@@ -162,6 +163,17 @@ def test_a_bay_in_which_a_silent_robot_may_stand_is_the_last_choice() -> None:
         assert choice is not None and choice.takeover is not free
         assert home.bay_of(choice.section) == int(free)
         allocation.claim(TASKS_MAX + 1, 2)
+
+
+def test_a_bay_in_which_a_robot_stands_until_a_person_comes_is_not_chosen() -> None:
+    """It was the nearest. A robot waited beside it for 30 s, and its battery was empty on the way on."""
+    home = house(Carrier(1.0, 0.0, battery_m=130.0, reserve=0.0), [(10.5, 0.5), (50.5, 0.5)])
+    mission = DeliveryMission(0, home, (0.5, 0.5), 1.0, 1.6, 0, 1)
+    for state, bay in ((State.EMERGENCY_STOP, 1), (State.IDLE, 0)):
+        other = Neighbour(Pose(10.4, 0.5, 0.0, 0.0, state, False, 0, False), S)
+        seen = view(S, 0.4)._replace(live=frozenset({0, 1}), neighbours={1: other})
+        choice = mission.choose(seen)
+        assert choice is not None and home.bay_of(choice.section) == bay
 
 
 def test_what_is_aboard_need_not_be_picked_up() -> None:
