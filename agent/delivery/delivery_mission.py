@@ -315,7 +315,6 @@ class DeliveryMission(NavigationMission):
     def _go(self, goal: Point) -> None:
         if goal != self.goal:
             self.goal, self._tracker, self._handling_at_us = goal, None, None
-            self._nearest = (inf, 0)  # the way to this goal begins
             self.cut_off.forget(UNDER_WAY)
 
     def work(self, view: FleetView) -> MotionRequest:
@@ -345,6 +344,7 @@ class DeliveryMission(NavigationMission):
         self._plan_ahead(section, view)
         if self._load == section and self._told_aboard != section:
             self._told_aboard = section
+            self._nearest = (inf, 0)  # the way to the dropoff begins, which may be within reach
             wish = wish._replace(covered=(PICKED,))
         # Within reach it handles the parcel in a round as well, because the round ends some time.
         if not (arrived or self._beside(view)):
