@@ -129,11 +129,11 @@ class FieldMission(Mission):
         self.headway = Headway()
         self.worked: set[int] = set()  # units of the current section not in the progress yet
         self.heading_to: int | Point | None = None  # section or place an approach path leads to
-        self.parking = Parking(field, radius_m, speed_m_s)
         # From a thing to the lines of units at which the bar may have been up because of it.
         way_m = stopping_m(speed_m_s, deceleration_m_s2) + LEAD_M
         self.beside_bar_m = hypot(self.half_m + ASIDE_M, way_m) + field.unit_m
         bar_m = Implement(field.implement_width_m / 2 - field.overlap_m, radius_m).reach_m
+        self.parking = Parking(field, radius_m, speed_m_s, bar_m)
         self.blockage = FieldObstructions(route, radius_m, deceleration_m_s2, self.beside_m, bar_m)
 
     @property

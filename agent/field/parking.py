@@ -54,8 +54,12 @@ HASTY_US: Final = 250 * MS  # check period if a robot arrives soon
 class Parking:
     """The parking place of one idle robot. Places are (x, y) metres."""
 
-    def __init__(self, field: Field, radius_m: float, speed_m_s: float = 2.5) -> None:
+    def __init__(
+        self, field: Field, radius_m: float, speed_m_s: float = 2.5, bar_m: float = 0.0
+    ) -> None:
+        """`bar_m`: from the middle of a body to a line that is worked with the bar down."""
         self.field, self.radius_m, self.speed_m_s = field, radius_m, speed_m_s
+        self.bar_m = bar_m
         self._look_period_us = LOOK_US
         self.spot: Point | None = None  # where to go; None: stay
 
@@ -69,7 +73,7 @@ class Parking:
     @property
     def room_m(self) -> float:
         """Distance from the middle of a parked robot to an open line."""
-        return 2 * self.radius_m + ROOM_M
+        return max(2 * self.radius_m + ROOM_M, self.bar_m)
 
     def observe(self, view: FleetView) -> None:
         """Look for a reason to leave, and choose the new place; sets `spot`.

@@ -105,3 +105,16 @@ def test_a_line_that_was_worked_meanwhile_is_open_no_longer() -> None:
     parking.forget()
     parking.observe(seen._replace(now_us=LOOK_US))
     assert parking.spot is None, "nothing is left to work, so it may stay where it is"
+
+
+def test_it_parks_where_no_bar_reaches() -> None:
+    """It stood 4.2 m from a corner: a bar of 8 m that swung round the corner had to go up each time."""
+    at, open_sections = (-14.0, 4.0), {FIELD.sections[-1].id}
+    gap_m = open_gap_m(at, open_sections)
+    narrow, wide = Parking(FIELD, RADIUS_M), Parking(FIELD, RADIUS_M, bar_m=gap_m + 1.0)
+    assert narrow.room_m < gap_m and wide.room_m == gap_m + 1.0
+    seen = view(at, open_sections, {})
+    narrow.observe(seen)
+    assert narrow.spot is None
+    wide.observe(seen)
+    assert wide.spot is not None and open_gap_m(wide.spot, open_sections) >= gap_m + 1.0
