@@ -66,7 +66,7 @@ class _Way(NamedTuple):
     at: Floats
     course: Floats
     down: Bools
-    moves: Bools  # whether it has moved so far that its course is known anew
+    moves: Bools  # whether it has moved so far that its course is known again
 
     def during(self, steps: NDArray[np.intp]) -> "_Way":
         return _Way(self.at[steps], self.course[steps], self.down[steps], self.moves[steps])

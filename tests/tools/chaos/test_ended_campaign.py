@@ -30,6 +30,21 @@ def goes_on(command: "subprocess.Popen[str]", for_s: float) -> bool:
     return False
 
 
+def begun(folder: Path, jobs: int, words: list[str]) -> tuple["subprocess.Popen[str]", list[int]]:
+    """A campaign and its workers, which compute."""
+    command = subprocess.Popen(
+        [sys.executable, "-m", "tools.cli.headland", "chaos", "--seeds", "0:1000", "--jobs", str(jobs),
+         "-o", str(folder), *words],
+        cwd=folder, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE, text=True,
+    )  # fmt: skip
+    end_s = time.monotonic() + WAIT_S
+    while len(workers := children(command.pid)) < jobs:
+        assert time.monotonic() < end_s and goes_on(command, 0.05)
+    assert goes_on(command, 0.5)  # by then they compute
+    return command, workers
+
+
 @pytest.mark.slow
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="needs /proc")
 @pytest.mark.parametrize(
@@ -39,16 +54,7 @@ def goes_on(command: "subprocess.Popen[str]", for_s: float) -> bool:
 def test_workers_end_with_their_campaign(
     tmp_path: Path, number: signal.Signals, words: list[str]
 ) -> None:
-    command = subprocess.Popen(
-        [sys.executable, "-m", "tools.cli.headland", "chaos", "--seeds", "0:1000", "--jobs", "2",
-         "-o", str(tmp_path), *words],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    end_s = time.monotonic() + WAIT_S
-    while len(workers := children(command.pid)) < 2:
-        assert time.monotonic() < end_s and goes_on(command, 0.05)
-    assert goes_on(command, 0.5)  # by then they compute
+    command, workers = begun(tmp_path, 2, words)
     alive = {os.pidfd_open(each) for each in workers}  # can be read when the process has ended
     command.send_signal(number)
     _, said = command.communicate(timeout=WAIT_S)
@@ -69,16 +75,7 @@ def test_a_worker_that_is_killed_ends_the_campaign_in_one_line(
     tmp_path: Path, words: list[str]
 ) -> None:
     """As a system does that has no memory left: the campaign ended with a traceback."""
-    command = subprocess.Popen(
-        [sys.executable, "-m", "tools.cli.headland", "chaos", "--seeds", "0:1000", "--jobs", "1",
-         "-o", str(tmp_path), *words],
-        cwd=tmp_path, env={**os.environ, "PYTHONPATH": str(ROOT)}, stdout=subprocess.DEVNULL,
-        stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
-    end_s = time.monotonic() + WAIT_S
-    while not (workers := children(command.pid)):
-        assert time.monotonic() < end_s and goes_on(command, 0.05)
-    assert goes_on(command, 0.5)
+    command, workers = begun(tmp_path, 1, words)
     os.kill(workers[0], signal.SIGKILL)
     _, said = command.communicate(timeout=WAIT_S)
     assert command.returncode == 2 and "Traceback" not in said

@@ -8,7 +8,7 @@ from typing import Any
 
 import can
 import pytest
-from typer.testing import CliRunner
+from typer.testing import CliRunner, Result
 
 from agent.runtime.files.key_file import fresh, write
 from protocol.frames.codec import decode
@@ -99,6 +99,17 @@ def test_a_counter_that_cannot_be_reserved_on_a_full_disk_is_told_with_75(
     assert "No space left on device" in told.stderr
 
 
+def overheard(channel: Path, words: list[str]) -> tuple[Result, list[object]]:
+    """What a command printed, and the messages that it has sent on a virtual bus."""
+    with can.Bus(str(channel), interface="virtual") as ear:
+        told = CliRunner().invoke(app, words)
+        frames = [
+            Frame(message.arbitration_id, bytes(message.data))
+            for message in iter(lambda: ear.recv(0.0), None)
+        ]
+    return told, [decode(frame)[1] for frame in frames]
+
+
 def test_a_stop_is_said_also_where_the_disk_is_full(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -106,13 +117,7 @@ def test_a_stop_is_said_also_where_the_disk_is_full(
     key = key_without_room(tmp_path, monkeypatch)
     monkeypatch.chdir(tmp_path)
     words = ["stop", "-i", "virtual", "-c", str(tmp_path), "--timeout", "0.6", "--keys", str(key)]
-    with can.Bus(str(tmp_path), interface="virtual") as ear:
-        told = CliRunner().invoke(app, words)
-        frames = [
-            Frame(message.arbitration_id, bytes(message.data))
-            for message in iter(lambda: ear.recv(0.0), None)
-        ]
-    heard = [decode(frame)[1] for frame in frames]
+    told, heard = overheard(tmp_path, words)
     assert any(isinstance(message, EmergencyStop) for message in heard)
     assert told.exit_code == 1 and "NOT SIGNED" in told.stdout, told.output
     assert "No space left on device; the stop is said unsigned" in told.stderr
@@ -132,13 +137,8 @@ def test_a_map_stops_also_where_the_disk_is_full(
     monkeypatch.setattr(map_command, "serve", serve)
     monkeypatch.chdir(tmp_path)
     words = ["map", "-i", "virtual", "-c", str(tmp_path), "--page-port", "0", "--keys", str(key)]
-    with can.Bus(str(tmp_path), interface="virtual") as ear:
-        told = CliRunner().invoke(app, words)
-        frames = [
-            Frame(message.arbitration_id, bytes(message.data))
-            for message in iter(lambda: ear.recv(0.0), None)
-        ]
-    assert any(isinstance(decode(frame)[1], EmergencyStop) for frame in frames), told.output
+    told, heard = overheard(tmp_path, words)
+    assert any(isinstance(message, EmergencyStop) for message in heard), told.output
     assert pressed == [False], "the page says that it does not sign"
     assert "No space left on device; the stop is said unsigned" in told.stderr
 
