@@ -331,9 +331,7 @@ def test_a_stop_is_said_also_where_the_key_is_gone_and_is_reported_failed(
         port, sent = gateway.ports[0], list[EmergencyStop]()
         monkeypatch.setattr(master_gateway, "OBEY_S", 0.1)
         monkeypatch.setattr(gateway.operator, "stop", sent.append)
-        stop = Action(action_type="stop", action_id="s1", blocking_type=BlockingType.NONE)
-        gateway.act(port, InstantActions(actions=[stop]))
-        await asyncio.gather(*gateway.working)
+        await done(gateway, instant("stop", "s1"))
         state = port.vehicle.instant["s1"]
         assert state.action_status is ActionStatus.FAILED and sent
         assert "no.key" in str(state.result_description)
@@ -351,9 +349,7 @@ def test_a_stop_that_no_robot_hears_has_failed(
         gateway = gateway_on(tmp_path, [])
         port = gateway.ports[0]
         monkeypatch.setattr(master_gateway, "OBEY_S", 0.1)
-        stop = Action(action_type="stop", action_id="s1", blocking_type=BlockingType.NONE)
-        gateway.act(port, InstantActions(actions=[stop]))
-        await asyncio.gather(*gateway.working)
+        await done(gateway, instant("stop", "s1"))
         state = port.vehicle.instant["s1"]
         assert state.action_status is ActionStatus.FAILED
         assert state.result_description == "no robot is heard"
