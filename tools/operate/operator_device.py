@@ -48,6 +48,10 @@ NOT_HEARD_S = float("-inf")  # when a robot was heard that only others reported
 LEAST_S = 1e-6  # a shorter rest is no time: added to a virtual clock it may be lost in rounding
 ASK_S = 0.25
 ASKED_S = 2.0  # a release that is asked for is said twice a second
+# Robots ask for the counter of a frame that was signed just now. Later the question is about another
+# device with the same key, whose counter is another one.
+PROVES_S = 1.0
+NOT_SIGNED_S = float("-inf")  # when a device signed that has signed nothing
 
 
 @dataclass
@@ -94,6 +98,7 @@ class Operator:
         self.doubtful: dict[int, int] = {}
         self.shown = ShownStops(keyring)
         self.pressed: set[tuple[int, int, int]] = set()  # dots of ours, the newest press
+        self._signed_s = NOT_SIGNED_S
         self.now_s = 0.0
 
     def hear(self, now_s: float, frame: Frame) -> None:
@@ -207,11 +212,11 @@ class Operator:
 
     def _prove(self, source: int, question: Challenge) -> None:
         """A robot that cannot follow our counter wants to know where it is."""
-        proof = (
-            None if self.keyring is None else self.keyring.answer(question, round(self.now_s * 1e6))
-        )
+        if self.keyring is None or self.now_s - self._signed_s > PROVES_S:
+            return
+        proof = self.keyring.answer(question, round(self.now_s * 1e6))
         if proof is not None:
-            if self.keyring is not None and self.keyring.badge is not None:
+            if self.keyring.badge is not None:
                 self.device.send(self.keyring.badge.told())
             self.device.send(proof, source)
 
@@ -285,7 +290,7 @@ class Operator:
     def stop(self, message: EmergencyStop) -> None:
         """Press a stop, and know it as our own."""
         self.pressed.add(message[:3])
-        self.send(message if self.keyring is None else self.keyring.sign(message))
+        self.send(self._sign(message))
 
     def clear_far(self, dot: RemoteStopDot) -> None:
         """In all segments; twice, because a frame may be lost. A restricted key cannot."""
@@ -322,4 +327,10 @@ class Operator:
             self.send(message)
             return
         for _ in range(2):
-            self.send(self.keyring.sign(message))
+            self.send(self._sign(message))
+
+    def _sign(self, message: Signed) -> Signed:
+        if self.keyring is None:
+            return message
+        self._signed_s = self.now_s
+        return self.keyring.sign(message)

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 
 from agent.interface.lifecycle import State
-from agent.runtime.files.key_file import fresh, write
+from agent.runtime.files.key_file import OPERATOR, fresh, read, write
 from protocol.authentication import Keyring, Keys
 from protocol.frames.agreement_frames import SilentPosition
-from protocol.frames.codec import decode, encode
+from protocol.frames.codec import Malformed, decode, encode
 from protocol.frames.fleet_frames import Heartbeat, Member, StandsBy, Standstill
 from protocol.frames.frame import Frame
 from protocol.frames.messages import Message
@@ -22,6 +22,7 @@ from protocol.frames.safety_frames import (
     Challenge,
     Command,
     EmergencyStop,
+    Freshness,
     OperatorCommand,
     Reason,
 )
@@ -57,6 +58,50 @@ class Silent:
 
 def operator(keyring: Keyring | None = None) -> Operator:
     return Operator(Silent(), keyring)  # type: ignore[arg-type]
+
+
+class Recorded(Silent):
+    """A bus that keeps what one tool sends."""
+
+    def __init__(self) -> None:
+        self.sent: list[Message] = []
+
+    def send(self, frame: Frame) -> bool:
+        message = decode(frame)[1]
+        assert not isinstance(message, Malformed)
+        self.sent.append(message)
+        return True
+
+
+def test_an_open_tool_with_the_same_key_answers_no_question_about_the_counter_of_another(
+    tmp_path: Path,
+) -> None:
+    """An open `headland say` told robots its own counter when they asked for that of a release. They
+    believed the first answer, and then not the release."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    key = read(tmp_path / "operator.json", OPERATOR)
+    robot = Keyring(read(tmp_path / "fleet.json").keys, 0, b"robot")
+    buses = [Recorded(), Recorded()]
+
+    async def story() -> None:
+        tools = [Operator(bus, key.keyring()) for bus in buses]  # type: ignore[arg-type]
+        for tool in tools:
+            await tool.device.held()
+        tools[1].command(Command.MANUAL_RESET, 0)
+        question = robot.ask(249, 0)
+        assert question is not None
+        for tool, bus in zip(tools, buses, strict=True):  # the open one is the first to answer
+            say(tool, 0.0, 0, question)
+            for answer in bus.sent:
+                if isinstance(answer, Freshness):
+                    robot.prove(answer, 0)
+        buses[1].sent.clear()
+        tools[1].command(Command.MANUAL_RESET, 0)
+        for order in buses[1].sent:
+            assert isinstance(order, OperatorCommand) and robot.verify(order, 249, 0)
+
+    run_virtual(story())
+    assert robot.accepted == 2
 
 
 def beat(stopped: bool = False, leaving: bool = False) -> Heartbeat:
