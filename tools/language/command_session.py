@@ -8,7 +8,6 @@ import asyncio
 from collections.abc import Awaitable, Callable
 
 from agent.peer import fleet_summary as bulletin
-from protocol.authentication import Keyring
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.operator_frames import ReportKind
@@ -28,6 +27,7 @@ from tools.language.parse import read
 from tools.language.places import Places
 from tools.language.question import Question
 from tools.language.question import QuestionReason as Why
+from tools.operate.device_keys import DeviceKeys
 from tools.operate.estop import press
 from tools.operate.operator_device import KnownRobot, Operator
 from tools.operate.order import LISTEN_S, convey
@@ -48,10 +48,10 @@ class CommandSession:
     """Make it inside of the loop that drives the bus."""
 
     def __init__(
-        self, bus: CanBus | SocketcandLink, keyring: Keyring | None, places: Places,
+        self, bus: CanBus | SocketcandLink, keys: DeviceKeys | None, places: Places,
         queue: GoalQueue, read: Reader, ask: Asker, timeout_s: float = 5.0, by: str | None = None,
     ) -> None:  # fmt: skip
-        self.operator, self.inspector = Operator(bus, keyring), Inspector()
+        self.operator, self.inspector = Operator(bus, keys), Inspector()
         self.letters = PgnClient(bus, self.operator.device)
         self.places, self.queue, self.read, self.ask = places, queue, read, ask
         self.timeout_s, self.by = timeout_s, by
@@ -78,6 +78,7 @@ class CommandSession:
     async def say(self, phrase: str) -> Outcome:
         """Read one phrase, weigh it against the fleet, send the orders and wait for what robots
         confirm. A phrase that may be an alarm holds all robots first."""
+        self.operator.begin()
         alarm = may_be_alarm(phrase, self.places)
         # A language model takes seconds. What may be an alarm is read by the grammar alone.
         reading, by_model = (read(phrase, self.places), False) if alarm else await self.read(phrase)
@@ -246,6 +247,7 @@ class CommandSession:
         if robot is None or robot.silent:
             return None
         self.queue.give(goal.number, robot.slot)
+        self.operator.begin()
         order = AuthorizedOrder(robot.slot, "set-goal", goal.place)
         word = await self._convey(order)
         known = self.operator.robots.get(robot.slot)  # None: its address is another maker's

@@ -6,7 +6,6 @@ import threading
 from collections.abc import AsyncIterator
 from contextlib import suppress
 
-from protocol.authentication import Keyring
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
 from sim.files.strict_json import dumps
@@ -28,7 +27,8 @@ from tools.language.places import Places, PlacesError
 from tools.language.question import Question, QuestionReason
 from tools.language.say_options import Options, own_queue
 from tools.language.view import as_heard
-from tools.operate.reset import operator_keyring
+from tools.operate.device_keys import DeviceKeys
+from tools.operate.reset import operator_keys
 
 WRONG_WORDS = (AttachError, PlacesError, QueueError, SourceError, EndpointError)
 PROMPT = "> "
@@ -60,7 +60,7 @@ class Conversation:
             return self.code
         interface, _, _, host, port = self.options.bus
         key = self.options.key or own_keys(interface, host, port)
-        keyring = operator_keyring(key, self.options.timeout_s)
+        keys = operator_keys(key)
         bus: CanBus | SocketcandLink
         if (
             phrase is None or self.options.wait
@@ -69,19 +69,19 @@ class Conversation:
         else:
             bus = attach(*self.options.bus)
         try:
-            await self._on_bus(bus, keyring, phrases, phrase is None)
+            await self._on_bus(bus, keys, phrases, phrase is None)
         finally:
             bus.close()
         return self.code
 
     async def _on_bus(
-        self, bus: CanBus | SocketcandLink, keyring: Keyring | None, phrases: AsyncIterator[str],
+        self, bus: CanBus | SocketcandLink, keys: DeviceKeys | None, phrases: AsyncIterator[str],
         talking: bool,
     ) -> None:  # fmt: skip
         options = self.options
         queue = GoalQueue(options.queue or own_queue(options.bus))
         speaker = CommandSession(
-            bus, keyring, self.places, queue, self.read, self.ask, options.timeout_s, options.by
+            bus, keys, self.places, queue, self.read, self.ask, options.timeout_s, options.by
         )
         serving: asyncio.Task[None] | None = None
         async for phrase in phrases:

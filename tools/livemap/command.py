@@ -36,7 +36,7 @@ from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_address
 from tools.livemap.foxglove_port import PortTaken, check_port
 from tools.livemap.stop_panel import Panel
-from tools.operate.estop import stop_keyring
+from tools.operate.estop import stop_keys
 
 if TYPE_CHECKING:
     from tools.livemap.foxglove_live import FoxgloveFeed
@@ -297,7 +297,7 @@ def _live(
 ) -> int:  # fmt: skip
     if launch is not None and keys == KeyFiles(None, None):
         keys = KeyFiles(launch[KEYS], launch[KEYS])
-    keyring = stop_keyring(keys.panel)
+    stopping = stop_keys(keys.panel)
     check_operator_key(keys.operator)
     interface, channel, bitrate, host, port = where
     if launch is not None:
@@ -308,7 +308,7 @@ def _live(
     async def run() -> None:
         bus = await stay_attached(interface, channel, bitrate, host, port, "map")
         robots = robots_of_launch(interface, host, port, keys.panel)
-        recording, panel = LiveRecording(scene), Panel(bus, keyring, keys.operator, robots)
+        recording, panel = LiveRecording(scene), Panel(bus, stopping, keys.operator, robots)
         loop = asyncio.get_running_loop()
         recording.follow(lambda: round(loop.time() * 1e6))
         server = make_server(recording, title, True, 1.0, panel)

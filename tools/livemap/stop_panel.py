@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import Any
 
 from agent.interface.ports import Bus
-from protocol.authentication import Keyring
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
 from tools.common.bus_address import AttachError
+from tools.operate.device_keys import DeviceKeys
 from tools.operate.estop import press
 from tools.operate.operator_device import LIVE_S, KnownRobot, Operator
 from tools.operate.reset import LISTEN_S, STEP_S, held_still, operator_keyring, release
@@ -42,14 +42,14 @@ class Panel:
     map started."""
 
     def __init__(
-        self, bus: Bus, keyring: Keyring | None, operator_key: Path | None = None,
+        self, bus: Bus, keys: DeviceKeys | None, operator_key: Path | None = None,
         robots: Iterable[int] = (),
     ) -> None:  # fmt: skip
-        """`keyring`: of a stop panel of a fleet with keys. `operator_key`: file that releases it.
+        """`keys`: of a stop panel of a fleet with keys. `operator_key`: file that releases it.
         `robots`: that must confirm a stop, also where they are not heard."""
-        self.bus, self.signed = bus, keyring is not None
+        self.bus, self.signed = bus, keys is not None
         self._key = operator_key  # chosen at the start of the map, never by a request
-        self.stopper = Operator(bus, keyring)
+        self.stopper = Operator(bus, keys)
         self.stopper.expect(robots)
         self._listeners = [self.stopper]
         self._pressing: asyncio.Task[list[int]] | None = None

@@ -6,8 +6,7 @@ from math import inf
 from pathlib import Path
 from typing import NamedTuple
 
-from agent.runtime.files.key_file import OPERATOR, KeyFileError, read, read_panel
-from protocol.authentication import Keyring
+from agent.runtime.files.key_file import KeyFileError
 from protocol.frames.safety_frames import AllImplementsStop, Reason, Switch
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
@@ -17,6 +16,7 @@ from tools.common.bus_attach import attach, stay_attached
 from tools.common.exit_codes import TRY_AGAIN, code_of, wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import tell_meanwhile, told_wait
+from tools.operate.device_keys import DeviceKeys
 from tools.operate.operator_device import LIVE_S, KnownRobot, Operator
 
 REPEAT_S = 0.005
@@ -79,8 +79,8 @@ async def _estop(
     else:
         bus = attach(interface, channel, bitrate, host, port)
     try:
-        keyring = stop_keyring(keys)
-        operator = Operator(bus, keyring)
+        signing = stop_keys(keys)
+        operator = Operator(bus, signing)
         operator.expect(robots_of_launch(interface, host, port, keys))
         listen_to(bus, operator)
         if watch and not hold:
@@ -88,33 +88,21 @@ async def _estop(
             return await _watch(operator, as_json)
         with told_wait("until every robot confirms the stop", timeout_s):
             late = await press(operator, reason, timeout_s, hold)
-        return tell(operator, late, as_json, keyring is not None)
+        return tell(operator, late, as_json, operator.keyring is not None)
     finally:
         bus.close()
 
 
-def keyring_of(keys: Path | None) -> Keyring | None:
-    """Of a stop panel, which cannot release whatever file it has, or of an operator's device; raises
-    AttachError."""
+def stop_keys(keys: Path | None) -> DeviceKeys | None:
+    """Of a stop panel, which cannot release whatever file it has, or of an operator's device. None
+    also where the counter of an operator's key has no room on a full disk: robots brake for a stop
+    without a tag, too. Raises AttachError."""
     try:
-        if keys is None:
-            return None
-        if keys.is_dir() or read(keys).kind != OPERATOR:
-            return read_panel(keys).keyring()
-        return read(keys, OPERATOR).keyring()
+        return None if keys is None else DeviceKeys(keys)
     except KeyFileError as problem:
-        raise AttachError(f"--keys {problem}") from None
-
-
-def stop_keyring(keys: Path | None) -> Keyring | None:
-    """As `keyring_of`, and None where the counter of an operator's key has no room on a full disk: robots
-    brake for a stop without a tag, too. Raises AttachError."""
-    try:
-        return keyring_of(keys)
-    except AttachError as problem:
         if code_of(problem) != TRY_AGAIN:
-            raise
-        print(f"headland: {problem}; the stop is said unsigned", file=sys.stderr)
+            raise AttachError(f"--keys {problem}") from None
+        print(f"headland: --keys {problem}; the stop is said unsigned", file=sys.stderr)
         return None
 
 

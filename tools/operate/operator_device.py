@@ -36,6 +36,7 @@ from protocol.frames.segment_frames import FleetStop
 from protocol.frames.work_frames import REGISTERS, STOPS, StateSyncRequest
 from tools.common.bus_address import AttachError
 from tools.common.frame_makers import Makers
+from tools.operate.device_keys import DeviceKeys
 from tools.operate.shown_stops import ShownStops
 from tools.operate.tool_address import CROWDED_OUT, DeviceAddress
 
@@ -82,9 +83,15 @@ class Operator:
     keyring."""
 
     def __init__(
-        self, bus: Bus, keyring: Keyring | None, device: DeviceAddress | None = None
+        self,
+        bus: Bus,
+        keyring: Keyring | DeviceKeys | None,
+        device: DeviceAddress | None = None,
     ) -> None:
-        """`device`: whose address this operator speaks from; none: it claims one of its own."""
+        """`keyring`: DeviceKeys for a tool that runs for long. `device`: whose address this operator
+        speaks from; none: it claims one of its own."""
+        self.keys = keyring if isinstance(keyring, DeviceKeys) else None
+        keyring = keyring.keyring if isinstance(keyring, DeviceKeys) else keyring
         self.bus, self.keyring = bus, keyring
         self.device = DeviceAddress(bus) if device is None else device
         self._own_device = device is None
@@ -199,8 +206,15 @@ class Operator:
         """Echoes can be verified: this device holds the secret that robots sign with."""
         return self.keyring is not None and self.keyring.keys.master is not None
 
+    def begin(self) -> None:
+        """A press or a phrase begins: robots may have other keys than at the last one, and another tool
+        may have signed with this file."""
+        if self.keys is not None:
+            self.keyring = self.keys.begin()
+
     def begin_press(self) -> None:
         """What was confirmed before is no confirmation of the press that comes."""
+        self.begin()
         self.pressed.clear()
         for robot in self.robots.values():
             robot.echoed = robot.signed = False
@@ -323,13 +337,12 @@ class Operator:
 
     def _order(self, message: Signed) -> None:
         """With a tag it is said twice: robots act on two frames that agree."""
-        if self.keyring is None:
-            self.send(message)
-            return
-        for _ in range(2):
+        for _ in range(1 if self.keyring is None else 2):
             self.send(self._sign(message))
 
     def _sign(self, message: Signed) -> Signed:
+        if self.keys is not None:
+            self.keyring = self.keys.newest()
         if self.keyring is None:
             return message
         self._signed_s = self.now_s

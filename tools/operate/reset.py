@@ -5,7 +5,7 @@ import time
 from pathlib import Path
 
 from agent.interface.lifecycle import State
-from agent.runtime.files.key_file import OPERATOR, RESERVE, KeyFileError, read
+from agent.runtime.files.key_file import OPERATOR, RESERVE, KeyFile, KeyFileError, read
 from agent.safety.stop_controller import COUNT_TOLD_MAX
 from crdt.stops import StopDot
 from protocol.authentication import Keyring
@@ -17,6 +17,7 @@ from tools.common.bus_attach import attach
 from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
+from tools.operate.device_keys import DeviceKeys
 from tools.operate.estop import NOT_ALL, listen_to
 from tools.operate.operator_device import KnownRobot, Operator
 
@@ -199,13 +200,30 @@ def operator_keyring(key: Path | None, timeout_s: float, role: Role = ALL_ROLES)
     if key is None:
         return None
     try:
-        file = read(key, OPERATOR)
-        why = file.may(role, int(time.time()) // DAY_S)
-        if why is not None:
-            raise AttachError(f"--keys {why}")
+        file = _operator_file(key, role)
         return file.keyring((1 + round(timeout_s) // BLOCK_S) * RESERVE)
     except KeyFileError as problem:
         raise AttachError(f"--keys {problem}") from None
+
+
+def operator_keys(key: Path | None) -> DeviceKeys | None:
+    """Of a tool that gives orders for hours. Raises AttachError."""
+    if key is None:
+        return None
+    try:
+        _operator_file(key, ALL_ROLES)
+        return DeviceKeys(key, OPERATOR)
+    except KeyFileError as problem:
+        raise AttachError(f"--keys {problem}") from None
+
+
+def _operator_file(key: Path, role: Role) -> KeyFile:
+    """Raises KeyFileError, and AttachError where it does not allow what needs one of these roles."""
+    file = read(key, OPERATOR)
+    why = file.may(role, int(time.time()) // DAY_S)
+    if why is not None:
+        raise AttachError(f"--keys {why}")
+    return file
 
 
 def clear_named(operator: Operator) -> None:

@@ -36,7 +36,7 @@ from tools.inspect.log_frames import SourceError
 from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
 from tools.livemap.command import check_operator_key
 from tools.livemap.stop_panel import Panel, PanelError, not_confirmed
-from tools.operate.estop import stop_keyring
+from tools.operate.estop import stop_keys
 from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
 from tools.operate.transport_order import house_of
@@ -178,7 +178,7 @@ async def _serve(
         loop.call_later(seconds, end.set)
     bus = await stay_attached(interface, channel, bitrate, host, port, "ros2")
     robots = robots_of_launch(interface, host, port, keys)
-    panel, trusted = Panel(bus, stop_keyring(keys), operator_key, robots), keys or operator_key
+    panel, trusted = Panel(bus, stop_keys(keys), operator_key, robots), keys or operator_key
     proven = proven_work_of(trusted, round(loop.time() * 1e6))
     if trusted is not None and proven is None:
         lines.note(UNPROVEN.format(trusted))

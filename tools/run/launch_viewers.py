@@ -15,7 +15,7 @@ from tools.common.bus_address import CHANNEL
 from tools.livemap.foxglove_live import start_feed
 from tools.livemap.foxglove_services import services_of
 from tools.livemap.stop_panel import Panel
-from tools.operate.estop import stop_keyring
+from tools.operate.estop import stop_keys
 
 KEY_BYTES = 16  # of the key of the services: 128 random bits
 
@@ -33,10 +33,10 @@ class LaunchViewers:
         Raises PortTaken and AttachError. Needs the running loop.
         """
         loop = asyncio.get_running_loop()
-        keyring = stop_keyring(keys)
+        stopping = stop_keys(keys)
         # The hub answers in this same loop, so a client that waits for its greeting would wait for ever.
         self._bus = SocketcandLink(*bus, CHANNEL, Random(f"viewers at {port}"))
-        panel = Panel(self._bus, keyring, operator_key)
+        panel = Panel(self._bus, stopping, operator_key)
 
         def hear(frame: Frame) -> None:
             panel.hear(loop.time(), frame)

@@ -38,7 +38,8 @@ from tools.cli.keys import operator as make_operator
 from tools.cli.keys import rotate, show
 from tools.common.launch_keys import fleet_keys
 from tools.common.panel_keys import PanelKeys
-from tools.operate.estop import NOT_ALL, keyring_of
+from tools.operate.device_keys import DeviceKeys
+from tools.operate.estop import NOT_ALL
 from tools.operate.operator_device import Operator
 from tools.operate.rekey import Rekeyer, _tell
 
@@ -92,7 +93,7 @@ def test_the_file_of_a_panel_stops_and_whoever_steals_it_releases_nothing(
     assert secret is not None and secret.hex() not in panel.read_text()
     assert read(panel, PANELS).keys == read(fleet, FLEET).keys._replace(operator=None)
     for given in (tmp_path, panel, fleet):  # also one that an older version has made for it
-        ring = keyring_of(given)
+        ring = DeviceKeys(given).keyring
         assert ring is not None and ring.keys == read(panel).keys, given
     said = Complaints(monkeypatch, capfd).of("reset --keys panel.json", tmp_path)
     assert said.code == 2 and "operator key" in said.line, said
@@ -105,10 +106,10 @@ def test_a_folder_of_an_older_version_has_the_fleets_file_for_panels_until_it_is
 ) -> None:
     keys(tmp_path)
     (tmp_path / "panel.json").unlink()
-    ring, gateway = keyring_of(tmp_path), PanelKeys(tmp_path)
+    ring, gateway = DeviceKeys(tmp_path).keyring, PanelKeys(tmp_path)
     assert ring is not None and ring.keys == gateway.keys and ring.keys.operator is None
     rotate(tmp_path, running=False)
-    renewed, ring = gateway.renewed(), keyring_of(tmp_path)
+    renewed, ring = gateway.renewed(), DeviceKeys(tmp_path).keyring
     assert ring is not None and ring.keys == renewed == read(tmp_path / "panel.json", PANELS).keys
 
 
