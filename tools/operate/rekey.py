@@ -2,6 +2,7 @@
 
 import asyncio
 import sys
+from contextlib import ExitStack, closing
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +27,11 @@ ROUND_S = 0.4  # robots confirm at most five times a second
 SWITCHES = 5  # repeats in a row: one frame that all hear makes all switch at the same time
 SWITCH_S = 0.01
 DEFAULT = Path("keys")
+HAS_NOT_SWITCHED = "HAS NOT SWITCHED: it stands; give it its new file and restart it"
+HAS_NOT_TAKEN = (
+    "HAS NOT TAKEN THE NEW KEYS: it goes on with the old ones; only a robot with a key file of its own "
+    "takes any"
+)
 
 
 class Rekeyer:
@@ -103,8 +109,9 @@ def rekey(
     place = folder or own_keys(interface, host, port) or DEFAULT
     try:
         keys = owned(place)
+        used = keys.begun is not None  # a command before this one may have made robots switch
         rekeying = keys.begin(revoked, void_for_s)
-        return asyncio.run(_rekey(keys, rekeying, bus, timeout_s, as_json))
+        return asyncio.run(_rekey(keys, rekeying, used, bus, timeout_s, as_json))
     except (KeyFileError, AttachError) as problem:
         return wrong(problem)
     except OSError as problem:
@@ -112,10 +119,13 @@ def rekey(
 
 
 async def _rekey(
-    keys: KeyFolder, rekeying: Rekeying, bus: Attached, timeout_s: float, as_json: bool
+    keys: KeyFolder, rekeying: Rekeying, used: bool, bus: Attached, timeout_s: float, as_json: bool
 ) -> int:
-    can_bus = attach(*bus)
-    try:
+    """`used`: robots may use these keys already."""
+    with ExitStack() as at_end:
+        # Keys that no robot uses would hold up another change, such as that of the right robot.
+        at_end.callback(lambda: None if used else keys.forget())
+        can_bus = at_end.enter_context(closing(attach(*bus)))
         operator = Operator(can_bus, None)
         operator.expect(robots_of_launch(bus[0], bus[3], bus[4], keys.folder))
         rekeyer = Rekeyer(operator, keys, rekeying)
@@ -134,33 +144,37 @@ async def _rekey(
             return NOT_ALL
         with told_wait("until every robot holds the new keys", timeout_s):
             await rekeyer.give(timeout_s)
-        with told_wait("until every robot uses the new keys", timeout_s):
-            await rekeyer.switch(timeout_s)
+        used = used or bool(rekeyer.done(False))
+        if used:
+            with told_wait("until every robot uses the new keys", timeout_s):
+                await rekeyer.switch(timeout_s)
         use, heard = rekeyer.done(True), rekeyer.wanted
         if use:
             keys.finish(rekeying)
-        return _tell(rekeying, use, heard - use, rekeyer.unheard - use - heard, as_json)
-    finally:
-        can_bus.close()
+        return _tell(rekeying, use, heard - use, rekeyer.unheard - use - heard, as_json, used)
 
 
 def _tell(
-    rekeying: Rekeying, use: set[int], missing: set[int], unheard: set[int], as_json: bool
-) -> int:
+    rekeying: Rekeying, use: set[int], missing: set[int], unheard: set[int], as_json: bool,
+    switched: bool = True,
+) -> int:  # fmt: skip
+    """`use`: robots that use the new keys. `switched`: robots were told to use them."""
+    revoked = None if rekeying.revoked == NOBODY or not use else rekeying.revoked
     told: dict[str, Any] = {
         "generation": rekeying.generation, "switched": sorted(use), "not_switched": sorted(missing),
-        "not_heard": sorted(unheard),
-        "revoked": None if rekeying.revoked == NOBODY else rekeying.revoked,
+        "not_heard": sorted(unheard), "revoked": revoked,
     }  # fmt: skip
     if as_json:
         print(dumps(told))
     else:
         names = " ".join(map(str, sorted(use))) or "none"
         print(f"keys {rekeying.generation}: used by robots {names}")
-        if rekeying.revoked != NOBODY:
-            print(f"robot {rekeying.revoked} is revoked: its key signs nothing that is believed")
+        if revoked is not None:
+            print(f"robot {revoked} is revoked: its key signs nothing that is believed")
+        elif rekeying.revoked != NOBODY:
+            print(f"robot {rekeying.revoked} is NOT REVOKED")
         for slot in sorted(missing):
-            print(f"robot {slot}: HAS NOT SWITCHED: it stands; give it its new file and restart it")
+            print(f"robot {slot}: {HAS_NOT_SWITCHED if switched else HAS_NOT_TAKEN}")
         for slot in sorted(unheard):
             print(
                 f"robot {slot}: NOT HEARD: it stands when it is back, until the same command is called"

@@ -8,11 +8,13 @@ import os
 import stat
 import subprocess
 import sys
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 
 import pytest
 
+from agent.interface.lifecycle import State
 from agent.runtime.files.key_file import (
     FLEET,
     OPERATOR,
@@ -27,10 +29,15 @@ from agent.runtime.files.key_file import (
     write,
 )
 from agent.runtime.files.key_folder import owned
-from protocol.frames.codec import encode
+from protocol.frames.codec import decode, encode
+from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.frame import Frame
-from protocol.frames.key_frames import KeysHeld
+from protocol.frames.key_frames import KeyPart, KeysHeld
+from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.name import fleet_name
 from protocol.operator_badges import Role
+from protocol.rekeying import ALWAYS_S, NOBODY
+from sim.fleet.virtual_clock import run_virtual
 from tests.tools import launching
 from tests.tools.complaint import Complaints
 from tests.tools.launching import ENVIRONMENT, WAIT_S
@@ -38,6 +45,7 @@ from tools.cli.keys import operator as make_operator
 from tools.cli.keys import rotate, show
 from tools.common.launch_keys import fleet_keys
 from tools.common.panel_keys import PanelKeys
+from tools.operate import rekey as rekey_module
 from tools.operate.device_keys import DeviceKeys
 from tools.operate.estop import NOT_ALL
 from tools.operate.operator_device import Operator
@@ -509,6 +517,63 @@ def test_a_robot_that_was_there_and_is_not_heard_is_said(
     assert _tell(begun, {0, 1}, set(), set(), True) == 0
 
 
+class RobotsWithoutOwnKeys:
+    """A bus with two robots that were given the file of the fleet."""
+
+    def __init__(self) -> None:
+        self.tell: Callable[[Frame], None] = lambda frame: None
+
+    def send(self, frame: Frame) -> bool:
+        _, message = decode(frame)
+        if isinstance(message, Request | KeyPart):
+            for slot in (0, 1):
+                beat = Heartbeat(1, State.WORKING, False, False, True, False, 1.0, 0, 0)
+                for said in (
+                    AddressClaimed(fleet_name("f", slot).pack()),
+                    Member(slot, 1, 7),
+                    beat,
+                ):
+                    asyncio.get_running_loop().call_soon(self.tell, encode(said, 128 + slot))
+        return True
+
+    def subscribe(self, callback: Callable[[Frame], None]) -> None:
+        self.tell = callback
+
+    def close(self) -> None:
+        """Nothing is open."""
+
+
+@pytest.mark.parametrize("heard", [True, False])
+def test_a_revocation_that_no_robot_takes_is_said_and_holds_up_no_other(
+    tmp_path: Path, heard: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Robots with the fleet's own file take no new keys. The command said that robot 1 was revoked.
+    Then, as after one on a bus without robots, no other change could be made."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
+    bus = RobotsWithoutOwnKeys() if heard else Nobody()
+    monkeypatch.setattr(rekey_module, "attach", lambda *words: bus)
+    monkeypatch.setattr(asyncio, "run", run_virtual)
+    where = ("virtual", "field", 250_000, "", 0)
+    assert rekey_module.rekey(1, ALWAYS_S, tmp_path, where, 2.0, False) == NOT_ALL
+    said = capsys.readouterr().out
+    if heard:
+        assert "robot 1 is NOT REVOKED" in said and "robot 0: HAS NOT TAKEN" in said, said
+    assert "stands" not in said and owned(tmp_path).begun is None
+    rotate(tmp_path, running=False)
+
+
+def test_a_change_that_robots_may_use_already_is_kept(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
+    begun = owned(tmp_path).begin()
+    monkeypatch.setattr(rekey_module, "attach", lambda *words: RobotsWithoutOwnKeys())
+    monkeypatch.setattr(asyncio, "run", run_virtual)
+    where = ("virtual", "field", 250_000, "", 0)
+    assert rekey_module.rekey(NOBODY, ALWAYS_S, tmp_path, where, 2.0, False) == NOT_ALL
+    assert owned(tmp_path).begun == begun
+
+
 def test_a_name_that_is_no_text_is_printed(tmp_path: Path) -> None:
     """It ended in a traceback after the keys were made, where a terminal wants UTF-8."""
     words: list[str | bytes] = [
@@ -541,3 +606,6 @@ class Nobody:
 
     def subscribe(self, callback: object) -> None:
         """Nothing comes."""
+
+    def close(self) -> None:
+        """Nothing is open."""
