@@ -9,6 +9,7 @@ import typer
 from tools.common.exit_codes import WRONG, code_of, wrong
 from tools.common.options import Bitrate, Channel, Host, Interface, Json, Port, Timeout
 
+NOT_PROVEN = "it had no key file of its own, and any robot can make its tags"
 FLEET_FILE, PANEL_FILE, OPERATOR_FILE = "fleet.json", "panel.json", "operator.json"
 app = typer.Typer(
     help="Make, rotate, revoke and show the keys of a fleet.", no_args_is_help=True,
@@ -210,7 +211,7 @@ def log_command(
         Path | None, typer.Option(help="The owner's folder (none: the launch's own).")
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Exit code 1 if a log was changed, or no key is there.")
+        bool, typer.Option("--verify", help="Exit code 1 if a log was changed or has no proof.")
     ] = False,
     json: Json = False,
 ) -> None:
@@ -234,13 +235,13 @@ def log_command(
     releases = sorted(
         (r for one in found.logs for r in one.releases), key=lambda r: r.released_at_s
     )
-    failed = bool(found.broken) or not found.root
+    failed = bool(found.broken or found.shared) or not found.root
     if json:
         print(dumps({
             "releases": [r._asdict() | {"who": found.who(r.device)} for r in releases],
             "broken": {str(robot): why for robot, why in found.broken.items()},
             "lacking": {str(robot): sorted(what) for robot, what in found.lacking.items()},
-            "signed": found.root, "logs": len(found.logs),
+            "shared": found.shared, "signed": found.root, "logs": len(found.logs),
         }))  # fmt: skip
     else:
         for release in releases:
@@ -250,6 +251,8 @@ def log_command(
             )
         for robot, why in found.broken.items():
             print(f"robot {robot}: CHANGED: {why}")
+        for robot in found.shared:
+            print(f"robot {robot}: NOT PROVEN: {NOT_PROVEN}")
         for robot, what in found.lacking.items():
             print(
                 f"robot {robot}: no line about {', '.join(sorted(what))}: was it off, or is the end cut?"

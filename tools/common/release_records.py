@@ -1,12 +1,14 @@
 """What was released in a run, by whom, and whether the logs of the robots are whole."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import NamedTuple
 
 from agent.runtime.files.given_file import GivenFileError
-from agent.runtime.files.key_file import OPERATOR, KeyFileError, read
-from agent.runtime.files.release_log import NAME, ReadLog, lacking, own_log_key, read_log
+from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, KeyFileError, read
+from agent.runtime.files.release_log import NAME as LOG_NAME
+from agent.runtime.files.release_log import ReadLog, lacking, own_log_key, read_log
 from protocol.rekeying import own_key
 from tools.common.launch_keys import KEYS
 
@@ -22,6 +24,12 @@ class ReleaseRecords(NamedTuple):
     def broken(self) -> dict[int, str]:
         """Robots whose log is not as the robot wrote it, and why."""
         return {one.robot: one.broken for one in self.logs if one.broken}
+
+    @property
+    def shared(self) -> list[int]:
+        """Robots whose log has tags that any robot of the fleet could make: they were given the fleet's
+        file, and no key of their own."""
+        return [one.robot for one in self.logs if one.shared]
 
     @property
     def lacking(self) -> dict[int, set[str]]:
@@ -40,7 +48,7 @@ def release_records(folder: Path, keys: Path | None = None) -> ReleaseRecords:
     """Of the folder of a launch, or of robots' memories. `keys`: the owner's folder; None: that of the
     launch, if there is one. Raises GivenFileError, KeyFileError, OSError."""
     owners = folder / KEYS if keys is None else keys
-    root, people = None, dict[int, str]()
+    root, people, secrets = None, dict[int, str](), list[bytes]()
     if keys is not None or (owners / "operator.json").exists():
         root = read(owners, OPERATOR).root
         for path in sorted(owners.glob("operator-*.json")):
@@ -50,14 +58,24 @@ def release_records(folder: Path, keys: Path | None = None) -> ReleaseRecords:
                 continue
             assert file.device is not None, "an operator's file names its device"
             people[file.device] = file.person
+        secrets = list(_fleet_secrets(owners))
     logs = []
     for path in sorted(folder.iterdir()):
-        found = NAME.fullmatch(path.name)
+        found = LOG_NAME.fullmatch(path.name)
         if found:
             slot = int(found[1])
             key = None if root is None else own_log_key(own_key(root, slot), slot)
-            logs.append(read_log(path, key))
+            logs.append(read_log(path, key, secrets))
     return ReleaseRecords(logs, people, root is not None)
+
+
+def _fleet_secrets(owners: Path) -> Iterator[bytes]:
+    """Of the fleet's file in the owner's folder, and of those that a rotation has left beside it."""
+    for path in sorted(owners.glob(f"{NAMES[FLEET]}*")):
+        with suppress(KeyFileError):
+            master = read(path, FLEET).keys.master
+            if master is not None:
+                yield master
 
 
 def records_or_none(folder: Path) -> ReleaseRecords | None:

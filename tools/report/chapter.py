@@ -266,6 +266,7 @@ def _releases(evidence: RunEvidence) -> Iterator[Chapter]:
         + ("Hashes and tags were checked." if records.root else "Hashes were checked; no key is here.")
     )  # fmt: skip
     about += "".join(f" Robot {r}: CHANGED: {why}." for r, why in records.broken.items())
+    about += "".join(f" Robot {r}: NOT PROVEN: it had no key of its own." for r in records.shared)
     rows = [
         (datetime.fromtimestamp(r.released_at_s, UTC).isoformat(timespec="milliseconds"), r.robot, r.what,
          records.who(r.device))

@@ -55,6 +55,7 @@ class ReadLog(NamedTuple):
     releases: Sequence[LoggedRelease]
     broken: str  # empty: its chain and its tags are right
     signed: bool  # the tags were checked
+    shared: bool = False  # a line has the tag of a key that other robots hold, too
 
 
 def path_of(folder: Path, slot: int) -> Path:
@@ -107,12 +108,14 @@ class ReleaseLog:
         self._before, self._first = sha256(line).hexdigest(), b""
 
 
-def read_log(path: Path, key: bytes | None) -> ReadLog:
-    """Read a log and check it. `key`: None checks the chain alone. Raises GivenFileError, OSError."""
+def read_log(path: Path, key: bytes | None, fleet_secrets: Sequence[bytes] = ()) -> ReadLog:
+    """Read a log and check it. `key`: None checks the chain alone. `fleet_secrets`: under which a robot
+    writes that was given the file of the fleet, 16 bytes each. Raises GivenFileError, OSError."""
     found = NAME.fullmatch(path.name)
     robot = int(found[1]) if found else -1
     releases: list[LoggedRelease] = []
-    before, broken = START, ""
+    before, broken, shared = START, "", False
+    others = [own_log_key(secret, robot) for secret in fleet_secrets] if robot >= 0 else []
     for number, text in enumerate(read_text(path, LOG_BYTES_MAX).splitlines(), 1):
         try:
             release = _release_of(text)
@@ -125,10 +128,17 @@ def read_log(path: Path, key: bytes | None) -> ReadLog:
             broken = broken or f"line {number} does not follow the line before it"
         elif release.robot != robot:
             broken = broken or f"line {number} is of robot {release.robot}"
-        elif key is not None and not hmac.compare_digest(release.tag, _tag(release, key)):
-            broken = broken or f"line {number} was not written with the key of robot {robot}"
+        elif key is not None and not _has_tag_of(release, key):
+            if any(_has_tag_of(release, other) for other in others):
+                shared = True
+            else:
+                broken = broken or f"line {number} was not written with the key of robot {robot}"
         before = sha256(line).hexdigest()
-    return ReadLog(robot, releases, broken, key is not None)
+    return ReadLog(robot, releases, broken, key is not None, shared)
+
+
+def _has_tag_of(release: LoggedRelease, key: bytes) -> bool:
+    return hmac.compare_digest(release.tag.encode(), _tag(release, key).encode())
 
 
 def _release_of(text: str) -> LoggedRelease:

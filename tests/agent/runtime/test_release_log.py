@@ -28,7 +28,7 @@ from protocol.frames.safety_frames import Challenge, Command, OperatorCommand
 from protocol.name import tool_name
 from protocol.rekeying import own_key
 from sim.rigs.keyed_rig import KeyedRig
-from tools.cli.keys import log_command
+from tools.cli.keys import log_command, rotate
 from tools.common.release_records import release_records
 
 ROBOT, OPERATOR_DEVICE = 1, 249
@@ -212,6 +212,22 @@ def test_the_command_names_people_and_fails_where_a_log_was_changed(folder: Path
     log.path.write_text(log.path.read_text().replace("201", "202"))
     spoilt = headland(folder, ".", "--verify")
     assert spoilt.returncode == 1 and "robot 1: CHANGED" in spoilt.stdout
+
+
+def test_a_robot_with_the_fleets_file_is_not_said_to_have_a_changed_log(folder: Path) -> None:
+    """A robot without a key file of its own writes under the fleet's secret, also before a rotation."""
+    for number in range(2):
+        key = key_of(read_robot(folder / "keys" / "fleet.json", ROBOT).keys, ROBOT)
+        ReleaseLog(path_of(folder, ROBOT), ROBOT, key).keep(0, cleared(f"dot 7.1.{number} by 249"))
+        rotate(folder / "keys", running=False)
+    written(folder, 2)
+    found = release_records(folder)
+    assert not found.broken and found.shared == [ROBOT]
+    told = headland(folder, ".", "--verify")
+    assert told.returncode == 1 and f"robot {ROBOT}: NOT PROVEN" in told.stdout, told
+    path = path_of(folder, ROBOT)
+    path.write_text(path.read_text().replace("249", "201"))
+    assert ROBOT in release_records(folder).broken
 
 
 HOSTILE = (
