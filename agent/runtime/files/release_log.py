@@ -104,6 +104,8 @@ class ReleaseLog:
                 os.fsync(handle)
         except OSError as problem:
             log.error("robot %d: the release log failed: %s", self.slot, problem)
+            # All of the line, a part of it or nothing may be there.
+            self._number, self._before, self._first = _end_of(self.path)
             return
         self._before, self._first = sha256(line).hexdigest(), b""
 

@@ -1,5 +1,6 @@
 """The signed log of releases: what was changed, added, moved or taken out is found."""
 
+import errno
 import json
 import os
 import subprocess
@@ -228,6 +229,33 @@ def test_a_robot_with_the_fleets_file_is_not_said_to_have_a_changed_log(folder: 
     path = path_of(folder, ROBOT)
     path.write_text(path.read_text().replace("249", "201"))
     assert ROBOT in release_records(folder).broken
+
+
+@pytest.mark.parametrize("taken", ["nothing", "a part", "all"])
+def test_a_disk_that_fails_once_spoils_no_later_line(
+    folder: Path, taken: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The next line was appended to a half one, and nobody could read it. A disk that had taken nothing,
+    or all of the line and said that it failed, made an honest log a changed one."""
+    key = key_of(read_robot(folder / "keys", ROBOT).keys, ROBOT)
+    log = ReleaseLog(path_of(folder, ROBOT), ROBOT, key)
+    log.keep(0, cleared("dot 7.1.0 by 249"))
+    whole = log.path.read_bytes()
+
+    def fails(handle: int) -> None:
+        written = len(log.path.read_bytes()) - len(whole)
+        share = {"nothing": 0, "a part": written // 2, "all": written}[taken]
+        os.truncate(log.path, len(whole) + share)
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    with monkeypatch.context() as during:
+        during.setattr("agent.runtime.files.release_log.os.fsync", fails)
+        log.keep(0, cleared("dot 7.1.1 by 249"))
+    log.keep(0, cleared("dot 7.1.2 by 249"))
+    found = checked(folder, log.path)
+    dots = ["7.1.0", "7.1.2"] if taken != "all" else ["7.1.0", "7.1.1", "7.1.2"]
+    assert [release.what.split()[1] for release in found.releases] == dots
+    assert found.broken == ("line 2 cannot be read" if taken == "a part" else "")
 
 
 HOSTILE = (
