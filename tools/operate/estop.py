@@ -121,7 +121,7 @@ async def press(
     """
     loop = asyncio.get_running_loop()
     operator.begin_press()
-    begun_s = dot_s = loop.time()
+    begun_s = dot_s = operator.now_s = loop.time()
     unlatched_s = AGAIN_S
     stop = operator.new_stop(reason)
     operator.stop(stop)

@@ -104,6 +104,24 @@ def test_an_open_tool_with_the_same_key_answers_no_question_about_the_counter_of
     assert robot.accepted == 2
 
 
+def test_a_press_answers_for_its_first_frame(tmp_path: Path) -> None:
+    """Before it had heard a frame it did not know the time, and robots asked again 0.1 s later."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    bus = Recorded()
+
+    async def story() -> None:
+        await elapse(60.0)
+        tool = Operator(bus, read(tmp_path / "operator.json").keyring())  # type: ignore[arg-type]
+        await tool.device.held()
+        pressing = asyncio.create_task(press(tool, Reason.OPERATOR_INTERVENTION, 1.0))
+        await elapse(0.001)
+        say(tool, asyncio.get_running_loop().time(), 0, Challenge(tool.slot, 0, 1))
+        pressing.cancel()
+
+    run_virtual(story())
+    assert [kind for kind in map(type, bus.sent) if kind is Freshness] == [Freshness]
+
+
 def beat(stopped: bool = False, leaving: bool = False) -> Heartbeat:
     return Heartbeat(1, State.WORKING, stopped, False, True, leaving, 1.0, 0, 0)
 
