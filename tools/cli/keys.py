@@ -179,6 +179,11 @@ def operator(
         if word.strip().upper() not in Role.__members__:
             _wrong(f"--roles {word!r}: use some of {known}")
         wanted |= Role[word.strip().upper()]
+    if Badge(OPERATOR_FIRST, wanted, NEVER if days == 0 else DAY_MAX).owner:
+        _wrong(
+            "--days 0: all roles without an end are the owner's own key, which can speak for everybody: "
+            "leave a role out, or give it an end"
+        )
     try:
         owner = owned(folder)
         free = [

@@ -314,6 +314,23 @@ def test_a_key_for_one_person_has_roles_and_an_end(tmp_path: Path) -> None:
     assert new.badge == file.badge and new.person == "Anna" and new.keys != file.keys
 
 
+def test_nobody_is_given_the_owners_own_key(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The file of a person with all roles for ever had the secret of all operators. Who has it can
+    release in anybody's name."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    every = "stop,release,direct,task"
+    with pytest.raises(SystemExit):
+        make_operator("Anna", roles=every, days=0, device=0, folder=tmp_path)
+    assert "the owner's own key" in capsys.readouterr().err
+    make_operator("Anna", roles=every, days=3650, device=0, folder=tmp_path)
+    make_operator("Ben", roles="stop,release,direct", days=0, device=0, folder=tmp_path)
+    owner = read(tmp_path / "operator.json").keys.operator
+    for device in (192, 193):
+        assert read(tmp_path / f"operator-{device}.json").keys.operator != owner
+
+
 @pytest.mark.slow
 def test_a_key_of_another_role_is_refused_by_the_tools_in_one_line(tmp_path: Path) -> None:
     headland("keys", "new", "k", folder=tmp_path)
