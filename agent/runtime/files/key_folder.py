@@ -27,11 +27,11 @@ from agent.runtime.files.key_file import (
     texts,
 )
 from protocol.authentication import KEY_SIZE
-from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY, Rekeying
+from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY, SLOTS, Rekeying
 
 NEXT = "next.json"
 OF_PERSON = re.compile(r"operator-(\d{3})\.json")
-OF_ROBOT = re.compile(r"robot(\d{1,3})\.json")
+OF_ROBOT = re.compile(r"robot(0|[1-9][0-9]{0,2})\.json")
 
 
 class KeyFolder(NamedTuple):
@@ -134,5 +134,6 @@ def owned(folder: Path) -> KeyFolder:
         )
     assert operator.device is not None
     found = [OF_ROBOT.fullmatch(path.name) for path in folder.iterdir()]
-    slots = frozenset(int(match[1]) for match in found if match)
+    # Of another name, as robot300.json or robot07.json, there is no robot.
+    slots = frozenset(int(match[1]) for match in found if match and int(match[1]) < SLOTS)
     return KeyFolder(folder, operator.root, operator.device, fleet.keys.generation, slots)

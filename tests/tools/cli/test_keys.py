@@ -331,6 +331,17 @@ def test_nobody_is_given_the_owners_own_key(
         assert read(tmp_path / f"operator-{device}.json").keys.operator != owner
 
 
+def test_a_file_of_a_robot_that_no_fleet_has_ends_no_rotation(tmp_path: Path) -> None:
+    """It was a traceback."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
+    text = (tmp_path / "robot0.json").read_text()
+    for name in ("robot300.json", "robot128.json", "robot01.json"):
+        (tmp_path / name).write_text(text)
+    rotate(tmp_path, running=False)
+    assert owned(tmp_path).slots == {0, 1}
+    assert (tmp_path / "robot300.json").read_text() == text
+
+
 @pytest.mark.slow
 def test_a_key_of_another_role_is_refused_by_the_tools_in_one_line(tmp_path: Path) -> None:
     headland("keys", "new", "k", folder=tmp_path)
