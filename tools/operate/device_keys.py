@@ -37,16 +37,17 @@ class DeviceKeys:
         """The keyring for a press or a phrase: of the newest file, and above what other tools with this
         file have signed. None where an operator's counter cannot be reserved now."""
         self._follow()
-        if self._file.kind == OPERATOR and self._counted() != self._end:
+        last = self.keyring is not None and self._counted() == self._end  # to have signed with it
+        if self._file.kind == OPERATOR and not last:
             self._reserve()
         return self.keyring
 
     def newest(self) -> Keyring | None:
         """The keyring for the next frame, in the midst of a press or a phrase."""
         self._follow()
-        used_up = self.keyring is None or self.keyring.sent >= self._end
+        used_up = self.keyring is not None and self.keyring.sent >= self._end
         if self._file.kind == OPERATOR and used_up:
-            self._reserve()
+            self._reserve()  # one that fails is tried again at the next press: it may wait for a disk
         return self.keyring
 
     def _read(self) -> KeyFile:
