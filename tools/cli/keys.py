@@ -74,7 +74,7 @@ def rotate(
         replace,
         texts,
     )
-    from agent.runtime.files.key_folder import named, owned, people_texts
+    from agent.runtime.files.key_folder import free_numbers, named, owned, people_texts
     from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY
 
     if running:
@@ -96,6 +96,7 @@ def rotate(
         made = texts(fleet, operator, keys, owner.device, sorted(owner.slots), owner.root)
         made |= people_texts(folder, KeyFile(operator, OPERATOR, keys, root=owner.root))
         replace(made, kept=old.ids["fleet"])
+        free_numbers(folder)
         owner.forget()
     except KeyFileError as problem:
         _wrong(str(problem))
@@ -164,11 +165,13 @@ def operator(
         PERSON_MAX,
         KeyFileError,
         create,
+        given_path,
         operator_path,
         operator_text,
         read,
     )
     from agent.runtime.files.key_folder import owned
+    from agent.runtime.files.private_file import OWNER
     from protocol.authentication import OPERATOR_FIRST
     from protocol.operator_badges import DAY_S, NEVER, Badge, Role
 
@@ -187,16 +190,21 @@ def operator(
     try:
         owner = owned(folder)
         free = [
-            n for n in range(OPERATOR_FIRST, owner.device) if not operator_path(folder, n).exists()
+            n
+            for n in range(OPERATOR_FIRST, owner.device)
+            if not (operator_path(folder, n).exists() or given_path(folder, n).exists())
         ]
         number = device or (free[0] if free else 0)
         if not OPERATOR_FIRST <= number <= 254 or number == owner.device:
             _wrong(f"--device {number}: use {OPERATOR_FIRST} to 254, but not {owner.device}")
         day = NEVER if days == 0 else min(int(time.time()) // DAY_S + days, DAY_MAX)
-        path = operator_path(folder, number)
+        path, given = operator_path(folder, number), given_path(folder, number)
+        if given.exists() and not path.exists():
+            _wrong(f"{folder}: device {number} has a file elsewhere: rotate the keys first")
         text = operator_text(
             read(folder, OPERATOR), Badge(number, wanted, day), person[:PERSON_MAX]
         )
+        given.touch(mode=OWNER)
         create(path, text)
     except FileExistsError:
         _wrong(f"{folder}: device {number} has a file already: delete it and rotate the keys first")

@@ -107,6 +107,12 @@ def operator_path(folder: Path, device: int) -> Path:
     return folder / f"operator-{device}.json"
 
 
+def given_path(folder: Path, device: int | str) -> Path:
+    """Says that a file was made for this device under the present keys, wherever that file is now.
+    `device`: its number, or a pattern."""
+    return folder / f"operator-{device}.given"
+
+
 def operator_text(owner: KeyFile, badge: Badge, person: str) -> str:
     """The content of a restricted operator's file. `owner`: the file of the fleet's owner."""
     operators = owner.keys.operator

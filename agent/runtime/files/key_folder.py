@@ -20,6 +20,7 @@ from agent.runtime.files.key_file import (
     KeyFile,
     KeyFileError,
     create,
+    given_path,
     operator_text,
     read,
     replace,
@@ -101,7 +102,16 @@ class KeyFolder(NamedTuple):
         replace(made)
         if done.revoked != NOBODY:
             robot_path(self.folder, done.revoked).unlink(missing_ok=True)
+        free_numbers(self.folder)
         self.forget()
+
+
+def free_numbers(folder: Path) -> None:
+    """The keys are other ones now: a number whose file is not here any more may be given to somebody
+    else. Raises OSError."""
+    for path in folder.glob(given_path(folder, "*").name):
+        if not path.with_suffix(".json").exists():
+            path.unlink()
 
 
 def named(begun: Rekeying) -> str:

@@ -331,6 +331,34 @@ def test_nobody_is_given_the_owners_own_key(
         assert read(tmp_path / f"operator-{device}.json").keys.operator != owner
 
 
+def test_a_number_whose_file_was_given_away_is_nobody_elses(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The next person got the same number, and on one day with the same roles the same secret. The
+    release log named the wrong one, and robots took no stop of who had counted less far."""
+    keys_of, elsewhere = tmp_path / "keys", tmp_path / "anna.json"
+    keys_of.mkdir(mode=0o700)
+    write(keys_of / "fleet.json", keys_of / "operator.json", fresh(), 249)
+    make_operator("Anna", folder=keys_of)
+    (keys_of / "operator-192.json").rename(elsewhere)
+    make_operator("Ben", folder=keys_of)
+    anna, ben = read(elsewhere), read(keys_of / "operator-193.json")
+    assert (anna.device, ben.device) == (192, 193) and anna.keys.operator != ben.keys.operator
+    capsys.readouterr()
+    with pytest.raises(SystemExit):
+        make_operator("Cem", device=192, folder=keys_of)
+    assert "device 192 has a file elsewhere" in capsys.readouterr().err
+    rotate(keys_of, running=False)
+    make_operator("Cem", folder=keys_of)
+    cem = read(keys_of / "operator-192.json")
+    assert cem.person == "Cem" and cem.keys.operator != anna.keys.operator
+    owner = owned(keys_of)
+    (keys_of / "operator-193.json").unlink()
+    owner.finish(owner.begin())
+    make_operator("Dora", folder=keys_of)
+    assert read(keys_of / "operator-193.json").person == "Dora"
+
+
 def test_a_file_of_a_robot_that_no_fleet_has_ends_no_rotation(tmp_path: Path) -> None:
     """It was a traceback."""
     write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
