@@ -89,7 +89,7 @@ def rotate(
         begun = owner.begun
         if begun is not None and begun.revoked != NOBODY:
             _wrong(f"{folder}: 'headland keys {named(begun)}' was begun: finish it first")
-        generation = 1 + (owner.generation if begun is None else begun.generation)
+        generation = 1 + owner.spent
         if generation > GENERATION_MAX:
             _wrong(f"{folder}: too many generations: make new keys")
         keys = fresh()._replace(generation=generation)  # above what robots remember

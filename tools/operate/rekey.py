@@ -124,7 +124,7 @@ async def _rekey(
     """`used`: robots may use these keys already."""
     with ExitStack() as at_end:
         # Keys that no robot uses would hold up another change, such as that of the right robot.
-        at_end.callback(lambda: None if used else keys.forget())
+        at_end.callback(lambda: None if used else keys.drop(rekeying))
         can_bus = at_end.enter_context(closing(attach(*bus)))
         operator = Operator(can_bus, None)
         operator.expect(robots_of_launch(bus[0], bus[3], bus[4], keys.folder))

@@ -30,7 +30,7 @@ from agent.runtime.files.key_file import (
 from protocol.authentication import KEY_SIZE
 from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY, SLOTS, Rekeying
 
-NEXT = "next.json"
+NEXT, GENERATION = "next.json", "generation"
 OF_PERSON = re.compile(r"operator-(\d{3})\.json")
 OF_ROBOT = re.compile(r"robot(0|[1-9][0-9]{0,2})\.json")
 
@@ -48,21 +48,37 @@ class KeyFolder(NamedTuple):
     def begun(self) -> Rekeying | None:
         """A change that was begun and not finished; None also where later keys have replaced it. Raises
         KeyFileError."""
+        found = self._noted
+        return None if isinstance(found, int) or found.generation < self.generation else found
+
+    @property
+    def spent(self) -> int:
+        """The newest generation that was used or begun. Raises KeyFileError."""
+        found = self._noted
+        return max(self.generation, found if isinstance(found, int) else found.generation)
+
+    @property
+    def _noted(self) -> Rekeying | int:
+        """The newest change, or the generation of one that was dropped; 0: there is none."""
         path = self.folder / NEXT
         if not path.exists():
-            return None
+            return 0
         found: Rekeying | None = None
         try:
             said = read_json(path, KEY_BYTES_MAX)
+            if said.keys() == {GENERATION} and 0 < int(said[GENERATION]) <= GENERATION_MAX:
+                return int(said[GENERATION])
             found = Rekeying(
-                int(said["generation"]), bytes.fromhex(said["secret"]), int(said["revoked"]),
+                int(said[GENERATION]), bytes.fromhex(said["secret"]), int(said["revoked"]),
                 int(said["void_for_s"]),
             )  # fmt: skip
-        except (GivenFileError, OSError, KeyError, TypeError, ValueError, OverflowError):
+        except (
+            GivenFileError, OSError, AttributeError, KeyError, TypeError, ValueError, OverflowError,
+        ):  # fmt: skip
             pass
         if found is None or not found.is_sayable:
             raise KeyFileError(f"{path}: damaged: delete it and begin again")
-        return None if found.generation < self.generation else found
+        return found
 
     def begin(self, revoked: int = NOBODY, void_for_s: int = ALWAYS_S) -> Rekeying:
         """The change to make: the one that was begun, if it is the same, or a new one.
@@ -81,13 +97,19 @@ class KeyFolder(NamedTuple):
                     "revoke again, by which other words become void"
                 )
             return begun
-        if self.generation >= GENERATION_MAX:
+        spent = self.spent
+        if spent >= GENERATION_MAX:
             raise KeyFileError(f"{self.folder}: too many generations: make new keys")
-        made = Rekeying(self.generation + 1, token_bytes(KEY_SIZE), revoked, void_for_s)
+        made = Rekeying(spent + 1, token_bytes(KEY_SIZE), revoked, void_for_s)
         plain = {**made._asdict(), "secret": made.secret.hex()}
         self.forget()
         create(self.folder / NEXT, json.dumps(plain))
         return made
+
+    def drop(self, begun: Rekeying) -> None:
+        """No robot was told to use these keys. Robots may hold them all the same, and a thief may tell
+        them to use them. So the next change has a higher number. Raises OSError."""
+        replace({self.folder / NEXT: json.dumps({GENERATION: begun.generation})})
 
     def forget(self) -> None:
         """What was begun is void: it is finished, or later keys have replaced it. Raises OSError."""

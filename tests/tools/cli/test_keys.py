@@ -615,7 +615,11 @@ def test_a_revocation_that_no_robot_takes_is_said_and_holds_up_no_other(
     if heard:
         assert "robot 1 is NOT REVOKED" in said and "robot 0: HAS NOT TAKEN" in said, said
     assert "stands" not in said and owned(tmp_path).begun is None
+    assert owned(tmp_path).begin(0).generation == 2, "a robot may hold the first"
+    (tmp_path / "next.json").unlink()
+    assert rekey_module.rekey(1, ALWAYS_S, tmp_path, where, 2.0, False) == NOT_ALL
     rotate(tmp_path, running=False)
+    assert owned(tmp_path).generation == 2 and not (tmp_path / "next.json").exists()
 
 
 def test_a_change_that_robots_may_use_already_is_kept(
