@@ -28,6 +28,7 @@ from protocol.frames.safety_frames import (
     Command,
     EmergencyReset,
     EmergencyStop,
+    Freshness,
     HeldReset,
     OperatorCommand,
     StopsHeld,
@@ -147,6 +148,8 @@ class Operator:
             self.shown.hear_far(far, message.told)
         if isinstance(message, Challenge):
             self._prove(source, message)
+        if isinstance(message, Freshness) and self.signs and self.keyring is not None:
+            self.keyring.prove(message, round(now_s * 1e6))
         slot = self.slot_of.get(source)
         if slot is None:
             if isinstance(message, Pose | Heartbeat):
@@ -194,6 +197,10 @@ class Operator:
         if robot.tried < ECHOES_TRIED:
             robot.tried += 1
             robot.signed = self.keyring.wrote(echo, robot.slot)
+        if not robot.signed:  # it may have signed more frames than are tried
+            question = self.keyring.ask(robot.slot, round(self.now_s * 1e6))
+            if question is not None:
+                self.device.send(question)
 
     def expect(self, slots: Iterable[int]) -> None:
         """Robots that are or were there, heard or not: they count until they have confirmed."""

@@ -104,6 +104,30 @@ def test_an_open_tool_with_the_same_key_answers_no_question_about_the_counter_of
     assert robot.accepted == 2
 
 
+def test_a_robot_that_has_signed_very_much_confirms_a_stop(tmp_path: Path) -> None:
+    """A robot whose stop was pressed on a dead bus for an hour could confirm no stop until it was started
+    again: 65,535 counters were tried."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
+    keys, bus = read(tmp_path / "fleet.json").keys, Recorded()
+    robot = Keyring(keys, 0, b"robot", sent=70_000)
+
+    async def story() -> None:
+        tool = Operator(bus, Keyring(keys, PANEL, b"panel"))  # type: ignore[arg-type]
+        await tool.device.held()
+        say(tool, 1.0, 0, Member(0, 1, 7), beat())
+        for at_s in (1.0, 1.5):
+            stop = tool.new_stop(Reason.OPERATOR_INTERVENTION)
+            tool.stop(stop)
+            say(tool, at_s, 0, robot.sign(stop._replace(echo=True)))
+            for question in [m for m in bus.sent if isinstance(m, Challenge)]:
+                answer = robot.answer(question, round(at_s * 1e6))
+                if answer is not None:
+                    say(tool, at_s, 0, answer)
+        assert tool.confirmed(tool.robots[0])
+
+    run_virtual(story())
+
+
 def test_a_press_answers_for_its_first_frame(tmp_path: Path) -> None:
     """Before it had heard a frame it did not know the time, and robots asked again 0.1 s later."""
     write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
