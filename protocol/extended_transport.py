@@ -278,6 +278,10 @@ class ExtendedTransport:
         if session.offset < 0:  # one that is said again gains no time
             session.due_at_us = now_us + T1_US
         session.offset = int.from_bytes(m.body[1:4], "little")
+        last = session.offset + m.body[0]
+        # It may send fewer than were granted, and then waits for the next CTS.
+        if session.expected <= last < session.granted_to:
+            session.granted_to = last
         return []
 
     def _data(

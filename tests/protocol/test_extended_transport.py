@@ -104,6 +104,32 @@ def test_any_bytes_raise_nothing_and_open_few_sessions() -> None:
     assert len(LongSendingState) == 3
 
 
+def test_a_sender_that_sends_fewer_packets_than_were_granted_is_not_kept_waiting() -> None:
+    """AgIsoStack sends 16 after each DPO. The next grant came after 750 ms, and 10 kB in a minute."""
+    one, data, now_us = ExtendedTransport(), Random(2).randbytes(10_000), 0
+    rts = ExtendedTransportManagement(20, len(data).to_bytes(4, "little"), PGN)
+    answers, whole = one.on_message(B, rts, now_us)
+    grants = 0
+    while whole is None:
+        while not answers:
+            now_us += MS
+            answers = one.on_tick(now_us)
+        cts = answers[0].message
+        assert isinstance(cts, ExtendedTransportManagement) and cts.control == 21
+        first = int.from_bytes(cts.body[1:4], "little")
+        burst = min(16, cts.body[0])
+        offset = bytes((burst,)) + (first - 1).to_bytes(3, "little")
+        answers, _ = one.on_message(B, ExtendedTransportManagement(22, offset, PGN), now_us)
+        grants += 1
+        for k in range(burst):
+            assert not answers, "a grant before the last packet of the last one"
+            body = data[7 * (first - 1 + k) : 7 * (first + k)].ljust(7, b"\xff")
+            now_us += MS
+            answers, whole = one.on_message(B, ExtendedTransportData(1 + k, body), now_us)
+    assert whole.data == data and now_us < 3 * S and one.counts["asked again"] == 0
+    assert grants == -(-1429 // 16)
+
+
 @pytest.mark.parametrize("packets", [False, True])
 def test_a_sender_that_repeats_itself_holds_no_session(packets: bool) -> None:
     """Each repetition renewed the time, so that four such senders closed it to all others."""
