@@ -102,6 +102,15 @@ def test_values_are_set_only_where_the_description_allows_it() -> None:
     assert told == [ValueTold(SOURCE, (12, 141), 1)]
 
 
+def test_an_implement_that_has_begun_anew_is_told_everything_again() -> None:
+    """It was off for less than 6 s: its sections stayed manual, and what they did was not told."""
+    server, _ = logged_in(CONDENSED_MAKER)
+    tell(server, b"\x00", S)
+    outputs = tell(server, b"\x81\xff", S)
+    assert said(outputs)[0][:2] == b"\x91\x00"
+    assert outputs[1:] == [ClientLost(SOURCE), ClientActivated(SOURCE)]
+
+
 def test_its_status_each_two_seconds_and_a_silent_client_is_forgotten() -> None:
     server, _ = logged_in(CONDENSED_MAKER)
     statuses = 0
