@@ -35,6 +35,7 @@ BY_TIME, BY_DISTANCE, ON_CHANGE, TOTAL = 1, 2, 8, 16
 IN_DEFAULT_SET, SETTABLE = 1, 2  # properties of a process data object
 NO_UNITS: Final = bytes((0x65, 0x6E, 0x00, 0x00, 0x00, 0x00, 0xFF))  # localization: "en", metric
 VERSION_4: Final = 4
+ROBOT_LABEL: Final = b"HL\x01"  # the structure label of every robot begins so
 
 
 class ProcessValue(NamedTuple):
@@ -88,7 +89,7 @@ class DeviceDescription(NamedTuple):
     def label(self) -> bytes:
         """The structure label: seven bytes that change with the description."""
         sum32 = crc32(self._objects(VERSION_4, bytes(7)))
-        return b"HL\x01" + sum32.to_bytes(4, "little")
+        return ROBOT_LABEL + sum32.to_bytes(4, "little")
 
     def pool(self, version: int) -> bytes:
         """The object pool for a task controller of this version, 3 or 4."""

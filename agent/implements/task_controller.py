@@ -17,7 +17,7 @@ from agent.implements.section_control import CONTROL_PERIOD_US, SectionedImpleme
 from agent.interface.config import MS, S
 from agent.interface.observation import Observation
 from protocol.address import AddressClaim, AddressMessage
-from protocol.device_description import OFFSET_X, OFFSET_Y, WIDTH
+from protocol.device_description import OFFSET_X, OFFSET_Y, ROBOT_LABEL, WIDTH
 from protocol.extended_transport import ExtendedTransport
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
@@ -175,7 +175,7 @@ class TaskController:
             match output:
                 case ServerMessage(destination, data) if address is not None:
                     frames.append(encode(ProcessData(data), address, destination))
-                case ClientActivated(source):
+                case ClientActivated(source) if not self._is_robot(source):
                     self._asks += self._geometry(source, now_us)
                 case ClientLost(source):
                     self.implements.pop(source, None)
@@ -188,6 +188,11 @@ class TaskController:
                 case ValueTold(source, key, number) if source in self.implements:
                     self.implements[source].heard(key, number)
         return frames
+
+    def _is_robot(self, source: int) -> bool:
+        """Whether this client is a robot of ours. It is on no hitch, so our place says nothing of its."""
+        pool = self.server.clients[source].pool
+        return pool is not None and pool.label.startswith(ROBOT_LABEL)
 
     def _geometry(self, source: int, now_us: int) -> list[ServerOutput]:
         """Ask for places and widths that the description leaves open."""

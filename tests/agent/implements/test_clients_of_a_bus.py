@@ -1,0 +1,95 @@
+"""`headland tc` among the other devices of its bus, in virtual time. Found by a review."""
+
+from random import Random
+from types import SimpleNamespace
+from typing import Any, Final, cast
+
+from agent.implements.task_controller import TaskController, controller_name
+from protocol.device_description import DeviceDescription
+from protocol.frames.codec import decode, encode
+from protocol.frames.frame import Frame
+from protocol.frames.identifier import Identifier
+from protocol.frames.network_frames import (
+    AddressClaimed,
+    Request,
+    TransportData,
+    TransportManagement,
+)
+from protocol.frames.task_frames import PROCESS_DATA, ProcessData, WorkingSetMaster
+from protocol.name import fleet_name
+from protocol.task_client import JoinWorkingSet, SessionOutput, SessionState, TaskClient
+from protocol.transport import Transport
+from protocol.units import S
+from sim.rigs.implements_rig import CONDENSED_MAKER, SPRAYER, ControllerNode, RigBus, Sprayer
+
+ROBOT: Final = 131
+
+
+def controller(now_us: int) -> TaskController:
+    """One that gets no places."""
+    ground, fixes = cast(Any, SimpleNamespace()), SimpleNamespace(take=lambda *given: None)
+    return TaskController(
+        controller_name(5), ground, cast(Any, fixes), 0.0, Random(1), now_us
+    )
+
+
+class RobotNode:
+    """A robot as it logs in at a task controller."""
+
+    def __init__(self) -> None:
+        self.name = fleet_name("north", 3)
+        self.client = TaskClient(DeviceDescription(self.name, "robot 3", "1", 3000))
+        self.transport = Transport()
+        self.claimed = False
+
+    def hears(self, frame: Frame, now_us: int) -> list[Frame]:
+        """Take a frame; returns the answers."""
+        source, message = decode(frame)
+        if Identifier.unpack(frame.identifier).destination not in (ROBOT, 255):
+            return []
+        if isinstance(message, ProcessData):
+            return self._sent(self.client.on_message(source, message.body, {}, now_us), now_us)
+        if isinstance(message, TransportManagement | TransportData):
+            out, _ = self.transport.on_message(source, ROBOT, message, now_us)
+            return [encode(each.message, ROBOT, each.destination) for each in out]
+        return [self._claim()] if isinstance(message, Request) else []
+
+    def turns(self, now_us: int) -> list[Frame]:
+        """Send what is due."""
+        frames = [] if self.claimed else [self._claim()]
+        self.claimed = True
+        out = self.transport.on_tick(now_us)
+        frames += [encode(each.message, ROBOT, each.destination) for each in out]
+        return frames + self._sent(self.client.on_timer({}, now_us), now_us)
+
+    def _claim(self) -> Frame:
+        return encode(AddressClaimed(self.name.pack()), ROBOT)
+
+    def _sent(self, said: list[SessionOutput], now_us: int) -> list[Frame]:
+        frames = []
+        for each in said:
+            server = self.client.server or 0
+            if isinstance(each, JoinWorkingSet):
+                frames.append(encode(WorkingSetMaster(1), ROBOT))
+            elif len(each.data) == PROCESS_DATA.length:
+                frames.append(encode(ProcessData(each.data), ROBOT, server))
+            else:
+                out = self.transport.send(PROCESS_DATA.pgn, each.data, server, now_us) or ()
+                frames += [encode(one.message, ROBOT, one.destination) for one in out]
+        return frames
+
+
+def no_cells(row: int, columns: tuple[int, ...]) -> None:
+    """Nothing is worked here."""
+
+
+def test_a_robot_that_logs_in_is_not_switched() -> None:
+    """Its implement was up for good, as the task controller took it for one on the hitch."""
+    bus, robot, sprayer = RigBus(1), RobotNode(), Sprayer(CONDENSED_MAKER, 7)
+    node = ControllerNode(controller(0), no_cells)
+    for each in (node, robot, sprayer):
+        bus.attach(each)
+    bus.run(0, 10 * S)
+    assert robot.client.state is SessionState.CONNECTED
+    assert not robot.client.section_off and not robot.client.setpoints
+    assert list(node.controller.implements) == [SPRAYER] and sprayer.automatic
