@@ -140,12 +140,13 @@ class ImplementSession:
 class TaskServer:
     """All sessions of one task controller."""
 
-    def __init__(self, now_us: int, version: int = VERSION_4) -> None:
+    def __init__(self, status_at_us: int, version: int = VERSION_4) -> None:
+        """`status_at_us`: when it first says that it is there."""
         self.version = version
         self.clients: dict[int, ImplementSession] = {}  # by source address
         self.stored: dict[int, DevicePool] = {}  # by NAME; kept when a client goes, the newest last
         self.counts: Counter[str] = Counter()  # sessions, and what was refused, by kind
-        self._status_at_us = now_us
+        self._status_at_us = status_at_us
 
     @property
     def due_at_us(self) -> int:

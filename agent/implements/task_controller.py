@@ -34,6 +34,7 @@ from protocol.frames.network_frames import (
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData
 from protocol.name import Name
 from protocol.task_server import (
+    CLIENT_SILENT_US,
     ClientActivated,
     ClientLost,
     ServerMessage,
@@ -71,12 +72,14 @@ class TaskController:
 
     def __init__(
         self, name: Name, ground: AsAppliedMap, fixes: Fixes, hitch_ahead_m: float, rng: Random,
-        now_us: int,
+        now_us: int, quiet_for_us: int = CLIENT_SILENT_US,
     ) -> None:  # fmt: skip
-        """`hitch_ahead_m`: from the place that `fixes` gives to the hitch; negative behind it."""
+        """`hitch_ahead_m`: from the place that `fixes` gives to the hitch; negative behind it.
+        `quiet_for_us`: until its first status. In that time implements notice that the task controller
+        before it has gone, and then log in at this one."""
         self.claim = AddressClaim(name, ADDRESS, rng, now_us, assigned=True)
         self.ground, self.fixes, self.hitch_ahead_m = ground, fixes, hitch_ahead_m
-        self.server = TaskServer(now_us)
+        self.server = TaskServer(now_us + quiet_for_us)
         self.implements: dict[int, SectionedImplement] = {}  # by address
         self.here: Observation | None = None
         self._transport, self._long = Transport(), ExtendedTransport()

@@ -622,7 +622,7 @@ def two_sprayers(
         sent_to = box(x0, 0.0, x1, width_m)  # on a headland turn beyond it, all sections are off
         ground = AsAppliedMap(field, peer.progress, sent_to)
         controller = TaskController(
-            controller_name(5 + slot), ground, RigFixes(), HITCH_AHEAD_M, Random(seed), 0
+            controller_name(5 + slot), ground, RigFixes(), HITCH_AHEAD_M, Random(seed), 0, 0
         )
         bus, receiver = RigBus(seed + slot), ReceiverNode()
         for each in (ControllerNode(controller, node.cover), sprayer, receiver):

@@ -25,11 +25,11 @@ from sim.rigs.implements_rig import CONDENSED_MAKER, SPRAYER, ControllerNode, Ri
 ROBOT: Final = 131
 
 
-def controller(now_us: int) -> TaskController:
+def controller(now_us: int, *quiet_for_us: int) -> TaskController:
     """One that gets no places."""
     ground, fixes = cast(Any, SimpleNamespace()), SimpleNamespace(take=lambda *given: None)
     return TaskController(
-        controller_name(5), ground, cast(Any, fixes), 0.0, Random(1), now_us
+        controller_name(5), ground, cast(Any, fixes), 0.0, Random(1), now_us, *quiet_for_us
     )
 
 
@@ -83,10 +83,23 @@ def no_cells(row: int, columns: tuple[int, ...]) -> None:
     """Nothing is worked here."""
 
 
+def test_an_implement_logs_in_at_a_task_controller_that_was_started_again() -> None:
+    """It had missed no status, so it took the new one for the one before, and was served by none."""
+    bus, sprayer = RigBus(1), Sprayer(CONDENSED_MAKER, 7)
+    node = ControllerNode(controller(0, 0), no_cells)
+    bus.attach(node)
+    bus.attach(sprayer)
+    bus.run(0, 5 * S)
+    assert sprayer.phase == "in" and list(node.controller.implements) == [SPRAYER]
+    node.controller = controller(6 * S)
+    bus.run(6 * S, 20 * S)
+    assert list(node.controller.implements) == [SPRAYER] and sprayer.log_ins == 2
+
+
 def test_a_robot_that_logs_in_is_not_switched() -> None:
     """Its implement was up for good, as the task controller took it for one on the hitch."""
     bus, robot, sprayer = RigBus(1), RobotNode(), Sprayer(CONDENSED_MAKER, 7)
-    node = ControllerNode(controller(0), no_cells)
+    node = ControllerNode(controller(0, 0), no_cells)
     for each in (node, robot, sprayer):
         bus.attach(each)
     bus.run(0, 10 * S)
