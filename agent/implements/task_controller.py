@@ -143,7 +143,8 @@ class TaskController:
         address = self.claim.address
         if address is None or source >= NULL_ADDRESS:
             return []
-        if isinstance(message, TransportManagement | TransportData):
+        # Long messages to all would take the sessions of implements.
+        if isinstance(message, TransportManagement | TransportData) and not everybody:
             packets, whole = self._transport.on_message(
                 source, identifier.destination, message, now_us
             )

@@ -7,6 +7,7 @@ from typing import Any, Final, cast
 from agent.implements.task_controller import TaskController, controller_name
 from protocol.device_description import DeviceDescription
 from protocol.frames.codec import decode, encode
+from protocol.frames.diagnostic_frames import DM1
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import Identifier
 from protocol.frames.network_frames import (
@@ -18,8 +19,8 @@ from protocol.frames.network_frames import (
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData, WorkingSetMaster
 from protocol.name import fleet_name
 from protocol.task_client import JoinWorkingSet, SessionOutput, SessionState, TaskClient
-from protocol.transport import Transport
-from protocol.units import S
+from protocol.transport import Transport, TransportControl
+from protocol.units import MS, S
 from sim.rigs.implements_rig import CONDENSED_MAKER, SPRAYER, ControllerNode, RigBus, Sprayer
 
 ROBOT: Final = 131
@@ -106,3 +107,18 @@ def test_a_robot_that_logs_in_is_not_switched() -> None:
     assert robot.client.state is SessionState.CONNECTED
     assert not robot.client.section_off and not robot.client.setpoints
     assert list(node.controller.implements) == [SPRAYER] and sprayer.automatic
+
+
+def test_broadcasts_of_other_devices_keep_no_implement_out() -> None:
+    """Their faults go by BAM. Eight at a time took all sessions, and a description was refused."""
+    bus, sprayer = RigBus(1), Sprayer(CONDENSED_MAKER._replace(sections=8), 7)
+    node = ControllerNode(controller(0, 0), no_cells)
+    bus.attach(node)
+    bus.attach(sprayer)
+    node.turns(0)
+    for step in range(1000):
+        for source in range(1, 13):
+            faults = TransportManagement(TransportControl.BAM, bytes((14, 0, 2, 0xFF)), DM1.pgn)
+            node.hears(encode(faults, source), 10 * MS * step)
+        bus.run(10 * MS * step, 10 * MS * (step + 1))
+    assert list(node.controller.implements) == [SPRAYER] and sprayer.log_ins == 1
