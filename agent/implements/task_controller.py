@@ -24,6 +24,8 @@ from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import (
+    Acknowledgment,
+    AcknowledgmentControl,
     AddressClaimed,
     ExtendedTransportData,
     ExtendedTransportManagement,
@@ -143,6 +145,11 @@ class TaskController:
         address = self.claim.address
         if address is None or source >= NULL_ADDRESS:
             return []
+        if isinstance(message, Request) and not everybody:
+            refusal = Acknowledgment(
+                AcknowledgmentControl.NACK, 0xFF, source, message.pgn & 0x3FFFF
+            )
+            return [encode(refusal, address)]
         # Long messages to all would take the sessions of implements.
         if isinstance(message, TransportManagement | TransportData) and not everybody:
             packets, whole = self._transport.on_message(

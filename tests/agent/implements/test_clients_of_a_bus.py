@@ -4,13 +4,16 @@ from random import Random
 from types import SimpleNamespace
 from typing import Any, Final, cast
 
-from agent.implements.task_controller import TaskController, controller_name
+from agent.implements.task_controller import ADDRESS, TaskController, controller_name
+from agent.peer.diagnostics import COMPONENT_PGN
 from protocol.device_description import DeviceDescription
 from protocol.frames.codec import decode, encode
 from protocol.frames.diagnostic_frames import DM1
 from protocol.frames.frame import Frame
-from protocol.frames.identifier import Identifier
+from protocol.frames.identifier import GLOBAL_ADDRESS, Identifier
 from protocol.frames.network_frames import (
+    Acknowledgment,
+    AcknowledgmentControl,
     AddressClaimed,
     Request,
     TransportData,
@@ -122,3 +125,16 @@ def test_broadcasts_of_other_devices_keep_no_implement_out() -> None:
             node.hears(encode(faults, source), 10 * MS * step)
         bus.run(10 * MS * step, 10 * MS * (step + 1))
     assert list(node.controller.implements) == [SPRAYER] and sprayer.log_ins == 1
+
+
+def test_a_group_that_it_does_not_have_is_refused() -> None:
+    """A device that asks it alone waited for an answer; ISO 11783-3 wants a refusal."""
+    node = ControllerNode(controller(0, 0), no_cells)
+    for step in range(1000):
+        node.turns(step * MS)
+    address = node.controller.claim.address
+    assert address == ADDRESS
+    for asked, refuses in ((address, True), (GLOBAL_ADDRESS, False), (address + 1, False)):
+        answers = node.hears(encode(Request(COMPONENT_PGN), ROBOT, asked), 2 * S)
+        refusal = Acknowledgment(AcknowledgmentControl.NACK, 0xFF, ROBOT, COMPONENT_PGN)
+        assert answers == ([encode(refusal, address)] if refuses else [])
