@@ -62,9 +62,10 @@ class GuidanceCommands:
             self.source, self._ready_at_us = frame.source, now_us
             self._ready = lockout == NOT_ACTIVE and ready == YES and switch == YES
         elif frame.pgn in (WHEEL_SPEED, GROUND_SPEED):
-            (speed,) = unpack_from("<H", data)
-            if speed <= SPEED_BITS_MAX:
-                sign = -1.0 if data[7] & 3 == REVERSE else 1.0
+            (speed,), direction = unpack_from("<H", data), data[7] & 3
+            # A radar knows no direction: its speed is no velocity of a tractor that reverses.
+            if speed <= SPEED_BITS_MAX and (direction in (REVERSE, FORWARD) or not speed):
+                sign = -1.0 if direction == REVERSE else 1.0
                 self._machine_speed = sign * speed / 1000, now_us
 
     def machine_speed_m_s(self, now_us: int) -> float | None:

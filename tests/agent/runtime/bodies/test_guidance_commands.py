@@ -108,6 +108,19 @@ def test_a_halt_is_said_at_once_and_speeds_are_taken() -> None:
     assert guidance.machine_speed_m_s(501 * MS) is None
 
 
+def test_a_speed_without_a_direction_is_no_velocity() -> None:
+    """A tractor that reversed seemed to drive forward with each message of its radar."""
+    guidance = commands()
+    for unknown in ("E803 00000000 FF FE", "E803 00000000 FF FF"):
+        guidance.take(0x0CFE4900 | TRACTOR, bytes.fromhex(unknown), 0)
+        assert guidance.machine_speed_m_s(0) is None
+    guidance.take(0x0CFE4800 | TRACTOR, bytes.fromhex("DC05 00000000 FF FC"), 0)
+    guidance.take(0x0CFE4900 | TRACTOR, bytes.fromhex("DC05 00000000 FF FF"), 0)
+    assert guidance.machine_speed_m_s(0) == -1.5
+    guidance.take(0x0CFE4900 | TRACTOR, bytes.fromhex("0000 00000000 FF FF"), 0)
+    assert guidance.machine_speed_m_s(0) == 0.0
+
+
 class Tractor:
     """A tractor on the bus: it obeys curvature and speed, and tells places, heading and readiness."""
 
