@@ -84,6 +84,7 @@ class TaskController:
         self.server = TaskServer(now_us + quiet_for_us)
         self.implements: dict[int, SectionedImplement] = {}  # by address
         self.here: Observation | None = None
+        self._ask_all = True  # for the claims of devices that were there before, as the receiver
         self._transport, self._long = Transport(), ExtendedTransport()
         self._settles_at_us: dict[int, int] = {}  # address -> when its places are known
         self._control_at_us = now_us
@@ -108,6 +109,9 @@ class TaskController:
     def on_timer(self, now_us: int) -> list[Frame]:
         """Everything that is due: claims, statuses, packets and setpoints."""
         frames = _claims(self.claim.on_tick(now_us))
+        if self._ask_all or self.claim.asks:
+            self._ask_all = self.claim.asks = False
+            frames.append(encode(Request(CLAIM_PGN), NULL_ADDRESS))
         address = self.claim.address
         if address is None:
             self._control_at_us = now_us + CONTROL_PERIOD_US

@@ -20,7 +20,7 @@ from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain
 from agent.motion.wheel_kinematics import WheelBase, WheelDrive
-from agent.runtime.bodies.bus_fixes import BusFixes
+from agent.runtime.bodies.bus_fixes import WHO_IS_THERE, BusFixes
 from agent.runtime.bodies.guidance_commands import GuidanceCommands
 from agent.runtime.bodies.nmea_body import FIRST_S, LATENCY_MS, LOOK_S, in_field
 from agent.runtime.bodies.position_fixes import ReceiverClock
@@ -116,6 +116,7 @@ class IsobusBody(RobotBody):
             name = Name(self.slot + 1, function=NO_FUNCTION, device_class=0)
             self.claim = AddressClaim(name, PREFERRED, Random(self.slot), _now_us())
         self._bus.subscribe(self._heard)
+        self._bus.send(WHO_IS_THERE)
         loop = asyncio.get_running_loop()
         ends_at_s = loop.time() + FIRST_S
         while self._newest is None:

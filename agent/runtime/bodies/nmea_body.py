@@ -22,7 +22,7 @@ from agent.interface.config import ACTUATOR_TTL_US, MS
 from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.motion.wheel_kinematics import WheelBase, WheelDrive
-from agent.runtime.bodies.bus_fixes import BusFixes
+from agent.runtime.bodies.bus_fixes import WHO_IS_THERE, BusFixes
 from agent.runtime.bodies.line_port import FORMS, LinePort
 from agent.runtime.bodies.position_fixes import ReceiverClock
 from agent.runtime.bodies.wheel_sentences import NUMBERS, WheelSentence, pack
@@ -74,6 +74,7 @@ class BusReceiver:
             reason = str(problem).splitlines()[0] if str(problem) else type(problem).__name__
             raise OSError(f"{self.address}: {reason}") from None
         self._bus.subscribe(self.heard)
+        self._bus.send(WHO_IS_THERE)
 
     def check(self) -> None:
         """Raises OSError if the interface is gone and does not come back by itself."""

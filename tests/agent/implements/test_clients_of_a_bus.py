@@ -4,13 +4,18 @@ from random import Random
 from types import SimpleNamespace
 from typing import Any, Final, cast
 
-from agent.implements.task_controller import ADDRESS, TaskController, controller_name
+from agent.implements.task_controller import (
+    ADDRESS,
+    CLAIM_PGN,
+    TaskController,
+    controller_name,
+)
 from agent.peer.diagnostics import COMPONENT_PGN
 from protocol.device_description import DeviceDescription
 from protocol.frames.codec import decode, encode
 from protocol.frames.diagnostic_frames import DM1
 from protocol.frames.frame import Frame
-from protocol.frames.identifier import GLOBAL_ADDRESS, Identifier
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.network_frames import (
     Acknowledgment,
     AcknowledgmentControl,
@@ -138,3 +143,13 @@ def test_a_group_that_it_does_not_have_is_refused() -> None:
         answers = node.hears(encode(Request(COMPONENT_PGN), ROBOT, asked), 2 * S)
         refusal = Acknowledgment(AcknowledgmentControl.NACK, 0xFF, ROBOT, COMPONENT_PGN)
         assert answers == ([encode(refusal, address)] if refuses else [])
+
+
+def test_it_asks_once_who_is_there() -> None:
+    """The receiver had claimed its address before, so another device that took it passed for it."""
+    node, asked = (
+        ControllerNode(controller(0, 0), no_cells),
+        encode(Request(CLAIM_PGN), NULL_ADDRESS),
+    )
+    sent = [frame for step in range(1000) for frame in node.turns(step * MS)]
+    assert sent.count(asked) == 1
