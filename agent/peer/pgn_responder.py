@@ -153,6 +153,13 @@ class PgnResponder(Part):
         self, pgn: int, content: Message | bytes, destination: int, now_us: int
     ) -> Sequence[Effect]:
         """Send the content of a group. A longer message waits for one to that address before it."""
+        single = not isinstance(content, bytes)
+        if pgn in self._contents and self._waiting:  # what still waits is older than this
+            self._waiting = deque(
+                (group, data, to)
+                for group, data, to in self._waiting
+                if group != pgn or not (single or to == destination)
+            )
         if not isinstance(content, bytes):
             return [Send(content)]
         first = self.transport.send(pgn, content, destination, now_us)

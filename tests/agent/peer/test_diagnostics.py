@@ -304,6 +304,22 @@ def test_a13_an_answer_to_all_waits_for_the_message_before_it() -> None:
     assert [m.pgn for _, m in managed][:2] == [64965, 64653]
 
 
+def test_faults_that_have_waited_are_not_told_after_newer_ones() -> None:
+    """A tool that asked all for four texts read faults last that had ended a second before."""
+    peer, now_us = joined(cyclic=True)
+    for pgn in TEXTS:
+        asked(peer, pgn, now_us, GLOBAL_ADDRESS)
+    for cause in (StopCause.SENSES_OLD, StopCause.CONFIG_MISMATCH):
+        peer.safety.raise_cause(cause, now_us, "")
+    told(peer, now_us + 300 * MS, TransportManagement)
+    for cause in (StopCause.SENSES_OLD, StopCause.CONFIG_MISMATCH):
+        peer.safety.clear_cause(cause, now_us + 300 * MS)
+    said = told(peer, now_us + 5 * S, (ActiveFaults, TransportManagement))
+    assert any(isinstance(m, ActiveFaults) for _, m in said)
+    assert 65226 not in [m.pgn for _, m in said if isinstance(m, TransportManagement)]
+    assert len(said) > len(TEXTS) - 1, "all other answers came"
+
+
 def received(
     peer: Peer, message: Message, now_us: int, destination: int | None = None
 ) -> list[Any]:
