@@ -178,6 +178,13 @@ class TaskClient:
         """Forget the session: we have no address any more."""
         self._lose()
 
+    def refused(self, source: int) -> None:
+        """The device at the address `source` refuses our process data. A task controller does so that was
+        started again and does not know us: the log-in begins anew with its next status.
+        """
+        if source == self.server:
+            self._lose()
+
     def on_message(
         self, source: int, data: bytes, values: Values, now_us: int
     ) -> list[SessionOutput]:

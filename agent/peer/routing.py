@@ -143,6 +143,7 @@ ROUTES: Routes = {
     Request2: MessageRoute(PgnResponder, DEVICE),
     RepetitionRateRequest: MessageRoute(DiagnosticBroadcasts, DEVICE),
     ProcessData: MessageRoute(TaskReporting, DEVICE),
+    Acknowledgment: MessageRoute(TaskReporting, DEVICE),
     BroadcastControl: MessageRoute(DiagnosticBroadcasts, DEVICE),
     ClearFault: MessageRoute(DiagnosticBroadcasts, DEVICE),
     TransportManagement: MessageRoute(PgnResponder, DEVICE),
@@ -154,7 +155,6 @@ ROUTES: Routes = {
 # Messages that no robot handles, and which devices they are for.
 NOT_FOR_ROBOTS: Mapping[type[Any], str] = {
     OperatorReport: "operators' devices",
-    Acknowledgment: "the device whose request was refused",
     ActiveFaults: "diagnostic tools",
     PreviousFaults: "diagnostic tools",
     DiagnosticProtocols: "diagnostic tools",

@@ -32,6 +32,7 @@ from protocol.device_description import (
     WORK_STATE,
     DeviceDescription,
 )
+from protocol.frames.network_frames import Acknowledgment, AcknowledgmentControl
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData, WorkingSetMaster
 from protocol.task_client import (
     JoinWorkingSet,
@@ -72,7 +73,7 @@ class TaskReporting(Part):
 
     @property
     def handles(self) -> Mapping[type[Any], Handler]:
-        return {ProcessData: self._process_data}
+        return {ProcessData: self._process_data, Acknowledgment: self._acknowledged}
 
     @property
     def listens(self) -> Mapping[type[Any], Listener]:
@@ -129,6 +130,13 @@ class TaskReporting(Part):
         self._count(ctx)
         said = self.client.on_message(header.source, m.body, self.values(ctx), ctx.now_us)
         return [*self._sends(said, ctx.now_us), *self._obey(ctx.now_us)]
+
+    def _acknowledged(self, ctx: StepContext, header: Header, m: Acknowledgment) -> Outputs:
+        ours = ctx.joined and m.address == self.letters.joining.address
+        if not ours or m.pgn != PROCESS_DATA.pgn or m.control != AcknowledgmentControl.NACK:
+            return NOTHING
+        self.client.refused(header.source)
+        return self._obey(ctx.now_us)
 
     def raises_implement(self) -> bool:
         """Whether the implement is to be up, because a task controller has switched our section off."""

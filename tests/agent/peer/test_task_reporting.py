@@ -24,8 +24,13 @@ from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Standstill
 from protocol.frames.identifier import GLOBAL_ADDRESS
 from protocol.frames.messages import Message
-from protocol.frames.network_frames import TransportData, TransportManagement
-from protocol.frames.task_frames import ProcessData, WorkingSetMaster
+from protocol.frames.network_frames import (
+    Acknowledgment,
+    AcknowledgmentControl,
+    TransportData,
+    TransportManagement,
+)
+from protocol.frames.task_frames import PROCESS_DATA, ProcessData, WorkingSetMaster
 from protocol.name import fleet_name
 from protocol.task_client import SessionState, TaskClient
 from protocol.transport import Transport
@@ -145,6 +150,24 @@ def test_it_logs_in_again_after_the_controller_was_away() -> None:
         bus._take(bus.peer.step(Timer(), bus.now_us))
     assert bus.client.server is None
     bus.until(silent + 4 * S)
+    assert bus.logged_in and bus.client.sessions == 2
+
+
+def test_it_logs_in_again_at_a_controller_that_knows_it_no_more() -> None:
+    """AgIsoStack refuses what a client says that has not logged in since it was started."""
+    bus = Bus(4)
+    bus.until(5 * S)
+    robot, group = bus.peer.address or 0, PROCESS_DATA.pgn
+    nack, ack = AcknowledgmentControl.NACK, AcknowledgmentControl.ACK
+    for other in (
+        Acknowledgment(nack, 0xFF, robot + 1, group), Acknowledgment(ack, 0xFF, robot, group),
+        Acknowledgment(nack, 0xFF, robot, group + 0x100),
+    ):  # fmt: skip
+        bus.tell(other)
+        assert bus.logged_in
+    bus.tell(Acknowledgment(nack, 0xFF, robot, group))
+    assert bus.client.server is None
+    bus.until(bus.now_us + 4 * S)
     assert bus.logged_in and bus.client.sessions == 2
 
 
