@@ -146,6 +146,7 @@ class TaskServer:
         self.clients: dict[int, ImplementSession] = {}  # by source address
         self.stored: dict[int, DevicePool] = {}  # by NAME; kept when a client goes, the newest last
         self.counts: Counter[str] = Counter()  # sessions, and what was refused, by kind
+        self._left: dict[int, ImplementSession] = {}  # NAME -> an active session that has ended
         self._status_at_us = status_at_us
 
     @property
@@ -172,6 +173,11 @@ class TaskServer:
         client = self.clients.pop(source, None)
         if client is None:
             return []
+        self._left.pop(client.name, None)
+        if client.active:
+            self._left[client.name] = client
+            if len(self._left) > CLIENTS_MAX:
+                del self._left[next(iter(self._left))]
         client.machine.fire(ClientEvent.SILENT)
         self.counts["lost"] += 1
         return [ClientLost(source)]
@@ -187,16 +193,33 @@ class TaskServer:
         command = data[0] & 0xF
         if name is None or command == STATUS:  # the status of another task controller
             return []
-        client = self.clients.get(source)
+        client, moved = self.clients.get(source), list[ServerOutput]()
         if client is None or client.name != name:
+            for other in [*self.clients.values()]:
+                if other.name == name:
+                    moved += self.forget(other.source)
             if client is None and len(self.clients) >= CLIENTS_MAX:
                 self.counts["too many clients"] += 1
-                return []
+                return moved
             self.clients[source] = client = ImplementSession(source, name, now_us)
             client.pool = self.stored.get(name)
             if client.pool is not None:
                 client.machine.fire(ClientEvent.TAKEN)
+                moved += self._goes_on(client, now_us)
         client.heard_at_us = now_us
+        return [*moved, *self._heard(client, command, data)]
+
+    def _goes_on(self, client: ImplementSession, now_us: int) -> list[ServerOutput]:
+        """A device that has claimed another address goes on with its session, and does not log in."""
+        left = self._left.pop(client.name, None)
+        if left is None or now_us >= left.heard_at_us + CLIENT_SILENT_US:
+            return []
+        client.version = left.version
+        client.machine.fire(ClientEvent.ACTIVATED)
+        return [ClientActivated(client.source)]
+
+    def _heard(self, client: ImplementSession, command: int, data: bytes) -> list[ServerOutput]:
+        source = client.source
         if command in (0, DESCRIPTION):
             return self._describe(client, data)
         if command == VALUE:

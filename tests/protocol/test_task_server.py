@@ -111,6 +111,24 @@ def test_an_implement_that_has_begun_anew_is_told_everything_again() -> None:
     assert outputs[1:] == [ClientLost(SOURCE), ClientActivated(SOURCE)]
 
 
+@pytest.mark.parametrize("taken", [True, False])
+def test_an_implement_that_has_moved_to_another_address_goes_on(taken: bool) -> None:
+    """It was served by none, as it did not log in again. `taken`: another device has its address."""
+    server, _ = logged_in(CONDENSED_MAKER)
+    if taken:
+        assert server.forget(SOURCE) == [ClientLost(SOURCE)]
+    outputs = server.on_message(SOURCE + 1, NAME, TASK, S)
+    assert outputs == [ClientLost(SOURCE)] * (not taken) + [ClientActivated(SOURCE + 1)]
+    assert list(server.clients) == [SOURCE + 1] and server.clients[SOURCE + 1].active
+    assert server.on_message(SOURCE + 1, NAME, TASK, 2 * S) == []
+
+
+def test_an_implement_that_comes_back_later_logs_in() -> None:
+    server, _ = logged_in(CONDENSED_MAKER)
+    assert ClientLost(SOURCE) in server.on_timer(6 * S)
+    assert tell(server, TASK, 7 * S) == [] and not server.clients[SOURCE].active
+
+
 def test_its_status_each_two_seconds_and_a_silent_client_is_forgotten() -> None:
     server, _ = logged_in(CONDENSED_MAKER)
     statuses = 0

@@ -122,3 +122,23 @@ def test_an_implement_that_activates_itself_again_and_again_fills_nothing() -> N
         field.wait(10 * MS)
         waiting.append(len(field.controller._asks))
     assert max(waiting) < 1000 and waiting[-1] <= waiting[0]
+
+
+def test_an_implement_whose_address_is_taken_goes_on_at_another_one() -> None:
+    field = Field()
+    field.upload(pool())
+    field.say(ACTIVATE)
+    field.wait(2000 * MS)
+    controller = field.controller
+    address = controller.claim.address
+    assert address is not None
+    told = ProcessData(b"\xff" * 4 + b"\x01\x00\x00\x00")
+    for message, source in (
+        (AddressClaimed(Name(8, function=1).pack()), IMPLEMENT),
+        (AddressClaimed(Name(9, function=1).pack()), IMPLEMENT + 1),
+        (told, IMPLEMENT + 1),
+    ):
+        to = address if message is told else 255
+        controller.on_frame(encode(message, source, to), field.now_us)
+    field.wait(2000 * MS)
+    assert list(controller.implements) == [IMPLEMENT + 1]
