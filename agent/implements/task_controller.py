@@ -154,8 +154,9 @@ class TaskController:
                 AcknowledgmentControl.NACK, 0xFF, source, message.pgn & 0x3FFFF
             )
             return [encode(refusal, address)]
-        # Long messages to all would take the sessions of implements.
-        if isinstance(message, TransportManagement | TransportData) and not everybody:
+        if everybody and not isinstance(message, ProcessData):
+            return []  # long messages to all would take the sessions of implements
+        if isinstance(message, TransportManagement | TransportData):
             packets, whole = self._transport.on_message(
                 source, identifier.destination, message, now_us
             )

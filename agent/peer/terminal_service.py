@@ -36,7 +36,7 @@ from protocol.extended_transport import (
 )
 from protocol.fleet_tags import QUESTION_BITS
 from protocol.frames.fleet_frames import NOWHERE_M
-from protocol.frames.identifier import NULL_ADDRESS
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.network_frames import ExtendedTransportData, ExtendedTransportManagement
 from protocol.frames.operator_frames import OperatorReport, ReportKind
 from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand, Reason
@@ -172,7 +172,8 @@ class TerminalService(Part):
         m: ExtendedTransportManagement | ExtendedTransportData,
     ) -> Outputs:  # fmt: skip
         """Grants for our pool. Long messages to a robot are refused: no one has a use for them."""
-        if not ctx.joined or header.source >= NULL_ADDRESS:
+        alone = header.destination != GLOBAL_ADDRESS  # no long message is for all
+        if not ctx.joined or not alone or header.source >= NULL_ADDRESS:
             return NOTHING
         if isinstance(m, ExtendedTransportManagement) and m.control == ExtendedControl.RTS:
             return [Send(*answer) for answer in refused(m, header.source)]

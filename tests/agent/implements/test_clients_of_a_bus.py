@@ -12,6 +12,7 @@ from agent.implements.task_controller import (
 )
 from agent.peer.diagnostics import COMPONENT_PGN
 from protocol.device_description import DeviceDescription
+from protocol.extended_transport import ExtendedControl
 from protocol.frames.codec import decode, encode
 from protocol.frames.diagnostic_frames import DM1
 from protocol.frames.frame import Frame
@@ -20,6 +21,7 @@ from protocol.frames.network_frames import (
     Acknowledgment,
     AcknowledgmentControl,
     AddressClaimed,
+    ExtendedTransportManagement,
     Request,
     TransportData,
     TransportManagement,
@@ -153,3 +155,15 @@ def test_it_asks_once_who_is_there() -> None:
     )
     sent = [frame for step in range(1000) for frame in node.turns(step * MS)]
     assert sent.count(asked) == 1
+
+
+def test_a_long_message_to_all_opens_no_session() -> None:
+    """ISO 11783-3 has none. Four such frames took all sessions, and each was answered."""
+    node = ControllerNode(controller(0, 0), no_cells)
+    for step in range(1000):
+        node.turns(step * MS)
+    announced = ExtendedTransportManagement(
+        ExtendedControl.RTS, (5000).to_bytes(4, "little"), PROCESS_DATA.pgn
+    )
+    assert node.hears(encode(announced, ROBOT, GLOBAL_ADDRESS), S) == []
+    assert node.hears(encode(announced, ROBOT, ADDRESS), S) != []

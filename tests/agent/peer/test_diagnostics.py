@@ -145,6 +145,13 @@ def test_a_long_message_to_a_robot_is_refused_at_once() -> None:
         assert packed(said.message) == bytes.fromhex("FF 02 FFFFFF 00EF00")
 
 
+def test_a_long_message_to_all_is_answered_by_nobody() -> None:
+    """ISO 11783-3 has none. Each robot refused it, so one frame made as many as there are robots."""
+    peer, now_us = joined()
+    announced = Frame(7 << 26 | 0xC8FF << 8 | TOOL, bytes.fromhex("14 A00F0000 00EF00"))
+    assert not [e for e in peer.step(Received(announced), now_us) if isinstance(e, Send)]
+
+
 def test_a13_software_without_a_release_has_a_name() -> None:
     assert texts(IDENTITY._replace(release=""))[65242] == "\x01Headland*"
 
