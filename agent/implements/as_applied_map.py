@@ -70,6 +70,12 @@ class AsAppliedMap:
                     whole.append((row, column))
         return whole
 
+    def take_back(self, cells: Iterable[tuple[int, int]]) -> None:
+        """These cells, as (row, column), are not worked: whoever was to work them was off."""
+        for row, column in cells:
+            self._done.discard(row << 16 | column)
+            self._parts.pop(row << 16 | column, None)
+
     def needs(self, points: Points) -> NDArray[np.bool_]:
         """Whether ground is to be worked and not worked yet, (n,). `points`: (n, 2), metres."""
         lattice = np.floor((points - self.origin) / self.part_m).astype(np.int64)

@@ -90,6 +90,8 @@ class TaskController:
         self._control_at_us = now_us
         self._said_at_us: dict[int, int] = {}  # address -> time of its newest setpoints
         self._cells: list[tuple[int, int]] = []
+        # Address -> cells that are whole if its sections were on, until it is heard again.
+        self._held: dict[int, list[tuple[int, int]]] = {}
         self._asks: deque[ServerOutput] = deque()  # questions that wait for their turn
 
     @property
@@ -102,7 +104,8 @@ class TaskController:
         return min(due)
 
     def take_cells(self) -> Sequence[tuple[int, int]]:
-        """Cells, as (row, column), that are whole since the last call."""
+        """Cells, as (row, column), that are whole since the last call: an implement that was heard after
+        it had worked them was not off."""
         cells, self._cells = self._cells, []
         return cells
 
@@ -182,7 +185,9 @@ class TaskController:
         outputs = self.server.on_message(source, name, data, now_us)
         if name is None:  # a device that claimed before we were there: it is asked who it is
             return [encode(Request(CLAIM_PGN), self.claim.address or NULL_ADDRESS, source)]
-        return self._said(outputs, now_us)
+        frames = self._said(outputs, now_us)
+        self._cells += self._held.pop(source, [])
+        return frames
 
     def _said(self, outputs: Iterable[ServerOutput], now_us: int) -> list[Frame]:
         frames: list[Frame] = []
@@ -195,6 +200,8 @@ class TaskController:
                     self._asks += self._geometry(source, now_us)
                 case ClientLost(source):
                     self.implements.pop(source, None)
+                    if held := self._held.pop(source, []):
+                        self.ground.take_back(held)
                     self._settles_at_us.pop(source, None)
                     self._asks = deque(
                         q
@@ -236,8 +243,9 @@ class TaskController:
 
     def _move(self, here: Observation) -> None:
         self.here = here
-        for implement in self.implements.values():
-            self._cells += implement.worked(here, self.hitch_ahead_m, self.ground)
+        for source, implement in self.implements.items():
+            cells = implement.worked(here, self.hitch_ahead_m, self.ground)
+            self._held.setdefault(source, []).extend(cells)
 
     def _control(self, now_us: int) -> list[Frame]:
         outputs: list[ServerOutput] = []
