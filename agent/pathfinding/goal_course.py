@@ -3,9 +3,13 @@
 A goal may be out of reach: something stands there or in the only way, or another robot has the same
 goal. Such a robot gets another end: the nearest cell that is nobody's goal. So it leaves the way of
 others. Nor does a robot end beside one that stands between two cells, which needs one of them.
+
+Robots that something keeps apart are planned for apart. Where some of them have no plan, as two that
+would have to change places in a corridor, those stay, and all others go.
 """
 
 from collections import deque
+from collections.abc import Iterator
 from typing import NamedTuple
 from zlib import crc32
 
@@ -14,6 +18,7 @@ from numpy.typing import NDArray
 
 from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.joint_course import GridCourse, Numbers
+from agent.mapf.pibt import NOWHERE, ways
 from agent.mapf.sum_of_costs import planned
 
 KEPT_MAX = 4  # cached plans: two sides of a network split, and those before them
@@ -47,42 +52,69 @@ class GoalInputs(NamedTuple):
         return crc32(repr((ground.check, *self)).encode()) & DIGEST_MASK
 
 
+def _outward(near: NDArray[np.int32], place: int) -> Iterator[int]:
+    """The cells that a robot at `place` can come to, the nearest first."""
+    queue, seen = deque([place]), {place}
+    while queue:
+        at = queue.popleft()
+        yield at
+        for to in near[at].tolist():
+            if to != NONE and to not in seen:
+                seen.add(to)
+                queue.append(to)
+
+
 def ends_of(near: NDArray[np.int32], inputs: GoalInputs) -> list[int]:
     """Where each robot is to end: at its goal, or near its place if its goal cannot be reached.
 
     `near`: (cells, 4), as `neighbours` gives it."""
-    taken = {*inputs.goals, *inputs.cleared}
     ends: list[int] = []
     for place, goal in zip(inputs.places, inputs.goals, strict=True):
-        free, queue, seen = NONE, deque([place]), {place}
-        while queue:
-            at = queue.popleft()
-            if at == goal and goal not in ends and goal not in inputs.cleared:
-                break
-            if free == NONE and at not in taken:
-                free = at
-            for to in near[at].tolist():
-                if to != NONE and to not in seen:
-                    seen.add(to)
-                    queue.append(to)
-        else:
-            goal = free if free != NONE else place
-            taken.add(goal)
-        ends.append(goal)
+        possible = goal not in ends and goal not in inputs.cleared
+        ends.append(goal if possible and goal in _outward(near, place) else NONE)
+    taken = {*inputs.goals, *inputs.cleared}
+    for k, place in enumerate(inputs.places):
+        if ends[k] != NONE:
+            continue
+        ends[k] = next((cell for cell in _outward(near, place) if cell not in taken), NONE)
+        if ends[k] == NONE:  # each cell is somebody's goal: one of a robot that does not get there
+            ends[k] = next(cell for cell in _outward(near, place) if cell not in ends)
+        taken.add(ends[k])
     return ends
 
 
+def _groups(near: NDArray[np.int32], places: NDArray[np.int32]) -> list[list[int]]:
+    """The robots, as indices into `places`, that can come to each other's places."""
+    if not len(places):
+        return []
+    joined = ways(near, places)[:, places] < NOWHERE
+    groups: dict[int, list[int]] = {}
+    for k, first in enumerate(joined.argmax(axis=1).tolist()):
+        groups.setdefault(first, []).append(k)
+    return list(groups.values())
+
+
 class GoalCourse(GridCourse):
-    """The plan, from `agent/mapf/sum_of_costs.py`. Without one, all stay where they are."""
+    """The plan, from `agent/mapf/sum_of_costs.py`. Robots without one stay where they are."""
 
     def __init__(self, ground: CellMap, inputs: GoalInputs) -> None:
         near = neighbours(ground, inputs.blocked)
         self.ends = ends_of(near, inputs)
-        track = None
-        if len(set(self.ends)) == len(self.ends):
-            track = planned(near, inputs.places, self.ends, inputs.salt)
-        self.solved = track is not None
-        self._track = np.array(inputs.places, np.int32)[:, None] if track is None else track
+        places = np.array(inputs.places, np.int32)
+        tracks = [
+            (
+                group,
+                planned(near, places[group].tolist(), [self.ends[k] for k in group], inputs.salt),
+            )
+            for group in _groups(near, places)
+        ]
+        self.solved = all(track is not None for _, track in tracks)
+        last = max((track.shape[1] for _, track in tracks if track is not None), default=1)
+        self._track = np.repeat(places[:, None], last, axis=1)
+        for group, track in tracks:
+            if track is not None:
+                self._track[group, : track.shape[1]] = track
+                self._track[group, track.shape[1] :] = track[:, -1:]
         self.left_out = {
             slot for slot, goal, end in zip(inputs.slots, inputs.goals, self.ends, strict=True)
             if goal != end

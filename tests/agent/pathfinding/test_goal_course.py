@@ -41,6 +41,37 @@ def test_no_robot_ends_beside_one_that_stands_between_two_cells() -> None:
     assert course.ends == [cells[2]] and course.left_out == {0}, "it makes room, and comes back"
 
 
+def test_two_that_a_wreck_keeps_in_the_wrong_order_do_not_keep_the_others_standing() -> None:
+    ground = hall(1, 8)
+    cells = [ground.number((0, column)) for column in range(8)]
+    course = course_to_goals(
+        ground,
+        GoalInputs(
+            (1, 2, 3), (cells[0], cells[1], cells[4]), (cells[1], cells[0], cells[7]),
+            (cells[3],), 0,
+        ),
+    )  # fmt: skip
+    assert course.finish() == 3 and not course.solved
+    assert [course.place(robot, 3) for robot in range(3)] == [cells[0], cells[1], cells[7]]
+
+
+def test_a_robot_on_the_goal_of_another_makes_room_though_each_cell_is_a_goal() -> None:
+    ground = hall(2, 5)
+    cells = [[ground.number((row, column)) for column in range(5)] for row in range(2)]
+    (a, b, wreck, e, f), (c, d, other_wreck, g, _) = cells
+    # The last three cannot come to the cells before the wrecks.
+    course = course_to_goals(
+        ground,
+        GoalInputs((0, 1, 2, 3, 4), (b, a, e, f, g), (a, f, b, c, d), (wreck, other_wreck), 0),
+    )
+    assert course.solved and course.ends[0] == a and course.ends[1] in (b, c, d)
+
+
+def test_a_plan_for_nobody_is_at_its_end() -> None:
+    course = course_to_goals(hall(), GoalInputs((), (), (), (), 0))
+    assert course.solved and course.finish() == 0
+
+
 def test_a_goal_off_the_map_makes_no_plan_and_no_exception() -> None:
     ground = hall()
     one = GoalAgreement(0, ground, 3)
