@@ -388,33 +388,79 @@ def _plan_of(
     ]
     # A robot with a goal elsewhere gets its own node before a robot that only stands there.
     weights = [1 if p.goal == p.node else 4 for p in places]
+    component = components(near)
     goals = seats(lattice, wishes, weights, blocked)
     if goals is None:
+        apart = [
+            k for k, s in enumerate(starts)
+            if not (component[_beside(lattice, wishes[k])] == component[s]).any()
+        ]  # fmt: skip
+    else:
+        apart = [k for k, s in enumerate(starts) if component[goals[k]] != component[s]]
+        for k in apart:
+            goals[k] = starts[k]
+    if goals is None or len(set(goals)) < len(goals):
+        for k in apart:  # who cannot come to its goal makes room for who can
+            wishes[k], weights[k] = lattice.decode(places[k].node, places[k].detail), 1
+        within = component[None, :] == component[starts][:, None]
+        goals = seats(lattice, wishes, weights, blocked, within)
+        if goals is None:
+            return None
+    groups: dict[int, list[int]] = {}  # of robots that something keeps apart
+    for k, s in enumerate(starts):
+        groups.setdefault(int(component[s]), []).append(k)
+    plans = [
+        (group, _plan_of_group(near, starts, goals, places, group, salt))
+        for group in groups.values()
+    ]
+    if all(plan is None for _, plan in plans):
         return None
-    component = components(near)
-    goals = [g if component[g] == component[s] else s for s, g in zip(starts, goals, strict=True)]
-    if len(set(goals)) < len(goals):
-        return None
+    routes: list[tuple[int, ...]] = [(s,) for s in starts]  # those without a plan stay
+    turns: list[tuple[Precedence | None, ...]] = [(None,) for _ in starts]
+    for group, plan in plans:
+        if plan is None:
+            continue
+        for k, route, turn in zip(group, plan.routes, plan.turns, strict=True):
+            routes[k] = route
+            turns[k] = tuple(t and t._replace(robot=group[t.robot]) for t in turn)
+    return JointPlan(tuple(routes), tuple(turns))
+
+
+def _plan_of_group(
+    near: NDArray[np.int32],
+    all_starts: list[int],
+    all_goals: list[int],
+    places: tuple[Participant, ...],
+    group: list[int],
+    salt: int,
+) -> JointPlan | None:
+    """The joint plan of some of the robots, `group`; None if there is none."""
+    starts, goals = [all_starts[k] for k in group], [all_goals[k] for k in group]
     found = planned(near, starts, goals, salt)
     # In a ring nobody can be overtaken and come back behind. Robots without a goal then end elsewhere.
-    wanted = [k for k, p in enumerate(places) if p.goal != p.node and goals[k] != starts[k]]
-    if found is None and wanted and len(wanted) < len(places):
-        steps = search(near, starts, goals, [0.0] * len(places), salt, wanted=wanted)
+    wanted = [
+        i for i, k in enumerate(group) if places[k].goal != places[k].node and goals[i] != starts[i]
+    ]
+    if found is None and wanted and len(wanted) < len(group):
+        steps = search(near, starts, goals, [0.0] * len(group), salt, wanted=wanted)
         found = None if steps is None else planned(near, starts, steps[-1].tolist(), salt)
     return found
 
 
 def seats(
-    lattice: Lattice, at: list[Point], weights: list[int], blocked: Iterable[int]
+    lattice: Lattice,
+    at: list[Point],
+    weights: list[int],
+    blocked: Iterable[int],
+    within: NDArray[np.bool_] | None = None,
 ) -> list[int] | None:
     """A separate node for each place, with the least total distance; None: too few nodes.
 
     `at` are places in metres (x, y); `weights` count for distances from them. Squared distances are
     used, which keeps the order of robots in a row. All are whole numbers, so that no two machines
-    round differently.
+    round differently. `within`: (places, nodes of the lattice), False where a place gets no node.
     """
-    reach_m = SEATS * lattice.pitch_m
-    near = [lattice.within(point, reach_m) for point in at]
+    near = [_beside(lattice, point) for point in at]
     taken = np.zeros(len(lattice), dtype=np.bool_)
     taken[list(blocked)] = True
     nodes = np.unique(np.concatenate(near))
@@ -426,13 +472,23 @@ def seats(
     for row, (point, own, weight) in enumerate(zip(at, near, weights, strict=True)):
         gaps = np.rint((lattice.points[nodes] - np.asarray(point)) / part_m).astype(np.int64)
         squares = (gaps * gaps).sum(axis=1)
-        home = lattice.component[own[np.argmin(_squares(lattice, own, point))]] if len(own) else -1
-        mine = np.isin(nodes, own) & (lattice.component[nodes] == home)
+        mine = np.isin(nodes, own)
+        if within is not None:
+            mine &= within[row, nodes]
         cost[row, mine] = weight * squares[mine]
     columns = assigned(cost)
     if (cost[np.arange(len(at)), columns] >= AFAR).any():
         return None
     return [int(nodes[c]) for c in columns]
+
+
+def _beside(lattice: Lattice, at: Point) -> NDArray[np.intp]:
+    """The nodes near a place that have a way to the nearest one."""
+    near = lattice.within(at, SEATS * lattice.pitch_m)
+    if not len(near):
+        return near
+    home = lattice.component[near[np.argmin(_squares(lattice, near, at))]]
+    return near[lattice.component[near] == home]
 
 
 def _squares(lattice: Lattice, nodes: NDArray[np.intp], at: Point) -> NDArray[np.float64]:

@@ -150,6 +150,43 @@ def test_a_round_does_not_wait_for_the_dead() -> None:
     assert fleet.at[:2] == [(3.5, 0.5), (0.5, 0.5)]
 
 
+def test_a_robot_with_a_goal_behind_a_wreck_makes_room_for_one_whose_goal_is_where_it_stands() -> (
+    None
+):
+    stands, beyond = (3.5, 0.5), (12.5, 1.5)
+    fleet = Fleet([stands, (0.5, 0.5), (7.5, 2.5)], [beyond, stands, None], 0.0, 1)
+    fleet.dead.add(2)  # in the only way to the goal of the first
+    fleet.agreements[1].call(0)
+    fleet.run(30.0)
+    assert fleet.at[1] == stands != fleet.at[0]
+    assert not fleet.agreements[0].unsolved
+
+
+def test_two_that_a_wreck_keeps_in_the_wrong_order_do_not_keep_others_without_a_plan() -> None:
+    first, second, ahead = (12.5, 1.5), (11.5, 1.5), (10.5, 1.5)
+    lattice = Floor.drawn("....##########\n..............\n....##########", 1.0, 0.35).lattice
+    places = []
+    for at, goal in ((second, first), (first, second), ((0.5, 0.5), (3.5, 0.5))):
+        node, detail = lattice.encode(at)
+        places.append(Participant(node, lattice.nearest(goal), AgreementReply.GRANT, detail))
+    plan = plan_of(lattice, tuple(places), (lattice.nearest(ahead),), 0)
+    assert plan is not None
+    assert [route[-1] for route in plan.routes] == [
+        places[0].node, places[1].node, lattice.nearest((3.5, 0.5)),
+    ]  # fmt: skip
+
+
+def test_a_goal_round_which_every_node_is_blocked_does_not_keep_others_without_a_plan() -> None:
+    lattice = Floor.drawn(".#....\n##....\n......", 1.0, 0.35).lattice
+    closet, places = lattice.nearest((0.5, 2.5)), []
+    for at, goal in (((5.5, 0.5), closet), ((2.5, 0.5), lattice.nearest((5.5, 2.5)))):
+        node, detail = lattice.encode(at)
+        places.append(Participant(node, goal, AgreementReply.GRANT, detail))
+    plan = plan_of(lattice, tuple(places), (closet,), 0)
+    assert plan is not None
+    assert [route[-1] for route in plan.routes] == [places[0].node, places[1].goal]
+
+
 def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:
     own = two(0.0, 1).agreements[0]
     own.call(0)
