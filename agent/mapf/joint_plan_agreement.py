@@ -15,10 +15,11 @@ it stops. Each step of the round has a message, which a robot repeats until the 
 A round is also the contract by which an idle or parked robot clears a way. The call is the request.
 PLACE grants it, or refuses it with a reason; then its place is an obstacle for all. The plan brings
 the robot back to where it stood. A round without progress for `PATIENCE_US` is void and is called
-again without members that fell silent meanwhile, so no robot is parked for ever.
+again without members that fell silent meanwhile, so no robot is parked for ever. A member that never
+knew its place cannot tell it, so members without a place are waited for only `PLACELESS_US`.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from enum import Enum
 from math import hypot
 from typing import NamedTuple
@@ -38,6 +39,7 @@ from protocol.state_machine import StateMachine, matrix
 Point = tuple[float, float]
 STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
 PATIENCE_US = 10 * S  # longer than a sync (2 s) or a protective stop that ends (2 s) and the way on
+PLACELESS_US = 2 * S  # for a member that knew its place before: 20 words, 30 % of them lost
 HURRY_US = 100 * MS  # a word that others wait for is repeated this often,
 # A step on the route: four words, so that 1 % miss all of them where 30 % are lost.
 HURRIED_US = 350 * MS
@@ -212,13 +214,17 @@ class JointPlanAgreement:
         dead: Mapping[int, Point],
         things: Iterable[Point],
         now_us: int,
+        placeless: Set[int] = frozenset(),
     ) -> None:
         """One control period. `peers`: the expected participants; `dead`: bodies that do not take part;
-        `things`: what else we see standing."""
+        `things`: what else we see standing; `placeless`: peers that do not know their place."""
         if self.phase is GATHER:
             if self.slot not in self._places and speed_m_s < STANDS_M_S:
                 self._take_place(at, goal, answer, things)
-            if self._places.keys() >= {self.slot, *peers}:
+            expected = {self.slot, *peers}
+            if now_us - self._phase_at_us > PLACELESS_US:
+                expected -= placeless
+            if self._places.keys() >= expected:
                 self._fire(JointPlanEvent.GATHERED, now_us)
         if self.phase is AGREE:
             self._compute(dead)

@@ -13,7 +13,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from math import cos, hypot, sin
 from typing import NamedTuple
 
-from agent.interface.config import MS, S
+from agent.interface.config import GONE_QUIET_US, MS, S
 from agent.interface.lifecycle import State
 from agent.interface.mission import (
     STILL,
@@ -114,6 +114,7 @@ class NavigationMission(Mission):
         self._planned = False  # a joint plan was driven since the last path
         # The extrapolated positions of robots last received within `CLOSE_M`, by slot.
         self._around: dict[int, Point] = {}
+        self._known_at: Point | None = None  # where we last knew that we are
         self._alone_at_us = 0  # when we last were not a member of the fleet
         # Slot -> when another robot last reported to receive it.
         self._vouched_at_us: dict[int, int] = {}
@@ -210,14 +211,30 @@ class NavigationMission(Mission):
             # Rays from a place that is not believed would put obstacles where there are none.
             seen = here if view.placed else here._replace(ranges_m=())
             self.hazards.observe(seen, reach_m, around, view.now_us, dead)
+        if view.placed:
+            self._known_at = (here.x_m, here.y_m)
+        if self._known_at is None:
+            return  # a robot that never knew where it is cannot take part
+        placeless = self._placeless(view)
+        lost = [(p.x_m, p.y_m) for s, (p, _) in view.neighbours.items() if s in placeless]
+        # A robot that does not know its place any more brakes, whatever speed its old senses say.
+        speed_m_s = hypot(here.vx_m_s, here.vy_m_s) if view.placed else 0.0
         # A robot that may not drive makes no way for others: they plan round it.
-        stopped = state is State.EMERGENCY_STOP or not view.may_move
+        stopped = state is State.EMERGENCY_STOP or not (view.may_move and view.placed)
         answer = AgreementReply.DEAF if self._deaf(gone, view) else self.answer
         self.agreement.on_tick(
-            (here.x_m, here.y_m), hypot(here.vx_m_s, here.vy_m_s), self.goal,
-            AgreementReply.STOPPED if stopped else answer,
-            (view.live | silent.keys()) - gone, dead, self.hazards.hits, view.now_us,
+            self._known_at, speed_m_s, self.goal, AgreementReply.STOPPED if stopped else answer,
+            (view.live | silent.keys()) - gone, dead, [*self.hazards.hits, *lost], view.now_us,
+            placeless,
         )  # fmt: skip
+
+    def _placeless(self, view: FleetView) -> set[int]:
+        """Live members that do not know where they are: their newest place is not a new one."""
+        return {
+            s for s in view.live - {self.slot}
+            if s not in view.neighbours
+            or view.now_us - view.neighbours[s].heard_at_us >= GONE_QUIET_US
+        }  # fmt: skip
 
     def _deaf(self, gone: set[int], view: FleetView) -> bool:
         """Whether others receive a member that we do not. A round needs reception between all its

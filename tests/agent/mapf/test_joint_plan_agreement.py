@@ -8,6 +8,7 @@ from agent.interface.config import MS, S
 from agent.mapf.agreement_phase import NUMBERS, AgreementPhase
 from agent.mapf.joint_plan_agreement import (
     JOINT_PLAN_TABLE,
+    PLACELESS_US,
     JointPlanAgreement,
     JointPlanEvent,
     Participant,
@@ -185,6 +186,18 @@ def test_a_goal_round_which_every_node_is_blocked_does_not_keep_others_without_a
     plan = plan_of(lattice, tuple(places), (closet,), 0)
     assert plan is not None
     assert [route[-1] for route in plan.routes] == [places[0].node, places[1].goal]
+
+
+def test_a_robot_that_tells_no_place_is_waited_for_only_if_it_knows_one() -> None:
+    for placeless in (set[int](), {1}):
+        own = JointPlanAgreement(0, FLOOR.lattice, 0.35)
+        own.call(0)
+        for now_us in range(BEAT_US, 4 * S, BEAT_US):
+            own.on_tick(
+                (0.5, 0.5), 0.0, (3.5, 0.5), AgreementReply.GRANT, {0, 1}, {}, (), now_us, placeless
+            )
+            assert own.phase is AgreementPhase.GATHER or now_us > PLACELESS_US
+        assert (own.phase is AgreementPhase.GO) == bool(placeless)
 
 
 def test_words_of_an_old_round_are_not_heard_and_bad_nodes_do_no_harm() -> None:

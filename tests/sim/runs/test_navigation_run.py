@@ -45,6 +45,52 @@ def test_orca_by_itself_does_not() -> None:
     assert not result.finished and result.contacts == 0
 
 
+@pytest.mark.sampled(1)
+@pytest.mark.parametrize(
+    "fault",
+    [
+        'kind = "blind"\nat_s = 3.0',
+        'kind = "blind"\nat_s = 0.0',
+        'kind = "frozen"\nat_s = 3.0',
+        'kind = "jumped"\nat_s = 3.0\ndx_m = 3.0\ndy_m = 0.0',
+    ],
+    ids=["blind", "blind from the start", "frozen", "jumped"],
+)
+def test_a_round_does_not_wait_for_a_robot_that_does_not_know_its_place(
+    fault: str, tmp_path: Path
+) -> None:
+    """A robot with old senses does not stand by what they say, and one that never sensed tells no place.
+    Each round waited for that, so the whole fleet stood for good."""
+    file = tmp_path / "lost.toml"
+    file.write_text(
+        f'''
+        name = "lost"
+        mission = "errands"
+        [floor]
+        map = """{CORRIDOR}"""
+        [errands]
+        starts = [[0.5, 0.5], [1.5, 2.5], [13.5, 2.5]]
+        goals = [[[3.5, 3.5]], [[12.5, 0.5]], [[2.5, 0.5]]]
+        [fleet]
+        robots = 3
+        radius_m = 0.35
+        speed_m_s = 1.0
+        silence = "continue"
+        [run]
+        time_limit_s = 50
+        [[fault]]
+        robot = 0
+        for_s = 500
+        {fault}
+        '''
+    )
+    scenario = load_mission(str(file))
+    assert isinstance(scenario, NavigationScenario)
+    outcome = NavigationRun(setting_of(scenario)).run()
+    assert [isfinite(arrived_s) for arrived_s in outcome.arrived_s] == [False, True, True]
+    assert outcome.rounds and not outcome.contacts
+
+
 def hall(seed: int, robots: int) -> NavigationSetup:
     floor = Floor.drawn(rooms(seed, 16), 1.0, 0.35)
     rng = Random(seed)
