@@ -89,8 +89,11 @@ class GridWork(Mission):
 
     @property
     def over(self) -> bool:
-        """Our plan is at its end, or we have no part in it, and nothing is left for later."""
+        """Our plan is at its end, or we have no part in it, nothing is left for later, and all that we
+        have covered is in our replica."""
         rounds = self.agreement
+        if self._told:
+            return False
         if rounds.phase is not AgreementPhase.GO or rounds.course is None or rounds.later:
             return False
         if rounds.me == NONE:

@@ -135,6 +135,14 @@ def test_i24_a_run_does_not_end_before_a_robot_that_was_frozen_has_its_part_agai
     assert outcome.finished and outcome.uncovered == 0, outcome
 
 
+@pytest.mark.parametrize(("side", "robots"), [(2, 1), (3, 2)])
+def test_i24_a_run_does_not_end_before_the_last_cells_are_announced(side: int, robots: int) -> None:
+    """Covered cells are announced every 2 s. The run ended before that, as finished and without a flaw,
+    with 0 of 1 sections done."""
+    outcome = play(scene(side, robots, 1, share=0.0))
+    assert outcome.success and outcome.sections_done == outcome.sections == 1, outcome
+
+
 def test_i24_a_robot_alone_works_on_after_its_bus_off() -> None:
     """Nobody else sent a frame, so the wire was never asked again, and the robot stayed off the bus."""
     outcome = play(scene(6, 1, 4), BusOff(at_s=5.0, kind="bus_off", robot=0, for_s=3.0))
