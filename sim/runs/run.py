@@ -138,8 +138,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         plan = FaultPlan(cluster)
         scripts = self.scripts(cluster, plan.script())
         try:
-            yield from self._until_over(cluster, scripts)
-            yield from self._until_settled(cluster)
+            yield from self._until_done(cluster, scripts)
             wall_s, cpu_s = time.perf_counter() - began_at_s, time.process_time() - began_cpu_at_s
             cluster.world.advance(host.now_us())
             found = {
@@ -159,6 +158,16 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
             cluster.end()
             recorder.close()
             self.tally.close()
+
+    def _until_done(self, cluster: FleetT, scripts: Sequence[Handle]) -> Script[None]:
+        """Until the run is over and has settled. The last news may bring new work, and then the run goes
+        on."""
+        limit_at_us = round(self.setting.time_limit_s * S)
+        while True:
+            yield from self._until_over(cluster, scripts)
+            yield from self._until_settled(cluster)
+            if cluster.host.now_us() >= limit_at_us or self.is_over(cluster, scripts):
+                return
 
     def _until_over(self, cluster: FleetT, scripts: Sequence[Handle]) -> Script[None]:
         host, limit_at_us = cluster.host, round(self.setting.time_limit_s * S)

@@ -143,6 +143,17 @@ def test_i24_a_run_does_not_end_before_the_last_cells_are_announced(side: int, r
     assert outcome.success and outcome.sections_done == outcome.sections == 1, outcome
 
 
+def test_i24_a_run_goes_on_where_its_last_news_brings_a_round() -> None:
+    """The robot woke up while the replicas settled, and its fleet agreed again. The run ended in that
+    round, as not finished."""
+    walls = np.zeros((8, 2), dtype=np.bool_)
+    walls[0, 0] = walls[6, 1] = True
+    starts = [(7, 0), (5, 0), (4, 1), (4, 0), (1, 0)]
+    freeze = Freeze(at_s=6.0, kind="freeze", robot=1, for_s=4.0)
+    outcome = play(Instance("lane", walls, starts), freeze, seed=1019)
+    assert outcome.success and outcome.sections_done == 1, outcome
+
+
 def test_i24_a_robot_alone_works_on_after_its_bus_off() -> None:
     """Nobody else sent a frame, so the wire was never asked again, and the robot stayed off the bus."""
     outcome = play(scene(6, 1, 4), BusOff(at_s=5.0, kind="bus_off", robot=0, for_s=3.0))
