@@ -85,7 +85,9 @@ class ExplorationFleet(Cluster):
     @property
     def finished(self) -> bool:
         """Whether every order is done, and no robot that may drive has a task or sees a frontier that it
-        could reach."""
+        could reach. A robot that is off the bus has no part in the map."""
+        if any(robot.peer.state is State.DISCONNECTED for robot in self.running):
+            return False
         running = [robot for robot in self.running if robot.peer.safety.may_move]
         return bool(running) and all(
             robot.peer.mission is not None

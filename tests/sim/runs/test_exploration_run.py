@@ -11,6 +11,7 @@ from sim.runs.exploration_fleet import Sharing
 from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.scenario import (
+    BusOff,
     Crash,
     DeafWheels,
     Heal,
@@ -102,6 +103,12 @@ def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
     )
     outcome = play(3, 3, *faults)
     assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
+
+
+def test_i24_a_run_does_not_end_before_a_robot_is_on_the_bus_again() -> None:
+    """The others were done, so the run ended. It told that the maps differ."""
+    outcome = play(2, 2, BusOff(at_s=14.0, kind="bus_off", robot=1, for_s=40.0))
+    assert outcome.success and outcome.time_s > 54.0, outcome
 
 
 @pytest.mark.slow
