@@ -17,7 +17,7 @@ from crdt.occupancy import OccupancyMap
 from crdt.sighting import TIME_MAX
 from protocol.sync.map_sync import MapSync, Values
 from sim.fleet.scheduler import Host
-from sim.fleet.simulated_fleet import Cluster, Record
+from sim.fleet.simulated_fleet import Cluster, Record, Robot
 from sim.scenarios.exploration_scenario import ExplorationSetup
 
 
@@ -85,8 +85,8 @@ class ExplorationFleet(Cluster):
     @property
     def finished(self) -> bool:
         """Whether every order is done, and no robot that may drive has a task or sees a frontier that it
-        could reach. A robot that is off the bus has no part in the map."""
-        if any(robot.peer.state is State.DISCONNECTED for robot in self.running):
+        could reach. A robot that is frozen or off the bus has no part in the map."""
+        if any(self._is_away(robot) for robot in self.running):
             return False
         running = [robot for robot in self.running if robot.peer.safety.may_move]
         return bool(running) and all(
@@ -100,6 +100,10 @@ class ExplorationFleet(Cluster):
             and robot.peer.state is State.IDLE
             for robot in running
         )
+
+    def _is_away(self, robot: Robot) -> bool:
+        hangs = self.acquaintance.is_hung(robot.slot, self.host.now_us())
+        return hangs or robot.peer.state is State.DISCONNECTED
 
     @property
     def maps_equal(self) -> bool:

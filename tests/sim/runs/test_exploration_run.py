@@ -14,6 +14,8 @@ from sim.scenarios.scenario import (
     BusOff,
     Crash,
     DeafWheels,
+    Fault,
+    Freeze,
     Heal,
     Join,
     Loss,
@@ -105,10 +107,14 @@ def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
     assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
 
 
-def test_i24_a_run_does_not_end_before_a_robot_is_on_the_bus_again() -> None:
+@pytest.mark.parametrize("fault", [
+    BusOff(at_s=14.0, kind="bus_off", robot=1, for_s=40.0),
+    Freeze(at_s=31.0, kind="freeze", robot=1, for_s=20.0),
+])  # fmt: skip
+def test_i24_a_run_does_not_end_before_a_robot_is_in_the_fleet_again(fault: Fault) -> None:
     """The others were done, so the run ended. It told that the maps differ."""
-    outcome = play(2, 2, BusOff(at_s=14.0, kind="bus_off", robot=1, for_s=40.0))
-    assert outcome.success and outcome.time_s > 54.0, outcome
+    outcome = play(2, 2, fault)
+    assert outcome.success and outcome.time_s > 50.0, outcome
 
 
 @pytest.mark.slow
