@@ -90,6 +90,12 @@ class ExplorationSetup(FleetSetup):
             _check_order(scenario, number, order.points)
         self.starts = list(table.starts)
         self.order, self.geometry = table.merge_order, table.geometry
+        row, column = self.geometry.cell(self.starts[0])
+        if not self.open[max(row - 1, 0) : row + 2, max(column - 1, 0) : column + 2].any():
+            raise ScenarioError(
+                f"{scenario.name}: arena.cell_m: of cells of {table.cell_m:g} m, none at the start of a "
+                "robot is free for the most part"
+            )
 
     @property
     def config_hash(self) -> int:
@@ -148,9 +154,11 @@ class ExplorationSetup(FleetSetup):
         reach_m = self.scenario.fleet.radius_m + INFLATION_M
         margin = Inflation(self.solid, reach_m / self.geometry.cell_m, walled=True)
         regions, _ = scipy.ndimage.label(~margin.blocked)
+        rooms, _ = scipy.ndimage.label(~self.solid)
         home = np.zeros(self.solid.shape, dtype=np.bool_)
         for start in self.starts[: self.scenario.fleet.robots]:
-            home |= self._region_of_start(regions, start)
+            room = self._region_of_start(rooms, start)
+            home |= self._region_of_start(np.where(room, regions, 0), start)
         # A body in a narrow place may start in a cell of which the most part is solid.
         near = scipy.ndimage.binary_dilation(home, np.ones((3, 3))) & self.open
         into_corners = 2 * int(np.ceil(reach_m / self.geometry.cell_m))

@@ -261,6 +261,32 @@ def test_a_passage_in_which_no_robot_drives_is_not_missed(
     assert ExplorationRun(scenario).run().success
 
 
+def test_i24_robots_in_a_closed_room_without_their_margin_are_judged_by_that_room() -> None:
+    """They were judged by what can be seen from the other room. So nothing was left to see, and the run
+    ended in a ZeroDivisionError."""
+    scenario = load_arena("arena").changed(1, 1)
+    place = {
+        "width_m": 4.0, "height_m": 3.0, "starts": [(-1.0, 1.3)], "solid": [(-2.0, 0.9, 2.0, 1.1)],
+    }  # fmt: skip
+    arena = scenario.arena.model_copy(update=place)
+    scenario = scenario.model_copy(update={"arena": arena, "order": []})
+    setting = ExplorationSetup(scenario)
+    assert setting.reachable[setting.geometry.cell((-1.0, 1.3))]
+    assert not setting.reachable[setting.geometry.cell((0.0, 0.0))]
+    assert ExplorationRun(scenario).run().explored == 1.0
+
+
+def test_i24_cells_too_coarse_for_the_room_of_a_start_are_refused() -> None:
+    scenario = load_arena("arena").changed(1, 1)
+    place = {
+        "width_m": 7.0, "height_m": 3.0, "cell_m": 1.0, "range_m": 4.0, "starts": [(-3.3, 0.0)],
+        "solid": [(-3.1, -1.5, 1.0, 1.5)],
+    }  # fmt: skip
+    arena = scenario.arena.model_copy(update=place)
+    with pytest.raises(ScenarioError, match="none at the start of a robot is free"):
+        ExplorationSetup(scenario.model_copy(update={"arena": arena, "order": []}))
+
+
 @pytest.mark.parametrize("side_m", [1.4, 4.04, 4.06])
 def test_cells_that_do_not_divide_an_arena_cover_all_of_it(side_m: float) -> None:
     scenario = load_arena("arena").changed(1, 1)
