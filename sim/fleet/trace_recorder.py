@@ -32,7 +32,10 @@ class Recorder:
         if waiting is None:
             waiting = self._waiting[slot] = []
         if isinstance(effect, Send):
-            waiting.append(now_us.to_bytes(8, "little") + packed(effect.message))
+            at = now_us.to_bytes(
+                8, "little", signed=True
+            )  # a clock that was set back may be below zero
+            waiting.append(at + packed(effect.message))
             if len(waiting) >= BATCH:
                 self._feed(slot)
         elif isinstance(effect, Drive):

@@ -12,6 +12,7 @@ from sim.runs.exploration_run import ExplorationOutcome, ExplorationRun
 from sim.scenarios.exploration_scenario import ExplorationSetup, load_arena
 from sim.scenarios.scenario import (
     BusOff,
+    ClockJump,
     Crash,
     DeafWheels,
     Fault,
@@ -93,6 +94,12 @@ def test_i24_a_robot_that_stands_does_not_keep_its_frontier(seed: int) -> None:
     outcome = play(3, seed, DeafWheels(at_s=9.0, kind="deaf_wheels", robot=1, for_s=1_000.0))
     assert outcome.finished and outcome.explored > 0.99, outcome
     assert outcome.time_s < 9.0 + 2.0 * STANDS_US / S
+
+
+def test_i24_a_clock_that_is_set_back_below_zero_ends_no_run() -> None:
+    """The run ended in an OverflowError when the robot sent a frame."""
+    outcome = play(3, 7, ClockJump(at_s=1.4, kind="clock_jump", robot=0, by_s=-3.0))
+    assert outcome.finished and outcome.contacts == 0, outcome
 
 
 @pytest.mark.parametrize("disk", ["kept", "lost"])
