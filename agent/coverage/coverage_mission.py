@@ -108,6 +108,8 @@ class GridWork(Mission):
             self._asked_at_us = now_us
             if view.placed:
                 self._from = self._to = self.ground.at(here.x_m, here.y_m)
+        elif view.placed and self._is_displaced(view):
+            self._begin_here(view)
         if view.placed:
             self._sweep(view)
         self._forget_told(view)
@@ -158,6 +160,19 @@ class GridWork(Mission):
     def _forget_told(self, view: FleetView) -> None:
         """Forget the news that our replica has by now."""
         self._told = {n for n in self._told if not view.progress.has(*self.ground.unit(n))}
+
+    def _is_displaced(self, view: FleetView) -> bool:
+        """Whether people have moved us out of our cells: a straight way back may lead through a wall."""
+        here_m = min(self._off_m(view, self._from), self._off_m(view, self._to))
+        return here_m >= NEAR * self.ground.cell_m
+
+    def _begin_here(self, view: FleetView) -> None:
+        """Begin again in the cell that we are in now, with a new plan; stand if there is none."""
+        self._from = self._to = self.ground.at(view.here.x_m, view.here.y_m)
+        self._held_at_us = self._strayed_at_us = self._wait_ends_at_us = 0
+        self._onward = False
+        if self.agreement.phase is not AgreementPhase.FREE:
+            self.agreement.call(view.now_us)
 
     def _off_m(self, view: FleetView, number: int) -> float:
         x_m, y_m = self.ground.centre(number)

@@ -5,10 +5,11 @@ from math import inf
 from pathlib import Path
 from random import Random
 
+from agent.coverage.coverage_mission import GridWork
 from agent.interface.config import S
 from agent.interface.effects import HALT, Drive, Send
 from agent.interface.observation import Observation
-from agent.peer.inputs import BusState, Sensed, Timer
+from agent.peer.inputs import BusState, Hold, Sensed, Start, Timer
 from agent.peer.peer import Peer
 from agent.runtime.peer_factory import identity_of, make_peer
 from agent.runtime.robot_file import RobotFile
@@ -18,15 +19,16 @@ from protocol.controller_health import Health
 from tests.agent.lone_peer import held_by
 
 MAP = "\n".join(["@" * 12, *["@..........@"] * 6, "@" * 12])
+WALL = "\n".join(["@" * 12, *["@.....@....@"] * 5, "@..........@", "@" * 12])
 Place = Callable[[int, float, float], tuple[float, float]]
 
 
-def robot() -> Peer:
+def robot(cells: str = MAP) -> Peer:
     file = RobotFile.of(
         {
             "name": "n", "robot": {"slot": 0},
             "fleet": {"robots": 2, "radius_m": 0.3, "speed_m_s": 1.0},
-            "coverage": {"map": MAP, "cell_m": 2.0},
+            "coverage": {"map": cells, "cell_m": 2.0},
         },
         "r.toml", Path(),
     )  # fmt: skip
@@ -78,3 +80,29 @@ def test_a_place_that_is_not_believed_covers_nothing() -> None:
     drive(peer, jumping, 30 * S)
     assert StopCause.PLACE_LOST in held_by(peer)
     assert covered(peer) <= 2
+
+
+def test_a_robot_that_is_moved_across_a_wall_does_not_drive_through_it() -> None:
+    """It drove straight back to the cell that it had been on its way to, through the wall."""
+    peer = robot(WALL)
+    mission = peer.mission
+    assert isinstance(mission, GridWork)
+    told: set[str] = set()
+    beyond: list[tuple[float, float]] = []
+
+    def moved(now_us: int, x_m: float, y_m: float) -> tuple[float, float]:
+        """People hold the robot, push it slowly across the wall, and start it."""
+        for name, at_us, command in (("hold", 8 * S, Hold()), ("start", 22 * S, Start())):
+            if now_us >= at_us and name not in told:
+                told.add(name)
+                peer.step(command, now_us)
+        by_m = 0.8 * min(max(now_us - 9 * S, 0), 12 * S) / S
+        if now_us > 22 * S:
+            beyond.append((x_m - by_m, y_m))
+        return x_m - by_m, y_m
+
+    drive(peer, moved, 45 * S)
+    assert not held_by(peer)
+    assert all(mission.ground.at(x_m, y_m) >= 0 for x_m, y_m in beyond)
+    ends = [x_m for x_m, _ in beyond]
+    assert max(ends) < 1.0 and max(ends) - min(ends) > 4.0, "it works on, on that side"
