@@ -45,6 +45,7 @@ OBSTACLE_US = 20 * S  # lifetime of an obstacle, because it may have gone since
 SPARE_US = 5 * S  # margin so that all robots drop a reported obstacle in the same round
 AGAIN_MAX = 2  # an obstacle seen more often than this is permanent until the members change
 ANYBODY = 0xFFFF  # slot of an unannounced body
+NOWHERE = 0xFFFF  # told as the cell of a robot that stands in none, so that nobody waits for it
 
 
 class CoveragePlanEvent(Enum):
@@ -158,10 +159,10 @@ class CoverageAgreement:
         if later:
             self._begin(m.round, now_us)
         if m.say == AgreementKind.PLACE:
-            if m.first < len(self.ground):
-                self._places[slot] = CellPlace(
-                    m.first, m.second | m.detail << 16, AgreementReply(m.answer)
-                )
+            answer = AgreementReply(m.answer)
+            nowhere = m.first == NOWHERE and answer is AgreementReply.STOPPED
+            if m.first < len(self.ground) or nowhere:
+                self._places[slot] = CellPlace(m.first, m.second | m.detail << 16, answer)
         elif m.say == AgreementKind.PLAN:
             self._plans[slot] = m.first | m.second << 16
         elif self.slot in self._plans and self._plans[self.slot] & 0xFFFF == m.second:
@@ -263,15 +264,17 @@ class CoverageAgreement:
     ) -> None:
         """One control period: call a round, gather, or agree, whichever is due.
 
-        `number`: the cell in whose middle we are, -1 on the way. `ready`: all that we have covered
-        is part of our replica.
+        `number`: the cell in whose middle we are, -1 on the way, or where we are in none. `ready`: all
+        that we have covered is part of our replica.
         """
         if self._call_due(answer, crew, now_us):
             self.call(now_us)
             return
         if self.phase is GATHER:
-            if number != NONE and ready:
-                self._places[self.slot] = CellPlace(number, self._detail(crew), answer)
+            nowhere = number == NONE and answer is AgreementReply.STOPPED
+            if ready and (number != NONE or nowhere):
+                told = NOWHERE if nowhere else number
+                self._places[self.slot] = CellPlace(told, self._detail(crew), answer)
             self._gather(crew, now_us)
         if self.phase is AGREE:
             self._agree(crew, now_us)
@@ -323,7 +326,7 @@ class CoverageAgreement:
         if not self._is_equal(places.values()):
             return  # the sync makes them equal
         movers = [p.number for p in places.values() if p.answer is AgreementReply.GRANT]
-        stand = {p.number for p in places.values() if p.answer is not AgreementReply.GRANT}
+        stand = self._standing(places)
         if len(set(movers)) < len(movers) or not stand.isdisjoint(movers):
             return  # one place is outdated; its robot will announce another
         if places.keys() != self._used.keys():
@@ -352,6 +355,11 @@ class CoverageAgreement:
         """Whether the details of these places allow a plan: all know the same covered cells."""
         return len({place.digest for place in places}) <= 1
 
+    def _standing(self, places: Mapping[int, CellPlace]) -> set[int]:
+        """The cells of the robots that take no part, by the places of all."""
+        stand = {p.number for p in places.values() if p.answer is not AgreementReply.GRANT}
+        return {number for number in stand if number < len(self.ground)}
+
     def _movers(self, crew: FleetSnapshot, now_us: int) -> tuple[dict[int, int], set[int]]:
         """The cells of the robots that take part, by slot, and the cells that no robot enters."""
         self.bodies = {
@@ -359,7 +367,7 @@ class CoverageAgreement:
             if body.ends_at_us > now_us + SPARE_US and body.slot not in crew.live
         }  # fmt: skip
         movers = {s: p.number for s, p in self._used.items() if p.answer is AgreementReply.GRANT}
-        stand = {p.number for p in self._used.values() if p.answer is not AgreementReply.GRANT}
+        stand = self._standing(self._used)
         return movers, (stand | self.bodies.keys()) - set(movers.values())
 
     def _adopt(self, course: GridCourse, digest: int) -> None:

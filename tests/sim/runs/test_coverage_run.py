@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from agent.interface.config import S
 from sim.files.grid_map import Instance, gate_starts, rack_walls, random_starts, random_walls
 from sim.runs.coverage_run import CoverageOutcome, CoverageRun
+from sim.runs.grid_fleet import CoverageFleet
 from sim.runs.planned_coverage import work
 from sim.scenarios.coverage_setup import STEP_S, CoverageSetup
 from sim.scenarios.scenario import (
@@ -158,6 +160,29 @@ def test_i24_a_robot_alone_works_on_after_its_bus_off() -> None:
     """Nobody else sent a frame, so the wire was never asked again, and the robot stayed off the bus."""
     outcome = play(scene(6, 1, 4), BusOff(at_s=5.0, kind="bus_off", robot=0, for_s=3.0))
     assert outcome.success, outcome
+
+
+class MovedIntoWall(CoverageRun):
+    """At 8 s people push robot 1 into a wall of the map, where it stays."""
+
+    moved = False
+
+    def look(self, cluster: CoverageFleet) -> None:
+        super().look(cluster)
+        now_us, world = cluster.host.now_us(), cluster.grid_world
+        if not self.moved and now_us >= 8 * S:
+            self.moved, row = True, world.robots[1].index
+            world.positions[row], world.placed_at_us[row] = world.ground.centre_of((1, 3)), now_us
+            world.speeds[row] = 0.0
+
+
+def test_i24_nobody_waits_for_a_robot_that_stands_in_no_cell_of_the_map() -> None:
+    """It called a round, and told no place in it. So no round had an end, and its part was left."""
+    walls = np.zeros((6, 7), dtype=np.bool_)
+    walls[:3, 3] = True
+    instance = Instance("wall", walls, [(0, 0), (5, 6)])
+    outcome = MovedIntoWall(CoverageSetup.made(instance, seed=1, time_limit_s=90.0)).run()
+    assert outcome.uncovered == 0 and outcome.contacts == 0, outcome
 
 
 def test_corridors_full_of_robots() -> None:
