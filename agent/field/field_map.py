@@ -25,6 +25,7 @@ XY = tuple[float, float]
 Polyline = tuple[XY, ...]
 CORNER = 0.7072  # distance from a cell's middle to its corner, in cells, rounded up
 INSIDE_M = 0.01  # how far places of robots are from the edge of the ground where they may be
+POCKET_CELLS = 16  # of the path grid: a smaller region that is joined to no other one is no room
 UNITS_MAX = 10_240  # units of a section: 256 blocks of 40, as WORK_PROGRESS carries them
 
 
@@ -255,6 +256,27 @@ def joins(
         if region == 0 or region_of.setdefault(part, region) != region:
             return False
     return True
+
+
+def without_pockets(
+    field: Field, grid: tuple[NDArray[np.bool_], float, float, float]
+) -> tuple[NDArray[np.bool_], float, float, float]:
+    """The path grid without regions of a few free cells that have no end of a section.
+
+    In a sharp corner, the last cell that keeps the clearance is often alone. A robot beside it would
+    have no way to anywhere. `grid`: as from `rasterise`, metres.
+    """
+    blocked, origin_x_m, origin_y_m, cell_m = grid
+    regions = regions_of(blocked)
+    cells = np.bincount(regions.ravel())
+    cells[0] = 0
+    is_pocket = (cells <= POCKET_CELLS) & (cells < cells.max())
+    for section in field.sections:
+        for x_m, y_m in section.ends:
+            row, column = int((y_m - origin_y_m) // cell_m), int((x_m - origin_x_m) // cell_m)
+            is_pocket[regions[row, column]] = False
+    is_pocket[0] = True
+    return is_pocket[regions], origin_x_m, origin_y_m, cell_m
 
 
 def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) -> list[XY]:

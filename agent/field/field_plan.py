@@ -13,7 +13,7 @@ from shapely.geometry import Point, Polygon
 from shapely.geometry.polygon import orient
 
 from agent.field.field_division import divide
-from agent.field.field_map import XY, Field, joins, rasterise
+from agent.field.field_map import XY, Field, joins, rasterise, without_pockets
 from agent.field.fleet_plan import JOBS_MAX
 from agent.field.steered_travel_times import SteeredTravelTimes
 from agent.field.travel_times import TravelTimes
@@ -155,7 +155,7 @@ class FieldPlan:
         while grid[0].size * 4 <= ROUTE_CELLS_MAX and not joins(self.field, grid, clearance_m):
             cell_m /= 2
             grid = rasterise(self.field, cell_m, clearance_m, whole=True)
-        return Route(*grid)
+        return Route(*without_pockets(self.field, grid))
 
     @cached_property
     def travel(self) -> TravelTimes:

@@ -1,11 +1,12 @@
 """A field as declared vehicles drive in it: what is refused, and what the curves are."""
 
-from math import radians, tan
+from math import cos, pi, radians, sin, tan
 
 import pytest
-from shapely.geometry import box
+from shapely.geometry import LineString, Polygon, box
 
 from agent.field.field_plan import (
+    CLEARANCE_M,
     PIVOT_RADIUS_M,
     SECTION_LEAST_M,
     SECTIONS_EACH,
@@ -99,3 +100,21 @@ def test_few_robots_get_sections_as_long_as_declared(side_m: float) -> None:
         for n in (1, 6)
     )
     assert one == few
+
+
+def test_a_robot_in_a_sharp_corner_has_a_way_to_each_section() -> None:
+    """The last cell of the path grid in the corner was alone, so ways from there led across fences."""
+    outline = Polygon(
+        [
+            (r * cos(0.7 + pi * k / 6), r * sin(0.7 + pi * k / 6))
+            for k in range(12)
+            for r in (70.0 if k % 2 == 0 else 11.0,)
+        ]
+    )
+    field = divided("star", outline, ORIGIN, FieldValues(), Vehicle())
+    plan = FieldPlan(field, Vehicle())
+    room = outline.buffer(-Vehicle().radius_m)
+    for tip in outline.buffer(-Vehicle().radius_m - CLEARANCE_M).exterior.coords:
+        for section in field.sections:
+            way = plan.route.path((tip[0], tip[1]), section.ends[0])
+            assert room.covers(LineString(way)), tip
