@@ -15,6 +15,7 @@ from shapely.geometry.polygon import orient
 from agent.field.field_division import divide
 from agent.field.field_map import XY, Field, joins, rasterise, without_pockets
 from agent.field.fleet_plan import JOBS_MAX
+from agent.field.narrow_lanes import narrow_lanes
 from agent.field.steered_travel_times import SteeredTravelTimes
 from agent.field.travel_times import TravelTimes
 from agent.interface.vehicle import DriveTrain, Vehicle
@@ -155,7 +156,12 @@ class FieldPlan:
         while grid[0].size * 4 <= ROUTE_CELLS_MAX and not joins(self.field, grid, clearance_m):
             cell_m /= 2
             grid = rasterise(self.field, cell_m, clearance_m, whole=True)
-        return Route(*without_pockets(self.field, grid))
+        grid = without_pockets(self.field, grid)
+        # A neck that is too narrow for that clearance may still be wide enough for avoidance.
+        least_m = self.vehicle.radius_m + FENCE_M + FENCE_SPARE_M
+        if joins(self.field, grid, least_m):
+            return Route(*grid)
+        return Route(*grid, narrow_lanes(self.field, grid, clearance_m, least_m))
 
     @cached_property
     def travel(self) -> TravelTimes:

@@ -91,17 +91,23 @@ class TravelTimes:
 
     @property
     def _opened(self) -> list[Point]:
-        """The ends and the corners, those at fences moved to free ground."""
+        """The nodes, those at fences moved to free ground unless a lane leads to them."""
         if self._kept_opened is None:
             places = [*self.ends.tolist(), *self.corners]
-            self._kept_opened = [self.route.opened((x_m, y_m)) for x_m, y_m in places]
+            on_lanes = self.route.lanes.ends
+            self._kept_opened = [
+                (x_m, y_m) if (x_m, y_m) in on_lanes else self.route.opened((x_m, y_m))
+                for x_m, y_m in places
+            ]
+            self._kept_opened.extend(on_lanes)
         return self._kept_opened
 
     @property
     def _nodes(self) -> Floats:
-        """(2 sections + corners, 2): the ends and the corners, metres."""
+        """(2 sections + others, 2): the ends, the corners, and the ends of lanes, metres."""
         if self._kept_nodes is None:
-            corners = np.array(self.corners, dtype=np.float64).reshape(-1, 2)
+            others = [*self.corners, *self.route.lanes.ends]
+            corners = np.array(others, dtype=np.float64).reshape(-1, 2)
             self._kept_nodes = np.vstack((self.ends, corners))
         return self._kept_nodes
 
@@ -163,7 +169,7 @@ class TravelTimes:
 
     @property
     def _ways_for_ms(self) -> Floats:
-        """(2 sections + corners, 2 sections): from each end and each corner to each end."""
+        """(nodes, 2 sections): from each node to each end."""
         if self._kept_ways is None:
             self._kept_ways = self._all_ways_for_ms()
         return self._kept_ways
@@ -173,6 +179,8 @@ class TravelTimes:
         straight_for_ms = np.full((count, count), np.inf)
         for a in range(count):
             straight_for_ms[a] = self._straight_for_ms(self._opened[a], a)
+        for a, b, length_m in self._over_lanes():
+            straight_for_ms[a, b] = 1000 * float(self.straight_for_s(np.array([length_m]))[0])
         direct = np.minimum(straight_for_ms, straight_for_ms.T)
         np.fill_diagonal(direct, 0.0)
         ways_for_ms = _shortest(direct)[:, :ends]
@@ -180,6 +188,22 @@ class TravelTimes:
         lost = ~np.isfinite(ways_for_ms)
         ways_for_ms[lost] = UNJOINED * 1000 * self.straight_for_s(apart_m[lost])
         return ways_for_ms
+
+    def _over_lanes(self) -> list[tuple[int, int, float]]:
+        """Nodes that lanes join, and the metres between them. An end of a section at one of a lane is
+        there twice.
+        """
+        lanes = self.route.lanes
+        first = len(self._nodes) - len(lanes.ends)
+        node_of = {end: first + k for k, end in enumerate(lanes.ends)}
+        joined = []
+        for line in lanes.lines:
+            length_m = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(line))
+            joined.append((node_of[line[0]], node_of[line[-1]], length_m))
+        for a, (x_m, y_m) in enumerate(self.ends.tolist()):
+            if (x_m, y_m) in node_of:
+                joined.append((a, node_of[x_m, y_m], 0.0))
+        return joined
 
     def lead_for_ms(self, start: Point) -> Whole:
         """(2 sections,): from a place, (x, y) metres, to each end; not to be changed.

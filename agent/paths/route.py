@@ -2,14 +2,17 @@
 
 import itertools
 from collections.abc import Sequence
-from math import hypot
+from math import dist, hypot
 
 import numpy as np
 from numpy.typing import NDArray
 
 from agent.paths.any_angle_planner import Planner
+from agent.paths.lane_ways import LaneWays
+from agent.paths.regions import regions_of
 
 Point = tuple[float, float]  # metres (x, y)
+SAME_M = 1e-3  # places nearer to each other than this are one
 OPEN_SEARCH_CELLS = 12  # greatest distance by which a start or goal on a blocked cell is moved
 
 
@@ -21,11 +24,15 @@ class Route:
     """
 
     def __init__(
-        self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float
-    ) -> None:
+        self, blocked: NDArray[np.bool_], origin_x_m: float, origin_y_m: float, cell_m: float,
+        lanes: Sequence[Sequence[Point]] = (),
+    ) -> None:  # fmt: skip
+        """`lanes`: lines through ground that is too narrow for cells, metres; they meet at ends."""
         self.blocked, self.cell_m = blocked, cell_m
         self.origin_x_m, self.origin_y_m = origin_x_m, origin_y_m
         self.planner = Planner(blocked)
+        self.lanes = LaneWays(lanes)
+        self._regions: NDArray[np.int32] | None = None  # made when a lane is needed
 
     def round(self, bodies: Sequence[Point], reach_m: float) -> "Route":
         """The same route with a disc of `reach_m` blocked round each standing body.
@@ -45,7 +52,8 @@ class Route:
             gap_y_m = np.maximum(np.abs(y_m - body_y_m) - half_m, 0.0)
             gap2 = gap_x_m[None, :] ** 2 + gap_y_m[:, None] ** 2
             window |= gap2 < reach_m * reach_m
-        return Route(blocked, self.origin_x_m, self.origin_y_m, self.cell_m)
+        lanes = self.lanes.without(bodies, reach_m)
+        return Route(blocked, self.origin_x_m, self.origin_y_m, self.cell_m, lanes)
 
     def admits(self, point: Point) -> bool:
         """Whether a robot's centre may be there."""
@@ -63,12 +71,18 @@ class Route:
         Start and goal may lie on blocked cells, as for a robot at the fence. The path then goes
         through the nearest free cell.
         """
+        over = self.lanes.lines and self._over_lanes(start, goal)
+        if over:
+            return over
+        return self._over_cells(start, goal) or (start, goal)
+
+    def _over_cells(self, start: Point, goal: Point) -> tuple[Point, ...] | None:
         a, b = self._open(self._cell(start)), self._open(self._cell(goal))
         if a is None or b is None:
-            return (start, goal)
+            return None
         cells = self.planner.plan(a, b)
         if cells is None:
-            return (start, goal)
+            return None
         inner = [self._point(cell) for cell in cells[1:-1]]
         # A start moved to an open cell must be visited, or the first leg could cut a corner.
         if a != self._cell(start):
@@ -76,6 +90,34 @@ class Route:
         if b != self._cell(goal):
             inner.append(self._point(b))
         return (start, *inner, goal)
+
+    def _over_lanes(self, start: Point, goal: Point) -> tuple[Point, ...] | None:
+        """The way over lanes, if cells do not join the two places; None: they do, or there is none."""
+        if self._regions is None:
+            self._regions = regions_of(self.blocked)
+        from_region, to_region = self._region(start), self._region(goal)
+        if from_region == to_region != 0:
+            return None
+        ends = {end: self._region(end) for end in self.lanes.ends}
+        legs = self.lanes.legs(start, from_region, goal, to_region, ends)
+        if legs is None:
+            return None
+        way = [start]
+        for leg in legs:
+            on = leg.points if leg.is_lane else self._over_cells(leg.points[0], leg.points[-1])
+            way += [at for at in on or leg.points if dist(at, way[-1]) > SAME_M]
+        return (start, *way[1:-1], goal) if dist(way[-1], goal) <= SAME_M else (*way, goal)
+
+    def _region(self, point: Point) -> int:
+        """The region of free cells from which a place is reached; 0 if that is a lane."""
+        assert self._regions is not None
+        cell = self._cell(point)
+        opened = self._open(cell)
+        if opened is None:
+            return 0
+        if opened != cell and self.lanes.off_m(point) < dist(point, self._point(opened)):
+            return 0
+        return int(self._regions[opened])
 
     def straight(self, start: Point, goal: Point) -> bool:
         """Whether the straight line between two places is free."""
