@@ -18,6 +18,7 @@ from agent.field.bar_swing import COURSE_M, BarSwing
 from agent.field.displacement_detector import DisplacementDetector
 from agent.field.field_map import Field, Section
 from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
+from agent.field.ground_parts import GroundParts
 from agent.field.parking import Parking
 from agent.field.section_choice import SectionChooser
 from agent.field.section_shares import Point
@@ -87,15 +88,17 @@ class FieldMission(Mission):
         speed_m_s: float,
         deceleration_m_s2: float,
         travel: TravelTimes | None = None,
+        parts: GroundParts | None = None,
     ) -> None:
         """`route`: plans paths in the field. `radius_m`: of every body. `speed_m_s`,
         `deceleration_m_s2`: of our body. `travel`: times of such bodies, for the plan of the fleet.
+        `parts`: of the field, that no body can leave; None: it is one.
         """
         self.field, self.route, self.radius_m = field, route, radius_m
         self.speed_m_s, self.deceleration_m_s2 = speed_m_s, deceleration_m_s2
         self.tolerance_m = field.tracking_tolerance_m
         self.position_accuracy_max_m = ACCURACY_SHARE * self.tolerance_m
-        self.choosing = SectionChooser(field, speed_m_s, travel)
+        self.choosing = SectionChooser(field, speed_m_s, travel, parts)
         self.section: Section | None = None
         self.legs: list[WorkLeg] = []
         self.tracker: FollowedWay | None = None
@@ -411,8 +414,10 @@ class FieldMission(Mission):
         """
         if not self.blockage.bodies:
             return frozenset()
-        phase_of = view.allocation.phase_of
-        begun = [s for s in self.field.sections if phase_of(s.id) is not Phase.DONE]
+        phase_of, apart = view.allocation.phase_of, self.choosing.apart(view)
+        begun = [
+            s for s in self.field.sections if phase_of(s.id) is not Phase.DONE and s.id not in apart
+        ]
         waiting = frozenset(
             s.id for s in begun if phase_of(s.id) is Phase.FREE and self._left_over(s, view)
         )
@@ -425,11 +430,11 @@ class FieldMission(Mission):
         assert self.section is not None
         if not self._left_over(self.section, view):
             return False
-        phase_of = view.allocation.phase_of
+        phase_of, apart = view.allocation.phase_of, self.choosing.apart(view)
         others = [
             s
             for s in self.field.sections
-            if s is not self.section and phase_of(s.id) is not Phase.DONE
+            if s is not self.section and phase_of(s.id) is not Phase.DONE and s.id not in apart
         ]
         ends = all(phase_of(s.id) is Phase.FREE and self._left_over(s, view) for s in others)
         return not (ends and self._are_silent_for_long(view))

@@ -15,6 +15,7 @@ from shapely.geometry.polygon import orient
 from agent.field.field_division import divide
 from agent.field.field_map import XY, Field, joins, rasterise, without_pockets
 from agent.field.fleet_plan import JOBS_MAX
+from agent.field.ground_parts import GroundParts
 from agent.field.narrow_lanes import narrow_lanes
 from agent.field.steered_travel_times import SteeredTravelTimes
 from agent.field.travel_times import TravelTimes
@@ -158,10 +159,15 @@ class FieldPlan:
             grid = rasterise(self.field, cell_m, clearance_m, whole=True)
         grid = without_pockets(self.field, grid)
         # A neck that is too narrow for that clearance may still be wide enough for avoidance.
-        least_m = self.vehicle.radius_m + FENCE_M + FENCE_SPARE_M
+        least_m = self.vehicle.radius_m + FENCE_M
         if joins(self.field, grid, least_m):
             return Route(*grid)
         return Route(*grid, narrow_lanes(self.field, grid, clearance_m, least_m))
+
+    @cached_property
+    def parts(self) -> GroundParts:
+        """The parts of the field between which such vehicles cannot drive."""
+        return GroundParts(self.field, self.vehicle.radius_m + FENCE_M)
 
     @cached_property
     def travel(self) -> TravelTimes:

@@ -13,6 +13,7 @@ from typing import Final
 from agent.claims.standing_owners import STANDS, StandingOwners
 from agent.field.field_map import Field
 from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot
+from agent.field.ground_parts import GroundParts
 from agent.field.section_shares import Point, SectionJob, shares
 from agent.field.travel_times import Remainder, TravelTimes
 from agent.interface.config import LEASE_US, S
@@ -31,10 +32,14 @@ AGAIN_PLAN_US: Final = 1 * S  # a robot without a section plans again this often
 class SectionChooser:
     """One robot's choice of sections, and what it remembers about the other robots."""
 
-    def __init__(self, field: Field, speed_m_s: float, travel: TravelTimes | None = None) -> None:
+    def __init__(
+        self, field: Field, speed_m_s: float, travel: TravelTimes | None = None,
+        parts: GroundParts | None = None,
+    ) -> None:  # fmt: skip
         """`speed_m_s`: at which sections are worked; shares are cut by the time that they take.
-        `travel`: of this field; None: no plan of the fleet is made."""
-        self.field, self.speed_m_s = field, speed_m_s
+        `travel`: of this field; None: no plan of the fleet is made. `parts`: of the field, that no body
+        can leave; None: it is one."""
+        self.field, self.speed_m_s, self.parts = field, speed_m_s, parts
         self.fleet_plan = None if travel is None else FleetPlan(travel)
         # The change counter of the allocation, the live robots and the time when nothing was for us.
         self._empty = -1, frozenset[int](), 0
@@ -66,6 +71,7 @@ class SectionChooser:
         that cannot be worked at present.
         """
         self._reserve(view)
+        waiting = waiting | self.apart(view)
         taken = waiting.union(*self.reserved.values())
         self.observe(view)
         free = [
@@ -90,6 +96,19 @@ class SectionChooser:
             )
         return self._orphan(view, waiting)
 
+    def apart(self, view: FleetView) -> frozenset[int]:
+        """The sections behind passages that are too narrow for us, by number."""
+        if self.parts is None:
+            return frozenset()
+        return self.parts.apart_from((view.here.x_m, view.here.y_m))
+
+    def _meets(self, slot: int, view: FleetView) -> bool:
+        """Whether another robot, which is heard, is in the part of the field in which we are."""
+        if self.parts is None:
+            return True
+        pose, here = view.neighbours[slot].pose, (view.here.x_m, view.here.y_m)
+        return self.parts.part_at((pose.x_m, pose.y_m)) == self.parts.part_at(here)
+
     def observe(self, view: FleetView) -> None:
         """Note which owners stand still. Call it while we work, too.
 
@@ -113,7 +132,7 @@ class SectionChooser:
         left = {section: self._remainder(section, view, plan.travel) for section in jobs}
         robots = {view.slot: FreedRobot(end, round(1000 * rest_for_s))}
         for slot in sorted(view.live - {view.slot}):
-            if slot in view.neighbours:
+            if slot in view.neighbours and self._meets(slot, view):
                 robots[slot] = self._freed(slot, view, plan.travel)
         rows = plan.plan(left, robots)
         self._plan = {slot: [jobs[section] for section in row] for slot, row in rows.items()}
@@ -217,7 +236,7 @@ class SectionChooser:
         for slot in sorted(view.live - {view.slot}):
             neighbour = view.neighbours.get(slot)
             owned = view.allocation.assigned_sections(slot)
-            if neighbour is None:
+            if neighbour is None or not self._meets(slot, view):
                 continue
             pose = neighbour.pose
             anchors[slot] = (pose.x_m, pose.y_m)
@@ -250,12 +269,12 @@ class SectionChooser:
                 if free and not self._left_to_others(section, view):
                     return self._bid(view, self._job(view, section))
             for section in sorted(view.allocation.assigned_sections(slot), reverse=True):
-                if view.allocation.stays(section):
+                if view.allocation.stays(section) or section in waiting:
                     continue
                 return self._bid(view, self._job(view, section))._replace(takeover=True)
         for slot in self.standing.standing():
             for section in view.allocation.assigned_sections(slot):
-                if view.allocation.stays(section):
+                if view.allocation.stays(section) or section in waiting:
                     continue
                 if not self._left_to_others(section, view):
                     self.standing.forget(slot)

@@ -10,6 +10,7 @@ from math import cos, dist, hypot, pi, sin
 from agent.field.corner_cuts import PAST_END_M
 from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
+from agent.field.ground_parts import GroundParts
 from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import WorkLeg
@@ -73,11 +74,15 @@ class TractorMission(FieldMission):
         limits: SteeringLimits,
         travel: TravelTimes | None = None,
         wheels: SteeredWheels | None = None,
+        parts: GroundParts | None = None,
     ) -> None:
         """`route`: plans paths of a point in the field. `turns`: plans paths of our body.
         `radius_m`: of every body. `limits`, `wheels`: of our chassis, see `TractorTracker`.
+        `parts`: see `FieldMission`.
         """
-        super().__init__(field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2, travel)
+        super().__init__(
+            field, route, radius_m, limits.speed_m_s, limits.deceleration_m_s2, travel, parts
+        )
         self.turns, self.limits, self.wheels = turns, limits, wheels
         self.reach_m = 2 * radius_m + BODY_M
         self.on_the_way, self.run_out_m = AT_WORK, 0.0

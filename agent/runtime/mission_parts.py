@@ -74,7 +74,14 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
         wheels = SteeredWheels(steering.steer_1_m_s, TURN_SPARE / plan.turn_radius_m)
         return MissionParts(
             TractorMission(
-                field, plan.route, plan.turns, vehicle.radius_m, steering, plan.travel, wheels
+                field,
+                plan.route,
+                plan.turns,
+                vehicle.radius_m,
+                steering,
+                plan.travel,
+                wheels,
+                plan.parts,
             ),
             TractorMotion(
                 slot,
@@ -96,6 +103,7 @@ def field_parts(slot: int, plan: FieldPlan) -> MissionParts:
             vehicle.speed_m_s,
             vehicle.braking_m_s2,
             plan.travel,
+            plan.parts,
         ),
         HolonomicMotion(
             slot,

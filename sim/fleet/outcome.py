@@ -17,7 +17,7 @@ class FieldOutcome(NamedTuple):
     seed: int
     silence_policy: str
     authenticated: bool
-    finished: bool  # every section DONE on every running replica, and their digests equal
+    finished: bool  # every section within reach DONE on every running replica, and digests equal
     coverage: float  # share of the area asked for that the implement swept
     reachable: float  # share of that area that these bodies can work at all
     reached: float  # share worked of what they can work; the run is judged by it

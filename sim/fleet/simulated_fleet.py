@@ -392,8 +392,8 @@ class Cluster:
 
     @property
     def finished(self) -> bool:
-        """Whether every running replica has every section done."""
-        sections = self.setting.section_count
+        """Whether every running replica has every section done that robots can reach."""
+        sections = self.setting.reachable_count
         return bool(self.running) and all(
             robot.peer.allocation.done_count() == sections for robot in self.running
         )

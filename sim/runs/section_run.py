@@ -20,7 +20,7 @@ class SectionRun(MissionRun[SetupT, Cluster, OutcomeT]):
         peers = [robot.peer for robot in cluster.running]
         done = max((peer.allocation.done_count() for peer in peers), default=0)
         share = max((peer.progress.fraction() for peer in peers), default=0.0)
-        now_s, total = cluster.host.now_us() / S, self.setting.section_count
+        now_s, total = cluster.host.now_us() / S, self.setting.reachable_count
         return RunProgress(now_s, done, total, share, states_of(cluster))
 
     def measure(self, cluster: Cluster) -> dict[str, Any]:

@@ -93,6 +93,7 @@ class WorkPlan(NamedTuple):
     method: str  # FLEET_PLAN, or EQUAL_RUNS in a field with very many sections
     sections: int  # of the field
     done: int  # of them, before the plan
+    apart: int  # of them, behind passages that are too narrow; not planned
     robots: tuple[RobotPlan, ...]
     unreached: tuple[Unreached, ...]  # ground of the field that these bodies cannot work, and why
 
@@ -116,26 +117,34 @@ def plan_work(setup: FieldSetup, done: WorkRecord | None = None, seed: int = 0) 
     field, travel = setup.field, setup.plan.travel
     covered = covered_units(field, done)
     left = left_of(field, travel, covered)
-    plan = FleetPlan(travel, seed)
     # As robot 0 knows the fleet: its own place, and those of the others as their frames tell them.
     places = [setup.starts[0], *(_heard(start) for start in setup.starts[1:])]
     robots = {slot: FreedRobot(place, 0) for slot, place in enumerate(places)}
-    if len(left) <= JOBS_MAX:
-        rows, method = plan.plan(left, robots), FLEET_PLAN
-    else:
-        rows, method = _equal_runs(field, travel, left, setup.starts), EQUAL_RUNS
-    drawn = _Drawing(setup, covered)
-    problem = plan.problem(left, [robots[slot] for slot in sorted(robots)]) if left else None
-    jobs = sorted(left)
-    job_of = {section: job for job, section in enumerate(jobs)}
-    rows_of = {
-        slot: [] if problem is None else visits(problem, slot, [job_of[s] for s in row])
-        for slot, row in rows.items()
-    }
+    drawn, method, planned = _Drawing(setup, covered), FLEET_PLAN, []
+    parts = [setup.plan.parts.part_at(start) for start in setup.starts]
+    for part in sorted(set(parts)):
+        mine = {slot: robots[slot] for slot in robots if parts[slot] == part}
+        apart = setup.plan.parts.apart_from(setup.starts[min(mine)])
+        here = {section: rest for section, rest in left.items() if section not in apart}
+        plan = FleetPlan(travel, seed)
+        if len(here) <= JOBS_MAX:
+            rows = plan.plan(here, mine)
+        else:
+            starts = {slot: setup.starts[slot] for slot in mine}
+            rows, method = _equal_runs(field, travel, here, starts), EQUAL_RUNS
+        problem = plan.problem(here, [mine[slot] for slot in sorted(mine)]) if here else None
+        jobs = sorted(here)
+        job_of = {section: job for job, section in enumerate(jobs)}
+        for robot, slot in enumerate(sorted(mine)):
+            row = [job_of[section] for section in rows[slot]]
+            planned.append(
+                drawn.robot(slot, [] if problem is None else visits(problem, robot, row), jobs)
+            )
     return WorkPlan(
         field.name, field.polygon.area / 1e4, round(field.implement_width_m * 1000),
         drawn.rings(field.polygon), method, len(field.sections), len(field.sections) - len(left),
-        tuple(drawn.robot(slot, rows_of[slot], jobs) for slot in sorted(robots)),
+        len(setup.unreachable & left.keys()),
+        tuple(sorted(planned, key=lambda robot: robot.robot)),
         setup.ground(sample_points(field.polygon, field.implement_width_m, field.overlap_m)).unreached,
     )  # fmt: skip
 
@@ -198,14 +207,14 @@ def _equal_runs(
     field: Field,
     travel: TravelTimes,
     left: Mapping[int, Remainder | None],
-    starts: Sequence[Point],
+    starts: Mapping[int, Point],
 ) -> Rows:
     """Runs of equal work, each begun at the end that is nearer, as robots take too many sections."""
     jobs = []
     for section, rest in sorted(left.items()):
         work_for_ms = int(travel.work_for_ms[section]) if rest is None else rest.work_for_ms
         jobs.append(SectionJob(section, work_for_ms / 1000, field.section(section).ends))
-    runs = shares(jobs, dict(enumerate(starts)), travel.speed_m_s)
+    runs = shares(jobs, dict(starts), travel.speed_m_s)
     return {slot: [job.section for job in run] for slot, run in runs.items()}
 
 

@@ -1,6 +1,7 @@
 """The setup of a fleet that works a field: the field, its plan, its world."""
 
 from collections.abc import Callable, Mapping
+from functools import cached_property
 from pathlib import Path
 
 from shapely.geometry import Point
@@ -174,6 +175,16 @@ class FieldSetup(FleetSetup):
     @property
     def section_count(self) -> int:
         return len(self.field.sections)
+
+    @cached_property
+    def unreachable(self) -> frozenset[int]:
+        """The sections that no robot can reach from its start."""
+        apart = [self.plan.parts.apart_from(start) for start in self.starts]
+        return frozenset.intersection(*apart)
+
+    @property
+    def reachable_count(self) -> int:
+        return len(self.field.sections) - len(self.unreachable)
 
     def parts(
         self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY

@@ -56,6 +56,11 @@ class FleetSetup(ABC):
     def section_count(self) -> int:
         """The number of sections, goals or parcels that the fleet claims."""
 
+    @property
+    def reachable_count(self) -> int:
+        """The number of those that robots can reach. With them, the work is done."""
+        return self.section_count
+
     @abstractmethod
     def parts(
         self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY

@@ -216,7 +216,7 @@ class Launch:
 
     def _progress(self) -> tuple[int, int, str]:
         """How much is done, of how much, of what."""
-        return self.inspector.allocation.done_count(), self.setting.section_count, "sections"
+        return self.inspector.allocation.done_count(), self.setting.reachable_count, "sections"
 
     def _sections(self) -> frozenset[int]:
         """Of the field; work in others is none. Empty: any may be there."""

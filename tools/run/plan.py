@@ -151,7 +151,7 @@ def _told(planned: WorkPlan) -> dict[str, object]:
 def _print(plans: list[WorkPlan], files: list[str]) -> None:
     console = Console()
     for planned in plans:
-        open_sections = planned.sections - planned.done
+        open_sections = planned.sections - planned.done - planned.apart
         table = Table(
             title=f"{escape(printable(planned.name))}: {planned.hectares:.2f} ha, {open_sections} of "
             f"{counted(planned.sections, '{} section{s}')}, {planned.ends_at_s:.0f} s"
