@@ -193,7 +193,7 @@ class CanBus:
         self._confirmed: int | None = 0 if confirms else None
         self._unconfirmed: deque[Frame] = deque(maxlen=UNRETURNED_MAX)
         self._loopback = loopback
-        self.ignored = 0  # error, remote and 11-bit frames
+        self.ignored = 0  # error, remote and 11-bit frames, and those without a whole identifier
         self.refused = 0  # frames that the driver did not accept
         self._told = Health.ACTIVE  # health as reported by error frames
         self.errors = InterfaceErrors()
@@ -272,6 +272,10 @@ class CanBus:
 
         def heard(message: "can.Message") -> None:
             self.errors.received()
+            # What is sent by UDP is of any kind: some languages have only numbers with a fraction.
+            if type(message.arbitration_id) is not int:
+                self.ignored += 1
+                return
             if message.is_extended_id and not (message.is_error_frame or message.is_remote_frame):
                 if self._is_own(message):
                     return

@@ -10,6 +10,7 @@ import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from secrets import randbelow
+from typing import Any
 
 import can
 import pytest
@@ -92,6 +93,27 @@ def test_a_frame_that_is_sent_again_with_our_mark_is_heard(group: str, plain: ca
         said(plain, LAST)
         await until(lambda: LAST in heard)
         assert heard == [STOP, LAST]
+        bus.close()
+
+    asyncio.run(main())
+
+
+@pytest.mark.parametrize("identifier", [float(LAST.identifier), float("nan"), True])
+def test_an_identifier_that_is_no_whole_number_is_counted(
+    group: str, plain: can.BusABC, identifier: Any
+) -> None:
+    """One such datagram ended every robot in its group, with a traceback."""
+
+    async def main() -> None:
+        bus, heard = open_bus(INTERFACE, group), list[Frame]()
+        bus.subscribe(heard.append)
+        for is_error in (False, True):
+            message = can.Message(arbitration_id=1, data=b"12345678", is_error_frame=is_error)
+            message.arbitration_id = identifier
+            plain.send(message)
+        said(plain, LAST)
+        await until(lambda: bool(heard) and heard[-1] == LAST)
+        assert heard == [LAST] and type(heard[0].identifier) is int and bus.ignored == 2
         bus.close()
 
     asyncio.run(main())
