@@ -224,7 +224,7 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
         if table.interface != "socketcand":
             return open_bus(table.interface, table.channel, table.bitrate, **options)
         rng = Random(f"line of robot {slot}")
-        host, port = str(options["host"]), int(options["port"])
+        host, port = _server(str(options["host"]), int(options["port"]))
         link = SocketcandLink(host, port, table.channel, rng)
     except Exception as problem:  # python-can interfaces raise what they like
         _forget_half_opened(problem)
@@ -249,6 +249,19 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
         link.close()
         raise
     return link
+
+
+def _server(host: str, port: int) -> tuple[str, int]:
+    """Host and port of a server. Raises ValueError for what no computer has: nobody answers there."""
+    if not 0 < port < 1 << 16:
+        raise ValueError(f"{port} is no port")
+    try:
+        named = host.encode("idna")
+    except UnicodeError:
+        named = b""
+    if not named:
+        raise ValueError(f"{host!r} is no name of a computer")
+    return host, port
 
 
 def _is_group(channel: str) -> bool:

@@ -139,6 +139,26 @@ def test_a_hub_without_an_address_is_told_plainly() -> None:
         asyncio.run(opened_bus(RobotBusTable(interface="socketcand"), 0))
 
 
+@pytest.mark.parametrize(
+    ("host", "port", "said"),
+    [
+        ("127.0.0.1", 99999, "99999 is no port"),
+        ("127.0.0.1", 0, "0 is no port"),
+        ("127.0.0.1", "abc", "invalid literal"),
+        ("robot..local", 29536, r"'robot\.\.local' is no name of a computer"),
+        ("", 29536, "'' is no name of a computer"),
+    ],
+)
+def test_a_server_that_can_never_answer_is_for_a_person_to_mend(
+    host: str, port: object, said: str
+) -> None:
+    """A robot waited for its bus for ever, because the task that connects had ended."""
+    table = RobotBusTable(interface="socketcand", options={"host": host, "port": port})
+    with pytest.raises(RobotError, match=said) as raised:
+        asyncio.run(opened_bus(table, 0, answer_for_s=0.5))
+    assert raised.value.code == 2
+
+
 def test_a_robot_file_without_its_fleet_is_refused() -> None:
     alone = {key: value for key, value in GOOD.items() if key != "fleet"}
     with pytest.raises(RobotError, match="fleet: is missing"):
