@@ -13,7 +13,7 @@ from contextlib import closing, contextmanager, suppress
 from itertools import combinations, pairwise
 from math import atan2, cos, degrees, dist, hypot, isfinite, pi, radians, remainder, sin, sqrt
 from pathlib import Path
-from statistics import fmean
+from statistics import fmean, median, pstdev
 from typing import Any, Final, NamedTuple
 
 from rich.console import Console
@@ -58,6 +58,11 @@ MUTED_S: Final = 0.8
 LATE_S: Final = 0.5
 INACCURATE_S: Final = 1.5
 JUMPED_M: Final = 2.0
+AGES_FOR_S: Final = 2.0  # forty places at 20 Hz, for noise of a centimetre
+HIDDEN_S: Final = CONTROL_PERIOD_US / S  # a place may be older than it says by this
+ASKED_EACH_S: Final = 0.02
+ASKED_FOR_S: Final = 0.02  # between a question and its answer
+ASKED_LEAST: Final = 10  # answers in time
 HINT_RAD: Final = radians(
     15.0
 )  # a course that is nearer to one that a known fault gives has this fault
@@ -587,7 +592,102 @@ async def shows_missing_and_late_places(trial: BodyTrial) -> str:
         raise WrongError(f"where: the machine says {truth!r}, not where it truly is") from None
     if apart_m > POSITION_ACCURACY_M:
         raise WrongError(f"{apart_m:.2f} m from where the machine truly is")
+    said.append(await _without_pause(trial, are_as_old_as_they_say))
     return f"{', '.join(said)}; {apart_m:.3f} m from the truth"
+
+
+class TrueMotion(NamedTuple):
+    """Where a simulated machine truly is at a time, and its velocity; metres, metres a second."""
+
+    at_us: int
+    x_m: float
+    y_m: float
+    vx_m_s: float
+    vy_m_s: float
+
+    @property
+    def speed_m_s(self) -> float:
+        """Without its direction."""
+        return hypot(self.vx_m_s, self.vy_m_s)
+
+
+async def _true_motions(trial: BodyTrial, for_s: float) -> list[TrueMotion]:
+    """What the machine says for a time. An answer that comes late says nothing of a time.
+
+    Raises WrongError."""
+    found, ends_at_us = [], trial.now_us() + for_s * S
+    while (asked_at_us := trial.now_us()) < ends_at_us:
+        truth = await trial.order("where")
+        answered_at_us = trial.now_us()
+        if answered_at_us - asked_at_us <= ASKED_FOR_S * S:
+            try:
+                heading_rad, ahead_m_s, left_m_s = (
+                    truth[key] for key in ("heading_rad", "ahead_m_s", "left_m_s")
+                )
+                found.append(
+                    TrueMotion(
+                        (asked_at_us + answered_at_us) // 2, truth["x_m"], truth["y_m"],
+                        ahead_m_s * cos(heading_rad) - left_m_s * sin(heading_rad),
+                        ahead_m_s * sin(heading_rad) + left_m_s * cos(heading_rad),
+                    )
+                )  # fmt: skip
+            except (TypeError, KeyError):
+                raise WrongError(f"where: the machine says {truth!r}") from None
+        await asyncio.sleep(ASKED_EACH_S)
+    return found
+
+
+async def _beside_truth(
+    trial: BodyTrial, command: Drive, for_s: float
+) -> list[tuple[TrueMotion, Observation]]:
+    """True motions under a command, each with the place that the driver sensed last before it.
+
+    Raises WrongError."""
+    asking = asyncio.create_task(_true_motions(trial, for_s))
+    try:
+        samples = await trial.run(command, for_s)
+        truths = await asking
+    finally:
+        asking.cancel()
+    pairs = []
+    for truth in truths:
+        seen = next((s.seen for s in reversed(samples) if s.at_us <= truth.at_us), None)
+        if seen is not None and truth.at_us - seen.sensed_at_us <= AGE_MAX_US:
+            pairs.append((truth, seen))
+    return pairs
+
+
+async def are_as_old_as_they_say(trial: BodyTrial) -> str:
+    """Places of a body that drives are where it truly was at their times.
+
+    A place that is late each time and does not say so is behind the body while it drives, and not when
+    it stands. Raises WrongError."""
+    driven = await _beside_truth(trial, trial.towards(0.0), AGES_FOR_S + 2 * trial.stops_in_s)
+    driven = [pair for pair in driven if pair[0].speed_m_s > trial.speed_m_s / 2]
+    await trial.stand()
+    still = await _beside_truth(trial, HALT, AGES_FOR_S)
+    if min(len(driven), len(still)) < ASKED_LEAST:
+        return "times not compared with the truth: this computer is busy"
+    last, _ = driven[-1]
+    east, north = last.vx_m_s / last.speed_m_s, last.vy_m_s / last.speed_m_s
+
+    def ahead_m(truth: TrueMotion, seen: Observation) -> float:
+        """How far the machine is ahead of a place that is driven on to the same time."""
+        for_s = (truth.at_us - seen.sensed_at_us) / S
+        x_m = truth.x_m - seen.x_m - truth.vx_m_s * for_s
+        y_m = truth.y_m - seen.y_m - truth.vy_m_s * for_s
+        return x_m * east + y_m * north
+
+    ways_m = [ahead_m(*pair) for pair in driven]
+    speed_m_s = fmean(truth.speed_m_s for truth, _ in driven)
+    hidden_s = (median(ways_m) - median(ahead_m(*pair) for pair in still)) / speed_m_s
+    fixes = len({seen.sensed_at_us for _, seen in driven})
+    most_s = HIDDEN_S + 4 * pstdev(ways_m) / sqrt(fixes) / speed_m_s
+    if hidden_s > most_s:
+        raise WrongError(
+            f"places are {hidden_s * 1000:.0f} ms older than they say; {most_s * 1000:.0f} ms at most"
+        )
+    return f"times right to {abs(hidden_s) * 1000:.0f} ms"
 
 
 async def _worse_places(trial: BodyTrial) -> None:

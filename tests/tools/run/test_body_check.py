@@ -267,6 +267,19 @@ class Unsaid(NmeaBody):
         return self.before[0]._replace(sensed_at_us=seen.sensed_at_us)
 
 
+class Queued(NmeaBody):
+    """What its receiver says waits for 0.1 s in a queue, and counts as having arrived then."""
+
+    def __init__(self, slot: int, gnss: str, wheels: str) -> None:
+        super().__init__(slot, gnss, wheels)
+        self.queue: deque[tuple[bytes, int]] = deque()
+
+    def _take(self, line: bytes, at_us: int) -> None:
+        self.queue.append((line, at_us))
+        while at_us - self.queue[0][1] >= 100_000:
+            super()._take(self.queue.popleft()[0], at_us)
+
+
 class Exact(NmeaBody):
     """It leaves out the accuracy."""
 
@@ -389,6 +402,7 @@ class StandsAgain(NmeaBody):
     [
         (Unsaid, "stop", "later than they say"), (Exact, "missing places", "inaccurate: the place"),
         (HoldsOn, "life of a command", "after the last command"),
+        (Queued, "missing places", "ms older than they say"),
         (Filtered, "missing places", "by steps of"), (NoNumber, "ahead", "x_m is nan"),
         (Raises, "opens", "sense raised KeyError: 'receiver' (test_body_check.py:"),
         (Seconds, "times", "in seconds"), (StandsAgain, "restart", "opened again"),

@@ -1,6 +1,7 @@
 """Drivers of a machine that is computed, in virtual time: what is wrong with each is found."""
 
 import asyncio
+from collections import deque
 from collections.abc import Iterator
 from math import cos, sin
 from typing import Any
@@ -14,7 +15,15 @@ from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from sim.fleet.virtual_clock import run_virtual
 from tests.tools.launching import ROOT
-from tools.run.body_check import CHECKS, BodyTrial, WrongError, body_check, judged, orders_at
+from tools.run.body_check import (
+    CHECKS,
+    BodyTrial,
+    WrongError,
+    are_as_old_as_they_say,
+    body_check,
+    judged,
+    orders_at,
+)
 
 STEP_US = 5000
 ACCELERATION_M_S2 = 1.5
@@ -160,6 +169,65 @@ def test_a_driver_that_times_out_is_told_so() -> None:
     assert failed(TimesOut("open"))["opens"] == "the read operation timed out"
     assert failed(TimesOut("sense"))["times"].startswith("sense raised TimeoutError: the read")
     assert failed(Silent())["opens"] == "no place in 10 s"
+
+
+class Older(Exact):
+    """Its places are older than they say."""
+
+    def __init__(self, periods: int) -> None:
+        super().__init__()
+        self.before: deque[Observation] = deque(maxlen=1 + periods)
+
+    def sense(self, now_us: int) -> Observation | None:
+        seen = super().sense(now_us)
+        assert seen is not None
+        self.before.append(seen)
+        return self.before[0]._replace(sensed_at_us=seen.sensed_at_us)
+
+
+class OnMachine(BodyTrial):
+    """The machine of the body says where it truly is."""
+
+    async def order(self, line: str) -> Any:
+        assert line == "where" and isinstance(self.body, Exact)
+        Exact.sense(self.body, self.now_us())
+        (x_m, y_m, angle_rad), (vx_m_s, vy_m_s, _) = self.body.place, self.body.velocity
+        return {
+            "x_m": x_m, "y_m": y_m, "heading_rad": angle_rad,
+            "ahead_m_s": vx_m_s * cos(angle_rad) + vy_m_s * sin(angle_rad),
+            "left_m_s": vy_m_s * cos(angle_rad) - vx_m_s * sin(angle_rad),
+        }  # fmt: skip
+
+
+@pytest.mark.parametrize(("periods", "hidden_ms"), [(0, 0), (2, 100), (3, 150)])
+def test_places_that_are_always_a_little_late_are_found_beside_the_truth(
+    periods: int, hidden_ms: int
+) -> None:
+    """Drivers whose places were up to 0.2 s older than they said passed all checks."""
+    body = Older(periods)
+    body.place[2] = 0.7  # neither eastward nor northward
+    trial = OnMachine(body, Vehicle(drive=DriveTrain.MECANUM), None)
+    if not hidden_ms:
+        assert run_virtual(are_as_old_as_they_say(trial)) == "times right to 0 ms"
+        return
+    with pytest.raises(WrongError, match="ms older than they say") as raised:
+        run_virtual(are_as_old_as_they_say(trial))
+    assert int(str(raised.value).split()[2]) == pytest.approx(hidden_ms, abs=5)
+
+
+class Slow(OnMachine):
+    """The computer of the machine is busy: its answers take 30 ms."""
+
+    async def order(self, line: str) -> Any:
+        loop = asyncio.get_running_loop()
+        answered = loop.create_future()
+        loop.call_later(0.03, answered.set_result, await super().order(line))
+        return await answered
+
+
+def test_a_machine_that_answers_slowly_says_nothing_of_a_driver() -> None:
+    trial = Slow(Older(0), Vehicle(drive=DriveTrain.MECANUM), None)
+    assert run_virtual(are_as_old_as_they_say(trial)).endswith("this computer is busy")
 
 
 class Says(Exact):
