@@ -28,6 +28,9 @@ if TYPE_CHECKING:
 # echo of the driver, the others by the receipt of the controller. `virtual` is a queue in this
 # process, so a frame is sent as soon as it is queued.
 CONFIRMING: Final = frozenset({"socketcan", "kvaser", "pcan", "vector", "virtual"})
+# Interfaces whose file can be read as long as a frame waits. Others may keep frames in a buffer of their
+# own, where nobody looks before the next one comes, or wait for the rest of a frame.
+BY_FILE: Final = frozenset({"socketcan", "udp_multicast", "slcan"})
 # Own frames that wait for their return; above this number the oldest is dropped.
 UNRETURNED_MAX: Final = 512
 MARK_SIZE: Final = 12  # letters, so that two of a fleet are never equal
@@ -180,10 +183,15 @@ class CanBus:
     running."""
 
     def __init__(
-        self, bus: "can.BusABC", confirms: bool = False, loopback: Loopback | None = None
+        self,
+        bus: "can.BusABC",
+        confirms: bool = False,
+        loopback: Loopback | None = None,
+        by_file: bool = True,
     ) -> None:
         """`confirms`: whether the bus was opened with `receive_own_messages`. `loopback`: how own frames
-        are recognised that the interface returns unmarked; None: it returns none."""
+        are recognised that the interface returns unmarked; None: it returns none. `by_file`: whether
+        its file, if it has one, can be read as long as a frame waits; else a thread receives."""
         import can
 
         # Without a type, mypyc takes the attribute for a name of the module, and makes none.
@@ -192,7 +200,7 @@ class CanBus:
         self._direct_sent = hasattr(bus, "sent")
         self._confirmed: int | None = 0 if confirms else None
         self._unconfirmed: deque[Frame] = deque(maxlen=UNRETURNED_MAX)
-        self._loopback = loopback
+        self._loopback, self._by_file = loopback, by_file
         self.ignored = 0  # error, remote and 11-bit frames, and those without a whole identifier
         self.refused = 0  # frames that the driver did not accept
         self._told = Health.ACTIVE  # health as reported by error frames
@@ -287,7 +295,7 @@ class CanBus:
 
         loop = asyncio.get_running_loop()
         try:
-            file = self.bus.fileno()
+            file = self.bus.fileno() if self._by_file else -1
         except NotImplementedError:
             file = -1
         if file < 0:  # read by a thread
@@ -390,7 +398,8 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
         if interface in CONFIRMING:
             options.setdefault("receive_own_messages", True)
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
-    return CanBus(bus, bool(options.get("receive_own_messages")) and interface in CONFIRMING)
+    confirms = bool(options.get("receive_own_messages")) and interface in CONFIRMING
+    return CanBus(bus, confirms, by_file=interface in BY_FILE)
 
 
 def _hear_own_group_alone(bus: "can.BusABC") -> None:

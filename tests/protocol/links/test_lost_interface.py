@@ -4,6 +4,7 @@ import asyncio
 import logging
 import socket
 from collections.abc import Callable
+from contextlib import suppress
 from errno import EIO, ENETDOWN, ENODEV, ENXIO
 from typing import Any
 
@@ -11,7 +12,7 @@ import can
 import pytest
 
 from protocol.frames.frame import Frame
-from protocol.links.bus import LOST_S, CanBus, InterfaceErrors
+from protocol.links.bus import LOST_S, CanBus, InterfaceErrors, open_bus
 
 FRAME = Frame(0x18FEF100, b"\1")
 LIMIT_S = 10.0
@@ -96,6 +97,49 @@ def played(play: Callable[[Trial], Any], by_file: bool = True) -> None:
             trial.bus.close()
 
     asyncio.run(whole())
+
+
+class Buffered(Adapter):
+    """An interface that takes all bytes that wait at once, and returns one frame a call, as robotell."""
+
+    def __init__(self) -> None:
+        super().__init__(by_file=True)
+        self.kept = b""
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self.ours.settimeout(0.0 if self.kept else timeout)
+        with suppress(TimeoutError, BlockingIOError):
+            self.kept += self.ours.recv(64)
+        if not self.kept:
+            return None, False
+        identifier, self.kept = self.kept[0], self.kept[1:]
+        return can.Message(arbitration_id=identifier, is_extended_id=True), False
+
+
+def test_frames_that_an_interface_has_buffered_are_heard_at_once(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Of two frames at once the second was heard with the next one: a stop fell ever further behind."""
+    adapter = Buffered()
+    monkeypatch.setattr(can, "Bus", lambda **options: adapter)
+
+    async def main() -> None:
+        bus, heard, all_heard = open_bus("robotell", "/dev/ttyUSB0"), list[int](), asyncio.Event()
+
+        def hear(frame: Frame) -> None:
+            heard.append(frame.identifier)
+            if len(heard) == 3:
+                all_heard.set()
+
+        bus.subscribe(hear)
+        adapter.theirs.send(b"\x01\x02\x03")
+        try:
+            await asyncio.wait_for(all_heard.wait(), LIMIT_S)
+        finally:
+            bus.close()
+        assert heard == [1, 2, 3]
+
+    asyncio.run(main())
 
 
 @pytest.mark.parametrize("by_file", [True, False])
