@@ -154,13 +154,16 @@ class LinePort:
 
     def _read(self) -> None:
         rest, heard_at_s = b"", 0.0  # 0.0: nothing was heard on this connection
+        again_at_s = time.monotonic() + AGAIN_S
         while not self._end.is_set():
             if self._stream is None:
                 rest, heard_at_s = b"", 0.0
-                try:
+                # Some devices open and are gone at once, as a port forwarded to nothing.
+                if self._end.wait(max(again_at_s - time.monotonic(), 0.0)):
+                    break
+                with suppress(*DEVICE_ERRORS):
                     self._stream = self._opens()
-                except DEVICE_ERRORS:
-                    self._end.wait(AGAIN_S)
+                again_at_s = time.monotonic() + AGAIN_S
                 continue
             silent = self.receives and heard_at_s and time.monotonic() - heard_at_s > SILENCE_S
             if silent or self._stalled is self._stream:

@@ -71,6 +71,20 @@ def test_a_device_that_comes_back_is_read_again(server: socket.socket, opened: O
     second.close()
 
 
+def test_a_device_that_opens_and_is_gone_at_once_is_not_opened_without_a_pause(
+    server: socket.socket, opened: Open, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A port that is forwarded to nothing was opened 14,000 times a second, beside the robot's thread."""
+    monkeypatch.setattr(line_port, "AGAIN_S", 0.1)
+    begun_at_s = time.monotonic()
+    opened(where(server))
+    for _ in range(5):
+        server.accept()[0].close()
+    device, _ = server.accept()
+    assert time.monotonic() - begun_at_s >= 5 * 0.1
+    device.close()
+
+
 def test_a_device_that_does_not_read_never_makes_us_wait(
     server: socket.socket, opened: Open
 ) -> None:
