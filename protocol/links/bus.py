@@ -229,7 +229,7 @@ class CanBus:
                     loopback.sent(frame)
                     if loopback.deaf:
                         self._join_again(loopback)
-            except (self._can.CanError, OSError, ValueError) as problem:
+            except Exception as problem:  # python-can interfaces raise what they like
                 taken = False
                 self.errors.add_code(problem)
                 if self._unconfirmed:
@@ -308,7 +308,7 @@ class CanBus:
         def readable() -> None:
             try:
                 message = self.bus.recv(0)
-            except (self._can.CanError, OSError) as problem:
+            except Exception as problem:  # python-can interfaces raise what they like
                 self.errors.add(problem)
                 return
             if message is not None:
@@ -349,7 +349,10 @@ class CanBus:
             self._notifier.stop()
             self._notifier = None
         self._end_read()
-        self.bus.shutdown()
+        try:
+            self.bus.shutdown()
+        except Exception as problem:  # of an adapter that is gone, to which nothing can be said
+            log.warning("bus: cannot close: %s", str(problem) or type(problem).__name__)
 
 
 class Passed:

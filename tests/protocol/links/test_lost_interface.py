@@ -161,6 +161,53 @@ def test_an_adapter_that_was_unplugged_is_lost_and_told_in_one_line(
     assert len(caplog.records) == 1 and "Traceback" not in caplog.text
 
 
+class Garbled(Adapter):
+    """It has received a frame of slcan that is no number, has nobody to send it to, and is unplugged."""
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self.ours.settimeout(timeout)
+        with suppress(TimeoutError, BlockingIOError):
+            self.ours.recv(1)
+            raise ValueError("invalid literal for int() with base 16: 'zzzzzzzz'")
+        return None, False
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        raise AttributeError("'NoneType' object has no attribute 'write'")
+
+    def shutdown(self) -> None:
+        super().shutdown()
+        raise can.CanOperationError("Could not write to serial device")
+
+
+@pytest.mark.parametrize("by_file", [True, False])
+def test_what_an_interface_raises_of_any_kind_is_counted_and_told(
+    by_file: bool, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A line of garbage was a traceback in the log. A robot whose adapter was unplugged ended with one,
+    and with code 1, because its bus could not be closed."""
+
+    async def main() -> None:
+        adapter = Garbled(by_file)
+        bus, noted = CanBus(adapter), asyncio.Event()
+
+        def clock() -> float:
+            noted.set()
+            return 0.0
+
+        bus.errors = InterfaceErrors(clock)
+        bus.subscribe(lambda frame: None)
+        adapter.theirs.send(b"x")
+        await asyncio.wait_for(noted.wait(), LIMIT_S)
+        assert bus.errors.count == 1 and "zzzzzzzz" in bus.errors.newest
+        assert not bus.send(FRAME) and bus.refused == 1
+        bus.close()
+
+    with caplog.at_level(logging.WARNING):
+        asyncio.run(main())
+    assert "Traceback" not in caplog.text and "callback" not in caplog.text
+    assert caplog.records[-1].message == "bus: cannot close: Could not write to serial device"
+
+
 def test_an_adapter_to_which_only_sending_fails_is_lost_too() -> None:
     async def play(trial: Trial) -> None:
         trial.adapter.fails_to_send = ENXIO
