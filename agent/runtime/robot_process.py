@@ -38,7 +38,13 @@ from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.key_file import KeyFileError, read_robot
 from agent.runtime.files.release_log import ReleaseLog, key_of, path_of
 from agent.runtime.gc_tuning import free_planning_memory, freeze_gc
-from agent.runtime.peer_factory import clock_zero_at_s, identity_of, keyring_of, make_peer
+from agent.runtime.peer_factory import (
+    NO_MISSION,
+    clock_zero_at_s,
+    identity_of,
+    keyring_of,
+    make_peer,
+)
 from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import (
     DeclaredMachine,
@@ -366,9 +372,10 @@ async def run_robot(
     """Run one robot until `end` is set; then it leaves the fleet with a farewell.
 
     `first_boot`: a new machine. Otherwise an empty memory counts as lost, and the robot stays latched
-    until a person resets it. `dry`: its body is never driven. `started`: called once, when it takes
-    part. Raises RobotError before it takes part, AbsentError where a device of its body or its bus fails
-    later, DriverError where the driver of its body does, and whatever else ends its peer.
+    until a person resets it. `dry`: its body is never driven, and it does no work. `started`: called
+    once, when it takes part. Raises RobotError before it takes part, AbsentError where a device of its
+    body or its bus fails later, DriverError where the driver of its body does, and whatever else ends
+    its peer.
     """
     slot, keys = robot.robot.slot, keys_of(robot)
     journal, recalled = _journal(robot)
@@ -386,6 +393,9 @@ async def run_robot(
                 work = work_of(robot, now_us, recalled)
                 if work.parts.mission is not None:
                     recalled = _of_work(robot, journal, recalled, work.field_hash)
+                # A body that is not driven does no work. Its place would seem frozen, and the next start
+                # would stand until a person looks.
+                parts = NO_MISSION if dry else work.parts
                 identity = identity_of(
                     robot.name, slot, robot.fleet.robots, work.field_hash,
                     robot.fleet.silence_policy, first_boot=first_boot, diagnostics=True,
@@ -394,7 +404,7 @@ async def run_robot(
                 )  # fmt: skip
                 segment = robot.robot.segment
                 peer = make_peer(
-                    identity, Random(lot), PeerRunner.now_us(), recalled, work.parts,
+                    identity, Random(lot), PeerRunner.now_us(), recalled, parts,
                     keyring=keyring_of(keys, slot, lot.hex().encode(), clock_zero_at_s(now_us)),
                     area=Area(segment, work.sections) if segment else None,
                 )  # fmt: skip

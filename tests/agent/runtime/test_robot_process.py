@@ -14,6 +14,7 @@ from agent.interface.effects import GatedDrive
 from agent.interface.observation import Observation
 from agent.runtime import robot_process
 from agent.runtime.peer_factory import NO_MISSION, MissionParts
+from agent.runtime.peer_runner import PeerRunner
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from agent.runtime.robot_file import AbsentError, Changes, RobotBusTable, RobotError, RobotFile
 from agent.runtime.robot_process import opened_bus, run_robot
@@ -260,6 +261,32 @@ def test_a_driver_that_loses_its_device_ends_a_robot_that_may_be_restarted(tmp_p
 
     with pytest.raises(AbsentError, match="robot 0: body: sense: device disconnected"):
         asyncio.run(run())
+
+
+@pytest.mark.parametrize("dry", [False, True])
+def test_a_robot_that_is_not_driven_does_no_work(dry: bool, tmp_path: Path) -> None:
+    """It claimed a section, and took its place for frozen. The next start stood until a person came."""
+    field(tmp_path, 20.0, 15.0)
+    document = {
+        "name": "n", "robot": {"slot": 0, "journal": str(tmp_path)}, "fleet": {"robots": 1},
+        "field": {"file": "tiny.geojson", "implement_width_m": 4.0},
+        "bus": {"interface": "virtual", "channel": f"dry {dry}"}, "body": {"plugin": "standing"},
+    }  # fmt: skip
+    robot, runners = RobotFile.of(document, "r.toml", tmp_path), list[PeerRunner]()
+
+    async def run() -> None:
+        end = asyncio.Event()
+
+        def started(runner: PeerRunner) -> None:
+            runners.append(runner)
+            end.set()
+
+        async with asyncio.timeout(LIMIT_S):
+            await run_robot(robot, end, first_boot=True, dry=dry, started=started)
+
+    asyncio.run(run())
+    (runner,) = runners
+    assert (runner.peer.mission is None) == dry and (runner.peer.motion is None) == dry
 
 
 class NotThere(Unplugged):
