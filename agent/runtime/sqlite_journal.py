@@ -64,6 +64,10 @@ class UnreadableError(OSError):
     """The file exists and its contents are lost: its robot has lost its memory."""
 
 
+class InUseError(OSError):
+    """Another process has the journal open."""
+
+
 class Mark:
     """The number of the newest write, and whether one has failed, in a file of its own."""
 
@@ -310,7 +314,9 @@ class SqliteJournal:
     def _error(self, problem: Exception) -> OSError:
         code = getattr(problem, "sqlite_errorcode", 0) & 0xFF
         if code == sqlite3.SQLITE_BUSY:  # "database is locked", by its exclusive owner
-            return OSError(f"{self.path}: another process has it open; this robot may already run")
+            return InUseError(
+                f"{self.path}: another process has it open; this robot may already run"
+            )
         kind = OSError if code in NOT_TO_BE_HAD else UnreadableError
         return kind(f"{self.path}: {problem}")
 

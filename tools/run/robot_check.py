@@ -23,6 +23,7 @@ from agent.runtime.robot_body import RobotBody, fault_text
 from agent.runtime.robot_file import WORKS, Changes, RobotError, RobotFile
 from agent.runtime.robot_process import WRONG, AttendedBody, keys_of, opened_body, opened_bus
 from agent.runtime.robot_work import work_of
+from agent.runtime.sqlite_journal import InUseError, SqliteJournal
 from tools.build.kernel_cache import WAIT
 from tools.common.counted import counted
 from tools.common.exit_codes import wrong
@@ -72,6 +73,7 @@ def _viewers(metrics: str | None, foxglove: int | None) -> list[Finding]:
 
 
 async def _check(declared: RobotFile, as_json: bool, viewers: list[Finding]) -> int:
+    runs = _runs(declared)
     findings = [
         _file(declared),
         *_machine(declared),
@@ -80,9 +82,7 @@ async def _check(declared: RobotFile, as_json: bool, viewers: list[Finding]) -> 
         *kernels(declared),  # before the work, which compiles some
         _work(declared),
         _limits(declared),
-        _journal(declared),
-        await _bus(declared),
-        *await _body(declared),
+        *([runs] if runs else [_journal(declared), await _bus(declared), *await _body(declared)]),
         *viewers,
     ]
     findings = _once(findings)
@@ -189,6 +189,21 @@ def _limits(declared: RobotFile) -> Finding:
         f"stands after {blind_way_m(vehicle.limits):.1f} m"
     )
     return Finding("limits", True, text)
+
+
+def _runs(declared: RobotFile) -> Finding | None:
+    """Whether this robot runs already. Its devices are in use then. A body that is closed tells wheels
+    to stand, and of a serial port each reader takes what the other one misses."""
+    path = memory(declared)
+    if not path.exists():
+        return None
+    try:
+        SqliteJournal(path).close()
+    except InUseError as problem:
+        return Finding("memory", False, f"{problem}; bus and body are not looked at")
+    except OSError:
+        return None  # said with the memory, or when the robot starts
+    return None
 
 
 def _journal(declared: RobotFile) -> Finding:

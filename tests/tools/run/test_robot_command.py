@@ -19,7 +19,7 @@ from websockets.sync.client import connect
 from websockets.typing import Subprotocol
 
 from agent.interface.effects import Persist
-from agent.runtime.robot_body import named
+from agent.runtime.robot_body import RobotBody, named
 from agent.runtime.robot_file import Changes, RobotFile
 from agent.runtime.robot_work import work_of
 from agent.runtime.sqlite_journal import SqliteJournal
@@ -628,3 +628,28 @@ def test_check_states_the_limits_of_this_body(folder: Path) -> None:
     code, out, _ = end(begin(folder, "fleet.toml", "--slot", "1", "--check", "--json"))
     (said,) = (each["found"] for each in json.loads(out)["findings"] if each["what"] == "limits")
     assert code == 0 and "for 0.1 s" in said and "from 2.5 m/s it stands after 2.5 m" in said
+
+
+def test_a_robot_that_runs_is_not_ready_and_its_devices_are_left_alone(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was "ready", and the check told the wheels of the robot that drove to stand."""
+    touched: list[str] = []
+
+    async def opened(robot: RobotFile, *, dry: bool) -> RobotBody:
+        touched.append("body")
+        raise OSError
+
+    monkeypatch.setattr(robot_check, "opened_body", opened)
+    path, file = folder / "robot0.sqlite", folder / "fleet.toml"
+    running = SqliteJournal(path)
+    running.write([Persist("kept", b"1")])
+    assert robot_check.check(file, Changes(slot=0), False) == 2 and touched == []
+    said = capsys.readouterr().out
+    assert "this robot may already run" in said.replace("\n", " ") and "not ready: memory" in said
+    running.close()
+    robot_check.check(file, Changes(slot=0), False)
+    assert touched == ["body"] and "already run" not in capsys.readouterr().out
+    again, recalled = SqliteJournal.opened(path)
+    again.close()
+    assert recalled == {"kept": b"1"}
