@@ -6,6 +6,7 @@ and never further from the line than the overlap allows. What was missed is work
 """
 
 from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Set as AbstractSet
 from functools import partial
 from math import copysign, dist, hypot, inf, sqrt
 from typing import Final
@@ -444,10 +445,28 @@ class FieldMission(Mission):
         return view.now_us - newest_at_us >= SILENT_FOR_US
 
     def _look_round(self, view: FleetView) -> None:
-        """Update the obstructions in the field and replan if they changed."""
+        """Update the obstructions in the field and replan if they changed.
+
+        A leg at work that none of them is in the way of is driven to its end: a unit that was begun
+        would have to be begun again.
+        """
         new = self.blockage.observe(view)
-        if new is None or (new and self.blockage.touches(self._way_left(view), new)):
+        if new is not None and not (new and self.blockage.touches(self._way_left(view), new)):
+            return
+        if self._leg_stays(view):
+            assert self.section is not None
+            units = frozenset(self.leg.units)
+            self.legs = self._legs_from(self.leg.points[-1], self.section, view, units)
+        else:
             self._go_round(view)
+        self.headway.again()  # the way may be longer now
+
+    def _leg_stays(self, view: FleetView) -> bool:
+        """Whether we are on a leg at work whose other units are free."""
+        if self.section is None or self.tracker is None or not self.turns_on_the_spot:
+            return False
+        ahead = self.leg.units[self.unit :]
+        return bool(ahead) and self._blocked(view, last=False).isdisjoint(ahead)
 
     def _go_round(self, view: FleetView) -> None:
         self.legs, self.tracker, self.heading_to = [], None, None
@@ -701,12 +720,17 @@ class FieldMission(Mission):
         """Legs from here: the uncovered stretches of the section, nearest end first, joined by
         transits.
         """
-        stretches = self._stretches(section, view, last=False)
+        return self._legs_from((view.here.x_m, view.here.y_m), section, view, frozenset())
+
+    def _legs_from(
+        self, at: Point, section: Section, view: FleetView, driven: frozenset[int]
+    ) -> list[WorkLeg]:
+        """Legs as above, from a place, (x, y) metres, and without the units `driven`."""
+        stretches = self._stretches(section, view, False, driven)
         if not stretches:
-            stretches = self._stretches(section, view, last=True)
+            stretches = self._stretches(section, view, True, driven)
         if not stretches:
             return []
-        at: Point = (view.here.x_m, view.here.y_m)
         if self._from_last(section, stretches, at, view):
             stretches = [WorkLeg(leg.points[::-1], leg.units[::-1]) for leg in reversed(stretches)]
         legs: list[WorkLeg] = []
@@ -731,9 +755,16 @@ class FieldMission(Mission):
             return entry == 1
         return dist(at, stretches[-1].points[-1]) < dist(at, stretches[0].points[0])
 
-    def _stretches(self, section: Section, view: FleetView, last: bool) -> list[WorkLeg]:
-        """The stretches left to work; `last`: include those that come last."""
-        mine = self.worked.union(self.doubted) if self.section is section else frozenset[int]()
+    def _stretches(
+        self, section: Section, view: FleetView, last: bool,
+        driven: frozenset[int] = frozenset(),
+    ) -> list[WorkLeg]:  # fmt: skip
+        """The stretches left to work, without the units `driven`; `last`: include those that come
+        last.
+        """
+        mine: AbstractSet[int] = driven
+        if self.section is section:
+            mine = driven.union(self.worked, self.doubted)
         blocked = self.blockage.units(section, things_too=view.leave_out or not last)
         if self.beside and self.section is section:
             blocked = blocked.union(self.beside)
