@@ -117,6 +117,38 @@ def test_ctrl_c_while_modules_are_loaded_says_nothing(name: str) -> None:
     assert (told.returncode, told.stdout, told.stderr) == (130, "", "")
 
 
+DROPPED_AT = """
+import signal, sys, weakref
+class Interrupts:
+    def find_spec(self, name, path=None, target=None):
+        if name == "numpy":
+            gone = Interrupts()
+            reference = weakref.ref(gone, lambda _: signal.raise_signal({number}))
+            del gone
+signal.signal(signal.SIGINT, {handler})
+sys.meta_path.insert(0, Interrupts())
+sys.argv = ["headland", "check", "small"]
+from headland.__main__ import main
+main()
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="signals are not of POSIX there")
+@pytest.mark.parametrize(
+    ("number", "handler"),
+    [("signal.SIGINT", "signal.default_int_handler"), ("signal.SIGTERM", "signal.SIG_IGN")],
+)
+def test_ctrl_c_that_meets_a_callback_of_an_import_ends_the_command(
+    number: str, handler: str
+) -> None:
+    """Python drops an exception of a callback. A launch went on for good after its Ctrl-C."""
+    program = DROPPED_AT.format(number=number, handler=handler)
+    told = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=ROOT
+    )
+    assert (told.returncode, told.stdout, told.stderr) == (130, "", "")
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full on this system")
 @pytest.mark.parametrize("words", [["dbc"], ["--help"], ["list"], ["--version"]])
 @pytest.mark.parametrize("unbuffered", ["", "1"])
