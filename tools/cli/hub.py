@@ -81,6 +81,11 @@ def hub(
     `announced`: by socketcand's beacon; None: where only this machine can hear it. `errors`: clients
     are told error frames.
     """
+    if 1_000_000 % bitrate:
+        return wrong(
+            f"--bitrate {bitrate}: the simulated bus has bits of whole microseconds, as at 125000, "
+            "250000, 500000 and 1000000 bit/s"
+        )
     says = loopback(host) if announced is None else announced
     try:
         asyncio.run(_serve(host, port, bitrate, seed, as_json, says, errors))

@@ -117,6 +117,8 @@ SAID = [
     ("tc nowhere --hitch 120", "--hitch 120: it is -100 to 100 metres"),
     ("tc nowhere --hitch -1e9", "--hitch -1e+09: it is -100 to 100 metres"),
     ("tc nowhere --accuracy -0.05", "--accuracy -0.05: it is 0 to 100 metres"),
+    ("hub --bitrate 800000", "--bitrate 800000: the simulated bus has bits of whole microseconds"),
+    ("hub --bitrate 99999999999999999999", "bits of whole microseconds"),
     ("machine --place nan,0,0", "finite"),
     ("machine --place 1e400,0,0", "finite"),
     ("machine --origin 95,0", "latitude is -90 to 90"),
