@@ -312,7 +312,10 @@ def main(jobs: int, as_json: bool = False) -> int:
     numbers = range(len(PARTS))
     # Those behind it leave Ctrl-C to the one in front, which ends them.
     leave = signal.signal, (signal.SIGINT, signal.SIG_IGN)
-    with Pool(jobs or os.cpu_count(), *leave) as pool, console.status("compiling ..."):
+    with (
+        Pool(min(jobs or os.cpu_count() or 1, len(PARTS)), *leave) as pool,
+        console.status("compiling ..."),
+    ):
         for name, spent_s in pool.imap_unordered(_compiled, numbers):
             console.print(f"{name:11} {spent_s:6.1f} s")
             spent[name] = round(spent_s, 1)

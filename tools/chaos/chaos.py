@@ -57,7 +57,8 @@ def chaos(
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:
         return wrong(problem, code_of(problem))
-    jobs = jobs or os.cpu_count() or 1
+    runs = len(MUTANTS) if mutants else numbers.stop - numbers.start
+    jobs = min(jobs or os.cpu_count() or 1, runs)  # all of them are started at once
     freeze_gc()  # and the workers inherit it
     if mutants:
         try:
@@ -83,6 +84,8 @@ def chaos(
         verdicts, cpu_s = _campaign(console, numbers, profile, jobs, seconds, cluster, keep)
     except ClusterError as problem:
         return wrong(problem)
+    if not verdicts:
+        return wrong(f"--seconds {seconds:g}: over before the first run, so nothing was judged")
     told = keep(verdicts, cpu_s)
     failed = [verdict for verdict in verdicts if not verdict.ok]
     if failed:

@@ -17,6 +17,7 @@ PROFILES = (
     "stolen."
 )
 ATTACKED = "With +forger at its end: in a fleet with keys, with an attacker on the bus."
+JOBS_MAX = 1024  # more than one machine has cores
 app = typer.Typer()
 
 
@@ -26,7 +27,9 @@ def chaos(
         str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
     ] = "0:20",
     profile: Annotated[str, typer.Option(help=f"{PROFILES} {ATTACKED}")] = "all",
-    jobs: Annotated[int, typer.Option(min=0, help="Processes at a time (0: one a core).")] = 0,
+    jobs: Annotated[
+        int, typer.Option(min=0, max=JOBS_MAX, help="Processes at a time (0: one a core).")
+    ] = 0,
     seconds: Annotated[float | None, typer.Option(help="Begin no run after this long.")] = None,
     out: Annotated[
         Path, typer.Option("-o", "--out", help="Folder for results and reproductions.")

@@ -10,6 +10,9 @@ from pathlib import Path
 
 import pytest
 
+from tools.chaos import chaos as campaign
+from tools.chaos import planted_bug_hunt
+from tools.chaos.campaign import ClusterError
 from tools.chaos.chaos import _range, chaos
 
 ROOT = Path(__file__).parents[3]
@@ -96,3 +99,31 @@ def test_the_greatest_seed_is_told(
 
 def test_the_greatest_seed_is_one() -> None:
     assert _range("0:9223372036854775808").stop == 2**63
+
+
+@pytest.mark.parametrize(("seeds", "mutants", "most"), [("0:2", False, 2), ("0:2", True, 100)])
+def test_no_more_processes_are_started_than_there_are_runs(
+    seeds: str, mutants: bool, most: int, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """All were started at the first run: `--seeds 0:2 --jobs 5000` made 5,000 processes."""
+    asked = []
+
+    def workers(jobs: int, cluster: str = "") -> object:
+        asked.append(jobs)
+        raise ClusterError("started enough")
+
+    for module in (campaign, planted_bug_hunt):
+        monkeypatch.setattr(module, "workers", workers)
+    monkeypatch.setattr(planted_bug_hunt, "warm_up", lambda: None)
+    assert chaos(seeds, "all", 5000, None, tmp_path, mutants, False) == 2
+    assert len(asked) == 1 and 1 <= asked[0] <= most
+
+
+def test_a_campaign_of_no_runs_keeps_no_rule(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`--seconds` was over before the first run, and it said "every rule kept" with exit code 0."""
+    assert chaos("0:2", "all", 1, 0.0, tmp_path, False, False) == 2
+    said = capsys.readouterr()
+    assert not said.out.strip() and said.err.count("\n") == 1 and "--seconds 0: over" in said.err
+    assert not list(tmp_path.iterdir())

@@ -117,6 +117,7 @@ SAID = [
     ("tc nowhere --hitch 120", "--hitch 120: it is -100 to 100 metres"),
     ("tc nowhere --hitch -1e9", "--hitch -1e+09: it is -100 to 100 metres"),
     ("tc nowhere --accuracy -0.05", "--accuracy -0.05: it is 0 to 100 metres"),
+    ("chaos --jobs 99999999999999999999", "--jobs"),
     ("hub --bitrate 800000", "--bitrate 800000: the simulated bus has bits of whole microseconds"),
     ("hub --bitrate 99999999999999999999", "bits of whole microseconds"),
     ("machine --place nan,0,0", "finite"),
