@@ -9,7 +9,8 @@ import pytest
 from agent.runtime.files.key_file import FLEET, OPERATOR, read
 from tools.common import file_owner
 from tools.common.file_owner import is_private
-from tools.common.launch_keys import KEYS, fleet_keys, keys_in, own_keys
+from tools.common.launch_keys import KEYS, MADE, fleet_keys, keys_in, own_keys
+from tools.common.run_folder import FolderError
 
 
 def test_a_fleet_that_goes_on_keeps_its_keys_and_a_new_one_gets_others(tmp_path: Path) -> None:
@@ -25,8 +26,25 @@ def test_a_fleet_that_goes_on_keeps_its_keys_and_a_new_one_gets_others(tmp_path:
     assert read(fleet_keys(tmp_path, goes_on=True), FLEET) == first
     other = read(fleet_keys(tmp_path, goes_on=False), FLEET)
     assert not set(other.ids.values()) & set(first.ids.values())
-    made = ["fleet.json", "operator.json", "panel.json"]
+    made = ["fleet.json", MADE, "operator.json", "panel.json"]
     assert sorted(path.name for path in folder.iterdir()) == made
+
+
+@pytest.mark.parametrize("kept", ["fleet.json operator.json panel.json", "fleet.json"])
+def test_keys_of_machines_are_never_replaced(kept: str, tmp_path: Path) -> None:
+    """`headland launch --out .` deleted the keys beside it, by which alone a fleet of machines can be
+    released, and wrote others."""
+    keys = tmp_path / KEYS
+    keys.mkdir(mode=0o755)
+    for name in kept.split():
+        (keys / name).write_text(name)
+    for goes_on in (False, True):
+        if goes_on and (keys / "operator.json").exists():
+            continue  # the fleet that has them
+        with pytest.raises(FolderError, match="keys that no launch has made"):
+            fleet_keys(tmp_path, goes_on, 3)
+    assert {path.name: path.read_text() for path in keys.iterdir()} == {n: n for n in kept.split()}
+    assert keys.stat().st_mode & 0o777 == 0o755
 
 
 def test_only_the_user_of_a_launch_takes_its_keys(
