@@ -11,6 +11,7 @@ Written as a folder, or as a zip if the name ends in .zip.
 """
 
 import zipfile
+import zlib
 from collections.abc import Callable
 from datetime import timedelta
 from decimal import Decimal
@@ -28,12 +29,15 @@ from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord, area_m2
 
 DEVICE, WIDTH_OBJECT, STATE_OBJECT = 0, 1, 2  # object numbers within a device
 ON_CHANGE = 8  # DPD D: the value is logged when it changes
+OURS = (b'ManagementSoftwareManufacturer="Headland"', b'TaskControllerManufacturer="Headland"')
+HEAD_BYTES = 1024  # of a file of ours: both stand in its first 200
 ZONE = 1  # code of the treatment zone that was worked
 
 
 def write_isoxml(record: WorkRecord, out: Path) -> None:
     """Write task data into a folder (created if needed) or a zip. FieldFileError without
-    `isoxml`."""
+    `isoxml`, and where task data of others is."""
+    refuse_others(out)
     files = {NAME: task_file(out, lambda: _contents(record))}
     for number, (robot, log) in enumerate(sorted(record.logs.items()), 1):
         files[f"TLG{number:05d}.xml"] = header(f"DET-{robot + 1}").encode()
@@ -47,6 +51,30 @@ def write_isoxml(record: WorkRecord, out: Path) -> None:
     out.mkdir(parents=True, exist_ok=True)
     for name, content in reversed(files.items()):  # what names the others comes last
         write_whole(out / name, content)
+
+
+def refuse_others(out: Path) -> None:
+    """Raises FieldFileError where task data is that not Headland alone has written: what farm software
+    made, or a terminal went on with, may be the only copy. OSError where it cannot be read."""
+    heads = [_head_in_zip(out)] if out.is_file() else []
+    if out.is_dir():
+        for path in out.iterdir():
+            if path.name.upper() == NAME:
+                with path.open("rb") as file:
+                    heads.append(file.read(HEAD_BYTES))
+    if not all(mark in head for head in heads for mark in OURS):
+        raise FieldFileError(
+            f"{out}: there is task data that not Headland has written; choose another name"
+        )
+
+
+def _head_in_zip(path: Path) -> bytes:
+    """The first bytes of its task file; none where it is no such zip."""
+    try:
+        with zipfile.ZipFile(path) as archive, archive.open(NAME) as file:
+            return file.read(HEAD_BYTES)
+    except (KeyError, EOFError, RuntimeError, zipfile.BadZipFile, zlib.error):
+        return b""
 
 
 def task_file(out: Path, contents: Callable[[], dict[str, Any]]) -> bytes:

@@ -19,7 +19,7 @@ from agent.runtime.files.isoxml_reader import NAME
 from agent.runtime.files.printable_text import printable
 from protocol.name import fleet_name
 from sim.files.whole_file import whole_file, write_whole
-from sim.runs.isoxml_writer import device, guidance_pattern, polygon_of, task_file
+from sim.runs.isoxml_writer import device, guidance_pattern, polygon_of, refuse_others, task_file
 from sim.runs.work_geojson import feature
 from sim.runs.work_plan import PlannedSection, RobotPlan, WorkPlan
 from sim.runs.work_record import NAME_MAX, Rings, area_m2
@@ -142,8 +142,9 @@ def _coordinates(points: Sequence[tuple[float, float]]) -> str:
 def write_plan_isoxml(plans: Sequence[WorkPlan], folder: Path) -> None:
     """Write the plans of all fields as one task file into a folder, made if needed.
 
-    FieldFileError without the package `isoxml`.
+    FieldFileError without the package `isoxml`, and where task data of others is.
     """
+    refuse_others(folder)
     content = task_file(folder, lambda: _contents(plans))
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / NAME, content)

@@ -83,7 +83,8 @@ def marks_of(
 
 def work_export() -> tuple[str, str]:
     """The command by which farm software gets the work, with what is installed, and why."""
-    form = "--geojson work.json" if find_spec("isoxml") is None else "--isoxml TASKDATA"
+    place = "WORK" if Path("TASKDATA").exists() else "TASKDATA"  # which may be what was worked
+    form = "--geojson work.json" if find_spec("isoxml") is None else f"--isoxml {place}"
     return f"export {{}} {form}", "the finished work, for farm software"
 
 

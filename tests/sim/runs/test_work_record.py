@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from math import cos, sin
 from pathlib import Path
+from zipfile import ZipFile
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -22,6 +23,7 @@ from agent.runtime.files.field_file import read_boundary
 from sim.runs.isoxml_time_log import pack
 from sim.runs.isoxml_writer import write_isoxml
 from sim.runs.work_geojson import read_work_geojson, write_geojson
+from sim.runs.work_plan_files import write_plan_isoxml
 from sim.runs.work_record import LogPoint, WorkRecord, covered_area, record_of
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.ground_truth import TrackPoint
@@ -114,6 +116,39 @@ def test_the_package_reads_it_too(tmp_path: Path, record: WorkRecord) -> None:
     assert task.status.value == "4" and task.partfield_id_ref == data.partfields[0].id
     logs = [unpack(binaries[log.filename], record.started) for log in task.time_logs]
     assert logs == list(record.logs.values())
+
+
+FARMS = b'<ISO11783_TaskData ManagementSoftwareManufacturer="%b" TaskControllerManufacturer="%b"/>'
+
+
+@pytest.mark.parametrize("makers", [(b"Farm", b"Headland"), (b"Headland", b"Terminal")])
+@pytest.mark.parametrize(
+    "name", ["TASKDATA/TASKDATA.XML", "TASKDATA/TaskData.xml", "farm.zip", "a.zip"]
+)
+def test_task_data_of_others_is_never_replaced(
+    name: str, makers: tuple[bytes, bytes], tmp_path: Path, record: WorkRecord
+) -> None:
+    """`headland run TASKDATA/` named `export --isoxml TASKDATA` as the next command, which replaced the
+    fields, customers and tasks of the farm."""
+    path, text = tmp_path / name, FARMS % makers
+    path.parent.mkdir(exist_ok=True)
+    if name == "farm.zip":
+        with ZipFile(path, "w") as archive:
+            archive.writestr("TASKDATA.XML", text)
+    else:
+        path.write_bytes(text)
+    kept = path.read_bytes()
+    out = path if path.suffix == ".zip" else path.parent
+    with pytest.raises(FieldFileError, match="task data that not Headland has written"):
+        write_isoxml(record, out)
+    assert path.read_bytes() == kept
+    if out.is_dir():
+        with pytest.raises(FieldFileError, match="task data that not Headland has written"):
+            write_plan_isoxml([], out)
+        assert [each.name for each in out.iterdir()] == [path.name]
+    path.unlink()
+    for _ in range(2):  # its own are replaced
+        write_isoxml(record, out)
 
 
 def test_rings_and_lines_are_as_geojson_wants_them(tmp_path: Path, record: WorkRecord) -> None:
