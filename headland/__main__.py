@@ -34,10 +34,12 @@ def main() -> None:
 def interrupts_again() -> Iterator[None]:
     """A Ctrl-C that Python drops comes again.
 
-    Where it meets a callback of a weak reference or a destructor, Python prints it and goes on. Each
-    import of a module ends with such a callback.
+    Where it meets a callback of a weak reference or of C, or a destructor, Python prints it and goes on.
+    Each import of a module ends with such a callback. numba compiles with callbacks of C, and fails
+    where one has done nothing.
     """
     before = sys.unraisablehook
+    drops: list[int] = []
 
     def dropped(problem: "UnraisableHookArgs") -> None:
         if not issubclass(problem.exc_type, KeyboardInterrupt):
@@ -46,6 +48,7 @@ def interrupts_again() -> Iterator[None]:
         # Where Ctrl-C is ignored it was the system's request to end.
         pressed = callable(signal.getsignal(signal.SIGINT))
         number = signal.SIGINT if pressed else signal.SIGTERM
+        drops.append(number)
         again = threading.Timer(AGAIN_S, interrupt_main, (number,))
         again.daemon = True
         again.start()
@@ -53,6 +56,10 @@ def interrupts_again() -> Iterator[None]:
     sys.unraisablehook = dropped
     try:
         yield
+    except Exception:
+        if drops:
+            raise KeyboardInterrupt from None
+        raise
     finally:
         sys.unraisablehook = before
 

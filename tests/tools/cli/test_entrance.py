@@ -125,6 +125,7 @@ class Interrupts:
             gone = Interrupts()
             reference = weakref.ref(gone, lambda _: signal.raise_signal({number}))
             del gone
+            {then}
 signal.signal(signal.SIGINT, {handler})
 sys.meta_path.insert(0, Interrupts())
 sys.argv = ["headland", "check", "small"]
@@ -138,11 +139,13 @@ main()
     ("number", "handler"),
     [("signal.SIGINT", "signal.default_int_handler"), ("signal.SIGTERM", "signal.SIG_IGN")],
 )
-def test_ctrl_c_that_meets_a_callback_of_an_import_ends_the_command(
-    number: str, handler: str
+@pytest.mark.parametrize("then", ["pass", "raise RuntimeError('no compiled object yet')"])
+def test_ctrl_c_that_meets_a_callback_ends_the_command(
+    number: str, handler: str, then: str
 ) -> None:
-    """Python drops an exception of a callback. A launch went on for good after its Ctrl-C."""
-    program = DROPPED_AT.format(number=number, handler=handler)
+    """Python drops an exception of a callback. A launch went on for good after its Ctrl-C, and numba,
+    whose callback had done nothing, failed with a hundred lines."""
+    program = DROPPED_AT.format(number=number, handler=handler, then=then)
     told = subprocess.run(
         [sys.executable, "-c", program], capture_output=True, text=True, check=False, cwd=ROOT
     )
