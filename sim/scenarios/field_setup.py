@@ -184,7 +184,7 @@ class FieldSetup(FleetSetup):
 
     @property
     def reachable_count(self) -> int:
-        return len(self.field.sections) - len(self.unreachable)
+        return self.section_count - len(self.unreachable)
 
     def parts(
         self, slot: int, now_us: int = 0, recalled: Mapping[str, bytes] = NO_MEMORY
