@@ -14,7 +14,7 @@ from random import Random
 
 from agent.coverage.cell_map import NONE, CellMap
 from agent.coverage.plan_agreement import ANYBODY, CoverageAgreement, FleetSnapshot
-from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, MS, S
+from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, GONE_QUIET_US, MS, S
 from agent.interface.lifecycle import ABLE, State
 from agent.interface.mission import (
     STILL,
@@ -128,11 +128,20 @@ class GridWork(Mission):
         answer = AgreementReply.BUSY if self._stranded else AgreementReply.GRANT
         if not free:
             answer = AgreementReply.STOPPED
-        crew = FleetSnapshot(view.live, view.fell_silent_at_us, view.progress)
+        crew = FleetSnapshot(
+            view.live, view.fell_silent_at_us, view.progress, self._placeless(view)
+        )
         rounds.on_tick(number, answer, not self._told, crew, now_us)
         self._note_holding(view)
         self._wish = self._drive(view)
         self._asked = False
+
+    def _placeless(self, view: FleetView) -> frozenset[int]:
+        """Live members that do not know where they are: their newest place is not a new one."""
+        stale_at_us = view.now_us - GONE_QUIET_US
+        return frozenset(
+            s for s, n in view.neighbours.items() if n.heard_at_us <= stale_at_us and s in view.live
+        )
 
     def _standing(self, view: FleetView, free: bool, gathering: bool) -> int:
         """The cell that we are in the middle of; a robot that cannot move counts as in its cell.

@@ -31,6 +31,7 @@ class Table:
         self.answers = dict.fromkeys(range(robots), AgreementReply.GRANT)
         self.live = {s: frozenset(range(robots)) for s in range(robots)}
         self.silent: dict[int, dict[int, int]] = {s: {} for s in range(robots)}
+        self.placeless: frozenset[int] = frozenset()
         self.rng, self.loss, self.now_us = Random(seed), loss, 0
 
     def run(self, for_us: int) -> None:
@@ -38,7 +39,9 @@ class Table:
         while self.now_us < end_us:
             self.now_us += 50 * MS
             for slot, rounds in self.rounds.items():
-                crew = FleetSnapshot(self.live[slot], self.silent[slot], self.progress[slot])
+                crew = FleetSnapshot(
+                    self.live[slot], self.silent[slot], self.progress[slot], self.placeless - {slot}
+                )
                 rounds.on_tick(slot, self.answers[slot], True, crew, self.now_us)
                 for word in rounds.outgoing(self.now_us):
                     for other in self.live[slot] - {slot}:
@@ -91,6 +94,29 @@ def test_one_that_cannot_move_is_gone_round_until_it_can() -> None:
     table.answers[1] = AgreementReply.GRANT
     table.run(3 * S)
     assert all(r.going for r in table.rounds.values())
+
+
+@pytest.mark.parametrize("loss", [0.0, 0.3])
+def test_a_robot_that_knows_no_place_has_no_part_in_the_plan_until_it_announces_one(
+    loss: float,
+) -> None:
+    table = Table(3, 2, loss)
+    blind = table.rounds.pop(2)
+    table.run(8 * S)
+    assert not any(r.going for r in table.rounds.values()), "it may announce its cell at any time"
+    table.placeless = frozenset({2})
+    table.run(8 * S)
+    rounds = table.rounds[0].rounds
+    assert all(r.going and r.course and r.course.slots == (0, 1) for r in table.rounds.values())
+    table.run(8 * S)
+    assert table.rounds[0].rounds == rounds, "the plan of the others holds"
+    table.rounds[2] = blind
+    table.run(8 * S)
+    assert all(r.going and r.course and r.course.slots == (0, 1, 2) for r in table.rounds.values())
+    rounds = table.rounds[0].rounds
+    table.placeless = frozenset()
+    table.run(8 * S)
+    assert table.rounds[0].rounds == rounds and len(table.plans(0, 1, 2)) == 1
 
 
 def test_one_silent_is_dead_and_its_work_is_cut_again() -> None:

@@ -9,7 +9,7 @@ from sim.files.grid_map import map_text, parse_map, random_walls
 from sim.files.mapf_scenario import MapfInstance, drawn_scenario
 from sim.runs.mapf_run import MapfOutcome, MapfRun
 from sim.scenarios.mapf_setup import MapfSetup
-from sim.scenarios.scenario import Crash, Estop, Fault, Reset
+from sim.scenarios.scenario import Blind, Crash, Estop, Fault, Reset
 from sim.world.path_judge import judge_paths
 from tools.run.mapf import judged, path_file
 
@@ -48,6 +48,18 @@ def test_robots_that_stand_on_their_goals_cost_nothing() -> None:
     _, outcome = play(mapf)
     assert outcome.success and outcome.arrived == 2
     assert outcome.sum_of_costs == outcome.makespan == outcome.shortest == 0
+
+
+@pytest.mark.parametrize("robot", [0, 1])
+def test_a_robot_that_never_sees_its_place_does_not_keep_the_others_standing(robot: int) -> None:
+    """Each round waited for its cell, so nobody set out, for good."""
+    starts, goals = [(0, 0), (1, 1), (2, 0)], [(0, 7), (1, 7), (2, 7)]
+    mapf = MapfInstance("hall", np.zeros((4, 8), dtype=np.bool_), starts, goals)
+    blind = Blind(at_s=0.0, kind="blind", robot=robot, for_s=20.0)
+    run = MapfRun(MapfSetup.of(mapf, faults=[blind], time_limit_s=15.0))
+    assert run.run().arrived == 2
+    _, outcome = play(mapf, blind)
+    assert outcome.success and outcome.arrived == 3, "it takes part when it sees"
 
 
 @pytest.mark.parametrize("seed", [1, 2])
