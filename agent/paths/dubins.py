@@ -19,6 +19,10 @@ Floats = NDArray[np.float64]
 
 WORDS = 6
 STRAIGHT_1_M = 1e-9  # a piece with less curvature counts as straight
+# A straight piece between two arcs of less than this square, in square radii, is rounding noise: 0.03 mm
+# at 3 m. So is its direction. The square of none may come out this little below zero.
+NONE_BETWEEN = 1e-10
+NO_TURN_RAD = 1e-9  # an arc that is this little less than a full circle is none, by rounding
 
 
 @njit(cache=True, error_model="numpy")
@@ -61,21 +65,25 @@ def words(
     sa, sb, ca, cb, cab = sin(a), sin(b), cos(a), cos(b), cos(a - b)
     lengths[:] = np.inf
     square = 2 + d * d - 2 * cab + 2 * d * (sa - sb)
-    if square >= 0.0:
+    if abs(square) < NONE_BETWEEN:
+        lengths[0] = (b - a) % full, 0.0, 0.0
+    elif square > 0.0:
         turn = atan2(cb - ca, d + sa - sb)
         lengths[0] = (turn - a) % full, sqrt(square), (b - turn) % full
     square = 2 + d * d - 2 * cab + 2 * d * (sb - sa)
-    if square >= 0.0:
+    if abs(square) < NONE_BETWEEN:
+        lengths[1] = (a - b) % full, 0.0, 0.0
+    elif square > 0.0:
         turn = atan2(ca - cb, d - sa + sb)
         lengths[1] = (a - turn) % full, sqrt(square), (turn - b) % full
     square = d * d - 2 + 2 * cab + 2 * d * (sa + sb)
-    if square >= 0.0:
-        p = sqrt(square)
+    if square > -NONE_BETWEEN:
+        p = sqrt(max(square, 0.0))
         turn = atan2(-ca - cb, d + sa + sb) - atan2(-2.0, p)
         lengths[2] = (turn - a) % full, p, (turn - b) % full
     square = d * d - 2 + 2 * cab - 2 * d * (sa + sb)
-    if square >= 0.0:
-        p = sqrt(square)
+    if square > -NONE_BETWEEN:
+        p = sqrt(max(square, 0.0))
         turn = atan2(ca + cb, d - sa - sb) - atan2(2.0, p)
         lengths[3] = (a - turn) % full, p, (b - turn) % full
     middle = (6 - d * d + 2 * cab + 2 * d * (sa - sb)) / 8
@@ -88,6 +96,10 @@ def words(
         p = (full - acos(middle)) % full
         t = (-a + atan2(-ca + cb, d + sa - sb) + p / 2) % full
         lengths[5] = t, p, (b - a - t + p) % full
+    for word in range(WORDS):
+        for piece in (0, 2):
+            if full - NO_TURN_RAD < lengths[word, piece] <= full:
+                lengths[word, piece] = 0.0
     lengths *= radius
     k = 1.0 / radius
     curvatures[0], curvatures[1] = (k, 0.0, k), (-k, 0.0, -k)

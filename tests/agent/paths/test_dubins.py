@@ -34,6 +34,21 @@ def test_every_word_ends_at_the_goal(
     assert shortest_m(start, goal, radius_m) >= hypot(goal[0] - start[0], goal[1] - start[1]) - 1e-6
 
 
+@settings(deadline=None)
+@given(pose, st.floats(0.5, 6.0), st.sampled_from(["L", "R", "LR", "RL", "LS", "SR"]), st.data())
+def test_a_goal_at_the_end_of_an_arc_is_no_circle_further(
+    start: tuple[float, float, float], radius_m: float, pieces: str, data: st.DataObject
+) -> None:
+    """A straight piece of no length had a direction of rounding noise, and an arc became a circle."""
+    goal, way_m = start, 0.0
+    for piece in pieces:
+        length_m = radius_m * data.draw(st.floats(0.01, 3.0 if len(pieces) > 1 else 6.0))
+        curvature = {"L": 1.0, "S": 0.0, "R": -1.0}[piece] / radius_m
+        goal = step(*goal, curvature, length_m)
+        way_m += length_m
+    assert shortest_m(start, goal, radius_m) <= way_m + 1e-4
+
+
 @pytest.mark.slow
 def test_known_ways() -> None:
     assert shortest_m((0, 0, 0), (10, 0, 0), 2.0) == pytest.approx(10.0)
