@@ -28,6 +28,7 @@ from tools.run.run_mission import ProgressBar
 
 AGREED_S = 15.0  # by then a fleet of a hundred has found itself and drives: crashes come after it
 CRASHES_S = 60.0  # and within this
+DIGITS_MAX = 9  # of a number of robots; far more than a bus has addresses
 LIMIT_FACTOR = 6.0  # of the time in which one robot would cross all rows and columns
 PICTURES = (".png", ".svg", ".pdf")
 
@@ -39,10 +40,9 @@ def counts_of(words: str) -> list[int]:
     >>> counts_of("1:10"), counts_of("10:100:40"), counts_of("7")
     ([1, 2, 4, 8, 10], [10, 50, 90, 100], [7])
     """
-    try:
-        parts = [int(part) for part in words.split(":")]
-    except ValueError:
-        parts = []
+    told = words.split(":")
+    plain = all(part.isascii() and part.isdecimal() and len(part) <= DIGITS_MAX for part in told)
+    parts = [int(part) for part in told] if plain else []
     if not 1 <= len(parts) <= 3 or min(parts) < 1 or parts != [*sorted(parts[:2]), *parts[2:]]:
         raise GridFileError(f"--robots {words}: give 20, 1:100 or 10:100:30")
     if parts[-1 if len(parts) < 3 else 1] > PEERS_MAX:

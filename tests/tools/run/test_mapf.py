@@ -39,6 +39,8 @@ def test_a_line_for_each_number_of_robots_and_a_file_of_paths(map_file: Path) ->
     ("words", "line"),
     [
         (["--robots", "x"], "--robots x: give 20, 1:100 or 10:100:30"),
+        (["--robots", "١٢"], "--robots ١٢: give 20, 1:100 or 10:100:30"),
+        (["--robots", "1_0"], "--robots 1_0: give 20, 1:100 or 10:100:30"),
         (["--robots", "1:400"], "--robots 1:400: a bus has addresses for 108 robots"),
         (["--robots", "80"], "connected free cells for 80 agents"),
         (["--loss", "2"], "--loss is 0 to 0.9"),
