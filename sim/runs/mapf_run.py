@@ -25,6 +25,7 @@ from sim.runs.grid_fleet import MapfFleet
 from sim.runs.run import MissionRun, RunProgress, states_of
 from sim.scenarios.coverage_setup import STEP_S
 from sim.scenarios.mapf_setup import MapfSetup
+from sim.world.joint_arrivals import most_arrived
 from sim.world.plan_judge import steps_from
 
 STEP_US = round(STEP_S * S)
@@ -39,7 +40,7 @@ class MapfOutcome(NamedTuple):
     seed: int
     finished: bool  # all running robots report it
     crashed: int
-    unsolvable: int  # running robots with a goal that a wreck has closed off
+    unsolvable: int  # running robots that wrecks, or robots behind a wreck, keep from their goals
     arrived: int  # running robots that stand on their goal, of all that can
     sum_of_costs: float  # of those, units of time
     shortest: int  # the sum of their shortest paths on the empty map: no plan costs less
@@ -58,7 +59,7 @@ class MapfOutcome(NamedTuple):
 
     @property
     def solvable(self) -> int:
-        """Robots that were neither crashed nor closed off."""
+        """Robots that did not crash and that could be at their goals."""
         return self.robots - self.crashed - self.unsolvable
 
     @property
@@ -179,7 +180,8 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
         ]
 
     def _closed_off(self, cluster: MapfFleet, up: set[int]) -> set[int]:
-        """Running robots whose goal is in a wreck, or is cut off by wrecks from where they are."""
+        """Running robots whose goal is in a wreck, or is cut off by wrecks from where they are, or that
+        would have to pass each other where wrecks leave no room."""
         ground, world = self.setting.ground, cluster.grid_world
         walls: NDArray[np.bool_] = ground.walls.copy()
         for slot in set(world.robots) - up:
@@ -213,4 +215,21 @@ class MapfRun(MissionRun[MapfSetup, MapfFleet, MapfOutcome]):
             goal = ground.cell(self.setting.goals[slot])
             if part.get(goal) is None or part.get(here) != part.get(goal):
                 closed.add(slot)
+        for number in set(part.values()):
+            closed |= self._kept_apart(cluster, up, closed, {c for c in part if part[c] == number})
         return closed
+
+    def _kept_apart(
+        self, cluster: MapfFleet, up: set[int], closed: set[int], cells: set[tuple[int, int]]
+    ) -> set[int]:
+        """Robots in these connected cells that are not at their goals, if no more can be at once."""
+        ground, world, goals = self.setting.ground, cluster.grid_world, self.setting.goals
+        at = {slot: ground.cell_at(*world.body(slot).position) for slot in sorted(up)}
+        inside = [slot for slot, cell in at.items() if cell in cells]
+        bound = [slot for slot in inside if slot not in closed]
+        late = {slot for slot in bound if world.truth.at.get(slot) != goals[slot]}
+        if not late:
+            return late
+        ends = [ground.cell(goals[slot]) if slot in bound else None for slot in inside]
+        most = most_arrived(cells, [at[slot] for slot in inside], ends)
+        return late if most == len(bound) - len(late) else set()

@@ -106,6 +106,19 @@ def test_a_wreck_in_the_only_door_closes_off_goals_and_the_others_arrive() -> No
     assert "agent 2 does not end at its goal" in faults, "one wreck excused every robot"
 
 
+def test_robots_in_the_wrong_order_behind_a_wreck_need_not_all_arrive() -> None:
+    """One of both can be at its goal, and the run was told as a failure."""
+    rows = "............\n@@@@@@.@@@@@\n"
+    walls = parse_map(f"type octile\nheight 2\nwidth 12\nmap\n{rows}")
+    starts = [(0, 4), (0, 1), (0, 0)]
+    crash = Crash(at_s=2.0, kind="crash", robot=0)
+    run, outcome = play(MapfInstance("row", walls, starts, [(0, 11), (0, 2), (0, 3)]), crash)
+    assert outcome.success and outcome.arrived == outcome.unsolvable == 1, outcome
+    assert not judged(run, outcome, walls).faults
+    run, outcome = play(MapfInstance("row", walls, starts, [(0, 11), (0, 3), (0, 2)]), crash)
+    assert outcome.success and outcome.arrived == 2, outcome
+
+
 FILE_OF_FOUR = (
     "............", [(0, 3), (0, 2), (0, 1), (0, 0)], [(0, 11), (0, 10), (0, 9), (0, 8)]
 )  # fmt: skip
