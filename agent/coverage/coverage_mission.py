@@ -394,7 +394,7 @@ class GridWork(Mission):
             return None
         section = self._coming(view)
         if section is not None:
-            choice = self._choice(section, view)
+            choice = self._choice(section, view.live, view)
             if choice is not None:
                 return choice
         if view.now_us < self._cut_off_at_us:
@@ -402,11 +402,12 @@ class GridWork(Mission):
         self._cut_off_at_us = view.now_us + LEFT_US
         return self._unfinished(view)
 
-    def _choice(self, section: int, view: FleetView) -> ClaimRequest | None:
+    def _choice(self, section: int, owners: frozenset[int], view: FleetView) -> ClaimRequest | None:
+        """A claim of a section that is free, or held by none of these robots."""
         phase = view.allocation.phase_of(section)
         if phase is Phase.FREE:
             return ClaimRequest(section, 0)
-        gone = view.allocation.owner_of(section) not in view.live
+        gone = view.allocation.owner_of(section) not in owners
         gone = gone and not view.allocation.stays(section)
         return ClaimRequest(section, 0, takeover=True) if gone and phase is not Phase.DONE else None
 
@@ -420,14 +421,19 @@ class GridWork(Mission):
         return self.ground.unit(turns[self._turn][1])[0] if self._turn < len(turns) else None
 
     def _unfinished(self, view: FleetView) -> ClaimRequest | None:
-        """A covered section that no live robot has marked as done."""
-        crew = len(view.live)
-        rank = sum(slot < self.slot for slot in view.live)
-        for section in range(rank, len(self.ground.section_units), crew):
+        """A covered section that no robot of the plan marks as done.
+
+        A robot that stands is live, but has no part in the plan, and does not mark what it has claimed.
+        """
+        rounds = self.agreement
+        assert rounds.course is not None
+        planned = view.live.intersection(rounds.course.slots)
+        rank = sum(slot < self.slot for slot in planned)
+        for section in range(rank, len(self.ground.section_units), max(1, len(planned))):
             if view.progress.complete(section):
                 if view.allocation.owner_of(section) == self.slot:
                     continue
-                choice = self._choice(section, view)
+                choice = self._choice(section, planned, view)
                 if choice is not None:
                     return choice
         return None

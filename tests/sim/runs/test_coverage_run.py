@@ -185,6 +185,18 @@ def test_i24_nobody_waits_for_a_robot_that_stands_in_no_cell_of_the_map() -> Non
     assert outcome.uncovered == 0 and outcome.contacts == 0, outcome
 
 
+@pytest.mark.parametrize("columns", [7, 15])
+def test_i24_what_a_standing_robot_has_claimed_is_done_when_its_cells_are_covered(
+    columns: int,
+) -> None:
+    """It was live, so its sections and its share of the others were left, and the run had no end."""
+    walls = np.zeros((6, columns), dtype=np.bool_)
+    walls[:3, 3] = True
+    instance = Instance("wall", walls, [(0, 0), (5, 6)])
+    outcome = MovedIntoWall(CoverageSetup.made(instance, seed=1, time_limit_s=250.0)).run()
+    assert outcome.finished and outcome.sections_done == outcome.sections, outcome
+
+
 def test_corridors_full_of_robots() -> None:
     """A comb of dead ends one cell wide: who is in the way goes on, in the order of the plan."""
     walls = np.ones((5, 13), dtype=np.bool_)
