@@ -18,6 +18,7 @@ class AgreementKind(IntEnum):
     BODY = 3  # on a grid: something is in cell `first`; `second`: its slot, 0xFFFF: not a robot;
     # `detail`: 1 where it is taken to stay. Else: something that I see stands on node `first`
     # On a grid PLACE has a cell as `first` and a digest of what is covered as `second` and `detail`;
+    # `first` is 0xFFFF where the robot is STOPPED and in no cell.
     # AT has a step of the plan as `first` and the low half of the plan's digest as `second`.
 
 
@@ -54,8 +55,8 @@ ACCORD = FrameLayout(
         integer("round", 16, "a later round (modulo 2^16) makes earlier ones void"),
         choice("say", 4, AgreementKind, "what the frame tells"),
         choice("answer", 4, AgreementReply, "with PLACE: whether the robot clears the way"),
-        integer("first", 16, "PLACE: node where it stands; PLAN: low half of the digest; AT: node of "
-                "its route; BODY: node"),
+        integer("first", 16, "PLACE: node where it stands, on a grid 0xFFFF: in no cell; "
+                "PLAN: low half of the digest; AT: node of its route; BODY: node"),
         integer("second", 16, "PLACE: node where it wants to be; PLAN: high half of the digest; BODY: "
                 "slot, 0xFFFF: no robot"),
         integer("detail", 8, "PLACE: sixteenths of the pitch east (bits 0-3) and north (4-7) of the "
