@@ -48,7 +48,10 @@ LOOK_ROUND_US = 500 * MS  # at the station: at `TURN_RAD_S` every gap between 36
 # An order that a nearer robot does not take for this long is ours: it may have tried in vain. A claim
 # takes 0.25 s, and robots may have different views of the fleet for 2 s.
 UNTAKEN_US = 5 * S
-SHUNNED_US = 30 * S  # a frontier that we gave up is left to others for this long
+SHUNNED_US = 30 * S  # what we gave up is left to others for this long
+# A frontier is left for twice as long after each that we gave up in a row. Many lie behind a gap that
+# stops us, and we must not begin again before we have given up all of them.
+SHUNNED_TIMES = 4  # doublings at most, to eight minutes: 60 frontiers of 8 s
 STAYS_M = 1.0  # a robot that moves further than this does not stand
 
 
@@ -85,6 +88,7 @@ class ExplorationMission(Mission):
         self._way = FrontierPath(chart, limits)
         self._legs: list[XY] = []  # places of an order still to visit
         self._shun_ends_at_us: dict[int, int] = {}
+        self._in_vain = 0  # number of frontiers given up since we have reached a station
         self._untaken_at_us: dict[int, int] = {}  # orders: since when no robot has them
         self._choose_at_us = self._check_at_us = self._reassign_at_us = 0
         self._merged_at_us = 0
@@ -359,6 +363,7 @@ class ExplorationMission(Mission):
         if self._legs:
             self._way.head_for(self._legs.pop(0), view)
             return wish
+        self._in_vain = 0
         self._end_task(Status.COMPLETED)
         return wish._replace(finished=True)
 
@@ -372,7 +377,7 @@ class ExplorationMission(Mission):
         self.given_up_why = "seen, or a better one found"
         if self._way.stuck(view.now_us):
             self.given_up_why = f"no headway for {STUCK_US // S} s"
-            self._shun_ends_at_us[self.task.section] = view.now_us + SHUNNED_US
+            self._shun(self.task, view.now_us)
             return Status.FAILED
         if (not self._way.rest and not self._way.arrived_at_us) or self._way.blocked:
             self._way.plan(view.here)
@@ -394,6 +399,14 @@ class ExplorationMission(Mission):
             return None if best is not None else Status.COMPLETED
         self.switched += 1
         return Status.FAILED
+
+    def _shun(self, task: FleetTask, now_us: int) -> None:
+        """Leave what we got no nearer to to others."""
+        times = 0
+        if task.kind is TaskKind.EXPLORE_FRONTIER:
+            times = min(self._in_vain, SHUNNED_TIMES)
+            self._in_vain += 1
+        self._shun_ends_at_us[task.section] = now_us + (SHUNNED_US << times)
 
     def _contested(self, view: FleetView) -> bool:
         """Whether a robot with a lower slot has claimed a frontier beside ours: then we give ours

@@ -1,5 +1,7 @@
 """An operator's order is carried out although the nearest robot cannot, or its owner stands."""
 
+from math import inf
+
 import pytest
 
 from agent.claims.standing_owners import STANDS_US
@@ -38,6 +40,12 @@ def view(now_us: int, allocation: FieldAllocationCRDT, state: State = State.IDLE
         0, now_us, Observation(*AT, 0.0, 0.0, 0.0), allocation, Progress({}), frozenset({0, 1}), {},
         {1: Neighbour(pose, now_us)},
     )  # fmt: skip
+
+
+def sighted(now_us: int, allocation: FieldAllocationCRDT) -> FleetView:
+    """We are alone, and see nothing all round."""
+    seen = view(now_us, allocation)._replace(live=frozenset({0}), neighbours={})
+    return seen._replace(here=seen.here._replace(ranges_m=(inf,) * 36))
 
 
 def claimed_at_us(
@@ -87,6 +95,33 @@ def test_i24_an_order_without_headway_is_given_back_and_left_to_others_for_a_whi
     assert request is None or request.section != ORDERS_FIRST
     request = mission.choose(alone._replace(now_us=now_us + SHUNNED_US))
     assert request is not None and request.section == ORDERS_FIRST
+
+
+def test_i24_a_robot_that_gets_on_to_no_frontier_comes_to_an_end() -> None:
+    """The first frontier was open again before the last one was given up, so it went round for good."""
+    chart = LocalAndFleetMap(None, Geometry(SIDE, SIDE, (0.0, 0.0), CELL_M), BODY_M, 2.0)
+    mission, allocation = ExplorationMission(chart, LIMITS, 1), FieldAllocationCRDT()
+    tried, now_us = set[int](), 0
+    section: int | None = None
+    mission.idle(sighted(0, allocation))
+    while not (mission.over and section is None):
+        seen = sighted(now_us, allocation)
+        mission.on_control_period(seen, State.IDLE)
+        if section is not None:
+            if mission.work(seen).given_up:
+                allocation.release(section, 0)
+                section = None
+        elif (request := mission.choose(seen)) is not None:
+            section = request.section
+            tried.add(section)
+            allocation.claim(section, 0)
+            allocation.start(section, 0)
+            mission.begin(section, seen)
+        else:
+            mission.idle(seen)
+        now_us += 10 * CONTROL_PERIOD_US
+        assert now_us < 600 * S, tried
+    assert len(tried) * STUCK_US > SHUNNED_US, tried
 
 
 def test_rays_from_a_place_that_is_not_believed_are_not_drawn(mission: ExplorationMission) -> None:
