@@ -114,6 +114,26 @@ def test_a_robot_that_comes_back_knows_the_map(disk: str) -> None:
     assert outcome.finished and outcome.maps_equal and outcome.contacts == 0, outcome
 
 
+def test_i24_what_a_dead_robot_saw_is_on_the_map_of_one_that_is_switched_on_again() -> None:
+    """It kept what it had seen itself only, and explored the rest of the arena once more."""
+    scenario = load_arena("arena").changed(2, 1)
+    seen = []
+    for faults, end_s in (
+        ([], 11.0),
+        (
+            [
+                Crash(at_s=11.0, kind="crash", robot=1),
+                Restart(at_s=14.0, kind="restart", robot=0, disk="kept"),
+            ],
+            15.0,
+        ),
+    ):
+        run = scenario.run.model_copy(update={"time_limit_s": end_s})
+        told = scenario.model_copy(update={"fault": faults, "run": run})
+        seen.append(ExplorationRun(told).run().explored)
+    assert seen[1] >= seen[0] > 0.7, seen
+
+
 @pytest.mark.parametrize("fault", [
     BusOff(at_s=14.0, kind="bus_off", robot=1, for_s=40.0),
     Freeze(at_s=31.0, kind="freeze", robot=1, for_s=20.0),
