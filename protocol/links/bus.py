@@ -302,13 +302,16 @@ class CanBus:
             # Of an engine that was restarted: python-can refuses a second one.
             if self._notifier is not None:
                 self._notifier.stop()
-            self._notifier = self._can.Notifier(self.bus, [Passed(heard, self.errors, loop)])
+            self._notifier = self._can.Notifier(
+                self.bus, [Passed(heard, self.errors, loop, self.bus)]
+            )
             return
 
         def readable() -> None:
             try:
                 message = self.bus.recv(0)
             except Exception as problem:  # python-can interfaces raise what they like
+                _forget_garbage(self.bus, problem)
                 self.errors.add(problem)
                 return
             if message is not None:
@@ -363,8 +366,9 @@ class Passed:
         heard: "Callable[[can.Message], None]",
         errors: InterfaceErrors,
         loop: asyncio.AbstractEventLoop,
+        bus: "can.BusABC",
     ) -> None:
-        self.heard, self.errors, self.loop = heard, errors, loop
+        self.heard, self.errors, self.loop, self.bus = heard, errors, loop, bus
         self._ended = threading.Event()
 
     def __call__(self, message: "can.Message") -> None:
@@ -373,6 +377,7 @@ class Passed:
 
     def on_error(self, problem: Exception) -> None:
         """An error, in the thread: also that the loop has ended, which ends the thread."""
+        _forget_garbage(self.bus, problem)
         self.loop.call_soon_threadsafe(self.errors.add, problem)
         self._ended.wait(RETRY_S)
 
@@ -403,6 +408,15 @@ def open_bus(interface: str, channel: str, bitrate: int = 250_000, **options: An
         bus = can.Bus(interface=interface, channel=channel, bitrate=bitrate, **options)
     confirms = bool(options.get("receive_own_messages")) and interface in CONFIRMING
     return CanBus(bus, confirms, by_file=interface in BY_FILE)
+
+
+def _forget_garbage(bus: "can.BusABC", problem: Exception) -> None:
+    """`slcan` of python-can keeps a line with a byte that is no text, so each later line is an error.
+    Its `flush` would lose the frames that wait."""
+    kept: object = getattr(bus, "_buffer", None)
+    kinds = type(problem), type(problem.__cause__)
+    if UnicodeDecodeError in kinds and isinstance(kept, bytearray):
+        kept.clear()
 
 
 def _hear_own_group_alone(bus: "can.BusABC") -> None:

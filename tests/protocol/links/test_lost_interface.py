@@ -2,7 +2,9 @@
 
 import asyncio
 import logging
+import os
 import socket
+import tty
 from collections.abc import Callable
 from contextlib import suppress
 from errno import EIO, ENETDOWN, ENODEV, ENXIO
@@ -206,6 +208,41 @@ def test_what_an_interface_raises_of_any_kind_is_counted_and_told(
         asyncio.run(main())
     assert "Traceback" not in caplog.text and "callback" not in caplog.text
     assert caplog.records[-1].message == "bus: cannot close: Could not write to serial device"
+
+
+@pytest.mark.parametrize("by_file", [True, False])
+def test_a_byte_of_noise_on_a_serial_line_costs_its_own_frame_only(
+    by_file: bool, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each frame after a byte 0xFF was an error, so a robot on a quiet bus was deaf for good."""
+    pytest.importorskip("serial", reason="pyserial is not installed")
+    if not by_file:
+        monkeypatch.setattr("protocol.links.bus.BY_FILE", frozenset())
+    adapter, computer = os.openpty()
+    tty.setraw(computer)
+
+    async def main() -> None:
+        bus = open_bus("slcan", os.ttyname(computer), sleep_after_open=0.0)
+        heard, last_heard = list[int](), asyncio.Event()
+
+        def hear(frame: Frame) -> None:
+            heard.append(frame.identifier)
+            if frame.identifier == 4:
+                last_heard.set()
+
+        bus.subscribe(hear)
+        os.write(adapter, b"T0000000111\xff\rT00000002122\rT00000003133\rT00000004144\r")
+        try:
+            await asyncio.wait_for(last_heard.wait(), LIMIT_S)
+        finally:
+            bus.close()
+        assert heard == [2, 3, 4] and bus.errors.count == 1
+
+    try:
+        asyncio.run(main())
+    finally:
+        os.close(adapter)
+        os.close(computer)
 
 
 def test_an_adapter_to_which_only_sending_fails_is_lost_too() -> None:
