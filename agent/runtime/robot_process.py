@@ -15,11 +15,12 @@ import sys
 from collections.abc import Callable, Coroutine, Mapping
 from contextlib import suppress
 from ipaddress import ip_address
-from numbers import Real
 from pathlib import Path
 from random import Random
 from traceback import clear_frames
 from typing import Any, TypeVar
+
+from numpy import float32, integer
 
 from agent.runtime.ready_kernels import use_ready_kernels
 
@@ -150,12 +151,17 @@ def wrong_kind(seen: Observation) -> str:
     """Which value of an observation no robot can compute with; empty if there is none."""
     for name in NUMBERS:
         value: object = getattr(seen, name)
-        if not isinstance(value, Real):
+        if not _is_number(value):
             return f"{name} = {value!r}, which is no number"
     ranges_m: object = seen.ranges_m
-    if not isinstance(ranges_m, tuple | list) or not all(isinstance(r, Real) for r in ranges_m):
+    if not isinstance(ranges_m, tuple | list) or not all(map(_is_number, ranges_m)):
         return "ranges_m that are no tuple of numbers"
     return ""
+
+
+def _is_number(value: object) -> bool:
+    """Whether kernels can compute with it. A fraction is a number, too, and they know none."""
+    return isinstance(value, int | float | float32 | integer)
 
 
 def said_by(problem: Exception) -> str:

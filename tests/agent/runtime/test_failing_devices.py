@@ -2,6 +2,7 @@
 
 import asyncio
 from errno import ENODEV
+from fractions import Fraction
 from math import inf
 from pathlib import Path
 from typing import Any
@@ -9,7 +10,7 @@ from unittest.mock import Mock
 
 import can
 import pytest
-from numpy import float32
+from numpy import float32, int64
 
 from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
@@ -116,7 +117,8 @@ class Says(StandingBody):
     [
         ({"x_m": "3"}, "x_m = '3', which is no number"), ({"health": None}, "health = None"),
         ({"sensed_at_us": None}, "sensed_at_us = None"), ({"ranges_m": None}, "ranges_m that are no"),
-        ({"ranges_m": ("1",)}, "ranges_m that are no"),
+        ({"ranges_m": ("1",)}, "ranges_m that are no"), ({"x_m": Fraction(1, 3)}, r"x_m = Fraction"),
+        ({"ranges_m": (Fraction(1, 3),)}, "ranges_m that are no"),
     ],
 )  # fmt: skip
 def test_a_value_of_another_kind_is_a_fault_of_the_driver(
@@ -125,7 +127,9 @@ def test_a_value_of_another_kind_is_a_fault_of_the_driver(
     """It ended the robot in its core, with a traceback that names no driver."""
     with pytest.raises(DriverError, match=rf"robot 0: body: sense returned {said}.*py:"):
         AttendedBody(Says(0, **values), 0).sense(0)
-    assert AttendedBody(Says(0, ranges_m=(float32(1.0), inf), x_m=float32(1.0)), 0).sense(0)
+    assert AttendedBody(
+        Says(0, ranges_m=(float32(1.0), inf), x_m=float32(1.0), y_m=int64(1)), 0
+    ).sense(0)
 
 
 def test_what_a_device_that_failed_says_when_it_is_closed_hides_nothing() -> None:
