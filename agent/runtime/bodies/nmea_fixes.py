@@ -77,8 +77,12 @@ class NmeaFixes:
                 degrees = sentence.headingT if kind == "HDT" else sentence.headt
                 self.fixes.take_heading(course_rad(_number(degrees)), arrived_at_us)
             elif kind == "GST":
-                worst_m = max(_number(sentence.stdLat), _number(sentence.stdLong))
-                self.fixes.take_accuracy(worst_m, arrived_at_us)
+                sizes_m = _number(sentence.stdLat), _number(sentence.stdLong)
+                # Receivers say by -1 or 0.0 that they do not know it.
+                if min(sizes_m) < 0.0 or max(sizes_m) == 0.0:
+                    self.counts["invalid"] += 1
+                else:
+                    self.fixes.take_accuracy(max(sizes_m), arrived_at_us)
             elif kind in ("VTG", "RMC"):
                 self._take_velocity(sentence, arrived_at_us)
         except (TypeError, ValueError, AttributeError):  # an empty field, or "nan"

@@ -214,6 +214,16 @@ def test_no_bytes_are_an_exception(line: bytes, at_us: int) -> None:
     assert seen is None or abs(remainder(seen.heading_rad, 2 * pi)) <= pi
 
 
+@pytest.mark.parametrize("said", ["-1.0,-1.0", "0.0,0.0", "0.01,-1"])
+def test_an_accuracy_of_nothing_is_none_and_the_kind_of_fix_says_it(said: str) -> None:
+    """A GST of a receiver that does not know its accuracy made its places exact: 0.000 m."""
+    taken = fixes()
+    taken.take(sentence(f"GNGST,123519.20,0.5,0.3,0.3,0.0,{said},0.5"), 0)
+    taken.take(gga(kind=4), 0)
+    seen = taken.take(hdt(0.0), 0)
+    assert seen is not None and seen.position_accuracy_m == 0.02 and taken.counts["invalid"] == 1
+
+
 @pytest.mark.parametrize(("quality", "at_least_m"), [(1, 1.0), (2, 0.3), (5, 0.05)])
 def test_an_rtk_fix_that_is_lost_is_not_hidden_by_what_was_said_of_it(
     quality: int, at_least_m: float
