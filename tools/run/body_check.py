@@ -63,6 +63,10 @@ HIDDEN_S: Final = CONTROL_PERIOD_US / S  # a place may be older than it says by 
 ASKED_EACH_S: Final = 0.02
 ASKED_FOR_S: Final = 0.02  # between a question and its answer
 ASKED_LEAST: Final = 10  # answers in time
+TRUE_SHARE: Final = (
+    0.1  # the true speed of a simulated machine, which does not slip, may be off by this
+)
+LOST_SHARE: Final = 0.1  # of the answers while it drives may say that it is told to stand
 HINT_RAD: Final = radians(
     15.0
 )  # a course that is nearer to one that a known fault gives has this fault
@@ -545,6 +549,8 @@ async def stops_when_told(trial: BodyTrial) -> str:
         raise WrongError(
             f"its places go on for {said}: it brakes late, or its places are later than they say"
         )
+    if trial.orders is not None:
+        said = f"{said}; {await passes_commands_on(trial)}"
     return f"{stop.line}; {said}"
 
 
@@ -604,6 +610,7 @@ class TrueMotion(NamedTuple):
     y_m: float
     vx_m_s: float
     vy_m_s: float
+    is_told_to_move: bool | None  # None: this machine does not say it
 
     @property
     def speed_m_s(self) -> float:
@@ -629,6 +636,7 @@ async def _true_motions(trial: BodyTrial, for_s: float) -> list[TrueMotion]:
                         (asked_at_us + answered_at_us) // 2, truth["x_m"], truth["y_m"],
                         ahead_m_s * cos(heading_rad) - left_m_s * sin(heading_rad),
                         ahead_m_s * sin(heading_rad) + left_m_s * cos(heading_rad),
+                        truth.get("is_told_to_move"),
                     )
                 )  # fmt: skip
             except (TypeError, KeyError):
@@ -637,18 +645,25 @@ async def _true_motions(trial: BodyTrial, for_s: float) -> list[TrueMotion]:
     return found
 
 
+async def _moved_under(
+    trial: BodyTrial, command: Drive, for_s: float
+) -> tuple[list[SensedSample], list[TrueMotion]]:
+    """What the driver sensed under a command, and the true motions. Raises WrongError."""
+    asking = asyncio.create_task(_true_motions(trial, for_s))
+    try:
+        samples = await trial.run(command, for_s)
+        return samples, await asking
+    finally:
+        asking.cancel()
+
+
 async def _beside_truth(
     trial: BodyTrial, command: Drive, for_s: float
 ) -> list[tuple[TrueMotion, Observation]]:
     """True motions under a command, each with the place that the driver sensed last before it.
 
     Raises WrongError."""
-    asking = asyncio.create_task(_true_motions(trial, for_s))
-    try:
-        samples = await trial.run(command, for_s)
-        truths = await asking
-    finally:
-        asking.cancel()
+    samples, truths = await _moved_under(trial, command, for_s)
     pairs = []
     for truth in truths:
         seen = next((s.seen for s in reversed(samples) if s.at_us <= truth.at_us), None)
@@ -688,6 +703,42 @@ async def are_as_old_as_they_say(trial: BodyTrial) -> str:
             f"places are {hidden_s * 1000:.0f} ms older than they say; {most_s * 1000:.0f} ms at most"
         )
     return f"times right to {abs(hidden_s) * 1000:.0f} ms"
+
+
+async def passes_commands_on(trial: BodyTrial) -> str:
+    """Each command reaches a simulated machine, at once, and with its speed.
+
+    Commands that wait in a queue hide in the way of braking, and so do some that say to stand between
+    others. Raises WrongError."""
+    _, driven = await _moved_under(trial, trial.towards(0.0), 1.0 + 2 * trial.stops_in_s)
+    halted_at_us = trial.now_us()
+    _, halted = await _moved_under(trial, HALT, 1.0)
+    await trial.stand()
+    driven = [truth for truth in driven if halted_at_us - truth.at_us < S]  # it had its speed then
+    if any(truth.is_told_to_move is None for truth in driven + halted):
+        return "this machine does not say what it is told"
+    if min(len(driven), len(halted)) < ASKED_LEAST:
+        return "commands not compared with the truth: this computer is busy"
+    lost = sum(not truth.is_told_to_move for truth in driven)
+    if lost > LOST_SHARE * len(driven):
+        raise WrongError(
+            f"told to drive, it lets the machine stand: {lost} of {len(driven)} times it was asked"
+        )
+    late_us = max(
+        (truth.at_us - halted_at_us for truth in halted if truth.is_told_to_move), default=0
+    )
+    most_us = CONTROL_PERIOD_US + REACTS_S * S
+    if late_us > most_us:
+        raise WrongError(
+            f"a command to stand reaches the machine after {late_us / 1000:.0f} ms; "
+            f"{most_us / 1000:.0f} ms at most"
+        )
+    speed_m_s = median(truth.speed_m_s for truth in driven)
+    if abs(speed_m_s / trial.speed_m_s - 1) > TRUE_SHARE:
+        raise WrongError(
+            f"told {trial.speed_m_s:.2f} m/s, the machine truly drove {speed_m_s:.2f} m/s"
+        )
+    return f"commands late by {late_us / 1000:.0f} ms, true speed {speed_m_s:.2f} m/s"
 
 
 async def _worse_places(trial: BodyTrial) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from agent.interface.config import ACTUATOR_TTL_US, S
-from agent.interface.effects import GatedDrive
+from agent.interface.effects import HALT, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.runtime.robot_body import DeclaredMachine, RobotBody
@@ -196,6 +196,7 @@ class OnMachine(BodyTrial):
             "x_m": x_m, "y_m": y_m, "heading_rad": angle_rad,
             "ahead_m_s": vx_m_s * cos(angle_rad) + vy_m_s * sin(angle_rad),
             "left_m_s": vy_m_s * cos(angle_rad) - vx_m_s * sin(angle_rad),
+            "is_told_to_move": self.body.moved_at_us < self.body.ends_at_us and any(self.body.wanted),
         }  # fmt: skip
 
 
@@ -213,6 +214,53 @@ def test_places_that_are_always_a_little_late_are_found_beside_the_truth(
     with pytest.raises(WrongError, match="ms older than they say") as raised:
         run_virtual(are_as_old_as_they_say(trial))
     assert int(str(raised.value).split()[2]) == pytest.approx(hidden_ms, abs=5)
+
+
+class Waiting(Exact):
+    """Four commands wait in its queue, 0.2 s."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.queue: deque[GatedDrive] = deque(maxlen=5)
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        self.queue.append(command)
+        super().drive(self.queue[0], now_us)
+
+
+class StandsBetween(Exact):
+    """It passes each fourth command on as one to stand."""
+
+    told = 0
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        self.told += 1
+        super().drive(command if self.told % 4 else HALT, now_us)
+
+
+class LargeWheels(Exact):
+    """Its wheels are larger than it believes, by a fifth."""
+
+    def drive(self, command: GatedDrive, now_us: int) -> None:
+        faster = command._replace(vx_m_s=command.vx_m_s * 1.2, vy_m_s=command.vy_m_s * 1.2)
+        super().drive(GatedDrive(faster), now_us)
+
+
+@pytest.mark.parametrize(
+    ("driver", "said"),
+    [
+        (Exact, ""), (Waiting, "a command to stand reaches the machine after"),
+        (StandsBetween, "lets the machine stand"), (LargeWheels, "truly drove 0.60 m/s"),
+    ],
+)  # fmt: skip
+def test_commands_that_reach_the_machine_late_or_changed_are_found(
+    driver: type[Exact], said: str
+) -> None:
+    """A driver that passed commands on late passed all ten checks, and so did the others."""
+    trial = OnMachine(driver(), Vehicle(drive=DriveTrain.MECANUM), ("127.0.0.1", 1))
+    chosen = {name: CHECKS[name] for name in ("opens", "stop")}
+    _, stop = run_virtual(judged(trial, lambda finding: None, chosen))
+    assert said in stop.found and stop.ok is not bool(said), stop.found
 
 
 class Slow(OnMachine):
