@@ -31,6 +31,7 @@ from tools.chaos.planted_bug_hunt import hunt_all
 from tools.common.exit_codes import code_of, wrong
 from tools.common.fingerprint import ROBOTS, fingerprint
 from tools.common.gc_collector import patient
+from tools.common.progress import shows_progress
 
 FAILED = 1
 DIGITS_MAX, SHOWN = 99, 40  # of a seed that is read, and of a wrong one that is printed
@@ -184,7 +185,7 @@ def _campaign(
     end_s = kept_s + (seconds if seconds is not None else float("inf"))
     with (
         Progress(TextColumn("{task.description}"), TimeElapsedColumn(), console=console,
-                 transient=True) as progress,
+                 transient=True, disable=not shows_progress(console)) as progress,
         workers(jobs, cluster) as pool,
     ):  # fmt: skip
         bar = progress.add_task("")

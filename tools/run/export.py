@@ -16,6 +16,7 @@ from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
 from tools.common.counted import counted
 from tools.common.exit_codes import code_of, wrong
+from tools.common.progress import shows_progress
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 from tools.report.run_data import REPORT
@@ -101,7 +102,10 @@ def _film(folder: Path, film: Path, say: Say) -> int:
         return wrong(f"--film {film}: {film.parent} is not a folder")
     try:
         recording = recorded(folder, None)
-        with Progress(console=Console(stderr=True), transient=True) as progress:
+        console = Console(stderr=True)
+        with Progress(
+            console=console, transient=True, disable=not shows_progress(console)
+        ) as progress:
             drawn = progress.add_task("drawing the film", total=None)
 
             def on_picture(done: int, count: int) -> None:

@@ -25,6 +25,7 @@ from sim.runs.run import MissionRun, RunProgress
 from sim.scenarios.scenario import ScenarioError
 from tools.build.kernel_cache import WAIT, kernels_kept, told_compiling
 from tools.common.exit_codes import code_of, wrong
+from tools.common.progress import shows_progress
 from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.verbosity import Verbosity
@@ -142,7 +143,7 @@ def _run_mission(
 
 def _filmed(console: Console, recording: Recording, folder: Path) -> str:
     """Write the film of a run, and tell how far it is; the name of the file."""
-    with Progress(console=console, transient=True) as progress:
+    with Progress(console=console, transient=True, disable=not shows_progress(console)) as progress:
         drawing = progress.add_task("drawing the film", total=None)
 
         def on_picture(done: int, count: int) -> None:
@@ -191,7 +192,7 @@ class ProgressBar(Progress):
             TextColumn("{task.description}", markup=False), BarColumn(),
             TextColumn("{task.percentage:>5.1f} %"),
             TextColumn("{task.fields[note]}"), TimeElapsedColumn(), console=console,
-            transient=True,
+            transient=True, disable=not shows_progress(console),
         )  # fmt: skip
         self._bar, self._unit = self.add_task(title, total=1.0, note=""), unit
         run.told = self._tell
