@@ -133,7 +133,7 @@ def _run_mission(
         console.print(run_table(outcome, command.facts(outcome)))
         written = ", ".join(["report.json", *drawn, "trace.jsonl", recorder.logs])
         console.print(escape(f"{written} are in {folder}"))
-        console.print(next_commands(folder, command.follow_up), highlight=False, markup=False)
+        tell_next(console, next_commands(folder, command.follow_up))
     if shown is not None and sys.stdout.isatty():  # without a person it would never end
         console.print(f"the map stays at {shown.url} until Ctrl-C")
         held.close()  # all is written, and another run may have the folder
@@ -180,6 +180,11 @@ def next_commands(folder: Path, further: Sequence[tuple[str, str]] = ()) -> str:
     rows = [(f"headland {words.format(name)}", why) for words, why in (*LOOKS, *further)]
     width = max(len(words) for words, _ in rows)
     return "next:\n" + "\n".join(f"  {words:<{width}}  # {why}" for words, why in rows)
+
+
+def tell_next(console: Console, following: str) -> None:
+    """Print it as it is: a comment on a line of its own is a command of its own where it is pasted."""
+    console.print(following, highlight=False, markup=False, soft_wrap=True)
 
 
 class ProgressBar(Progress):
