@@ -42,9 +42,9 @@ def one_line_errors() -> Iterator[None]:
     except OSError as problem:
         tell_origin()
         name = "" if problem.filename is None else f"{problem.filename}: "
-        print(f"headland: {name}{problem.strerror or problem}", file=sys.stderr)
+        code = wrong(f"{name}{problem.strerror or problem}", code_of(problem))
         _drop_output()
-        raise SystemExit(code_of(problem)) from None
+        raise SystemExit(code) from None
 
 
 @contextmanager

@@ -12,7 +12,8 @@ INTERRUPTED: Final = 130  # ended by Ctrl-C; shells have 128 and the number of t
 
 def wrong(problem: object, code: int | None = None) -> int:
     """Print what is wrong as one line; returns the exit code. `code`: None for that of the problem."""
-    print(f"headland: {problem}", file=sys.stderr)
+    # A name or a value may have line ends in it, and programs read one line.
+    print("headland:", " ".join(str(problem).splitlines()), file=sys.stderr)
     if code is not None:
         return code
     return code_of(problem) if isinstance(problem, Exception) else WRONG

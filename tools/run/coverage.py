@@ -168,8 +168,7 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
         with folder_for(out, instance.name) as folder:
             return driven(setting, folder, as_json, left, False)
     except (GridFileError, ScenarioError, FolderError, OSError) as error:
-        typer.echo(f"headland: {error}", err=True)
-        return code_of(error)
+        return wrong(error, code_of(error))
 
 
 def instance_of(map: Path, robots: int, seed: int) -> "Instance":

@@ -152,6 +152,15 @@ def test_the_line_says_what_is_wrong(
     assert told.code == 2 and said in told.line and len(told.line) < 250, told.line
 
 
+@pytest.mark.parametrize(
+    "words", ["report 'no\nsuch'", "chaos --seeds '1\n2'", "coverage solve 'no\nsuch.map'"]
+)
+def test_a_line_end_in_a_name_or_a_value_makes_no_second_line(
+    words: str, place: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    assert Complaints(monkeypatch, capfd).of(words, place).code == 2
+
+
 def test_the_greatest_seed_is_that_of_scenarios() -> None:
     assert panels.SEED_MAX == SEED_MAX
 
