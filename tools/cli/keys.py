@@ -224,7 +224,10 @@ def log_command(
         Path | None, typer.Option(help="The owner's folder (none: the launch's own).")
     ] = None,
     verify: Annotated[
-        bool, typer.Option("--verify", help="Exit code 1 if a log was changed or has no proof.")
+        bool,
+        typer.Option(
+            "--verify", help="Exit code 1 if a log was changed or has no proof, or none is there."
+        ),
     ] = False,
     json: Json = False,
 ) -> None:
@@ -248,7 +251,7 @@ def log_command(
     releases = sorted(
         (r for one in found.logs for r in one.releases), key=lambda r: r.released_at_s
     )
-    failed = bool(found.broken or found.shared) or not found.root
+    failed = bool(found.broken or found.shared) or not (found.root and found.logs)
     if json:
         print(dumps({
             "releases": [r._asdict() | {"who": found.who(r.device)} for r in releases],

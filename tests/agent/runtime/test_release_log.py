@@ -215,6 +215,13 @@ def test_the_command_names_people_and_fails_where_a_log_was_changed(folder: Path
     assert spoilt.returncode == 1 and "robot 1: CHANGED" in spoilt.stdout
 
 
+def test_a_folder_without_logs_proves_nothing(folder: Path) -> None:
+    """Where all logs were deleted, `--verify` had exit code 0."""
+    with pytest.raises(SystemExit) as ended:
+        log_command(folder, folder / "keys", verify=True, json=True)
+    assert ended.value.code == 1
+
+
 def test_a_robot_with_the_fleets_file_is_not_said_to_have_a_changed_log(folder: Path) -> None:
     """A robot without a key file of its own writes under the fleet's secret, also before a rotation."""
     for number in range(2):
