@@ -1,5 +1,6 @@
 """`headland keys`: make, rotate and show the key files of a fleet. Secrets are never printed."""
 
+import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, NoReturn
@@ -74,7 +75,13 @@ def rotate(
         replace,
         texts,
     )
-    from agent.runtime.files.key_folder import free_numbers, named, owned, people_texts
+    from agent.runtime.files.key_folder import (
+        free_numbers,
+        named,
+        owned,
+        people_texts,
+        unread_people,
+    )
     from protocol.rekeying import ALWAYS_S, GENERATION_MAX, NOBODY
 
     if running:
@@ -102,6 +109,8 @@ def rotate(
         _wrong(str(problem))
     except OSError as problem:
         _wrong(f"{folder}: {problem.strerror}", code_of(problem))
+    for why in unread_people(folder):
+        print(f"headland: {why}; it has NO NEW KEYS: make it again", file=sys.stderr)
     if not json:
         print(
             f"the keys {old.ids['fleet']} are no longer used; restart the robots with the new file"

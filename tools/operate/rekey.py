@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from agent.runtime.files.key_file import KeyFileError
-from agent.runtime.files.key_folder import KeyFolder, owned
+from agent.runtime.files.key_folder import KeyFolder, owned, unread_people
 from protocol.frames.codec import decode
 from protocol.frames.frame import Frame
 from protocol.frames.key_frames import KeysHeld
@@ -151,6 +151,8 @@ async def _rekey(
         use, heard = rekeyer.done(True), rekeyer.wanted
         if use:
             keys.finish(rekeying)
+            for why in unread_people(keys.folder):
+                print(f"headland: {why}; it has NO NEW KEYS: make it again", file=sys.stderr)
         return _tell(rekeying, use, heard - use, rekeyer.unheard - use - heard, as_json, used)
 
 

@@ -156,6 +156,18 @@ def people_texts(folder: Path, owner: KeyFile) -> dict[Path, str]:
     return made
 
 
+def unread_people(folder: Path) -> list[str]:
+    """What is wrong with each file of a person in this folder that cannot be read."""
+    found = []
+    for path in sorted(folder.iterdir()):
+        if OF_PERSON.fullmatch(path.name):
+            try:
+                read(path, OPERATOR)
+            except KeyFileError as problem:
+                found.append(str(problem))
+    return found
+
+
 def owned(folder: Path) -> KeyFolder:
     """The folder of the owner of a fleet. Raises KeyFileError."""
     operator, fleet = read(folder, OPERATOR), read(folder, FLEET)

@@ -359,6 +359,17 @@ def test_a_number_whose_file_was_given_away_is_nobody_elses(
     assert read(keys_of / "operator-193.json").person == "Dora"
 
 
+def test_a_persons_damaged_file_is_named_when_keys_are_rotated(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """It was left out without a word, and its person could stop nothing any more."""
+    write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
+    (tmp_path / "operator-201.json").write_text("{")
+    rotate(tmp_path, running=False)
+    said = capsys.readouterr().err
+    assert "operator-201.json" in said and "NO NEW KEYS" in said and said.count("\n") == 1, said
+
+
 def test_a_file_of_a_robot_that_no_fleet_has_ends_no_rotation(tmp_path: Path) -> None:
     """It was a traceback."""
     write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249, range(2))
