@@ -51,6 +51,8 @@ def inspect(
     try:
         if watch and (source is not None or why is not None or traces_of is not None):
             raise SourceError("--watch: of a live bus, without a log, --why or --traces")
+        if source is None and seconds is not None and not seconds > 0.0:
+            raise SourceError(f"--seconds {seconds:g}: a live bus is heard for longer than that")
         if traces_of is not None:
             asked_s = LISTEN_S if for_s is None else for_s
             return _traces(traces_of, interface, channel, bitrate, host, port, asked_s, as_json)

@@ -134,6 +134,8 @@ SAID = [
     ("fuzz frame sync --input file", "--input needs one target"),
     ("plan small --out file", "--out file: is a file; name a folder"),
     ("export folder --isoxml file", "--isoxml file: is a file; name a folder"),
+    ("inspect -i virtual --seconds 0", "--seconds 0: a live bus is heard for longer"),
+    ("inspect -i virtual --seconds 0 --traces 3", "--seconds 0: a live bus is heard for longer"),
     ("inspect empty.log --why S²", "a section is written S7"),
     (f"inspect empty.log --why S{'9' * 4500}", "a section is written S7"),
     ("say status --by ²", "needs the number of a robot"),
