@@ -49,6 +49,19 @@ def _find_launch(interface: str, port: int, *given: object) -> None:
         raise SystemExit(wrong(problem)) from None
 
 
+def _no_bus(context: typer.Context, source: Path) -> None:
+    """End with one line where words of a bus stand beside a file, which would be shown in its place.
+
+    A default may be of python-can's own file, and is no word of the person."""
+    words = ("interface", "channel", "bitrate", "host", "port")
+    sources = ((word, context.get_parameter_source(word)) for word in words)
+    given = [f"--{word}" for word, of in sources if of is not None and of.name == "COMMANDLINE"]
+    if given:
+        raise SystemExit(
+            wrong(f"inspect {source}: a file needs no bus; leave out {', '.join(given)}")
+        )
+
+
 @app.command("stop", rich_help_panel=OPERATE)
 @app.command("estop", hidden=True)
 def stop(
@@ -230,6 +243,7 @@ def hub(
 
 @app.command(rich_help_panel=LOOK)
 def inspect(
+    context: typer.Context,
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0,
@@ -253,6 +267,8 @@ def inspect(
 
     Example: headland inspect runs/latest --why S7
     """
+    if source is not None:
+        _no_bus(context, source)
     _find_launch(interface, port, source, mermaid, why, picture, traces)
     from tools.inspect.inspection import inspect as command
 

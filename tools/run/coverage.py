@@ -94,6 +94,8 @@ def replay(
 
     path = plan or plan_option or Path("vacuum_plan.json")
     try:
+        if plan is not None and plan_option is not None:
+            raise GridFileError(f"--plan {plan_option}: {plan} is the plan already")
         if not 0.0 <= delay <= 60.0:
             raise GridFileError("--delay is 0 to 60 seconds")
         _check_turn_cost(turn_cost)

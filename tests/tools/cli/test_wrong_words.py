@@ -11,7 +11,7 @@ import pytest
 
 from sim.scenarios.scenario import SEED_MAX
 from tests.tools.complaint import Complaints
-from tools.cli import panels
+from tools.cli import headland, panels
 
 ROOT = Path(__file__).parents[3]
 NOISE = bytes(range(256)) * 8  # neither text nor any format of ours
@@ -136,6 +136,13 @@ SAID = [
     ("export folder --isoxml file", "--isoxml file: is a file; name a folder"),
     ("inspect -i virtual --seconds 0", "--seconds 0: a live bus is heard for longer"),
     ("inspect -i virtual --seconds 0 --traces 3", "--seconds 0: a live bus is heard for longer"),
+    (
+        "inspect empty.log -i nonsense",
+        "inspect empty.log: a file needs no bus; leave out --interface",
+    ),
+    ("inspect empty.log -c can7 -b 500000", "leave out --channel, --bitrate"),
+    ("inspect empty.log --host nowhere --port 5", "leave out --host, --port"),
+    ("coverage replay file --plan bin.json", "--plan bin.json: file is the plan already"),
     ("inspect empty.log --why S²", "a section is written S7"),
     (f"inspect empty.log --why S{'9' * 4500}", "a section is written S7"),
     ("say status --by ²", "needs the number of a robot"),
@@ -152,6 +159,18 @@ def test_the_line_says_what_is_wrong(
     (place / "small.map").write_text("type octile\nheight 3\nwidth 3\nmap\n...\n...\n...\n")
     told = Complaints(monkeypatch, capfd).of(words, place)
     assert told.code == 2 and said in told.line and len(told.line) < 250, told.line
+
+
+def test_a_default_of_another_program_is_no_word_beside_a_log(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "can.ini").write_text("[default]\ninterface = virtual\nchannel = can7\n")
+    (tmp_path / "can.log").write_text("(0.000000) can0 18FEF100#01\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "argv", ["headland", "inspect", "can.log", "--plain"])
+    with pytest.raises(SystemExit) as ended:
+        headland.main()
+    assert ended.value.code == 0, capsys.readouterr()
 
 
 @pytest.mark.parametrize(
