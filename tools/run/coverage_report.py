@@ -16,6 +16,7 @@ from sim.files.palette import rgb_of
 from sim.files.strict_json import dumps
 from sim.runs.planned_coverage import Arrival, Death, work
 from sim.world.plan_judge import PlanJudge, PlanScore, judge, lower_bound, steps_from
+from tools.build.kernel_cache import told_compiling
 from tools.common.result_table import fact_table
 
 WALL, DIRT, CLEAN, ROBOT, WRECK = "█", "·", " ", "o", "x"
@@ -28,7 +29,8 @@ def solved(
 ) -> int:  # fmt: skip
     """`reachable_only`: cells that no robot can come to are no fault."""
     begun_s = time.process_time()
-    plan = work(instance, turn_cost, deaths, arrivals)
+    with told_compiling(Console(stderr=True).print):
+        plan = work(instance, turn_cost, deaths, arrivals)
     cpu_s = time.process_time() - begun_s
     write_plan(out, plan)
     verdict = judge(plan)

@@ -23,6 +23,7 @@ from sim.scenarios.coverage_setup import STEP_S
 from sim.scenarios.mapf_setup import MapfSetup
 from sim.scenarios.scenario import Crash, Fault, Scenario
 from sim.world.path_judge import PathVerdict, judge_paths
+from tools.build.kernel_cache import told_compiling
 from tools.run.coverage_drive import LOSS_MAX
 from tools.run.run_mission import ProgressBar
 
@@ -127,7 +128,9 @@ def reports(
             print(f"headland: --crash {crashes}: {least} of {agents} robots crash", file=sys.stderr)
         setting = setting_of(mapf, seed, loss, least)
         run = MapfRun(setting)
-        with ProgressBar(Console(stderr=True), f"{mapf.name}, {agents} robots", run, "goals"):
+        console = Console(stderr=True)
+        title = f"{mapf.name}, {agents} robots"
+        with ProgressBar(console, title, run, "goals"), told_compiling(console.print):
             outcome = run.run()
         verdict = judged(run, outcome, mapf.walls)
         if out is not None and not outcome.conflict:
