@@ -71,7 +71,9 @@ def ends_of(near: NDArray[np.int32], inputs: GoalInputs) -> list[int]:
     ends: list[int] = []
     for place, goal in zip(inputs.places, inputs.goals, strict=True):
         possible = goal not in ends and goal not in inputs.cleared
-        ends.append(goal if possible and goal in _outward(near, place) else NONE)
+        # Not `goal in _outward(...)`: a compiled generator cannot be asked so.
+        possible = possible and any(cell == goal for cell in _outward(near, place))
+        ends.append(goal if possible else NONE)
     taken = {*inputs.goals, *inputs.cleared}
     for k, place in enumerate(inputs.places):
         if ends[k] != NONE:
