@@ -29,7 +29,7 @@ class DeviceKeys:
         Raises KeyFileError, also if an operator's counter cannot be reserved."""
         self._path, self._kind = path, kind
         self._file = self._read()
-        self._seen = _stamp(self._file.path)
+        self._seen = file_stamp(self._file.path)
         self.keyring: Keyring | None = self._file.keyring()
         self._end = self.keyring.sent + RESERVE  # of the frames that are reserved
 
@@ -57,7 +57,7 @@ class DeviceKeys:
 
     def _follow(self) -> None:
         """Take the keys of a file that was replaced. One that is gone or damaged changes nothing."""
-        stamp = _stamp(self._file.path)
+        stamp = file_stamp(self._file.path)
         if stamp == self._seen:
             return
         try:
@@ -86,8 +86,8 @@ class DeviceKeys:
         self._end = self.keyring.sent + RESERVE
 
 
-def _stamp(path: Path) -> tuple[int, int]:
-    """Changes when the file is replaced or written."""
+def file_stamp(path: Path) -> tuple[int, int]:
+    """Changes when the file is replaced or written; (0, 0) where it is gone."""
     try:
         found = path.stat()
     except OSError:

@@ -16,6 +16,7 @@ from protocol.authentication import KEY_SIZE
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.trust_frames import OperatorBadge, Proof, TimeQuestion
 from protocol.operator_badges import DAY_S, Role
+from tools.operate.device_keys import file_stamp
 
 
 class FileProofs(ToolProofs):
@@ -34,7 +35,7 @@ class FileProofs(ToolProofs):
         Raises KeyFileError, also if the file does not allow transport orders."""
         self.path, self.kind, self._told, self._clock = path, kind, told, clock
         self.file = read(path, kind)
-        self._seen = self._stamp(self.file.path)
+        self._seen = file_stamp(self.file.path)
         self.refusal = self._why()  # why no order is proven now; None: they are
         if self.refusal is not None:
             raise KeyFileError(self.refusal)
@@ -51,7 +52,7 @@ class FileProofs(ToolProofs):
     def _follow(self) -> None:
         """Read the file again if it was replaced, and look whether its key has ended."""
         before, refusal = self.refusal, None
-        stamp = self._stamp(self.file.path)
+        stamp = file_stamp(self.file.path)
         if stamp != self._seen:
             try:
                 found: KeyFile | None = read(self.file.path, self.kind)
@@ -69,15 +70,6 @@ class FileProofs(ToolProofs):
 
     def _why(self) -> str | None:
         return self.file.may(Role.TASK, int(self._clock()) // DAY_S)
-
-    @staticmethod
-    def _stamp(path: Path) -> tuple[int, int]:
-        """Changes when the file is replaced or written."""
-        try:
-            found = path.stat()
-        except OSError:
-            return 0, 0
-        return found.st_ino, found.st_mtime_ns
 
 
 def proofs_of(
