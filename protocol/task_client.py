@@ -180,7 +180,7 @@ class TaskClient:
 
     def refused(self, source: int) -> None:
         """The device at the address `source` refuses our process data. A task controller does so that was
-        started again and does not know us: the log-in begins anew with its next status.
+        started again and does not know us: the log-in begins again with its next status.
         """
         if source == self.server:
             self._lose()

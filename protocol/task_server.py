@@ -317,7 +317,7 @@ class TaskServer:
         answer = bytes((ACTIVATED, 0 if right else REFUSED, *b"\xff" * 4, 0 if right else REFUSED))
         outputs: list[ServerOutput] = [_said(client.source, answer)]
         if after is ACTIVE and wanted:
-            if before is ACTIVE:  # it has begun anew, and has forgotten what it was told
+            if before is ACTIVE:  # it has begun again, and has forgotten what it was told
                 outputs.append(ClientLost(client.source))
             self.counts["sessions"] += 1
             client.values.clear()

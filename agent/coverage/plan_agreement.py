@@ -47,7 +47,7 @@ OBSTACLE_US = 20 * S  # lifetime of an obstacle, because it may have gone since
 SPARE_US = 5 * S  # margin so that all robots drop a reported obstacle in the same round
 AGAIN_MAX = 2  # an obstacle seen more often than this is permanent until the members change
 ANYBODY = 0xFFFF  # slot of an unannounced body
-NOWHERE = 0xFFFF  # told as the cell of a robot that stands in none, so that nobody waits for it
+NOWHERE = 0xFFFF  # told as the cell of a robot that stands in none, so that no robot waits for it
 
 
 class CoveragePlanEvent(Enum):

@@ -71,7 +71,7 @@ class AsAppliedMap:
         return whole
 
     def take_back(self, cells: Iterable[tuple[int, int]]) -> None:
-        """These cells, as (row, column), are not worked: whoever was to work them was off."""
+        """These cells, as (row, column), are not worked: the implement that was to work them was off."""
         for row, column in cells:
             self._done.discard(row << 16 | column)
             self._parts.pop(row << 16 | column, None)

@@ -406,7 +406,7 @@ def _plan_of(
         for k in apart:
             goals[k] = starts[k]
     if goals is None or len(set(goals)) < len(goals):
-        for k in apart:  # who cannot come to its goal makes room for who can
+        for k in apart:  # one that cannot come to its goal makes room for one that can
             wishes[k], weights[k] = lattice.decode(places[k].node, places[k].detail), 1
         within = component[None, :] == component[starts][:, None]
         goals = seats(lattice, wishes, weights, blocked, within)

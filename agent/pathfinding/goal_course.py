@@ -79,7 +79,7 @@ def ends_of(near: NDArray[np.int32], inputs: GoalInputs) -> list[int]:
         if ends[k] != NONE:
             continue
         ends[k] = next((cell for cell in _outward(near, place) if cell not in taken), NONE)
-        if ends[k] == NONE:  # each cell is somebody's goal: one of a robot that does not get there
+        if ends[k] == NONE:  # each cell is a robot's goal: one of a robot that does not get there
             ends[k] = next(cell for cell in _outward(near, place) if cell not in ends)
         taken.add(ends[k])
     return ends

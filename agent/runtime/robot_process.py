@@ -264,7 +264,7 @@ async def opened_bus(table: RobotBusTable, slot: int, answer_for_s: float | None
 
 
 def _server(host: str, port: int) -> tuple[str, int]:
-    """Host and port of a server. Raises ValueError for what no computer has: nobody answers there."""
+    """Host and port of a server. Raises ValueError for what no computer has: no server answers there."""
     if not 0 < port < 1 << 16:
         raise ValueError(f"{port} is no port")
     try:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 # process, so a frame is sent as soon as it is queued.
 CONFIRMING: Final = frozenset({"socketcan", "kvaser", "pcan", "vector", "virtual"})
 # Interfaces whose file can be read as long as a frame waits. Others may keep frames in a buffer of their
-# own, where nobody looks before the next one comes, or wait for the rest of a frame.
+# own, where no reader looks before the next one comes, or wait for the rest of a frame.
 BY_FILE: Final = frozenset({"socketcan", "udp_multicast", "slcan"})
 # Own frames that wait for their return; above this number the oldest is dropped.
 UNRETURNED_MAX: Final = 512

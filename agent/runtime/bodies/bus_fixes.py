@@ -30,8 +30,8 @@ from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import AddressClaimed, Request
 
 CLAIM_PGN: Final = GROUP_OF[AddressClaimed].pgn
-# Sent once by who begins to listen, because most devices claimed their addresses long before. The first
-# claim of the receiver's address could otherwise be that of another device, which takes it.
+# Sent once when a device begins to listen, because most others claimed their addresses long before. The
+# first claim of the receiver's address could otherwise be that of another device, which takes it.
 WHO_IS_THERE: Final = encode(Request(CLAIM_PGN), NULL_ADDRESS)
 POSITION, COURSE_SPEED, GNSS, HEADING = 129025, 129026, 129029, 127250  # NMEA 2000
 VEHICLE_POSITION, DIRECTION_SPEED = 65267, 65256  # J1939-71

@@ -242,7 +242,7 @@ def test_a_robot_with_the_fleets_file_is_not_said_to_have_a_changed_log(folder: 
 def test_a_disk_that_fails_once_spoils_no_later_line(
     folder: Path, taken: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """The next line was appended to a half one, and nobody could read it. A disk that had taken nothing,
+    """The next line was appended to a half one, and it could not be read. A disk that had taken nothing,
     or all of the line and said that it failed, made an honest log a changed one."""
     key = key_of(read_robot(folder / "keys", ROBOT).keys, ROBOT)
     log = ReleaseLog(path_of(folder, ROBOT), ROBOT, key)

@@ -164,7 +164,7 @@ def test_an_adapter_that_was_unplugged_is_lost_and_told_in_one_line(
 
 
 class Garbled(Adapter):
-    """It has received a frame of slcan that is no number, has nobody to send it to, and is unplugged."""
+    """It has received a frame of slcan that is no number, has nowhere to send it, and is unplugged."""
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         self.ours.settimeout(timeout)

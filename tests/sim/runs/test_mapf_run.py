@@ -52,7 +52,7 @@ def test_robots_that_stand_on_their_goals_cost_nothing() -> None:
 
 @pytest.mark.parametrize("robot", [0, 1])
 def test_a_robot_that_never_sees_its_place_does_not_keep_the_others_standing(robot: int) -> None:
-    """Each round waited for its cell, so nobody set out, for good."""
+    """Each round waited for its cell, so none set out, for good."""
     starts, goals = [(0, 0), (1, 1), (2, 0)], [(0, 7), (1, 7), (2, 7)]
     mapf = MapfInstance("hall", np.zeros((4, 8), dtype=np.bool_), starts, goals)
     blind = Blind(at_s=0.0, kind="blind", robot=robot, for_s=20.0)

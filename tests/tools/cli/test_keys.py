@@ -317,8 +317,8 @@ def test_a_key_for_one_person_has_roles_and_an_end(tmp_path: Path) -> None:
 def test_nobody_is_given_the_owners_own_key(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """The file of a person with all roles for ever had the secret of all operators. Who has it can
-    release in anybody's name."""
+    """The file of a person with all roles for ever had the secret of all operators. With it, a person can
+    release in the name of each of them."""
     write(tmp_path / "fleet.json", tmp_path / "operator.json", fresh(), 249)
     every = "stop,release,direct,task"
     with pytest.raises(SystemExit):
@@ -335,7 +335,7 @@ def test_a_number_whose_file_was_given_away_is_nobody_elses(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The next person got the same number, and on one day with the same roles the same secret. The
-    release log named the wrong one, and robots took no stop of who had counted less far."""
+    release log named the wrong one, and robots took no stop of the one that had counted less far."""
     keys_of, elsewhere = tmp_path / "keys", tmp_path / "anna.json"
     keys_of.mkdir(mode=0o700)
     write(keys_of / "fleet.json", keys_of / "operator.json", fresh(), 249)

@@ -1,4 +1,4 @@
-"""A progress bar leaves nothing where nobody sees it."""
+"""A progress bar leaves nothing where it is not seen."""
 
 from io import StringIO
 from unittest.mock import Mock

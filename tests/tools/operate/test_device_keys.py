@@ -103,7 +103,7 @@ def test_a_conversation_is_believed_after_a_release_and_after_a_rotation(fleet: 
         assert fleet.believes(line.signed[-1], say.keyring)
     before = counter(fleet.folder / "operator.json")
     say.begin()
-    assert counter(fleet.folder / "operator.json") == before, "nobody else has signed since"
+    assert counter(fleet.folder / "operator.json") == before, "no other tool has signed since"
 
 
 def test_a_stop_that_is_held_for_minutes_signs_only_what_is_reserved(fleet: Fleet) -> None:
