@@ -6,6 +6,9 @@
 The tool asks which device holds which address, waits for the answers, and takes 249 or, if that is held,
 the highest free address. Until then it has none: urgent messages (stops, requests) leave from the null
 address, others are kept and leave in their order as soon as the claim is sent.
+
+Where every address is held, what is kept is forgotten, because an order of minutes ago would surprise.
+The tool tries again every five seconds.
 """
 
 import asyncio
@@ -14,14 +17,19 @@ from random import Random
 from secrets import randbits
 from typing import Protocol
 
-from protocol.address import CANNOT, AddressClaim, AddressMessage
+from protocol.address import CANNOT, RETRY_US, AddressClaim, AddressMessage
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.codec import decode, encode
 from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.messages import GROUP_OF, Message
-from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.network_frames import (
+    Acknowledgment,
+    AcknowledgmentControl,
+    AddressClaimed,
+    Request,
+)
 from protocol.frames.safety_frames import AllImplementsStop, EmergencyStop, Freshness
 from protocol.name import Name, tool_name
 
@@ -63,6 +71,7 @@ class DeviceAddress:
         self.on_claim: Callable[[], None] | None = None  # called each time an address became ours
         self._kept: list[tuple[Message, int]] = []
         self._told: int | None = None
+        self._retry_at_us: int | None = None  # of a claim, while every address is held
         self._held = asyncio.Event()
         self._loop: asyncio.AbstractEventLoop | None = None
         self._timer: asyncio.TimerHandle | None = None
@@ -80,7 +89,7 @@ class DeviceAddress:
     @property
     def crowded_out(self) -> bool:
         """No address is left for this tool, so its messages wait in vain."""
-        return self.claim is not None and self.claim.state is CANNOT
+        return self._retry_at_us is not None
 
     async def held(self, seconds: float = 2.0) -> bool:
         """Wait for the address, at most for this time."""
@@ -109,6 +118,9 @@ class DeviceAddress:
         address = self.address
         if address is None and isinstance(message, URGENT):
             address = NULL_ADDRESS
+        if self.crowded_out and address is None:
+            self.refused += 1
+            return False
         if address is not None:
             sent = self.bus.send(encode(message, address, destination))
             if self.proofs is not None and isinstance(message, TaskOrder):
@@ -136,13 +148,33 @@ class DeviceAddress:
             destination = Identifier.unpack(frame.identifier).destination
             if destination in (GLOBAL_ADDRESS, self.claim.candidate):
                 self._say(self.claim.on_request(destination == GLOBAL_ADDRESS, now_us))
+        elif isinstance(message, Request) and source < NULL_ADDRESS:
+            self._refuse(source, message.pgn, Identifier.unpack(frame.identifier).destination)
+
+    def _refuse(self, source: int, pgn: int, destination: int) -> None:
+        """A tool serves no group. A device that asked it alone is told so (ISO 11783-3)."""
+        address = self.address
+        if address is not None and destination == address:
+            control = AcknowledgmentControl.NACK
+            self.bus.send(encode(Acknowledgment(control, 0xFF, source, pgn & 0x3FFFF), address))
 
     def _tick(self, now_us: int) -> None:
         if self.claim is None:
             rng = Random(self.name.pack())
             self.claim = AddressClaim(self.name, PREFERRED, rng, now_us, LISTEN_US)
             self.bus.send(encode(Request(CLAIM_PGN), NULL_ADDRESS))
+        retry_at_us = self._retry_at_us
+        if self.claim.state is CANNOT and retry_at_us is not None and now_us >= retry_at_us:
+            self._retry_at_us = now_us + RETRY_US
+            self.claim.restart(now_us)
         self._say(self.claim.on_tick(now_us))
+        if self.claim.asks:
+            self.claim.asks = False
+            self.bus.send(encode(Request(CLAIM_PGN), NULL_ADDRESS))
+        if self.claim.state is CANNOT and self._retry_at_us is None:
+            self._retry_at_us = now_us + RETRY_US
+            self.refused += len(self._kept)
+            self._kept.clear()
 
     def _say(self, claims: list[AddressMessage]) -> None:
         for message, source, destination in claims:
@@ -155,6 +187,7 @@ class DeviceAddress:
             self._held.clear()
             return
         self._held.set()
+        self._retry_at_us = None
         kept, self._kept = self._kept, []
         for waited, destination in kept:
             self.bus.send(encode(waited, address, destination))
@@ -168,8 +201,13 @@ class DeviceAddress:
             self._arm()
 
     def _arm(self) -> None:
-        if self._loop is None or self.claim is None or self.claim.due_at_us is None:
+        if self._loop is None or self.claim is None:
+            return
+        due_at_us = self.claim.due_at_us
+        if self.claim.state is CANNOT:
+            due_at_us = self._retry_at_us
+        if due_at_us is None:
             return
         if self._timer is not None:
             self._timer.cancel()
-        self._timer = self._loop.call_at(self.claim.due_at_us / 1e6, self._turn)
+        self._timer = self._loop.call_at(due_at_us / 1e6, self._turn)

@@ -10,9 +10,21 @@ import pytest
 from protocol.address import FIRST, LAST
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
-from protocol.frames.identifier import NULL_ADDRESS
-from protocol.frames.network_frames import AddressClaimed, Request
-from protocol.frames.safety_frames import AllImplementsStop, Command, EmergencyStop, Reason, Switch
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.network_frames import (
+    Acknowledgment,
+    AcknowledgmentControl,
+    AddressClaimed,
+    Request,
+)
+from protocol.frames.safety_frames import (
+    AllImplementsStop,
+    Command,
+    EmergencyStop,
+    OperatorCommand,
+    Reason,
+    Switch,
+)
 from protocol.links.bus import CanBus
 from protocol.name import AGRICULTURE, MANUFACTURER, TOOL_FUNCTION, Name, fleet_name, tool_name
 from sim.can.simulated_bus import FieldBus, Segment, forget, segment
@@ -39,6 +51,7 @@ class Heard:
         self.segment: Segment = segment(channel)
         self.frames: list[Frame] = []
         self.segment.taps.append(lambda t_us, frame: self.frames.append(frame))
+        self.crowded = False
 
     def operator(self) -> Operator:
         bus, loop = CanBus(FieldBus(self.channel)), asyncio.get_running_loop()
@@ -60,12 +73,13 @@ class Heard:
         bus.send(claimed)
 
     def crowd(self) -> None:
-        """A device that holds every address, and says so when it is asked."""
+        """A device that holds every address while `crowded`, and says so when it is asked."""
+        self.crowded = True
         bus = CanBus(FieldBus(self.channel))
 
         def hear(frame: Frame) -> None:
             _, message = decode(frame)
-            if isinstance(message, Request) and message.pgn == CLAIM_PGN:
+            if self.crowded and isinstance(message, Request) and message.pgn == CLAIM_PGN:
                 for address in (*range(FIRST, LAST + 1), PREFERRED):
                     bus.send(encode(AddressClaimed(0), address))
 
@@ -177,6 +191,48 @@ def test_a3_a_tool_without_a_loop_claims_by_what_it_hears() -> None:
         device.hear(tick * 0.05, encode(Request(0xFF14), 128))
     assert device.address == PREFERRED
     assert [decode(frame)[0] for frame in sent] == [NULL_ADDRESS, NULL_ADDRESS, PREFERRED]
+
+
+def test_a_tool_refuses_a_group_that_it_alone_is_asked_for() -> None:
+    """ISO 11783-3: a device that gets no answer to a request of one device asks again and again."""
+
+    async def story(heard: Heard) -> None:
+        operator = heard.operator()
+        assert await operator.device.held()
+        asker = CanBus(FieldBus(heard.channel))
+        for destination in (PREFERRED, GLOBAL_ADDRESS, LAST):
+            asker.send(encode(Request(0xFEDA), 38, destination))
+        asker.send(encode(Request(0xFEDA), NULL_ADDRESS, PREFERRED))
+        asker.send(encode(Request(CLAIM_PGN), 38, PREFERRED))
+        await elapse(1.0)
+        refusal = Acknowledgment(AcknowledgmentControl.NACK, 0xFF, 38, 0xFEDA)
+        assert heard.of(Acknowledgment) == [(PREFERRED, refusal)]
+        assert len(heard.of(AddressClaimed)) == 2
+
+    on_a_wire(story, "asked")
+
+
+def test_a_tool_without_an_address_tries_again_and_sends_nothing_old() -> None:
+    """The page of a map stayed without an address until it was restarted."""
+
+    async def story(heard: Heard) -> None:
+        heard.crowd()
+        operator = heard.operator()
+        operator.command(Command.START)
+        await elapse(1.0)
+        assert operator.device.crowded_out
+        operator.command(Command.START)
+        await elapse(10.0)
+        assert operator.device.crowded_out, "said all the time, also while it tries again"
+        heard.crowded = False
+        await elapse(6.0)
+        assert operator.device.address == PREFERRED and not operator.device.crowded_out
+        assert not heard.of(OperatorCommand), "a start of a quarter of a minute ago moves nobody"
+        operator.command(Command.START)
+        await elapse(0.1)
+        assert len(heard.of(OperatorCommand)) == 1
+
+    on_a_wire(story, "again")
 
 
 COMMANDS = {
