@@ -28,7 +28,8 @@ def metrics_address(text: str) -> MetricsAddress:
     """Of what a person has typed. Raises MetricsError, also where the package is not installed or
     the port is taken, so that all of it is said before a robot starts."""
     host, _, digits = text.rpartition(":")
-    if not digits.isdecimal() or int(digits) > PORT_MAX or ":" in host:
+    is_port = digits.isascii() and digits.isdecimal() and len(digits) <= len(str(PORT_MAX))
+    if not is_port or int(digits) > PORT_MAX or ":" in host:
         raise MetricsError(f"--metrics {text}: a port from 0 to {PORT_MAX}, or HOST:PORT")
     if find_spec("prometheus_client") is None:
         raise MetricsError(NO_PACKAGE)

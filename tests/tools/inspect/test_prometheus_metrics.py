@@ -140,7 +140,7 @@ def test_groups_of_others_are_one_kind() -> None:
     assert kinds == {"MEMBER", "POSE", "other"}
 
 
-@pytest.mark.parametrize("word", ["here", "70000", "-1", "", "localhost:"])
+@pytest.mark.parametrize("word", ["here", "70000", "-1", "", "localhost:", "9" * 5000, "９"])
 def test_a_wrong_port_is_one_line(word: str) -> None:
     with pytest.raises(MetricsError, match=r"a port from 0 to 65535, or HOST:PORT"):
         metrics_address(word)
