@@ -27,7 +27,6 @@ from crdt.sighting import (
 )
 
 Keys = NDArray[np.int64]
-XY = tuple[float, float]
 SIDE = 4  # cells of a patch, each way
 CELLS = SIDE * SIDE
 FANOUT = 16  # squares in the next larger one
@@ -52,23 +51,23 @@ class Geometry(NamedTuple):
 
     rows: int
     columns: int
-    origin_m: XY  # the south-western corner
+    origin_m: tuple[float, float]  # the south-western corner
     cell_m: float
 
-    def centre(self, row: int, column: int) -> XY:
+    def centre(self, row: int, column: int) -> tuple[float, float]:
         """The centre of a cell in the world: metres (x, y)."""
         return (
             self.origin_m[0] + (column + 0.5) * self.cell_m,
             self.origin_m[1] + (row + 0.5) * self.cell_m,
         )
 
-    def cell(self, at: XY) -> tuple[int, int]:
+    def cell(self, at: tuple[float, float]) -> tuple[int, int]:
         """Row and column of the cell that contains a place (x, y), in metres; may be outside of the
         map."""
         row = (at[1] - self.origin_m[1]) / self.cell_m
         return int(row // 1), int((at[0] - self.origin_m[0]) / self.cell_m // 1)
 
-    def holds(self, at: XY) -> bool:
+    def holds(self, at: tuple[float, float]) -> bool:
         """Whether a place (x, y), in metres, is in a cell of the map."""
         row, column = self.cell(at)
         return 0 <= row < self.rows and 0 <= column < self.columns

@@ -33,7 +33,7 @@ ALLOWED: dict[str, str] = {
     "agent.interface": "",
     "agent.kernels": "",
     "agent.safety": "interface",
-    "agent.paths": "kernels",
+    "agent.paths": "interface kernels",
     "agent.avoidance": "interface kernels",
     "agent.mapf": "interface kernels",
     "agent.motion": "interface kernels avoidance paths",
@@ -301,6 +301,17 @@ def test_no_unseeded_chance_anywhere() -> None:
         cwd=ROOT, capture_output=True, text=True, check=False,
     )  # fmt: skip
     assert found.stdout == ""
+
+
+def test_points_and_cells_are_defined_once() -> None:
+    """The same pair of floats was (x, y) in one module and (row, column) in another, by one name."""
+    defined: dict[str, list[str]] = {"Point": [], "Cell": [], "GridPoint": [], "XY": []}
+    for path in FILES:
+        for node in ast.parse(path.read_text(encoding="utf-8")).body:
+            if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name):
+                defined.get(node.targets[0].id, []).append(name_of(path))
+    once = ["agent/interface/geometry.py"]
+    assert defined == {"Point": once, "Cell": once, "GridPoint": once, "XY": []}
 
 
 IGNORES_MAX = 20

@@ -17,6 +17,7 @@ QUESTIONS = {
     "Who may press a stop or release it?": "agent/safety/command_authentication.py",
     "Which states does a robot have, and which events change them?": "agent/interface/lifecycle.py",
     "Where do all limits of the core stand, with their reasons?": "agent/interface/config.py",
+    "Which axes does a point have, and which a cell?": "agent/interface/geometry.py",
     "What must a new mission implement?": "agent/interface/mission.py",
     "What does a body tell its robot?": "agent/interface/observation.py",
     "What can come out of the core?": "agent/interface/effects.py",

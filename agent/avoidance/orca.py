@@ -56,8 +56,8 @@ from agent.avoidance.orca_kernel import (
     velocity_among_walls,
 )
 from agent.interface.config import NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX
+from agent.interface.geometry import Point
 
-XY = tuple[float, float]
 _CALL, _ROWS_IN_USE, _ROW = Struct("7d"), Struct("3d"), Struct("8d")
 _ROWS_AT = 8 * FIRST_ROW
 _write_call, _write_all = _CALL.pack_into, Struct("10d").pack_into
@@ -141,7 +141,7 @@ class OrcaSolver:
         """Avoid a peer no longer, until its next pose."""
         self._work[HEAD + slot * ROW_COLUMNS + ROW_RADIUS] = UNKNOWN
 
-    def among_known(self, at: XY, own: XY, wanted: XY, now_s: float) -> XY:
+    def among_known(self, at: Point, own: Point, wanted: Point, now_s: float) -> Point:
         """The velocity to take among the known peers: (x, y) in m/s.
 
         `at` is the own place in metres, `own` and `wanted` are velocities in m/s.
@@ -160,7 +160,9 @@ class OrcaSolver:
     def _use_known(self) -> None:
         _ROWS_IN_USE.pack_into(self._bytes, _ROWS_AT, 0, self._last, self.range_m)
 
-    def velocity(self, at: XY, own: XY, wanted: XY, rows: list[tuple[float, ...]]) -> XY:
+    def velocity(
+        self, at: Point, own: Point, wanted: Point, rows: list[tuple[float, ...]]
+    ) -> Point:
         """The velocity to take among neighbours given in `rows` alone, at any distance, in m/s.
 
         A row is dx, dy, vx, vy, combined radius, share of the avoidance; metres and m/s relative to
@@ -180,21 +182,21 @@ class OrcaSolver:
         self._use_known()
         return found
 
-    def _run(self, at: XY) -> XY:
+    def _run(self, at: Point) -> Point:
         x, y = self._kernel()
         if x != x:  # not a number: too far from where fences were looked for
             self._gather(at)
             x, y = self._kernel()
         return x, y
 
-    def _kernel(self) -> XY:
+    def _kernel(self) -> Point:
         if self._open:
             x, y = velocity(self._work)
         else:
             x, y = velocity_among_walls(self._work, self.walls.table, self.walls.root)
         return x, y
 
-    def _gather(self, at: XY) -> None:
+    def _gather(self, at: Point) -> None:
         """Copy the fences that may come into reach before the next time."""
         x, y = at
         self._work[GATHERED_X], self._work[GATHERED_Y] = x, y

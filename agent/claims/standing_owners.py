@@ -10,9 +10,9 @@ from math import hypot
 from typing import Final
 
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
+from agent.interface.geometry import Point
 from agent.interface.mission import FleetView
 
-Point = tuple[float, float]
 UnitsOf = Callable[[Sequence[int]], int]
 
 STANDS_US: Final = 60 * S  # a live owner that stands still keeps its sections this long: 3 leases

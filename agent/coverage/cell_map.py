@@ -12,11 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.coverage.walk import walk
+from agent.interface.geometry import Cell, Point
 from crdt.progress import BLOCK_UNITS
 
 Walls = NDArray[np.bool_]
-Cell = tuple[int, int]  # row, column
-Point = tuple[float, float]  # metres (x, y): east and north
 NUMBERS_MAX = 1 << 16  # free cells: a number is a u16 on the wire
 NONE = -1
 

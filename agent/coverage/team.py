@@ -16,8 +16,8 @@ from agent.coverage.room_plan import Costing, Costs, cut_room
 from agent.coverage.team_state import NONE, Numbers, Walked, new_grid, new_robots
 from agent.coverage.team_step import FAR, fill_field, step
 from agent.coverage.work_sharing import choose_goals
+from agent.interface.geometry import Cell
 
-Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]
 TURN_PARTS = 4  # a turn's cost is kept in quarters of a step
 TURN_COST_MAX = 100.0  # steps; a greater cost would mean that robots cannot turn

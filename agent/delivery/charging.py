@@ -7,8 +7,8 @@ from agent.delivery.cost_matrix import Trip
 from agent.delivery.task_registry import TASKS_MAX
 from agent.delivery.warehouse import CarrierState, Warehouse
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from agent.interface.mission import ClaimRequest
-from agent.paths.nav_mesh import Point
 from crdt import FieldAllocationCRDT
 
 FULL_AT = 0.99  # share of a battery from which on it counts as full

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.delivery.routing_problem import Power, Whole, Workload
-from agent.paths.nav_mesh import Mesh, Point
+from agent.interface.geometry import Point
+from agent.paths.nav_mesh import Mesh
 
 FULL = 1_000_000  # energy is counted in millionths of a full battery
 ROOM = 16  # when the table grows, it grows by this many points and an eighth

@@ -19,6 +19,7 @@ from agent.delivery.task_headway import TaskHeadway
 from agent.delivery.task_registry import TASKS_MAX, recalled_orders, stop_names
 from agent.delivery.warehouse import SECTIONS_END, CarrierState, Warehouse
 from agent.interface.config import MS, S
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from agent.interface.mission import ClaimRequest, FleetView, MotionRequest, Record
 from agent.navigation.navigation_mission import NavigationMission
@@ -27,7 +28,6 @@ from crdt import Phase
 from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
 
-Point = tuple[float, float]
 PICKED, DELIVERED = 0, 1  # units of a task
 NOTHING_RECALLED: Mapping[str, bytes] = {}
 UNDER_WAY = -1  # stands for the current goal where sections are checked

@@ -11,12 +11,12 @@ from math import hypot
 
 from agent.delivery.task_registry import TaskRegistry
 from agent.delivery.warehouse import Warehouse
+from agent.interface.geometry import Point
 from agent.interface.mission import FleetView
 from agent.mapf.lattice import Lattice
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 from agent.navigation.silent_robots import SilentRobots
 
-Point = tuple[float, float]
 LOOKED_M = 0.8  # a place this near to a searched one need not be searched
 SPOT_HOPS = 2  # in lattice hops: range sensors detect a body this far from a search position
 

@@ -9,9 +9,9 @@ from collections.abc import Mapping, Sequence
 from math import hypot
 
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 
-Point = tuple[float, float]
 LOOK_US = 1 * S  # period of `observe`
 # A section counts as cut off after this long: another robot may be about to fetch the parcel.
 CUT_OFF_US = 15 * S

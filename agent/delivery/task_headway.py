@@ -10,8 +10,8 @@ from typing import Final
 
 from agent.claims.claim_headway import Headway
 from agent.interface.config import S
+from agent.interface.geometry import Point
 
-Point = tuple[float, float]
 # In one place for this long: a round of agreement may begin four times (2, 4, 8 and 16 s apart).
 STANDSTILL_US: Final = 30 * S
 # Under way without getting nearer for this long: at 1 m/s twice across the largest building that ships.

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, spare_energy, workload
 from agent.delivery.routing_problem import Whole, Workload
 from agent.delivery.task_registry import TASKS_MAX, WITHDRAWN, TransportTask
+from agent.interface.geometry import Point
 from agent.mapping.building import Floor
-from agent.paths.nav_mesh import Mesh, Point
+from agent.paths.nav_mesh import Mesh
 from crdt import FieldAllocationCRDT, Phase
 
 SECTIONS_END = 0x8000  # sections are below; names begin there

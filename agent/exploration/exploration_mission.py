@@ -30,12 +30,13 @@ from agent.exploration.frontier import (
     frontiers,
     wave_from,
 )
-from agent.exploration.frontier_path import STUCK_US, TURN_ROUND, XY, FrontierPath
+from agent.exploration.frontier_path import STUCK_US, TURN_ROUND, FrontierPath
 from agent.interface.config import LEASE_US, MS, S
+from agent.interface.geometry import Cell, Point
 from agent.interface.lifecycle import ABLE, State
 from agent.interface.mission import ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.motion_controller import BodyLimits
-from agent.mapping.inflation import Cell, Grid
+from agent.mapping.inflation import Grid
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 from crdt import Phase
 from crdt.occupancy import SIDE, MergeResult, corner_of
@@ -86,7 +87,7 @@ class ExplorationMission(Mission):
         self.over = False  # at the last search there was no frontier that we could reach
         self.switched = 0  # number of targets left for better ones
         self._way = FrontierPath(chart, limits)
-        self._legs: list[XY] = []  # places of an order still to visit
+        self._legs: list[Point] = []  # places of an order still to visit
         self._shun_ends_at_us: dict[int, int] = {}
         self._in_vain = 0  # number of frontiers given up since we have reached a station
         self._untaken_at_us: dict[int, int] = {}  # orders: since when no robot has them
@@ -100,7 +101,7 @@ class ExplorationMission(Mission):
         return 100.0 * self.chart.fleet.progress
 
     @property
-    def remaining_path(self) -> Sequence[XY]:
+    def remaining_path(self) -> Sequence[Point]:
         return self._way.rest
 
     def on_control_period(self, view: FleetView, state: State) -> None:
@@ -246,7 +247,7 @@ class ExplorationMission(Mission):
     def _middle(self, patch: int) -> Cell:
         return self._way.cell(self.place_of(patch))
 
-    def place_of(self, section: int) -> XY:
+    def place_of(self, section: int) -> Point:
         """The place of a section, (x, y) metres; the same for all peers."""
         if section in self.orders:
             return self.orders[section].points[0]
@@ -328,10 +329,10 @@ class ExplorationMission(Mission):
         self._see(view)
         return self._way.drive(view)
 
-    def accepts_goal(self, goal: XY) -> bool:
+    def accepts_goal(self, goal: Point) -> bool:
         return self.chart.admits(goal)
 
-    def travel(self, goal: XY, view: FleetView) -> MotionRequest:
+    def travel(self, goal: Point, view: FleetView) -> MotionRequest:
         self._see(view)
         if goal != self._way.station:
             self._way.head_for(goal, view)

@@ -15,8 +15,6 @@ from agent.interface.mission import FleetView
 from crdt import Phase
 from crdt.occupancy import MergeResult
 
-XY = tuple[float, float]
-
 
 class FleetMember(NamedTuple):
     """One robot as a peer knows it: pose in metres and radians, task, and whether it is live."""

@@ -4,7 +4,8 @@ from decimal import ROUND_HALF_UP, Decimal
 from enum import Enum
 from typing import NamedTuple
 
-XY = tuple[float, float]  # metres east and north
+from agent.interface.geometry import Point
+
 ROBOTS_MAX = 10  # default size of a fleet; a record of the map has room for 32 observers
 ORDERS_FIRST = 0xFF00  # first section of an order; patches of the map are below
 ORDERS_MAX = 64  # of the 256 sections from there on
@@ -53,7 +54,7 @@ class ExplorationOrder(NamedTuple):
     """An operator's task for any robot of the fleet: go there, or visit these points once."""
 
     kind: TaskKind  # NAVIGATE_TO or PATROL
-    points: tuple[XY, ...]
+    points: tuple[Point, ...]
 
 
 class FleetTask(NamedTuple):
@@ -61,7 +62,7 @@ class FleetTask(NamedTuple):
 
     section: int  # the same for all peers: a patch of the map, or an order
     kind: TaskKind
-    target: XY
+    target: Point
     assigned_to: int  # slot
     status: Status
     created_at_us: int  # on the clock of the peer that reports
@@ -87,7 +88,7 @@ def fixed(value: float) -> str:
     return str(Decimal(value).quantize(Decimal("0.1"), ROUND_HALF_UP))
 
 
-def describe(kind: TaskKind, target: XY) -> str:
+def describe(kind: TaskKind, target: Point) -> str:
     """A task in words, for people and language models."""
     place = f"({fixed(target[0])}, {fixed(target[1])})"
     match kind:

@@ -15,15 +15,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Cell
 from agent.kernels.kernel import njit
-from agent.mapping.inflation import Cell, Grid
+from agent.mapping.inflation import Grid
 from agent.paths.theta_star import sees
 from crdt.occupancy import SIDE, patch_of
 from crdt.sighting import FREE, OBSTACLE, UNKNOWN
 
 Values = NDArray[np.int64]
 Steps = NDArray[np.int32]
-XY = tuple[float, float]
 STRAIGHT, DIAGONAL = 5, 7  # length of a step in fifths of a cell: 7/5 is sqrt(2) to 1 %
 NEVER = np.int32(1 << 30)  # length of a way that does not exist
 DEAR = 3  # factor for a step among cells that another robot saw and we would see again

@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from agent.exploration.exploration_task import AT_M
 from agent.interface.config import S
+from agent.interface.geometry import Cell, Point
 from agent.interface.mission import STILL, FleetView, MotionRequest
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
-from agent.mapping.inflation import Cell
 from agent.mapping.local_and_fleet_map import LocalAndFleetMap
 
-XY = tuple[float, float]
 Cells = tuple[NDArray[np.intp], NDArray[np.intp]]  # rows, columns
 SAMPLES = 2  # of a path for each cell, so that only corners of cells are left out
 TURN_RAD_S = 0.8  # a robot turns as it drives, so that its rays leave no cell between them
@@ -31,19 +30,19 @@ class FrontierPath:
 
     def __init__(self, chart: LocalAndFleetMap, limits: BodyLimits) -> None:
         self.chart, self.limits = chart, limits
-        self.station: XY | None = None
+        self.station: Point | None = None
         self.arrived_at_us = 0  # when the station was reached; 0: not yet
-        self.rest: list[XY] = []  # waypoints still to come
+        self.rest: list[Point] = []  # waypoints still to come
         self._open: Cells = np.empty(0, np.intp), np.empty(0, np.intp)
         self._nearest_m, self._nearest_at_us = np.inf, 0
 
-    def cell(self, at: XY) -> Cell:
+    def cell(self, at: Point) -> Cell:
         """The (row, column) cell at a place, or the nearest one on the map."""
         rows, columns, _, _ = self.chart.geometry
         row, column = self.chart.geometry.cell(at)
         return min(max(row, 0), rows - 1), min(max(column, 0), columns - 1)
 
-    def head_for(self, station: XY, view: FleetView) -> None:
+    def head_for(self, station: Point, view: FleetView) -> None:
         """Go to another station: plan a path from here."""
         self.station, self.arrived_at_us = station, 0
         self._nearest_m = np.inf
@@ -60,7 +59,7 @@ class FrontierPath:
         free = ~self.chart.grid.tight.blocked[rows, columns]  # a start may be carved out
         self._open = rows[free], columns[free]
 
-    def _along(self, path: Sequence[XY]) -> Cells:
+    def _along(self, path: Sequence[Point]) -> Cells:
         """Rows and columns of the cells under a path, some of them twice."""
         if len(path) < 2:
             return np.empty(0, np.intp), np.empty(0, np.intp)
@@ -115,5 +114,5 @@ class FrontierPath:
         return MotionRequest(dx_m / next_m * speed_m_s, dy_m / next_m * speed_m_s, TURN_RAD_S)
 
     @staticmethod
-    def _near(at: XY, here: Observation) -> bool:
+    def _near(at: Point, here: Observation) -> bool:
         return hypot(at[0] - here.x_m, at[1] - here.y_m) < AT_M

@@ -13,7 +13,7 @@ from itertools import pairwise
 from math import atan2, ceil, hypot, inf, pi, radians
 from typing import Final
 
-from agent.field.section_shares import Point
+from agent.interface.geometry import Point
 
 # Shorter moves have no reliable direction: slip, and coming to rest.
 COURSE_M: Final = 0.05

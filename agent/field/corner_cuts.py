@@ -19,10 +19,10 @@ from math import atan2, ceil, copysign, cos, hypot, inf, pi, sin
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry import LineString, Point
+from shapely.geometry import LineString
 from shapely.geometry.base import BaseGeometry
 
-from agent.field.field_map import XY, Polyline
+from agent.interface.geometry import Point, Polyline
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.path_tracker import turn_at
 from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
@@ -71,7 +71,7 @@ def cut_at_corners(
     `inside`: where the whole bar may be at the end of a piece; None: anywhere. `beside`: the same in
     a corner that is driven in one go.
     """
-    pieces: list[list[XY]] = [[ring[0]]]
+    pieces: list[list[Point]] = [[ring[0]]]
     most_rad = SPARE * WINDOW_M / turn_radius_m + SPARE_RAD
     turned_rad = run_m = 0.0  # what the piece has turned by within the window
     for k in range(1, len(ring)):
@@ -104,16 +104,16 @@ def cut_at_corners(
 
 
 def _ends(
-    into: list[XY], out: list[XY], turn_rad: float, reach_m: float, bend_m: float,
+    into: list[Point], out: list[Point], turn_rad: float, reach_m: float, bend_m: float,
     free: BaseGeometry, asked: BaseGeometry | None, inside: BaseGeometry | None,
-) -> tuple[list[XY], list[XY]]:  # fmt: skip
+) -> tuple[list[Point], list[Point]]:  # fmt: skip
     """Two pieces that end in the same corner, with their continuations past it.
 
     `out`: from its far end, as if it were driven towards the corner.
     """
     corner = into[-1]
-    ground = Point(corner).buffer(2 * reach_m)
-    ground = ground.intersection(asked) if asked is not None else Point()
+    ground = shapely.Point(corner).buffer(2 * reach_m)
+    ground = ground.intersection(asked) if asked is not None else shapely.Point()
     ends = [
         (_on(into, turn_rad, by_rad, reach_m, bend_m, free, inside),
          _on(out, -turn_rad, by_rad, reach_m, bend_m, free, inside))
@@ -131,12 +131,12 @@ def _ends(
     return best
 
 
-def _swept(piece: list[XY], corner: XY, reach_m: float) -> BaseGeometry:
+def _swept(piece: list[Point], corner: Point, reach_m: float) -> BaseGeometry:
     """What the bar passes over on the end of a piece, near a corner."""
     (ax, ay), (bx, by) = piece[-2:]
     past = PAST_END_M / hypot(bx - ax, by - ay)
     line = LineString([*piece[:-1], (bx + (bx - ax) * past, by + (by - ay) * past)])
-    from_m = max(0.0, line.project(Point(corner)) - 3 * reach_m)
+    from_m = max(0.0, line.project(shapely.Point(corner)) - 3 * reach_m)
     count = ceil((line.length - from_m) / SWEEP_STEP_M) + 1
     at = shapely.line_interpolate_point(line, np.linspace(from_m, line.length, count))
     places = shapely.get_coordinates(at)
@@ -156,8 +156,13 @@ def _swept(piece: list[XY], corner: XY, reach_m: float) -> BaseGeometry:
 
 
 def _swung_out(
-    a: XY, b: XY, c: XY, reach_m: float, room: BaseGeometry | None, beside: BaseGeometry | None
-) -> list[XY]:
+    a: Point,
+    b: Point,
+    c: Point,
+    reach_m: float,
+    room: BaseGeometry | None,
+    beside: BaseGeometry | None,
+) -> list[Point]:
     """Three points instead of the corner b of a, b, c, for a body that turns on the spot; none if it has
     no room for them.
     """
@@ -183,9 +188,9 @@ def _swung_out(
 
 
 def _on(
-    piece: list[XY], turn_rad: float, turn_in_rad: float, reach_m: float, bend_m: float,
+    piece: list[Point], turn_rad: float, turn_in_rad: float, reach_m: float, bend_m: float,
     free: BaseGeometry, inside: BaseGeometry | None,
-) -> list[XY]:  # fmt: skip
+) -> list[Point]:  # fmt: skip
     """The piece, whose end is where the ring turns by `turn_rad`, with its continuation past the
     corner: straight, or with a bend of `turn_in_rad`.
     """
@@ -208,7 +213,7 @@ def _on(
 
 
 def _fitting(
-    a: XY, course: float, most_m: float, shape: list[XY], reach_m: float,
+    a: Point, course: float, most_m: float, shape: list[Point], reach_m: float,
     free: BaseGeometry | None, inside: BaseGeometry | None,
 ) -> float:  # fmt: skip
     """How far from a, and at most how far, the end of a piece may begin; 0 if it may nowhere.
@@ -237,7 +242,7 @@ def _fitting(
     return 0.0
 
 
-def _bars(shape: list[XY], reach_m: float) -> NDArray[np.float64]:
+def _bars(shape: list[Point], reach_m: float) -> NDArray[np.float64]:
     """(2 * places, 2): both ends of the lowered bar at places of an end of a piece, and on the straight
     way to it.
     """
@@ -262,7 +267,7 @@ def bar_stays(way: NDArray[np.float64], reach_m: float, inside: BaseGeometry) ->
 
 
 def _at(
-    a: XY, course: float, begun_m: NDArray[np.float64], shape: NDArray[np.float64]
+    a: Point, course: float, begun_m: NDArray[np.float64], shape: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """(begins, points, 2): the points of a shape for each place at which it begins, metres."""
     ahead_m = begun_m[:, np.newaxis] + shape[:, 0]
@@ -274,12 +279,12 @@ def _at(
     )  # fmt: skip
 
 
-def _placed(a: XY, course: float, begun_m: float, shape: list[XY]) -> list[XY]:
+def _placed(a: Point, course: float, begun_m: float, shape: list[Point]) -> list[Point]:
     points = _at(a, course, np.array([begun_m]), np.array(shape))[0]
     return [(float(x), float(y)) for x, y in points]
 
 
-def _bend(bend_m: float, turn_in_rad: float) -> list[XY]:
+def _bend(bend_m: float, turn_in_rad: float) -> list[Point]:
     """Points of a bend, metres ahead and to the left of where it begins.
 
     `turn_in_rad`: positive to the left.
@@ -301,13 +306,13 @@ def _tail_m(bend_m: float, turn_in_rad: float) -> float:
     return tail_m if tail_m > TAIL_LEAST_M else 0.0
 
 
-def _beyond(a: XY, b: XY, reach_m: float, free: BaseGeometry) -> tuple[XY, bool]:
+def _beyond(a: Point, b: Point, reach_m: float, free: BaseGeometry) -> tuple[Point, bool]:
     """The furthest free point straight on from b, coming from a; and whether a fence ended it."""
     course = atan2(b[1] - a[1], b[0] - a[0])
     end = b
     for k in range(1, int(reach_m / STEP_M) + 1):
         at = (b[0] + k * STEP_M * cos(course), b[1] + k * STEP_M * sin(course))
-        if not free.contains(Point(at)):
+        if not free.contains(shapely.Point(at)):
             return end, True
         end = at
     return end, False

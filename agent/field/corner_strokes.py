@@ -17,7 +17,7 @@ from typing import Final, NamedTuple
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from agent.field.corner_cuts import (
@@ -29,7 +29,7 @@ from agent.field.corner_cuts import (
     SPARE,
     bar_stays,
 )
-from agent.field.field_map import XY, Polyline
+from agent.interface.geometry import Point, Polyline
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.path_tracker import turn_at
 from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
@@ -84,7 +84,7 @@ class _Ways(NamedTuple):
         return x_m + chord_m * np.cos(middle), y_m + chord_m * np.sin(middle), turned
 
 
-def sharp_corners(ring: Sequence[XY]) -> list[XY]:
+def sharp_corners(ring: Sequence[Point]) -> list[Point]:
     """The points of a ring at which it turns sharply, metres."""
     return [
         b
@@ -117,9 +117,9 @@ class CornerStrokes:
         radii_m = [least_m, *(radius_m for radius_m in RADII_M if radius_m > least_m)]
         self._bends = [0.0, *(side / radius_m for radius_m in radii_m for side in (1.0, -1.0))]
 
-    def into(self, corner: XY) -> list[Polyline]:
+    def into(self, corner: Point) -> list[Polyline]:
         """The strokes into a corner of a ring, all places (x, y) metres. Each ends in the corner."""
-        near = Point(corner).buffer(2 * self._reach_m)
+        near = shapely.Point(corner).buffer(2 * self._reach_m)
         left = near.intersection(self._asked)
         for k in sorted(self._tree.query(near.buffer(self._reach_m))):
             left = left.difference(_swept(self._swaths[k], near, self._reach_m))
@@ -255,11 +255,11 @@ def _swept(swath: Polyline, near: BaseGeometry, reach_m: float) -> BaseGeometry:
     return shapely.union_all(shapely.convex_hull(shapely.multipoints(corners)))
 
 
-def _longer(swath: Polyline, past_m: float) -> list[XY]:
+def _longer(swath: Polyline, past_m: float) -> list[Point]:
     """A swath that goes on at both ends."""
     return [_past(swath[1], swath[0], past_m), *swath, _past(swath[-2], swath[-1], past_m)]
 
 
-def _past(a: XY, b: XY, past_m: float) -> XY:
+def _past(a: Point, b: Point, past_m: float) -> Point:
     share = past_m / hypot(b[0] - a[0], b[1] - a[1])
     return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share

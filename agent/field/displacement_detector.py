@@ -14,6 +14,7 @@ from math import exp, hypot, pi, remainder
 from typing import Final
 
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
+from agent.interface.geometry import Point
 from agent.interface.instants import NEVER_US
 from agent.interface.observation import Observation
 
@@ -32,8 +33,6 @@ LEVER_M: Final = 2.0
 DOUBTFUL_SHARE: Final = 0.25
 EXPLAINED_SHARE: Final = 0.5  # of the way: the velocity follows the way
 FOLLOWED_FOR_US: Final = 10 * S  # it failed after as long as this without, and longer than any push
-
-Point = tuple[float, float]
 
 
 class DisplacementDetector:

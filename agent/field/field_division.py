@@ -20,8 +20,9 @@ from shapely.geometry.base import BaseGeometry
 
 from agent.field.corner_cuts import OVER_M, cut_at_corners
 from agent.field.corner_strokes import CornerStrokes, sharp_corners
-from agent.field.field_map import UNITS_MAX, XY, Field, Polyline, Section
+from agent.field.field_map import UNITS_MAX, Field, Section
 from agent.field.headland_rings import pieces, rings, swinging
+from agent.interface.geometry import Point, Polyline
 
 Reals = NDArray[np.float64]
 Whole = NDArray[np.int64]
@@ -43,7 +44,7 @@ def divide(
     name: str,
     polygon: Polygon,
     origin: tuple[float, float],
-    gate: XY,
+    gate: Point,
     implement_width_m: float,
     overlap_m: float = 0.2,
     section_length_m: float = 250.0,
@@ -268,5 +269,5 @@ def _side_by_side(a: Polyline, b: Polyline, strip_m: float) -> bool:
     return bool(LineString(a).distance(LineString(b)) <= 1.5 * strip_m)
 
 
-def _far(a: XY, b: XY) -> float:
+def _far(a: Point, b: Point) -> float:
     return (a[0] - b[0]) ** 2 + (a[1] - b[1]) ** 2

@@ -15,14 +15,13 @@ from zlib import crc32
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points, substring
 
+from agent.interface.geometry import Point, Polyline
 from agent.paths.regions import regions_of
 
-XY = tuple[float, float]
-Polyline = tuple[XY, ...]
 CORNER = 0.7072  # distance from a cell's middle to its corner, in cells, rounded up
 INSIDE_M = 0.01  # how far places of robots are from the edge of the ground where they may be
 POCKET_CELLS = 16  # of the path grid: a smaller region that is joined to no other one is no room
@@ -53,7 +52,7 @@ class Section:
         return sum(_length(swath) for swath in self.swaths)
 
     @property
-    def ends(self) -> tuple[XY, XY]:
+    def ends(self) -> tuple[Point, Point]:
         """Where the first swath begins and where the last one ends, (x, y) metres."""
         return self.swaths[0][0], self.swaths[-1][-1]
 
@@ -120,7 +119,7 @@ class Field:
     exterior: Polyline
     holes: tuple[Polyline, ...]
     origin: tuple[float, float]  # latitude, longitude of (0, 0) in degrees
-    gate: XY
+    gate: Point
     implement_width_m: float
     overlap_m: float
     unit_m: float
@@ -250,7 +249,7 @@ def joins(
     regions = regions_of(blocked)
     region_of: dict[int, int] = {}
     for x_m, y_m in {end for section in field.sections for end in section.ends}:
-        part = min(range(len(parts)), key=lambda k: parts[k].distance(Point(x_m, y_m)))
+        part = min(range(len(parts)), key=lambda k: parts[k].distance(shapely.Point(x_m, y_m)))
         row, column = int((y_m - origin_y_m) // cell_m), int((x_m - origin_x_m) // cell_m)
         region = int(regions[row, column])
         if region == 0 or region_of.setdefault(part, region) != region:
@@ -279,7 +278,7 @@ def without_pockets(
     return is_pocket[regions], origin_x_m, origin_y_m, cell_m
 
 
-def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) -> list[XY]:
+def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) -> list[Point]:
     """Places for robots side by side, (x, y) metres, as near to the gate as spacing and fences
     allow.
 
@@ -293,7 +292,7 @@ def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) 
         inner = free
     anchors = [field.gate]
     if not inner.is_empty:
-        nearest, _ = nearest_points(inner, Point(field.gate))
+        nearest, _ = nearest_points(inner, shapely.Point(field.gate))
         anchors.append((float(nearest.x), float(nearest.y)))
     for anchor in anchors:
         spots = _spots(free, anchor, count, spacing_m)
@@ -303,7 +302,7 @@ def start_poses(field: Field, count: int, spacing_m: float, clearance_m: float) 
     raise ValueError(f"no room for {count} robots near the gate of {field.name}")
 
 
-def _spots(free: BaseGeometry, anchor: XY, count: int, spacing_m: float) -> list[XY]:
+def _spots(free: BaseGeometry, anchor: Point, count: int, spacing_m: float) -> list[Point]:
     """Places on free ground in rows and columns through one place, (x, y) metres.
 
     At least `count` of them, if there are so many within 400 rows."""

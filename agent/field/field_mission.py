@@ -22,10 +22,10 @@ from agent.field.field_obstructions import BLOCKED_M, FieldObstructions
 from agent.field.ground_parts import GroundParts
 from agent.field.parking import Parking
 from agent.field.section_choice import SectionChooser
-from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import STRAIGHT_M, SWUNG_M, LeadInOut, WorkLeg, working_leg
 from agent.interface.config import LEASE_US, S
+from agent.interface.geometry import Point
 from agent.interface.mission import STILL, ClaimRequest, FleetView, Mission, MotionRequest
 from agent.interface.observation import Observation
 from agent.motion.implement_clearance import LEAD_M, Implement

@@ -12,12 +12,11 @@ from shapely.geometry import Point as Spot
 
 from agent.field.field_map import Section
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.motion.stopping_zone import StoppingZone
 from agent.paths.route import Route
-
-Point = tuple[float, float]
 
 BLOCKED_M: Final = 0.4  # margin of ORCA and of tracking round a body that stands on a swath
 PASS_M: Final = 0.25  # margin on a path past a body: ORCA's margin and the cross-track error

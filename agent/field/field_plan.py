@@ -8,17 +8,19 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+import shapely
 from numpy.typing import NDArray
-from shapely.geometry import Point, Polygon
+from shapely.geometry import Polygon
 from shapely.geometry.polygon import orient
 
 from agent.field.field_division import divide
-from agent.field.field_map import XY, Field, joins, rasterise, without_pockets
+from agent.field.field_map import Field, joins, rasterise, without_pockets
 from agent.field.fleet_plan import JOBS_MAX
 from agent.field.ground_parts import GroundParts
 from agent.field.narrow_lanes import narrow_lanes
 from agent.field.steered_travel_times import SteeredTravelTimes
 from agent.field.travel_times import TravelTimes
+from agent.interface.geometry import Point
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.holonomic_motion import FENCE_M, FENCE_SPARE_M
 from agent.motion.path_tracker import ALIGN_M
@@ -75,7 +77,7 @@ class FieldValues(NamedTuple):
     overlap_m: float = 0.2  # of neighbouring swaths
     section_length_m: float = 250.0  # of swath in one section; shorter for many robots
     unit_m: float = 5.0  # of swath in one unit of progress
-    gate: XY | None = None  # metres east and north of the middle; default: a corner
+    gate: Point | None = None  # metres east and north of the middle; default: a corner
     robots: int = 1  # of the whole fleet, also those that join later
 
 
@@ -99,7 +101,7 @@ def divided(
         why = f"{drive} bodies cannot keep to {off_m:g} m of their line; use {least_m:g} m at least"
         raise FieldError("field.overlap_m", f"{values.overlap_m:g} m: {why}")
     gate = values.gate or _corner(polygon)
-    if not polygon.buffer(GATE_OUTSIDE_M).contains(Point(gate)):
+    if not polygon.buffer(GATE_OUTSIDE_M).contains(shapely.Point(gate)):
         raise FieldError("field.gate", f"{gate} is not in the field")
     try:
         return divide(
@@ -125,7 +127,7 @@ def _section_m(polygon: Polygon, values: FieldValues) -> float:
     return min(values.section_length_m, max(share_m, SECTION_LEAST_M))
 
 
-def _corner(polygon: Polygon) -> XY:
+def _corner(polygon: Polygon) -> Point:
     """The gate if none is declared: the south-western corner of the outline."""
     points = [(float(p[0]), float(p[1])) for p in polygon.exterior.coords]
     return min(points, key=lambda p: (p[0] + p[1], p))
@@ -187,11 +189,11 @@ class FieldPlan:
             self._corners(),
         )
 
-    def _corners(self) -> list[XY]:
+    def _corners(self) -> list[Point]:
         """Places, metres, by which a body goes round the corners of the field and of its holes."""
         clear_m = self.vehicle.radius_m + CLEARANCE_M + self.route.cell_m
         free = self.field.polygon.buffer(-clear_m, join_style="mitre").simplify(CORNER_M)
-        found: list[XY] = []
+        found: list[Point] = []
         for part in getattr(free, "geoms", [free]):
             if part.is_empty:
                 continue

@@ -16,14 +16,8 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.field.plan_kernels import exchanged, first_end, improve, insert_all
-from agent.field.travel_times import (
-    Point,
-    Remainder,
-    Solution,
-    TravelTimes,
-    Whole,
-    nearest_jobs,
-)
+from agent.field.travel_times import Remainder, Solution, TravelTimes, Whole, nearest_jobs
+from agent.interface.geometry import Point
 from agent.mapf.linear_assignment import assigned
 
 # Moves of the search. 400,000 take 0.2 s of a small computer; a plan that begins with the one before

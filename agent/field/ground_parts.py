@@ -5,7 +5,8 @@ import shapely
 from numpy.typing import NDArray
 from shapely.geometry import Point as Spot
 
-from agent.field.field_map import XY, Field
+from agent.field.field_map import Field
+from agent.interface.geometry import Point
 
 Whole = NDArray[np.int64]
 
@@ -29,12 +30,12 @@ class GroundParts:
                     number for number, own in enumerate(self._sections) if own != part
                 )
 
-    def part_at(self, place: XY) -> int:
+    def part_at(self, place: Point) -> int:
         """The part in which a body at this place is: the nearest one."""
         if len(self._parts) < 2:
             return 0
         return int(np.argmin(shapely.distance(self._parts, Spot(place))))
 
-    def apart_from(self, place: XY) -> frozenset[int]:
+    def apart_from(self, place: Point) -> frozenset[int]:
         """The sections that a body at this place cannot reach, by number."""
         return self._others[self.part_at(place)] if self._others else frozenset()

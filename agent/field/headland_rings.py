@@ -16,11 +16,11 @@ from typing import Final, NamedTuple
 
 import numpy as np
 import shapely
-from shapely.geometry import LineString, MultiPolygon, Point, Polygon
+from shapely.geometry import LineString, MultiPolygon, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import substring
 
-from agent.field.field_map import XY, Polyline
+from agent.interface.geometry import Point, Polyline
 from agent.motion.path_tracker import ARRIVED_M, turn_at
 
 CORNER_RAD: Final = 0.05  # a sharper one keeps half a width from where pieces meet, if it can
@@ -152,7 +152,7 @@ def swinging(ring: LineString, slack_m: float, width_m: float) -> LineString:
     count = len(points)
     longest = max(range(count), key=lambda k: dist(points[k - 1], points[k]))
     points = points[longest:] + points[:longest]  # no tip lies across the closing point
-    result: list[XY] = []
+    result: list[Point] = []
     at, tips = 0, list(_tips(points, min(TIP_M, TIP_SHARE * width_m)))
     for number, (first, last) in enumerate(tips):
         tip = points[first : last + 1]
@@ -165,7 +165,7 @@ def swinging(ring: LineString, slack_m: float, width_m: float) -> LineString:
     return LineString([*result, *points[at:], *(result or points)[:1]]) if at else ring
 
 
-def _join(way: Sequence[XY], beyond: XY, slack_m: float) -> tuple[XY, int]:
+def _join(way: Sequence[Point], beyond: Point, slack_m: float) -> tuple[Point, int]:
     """Where the line is joined to the side across a tip, and how many points of it are passed.
 
     `way`: from the tip on, its first point included. `beyond`: the point after them. The line is joined
@@ -183,7 +183,7 @@ def _join(way: Sequence[XY], beyond: XY, slack_m: float) -> tuple[XY, int]:
         to = here[0] + (ahead[0] - here[0]) * share, here[1] + (ahead[1] - here[1]) * share
         straight = LineString([way[0], to])
         if k and any(
-            straight.distance(Point(each)) > slack_m / ARC_SHARE for each in way[1 : k + 1]
+            straight.distance(shapely.Point(each)) > slack_m / ARC_SHARE for each in way[1 : k + 1]
         ):
             return last, k
         if share < 1.0 or not gentle:
@@ -213,7 +213,7 @@ def _loop(ring: LineString, slack_m: float) -> LineString | None:
     return box if box.difference(near).length < slack_m else None
 
 
-def _tips(points: Sequence[XY], tip_m: float) -> Iterator[tuple[int, int]]:
+def _tips(points: Sequence[Point], tip_m: float) -> Iterator[tuple[int, int]]:
     """The first and the last point of each tip, with points near by that belong to no longer side.
 
     `points`: of a ring, none twice. `tip_m`: corners within this length are one tip.
@@ -236,7 +236,7 @@ def _tips(points: Sequence[XY], tip_m: float) -> Iterator[tuple[int, int]]:
 
 
 def _turned_back(
-    points: Sequence[XY], first: int, tip_m: float, side_max_m: float = inf
+    points: Sequence[Point], first: int, tip_m: float, side_max_m: float = inf
 ) -> int | None:
     """The point at which a turn that begins at `first` has turned back; None if it does not, within
     `tip_m` and on sides of less than `side_max_m`.
@@ -253,7 +253,7 @@ def _turned_back(
     return None
 
 
-def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY]:
+def _across(before: Point, tip: Sequence[Point], after: Point, slack_m: float) -> list[Point]:
     """The two ends of the side that replaces the points of a tip."""
     into, out = _unit(before, tip[0]), _unit(tip[-1], after)
     if dist(into, out) > NO_TURN_M:
@@ -274,6 +274,6 @@ def _across(before: XY, tip: Sequence[XY], after: XY, slack_m: float) -> list[XY
     ]
 
 
-def _unit(a: Sequence[float], b: Sequence[float]) -> XY:
+def _unit(a: Sequence[float], b: Sequence[float]) -> Point:
     length = hypot(b[0] - a[0], b[1] - a[1])
     return (b[0] - a[0]) / length, (b[1] - a[1]) / length

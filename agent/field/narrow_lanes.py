@@ -18,11 +18,12 @@ from typing import Final, NamedTuple
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.ops import nearest_points
 
-from agent.field.field_map import XY, Field, Polyline
+from agent.field.field_map import Field
+from agent.interface.geometry import Point, Polyline
 from agent.paths.regions import regions_of
 
 Grid = tuple[NDArray[np.bool_], float, float, float]
@@ -100,7 +101,7 @@ def _between(rooms: Sequence[_Room]) -> Iterable[Polyline]:
                 )  # fmt: skip
 
 
-def _xy(point: Point) -> XY:
+def _xy(point: shapely.Point) -> Point:
     return round(float(point.x), DIGITS), round(float(point.y), DIGITS)
 
 
@@ -121,25 +122,25 @@ class _Middle:
         corners = corners.reshape(-1, 4, 2)[:, :3]
         middles = np.round((corners + np.roll(corners, -1, axis=1)) / 2, DIGITS)
         sides = [[(float(x), float(y)) for x, y in triple] for triple in middles.tolist()]
-        count: dict[XY, int] = defaultdict(int)
+        count: dict[Point, int] = defaultdict(int)
         for triple in sides:
             for side in triple:
                 count[side] += 1
         # An edge of one triangle alone is on the border: of a fence, or of a room.
         outer = [side for side, triangles_of in count.items() if triangles_of == 1]
-        self.doors: dict[XY, _Room] = {}
+        self.doors: dict[Point, _Room] = {}
         for room in rooms:
             touches = shapely.dwithin(room.around, shapely.points(outer), TOUCHES_M).tolist()
             self.doors.update(
                 {side: room for side, there in zip(outer, touches, strict=True) if there}
             )
-        self.ways: dict[XY, list[XY]] = defaultdict(list)
+        self.ways: dict[Point, list[Point]] = defaultdict(list)
         for triple in sides:
             open_sides = [side for side in triple if count[side] > 1 or side in self.doors]
             for side in open_sides:
                 self.ways[side] += [other for other in open_sides if other != side]
 
-    def lines(self, ends: Sequence[XY]) -> list[Polyline]:
+    def lines(self, ends: Sequence[Point]) -> list[Polyline]:
         """Lines that join the regions at this piece and these places in it."""
         for end in ends:
             self._join(end)
@@ -147,7 +148,7 @@ class _Middle:
         start = ends[0] if door is None else door
         before, length_m = self._from(start)
         goals = [end for end in ends if end in before and end != start]
-        nearest: dict[int, XY] = {}
+        nearest: dict[int, Point] = {}
         for side, room in self.doors.items():
             here = self.doors.get(start)
             if side in before and (here is None or room.region != here.region):
@@ -157,14 +158,14 @@ class _Middle:
         goals += nearest.values()
         return [self._drawn(line) for line in _branches(start, goals, before)]
 
-    def _join(self, end: XY) -> None:
+    def _join(self, end: Point) -> None:
         for side in sorted(self.ways, key=lambda at: (dist(at, end), at))[:STEPS_MAX]:
             if self.free.covers(LineString((side, end))):
                 self.ways[end].append(side)
                 self.ways[side].append(end)
                 return
 
-    def _middle_door(self) -> XY | None:
+    def _middle_door(self) -> Point | None:
         """The place in the middle of the border to one room; None without rooms."""
         doors = [side for side in self.doors if side in self.ways]
         if not doors:
@@ -173,7 +174,7 @@ class _Middle:
         same = [side for side in doors if self.doors[side].region == region]
         return min(same, key=lambda at: (sum(dist(at, other) for other in same), at))
 
-    def _from(self, start: XY) -> tuple[dict[XY, XY], dict[XY, float]]:
+    def _from(self, start: Point) -> tuple[dict[Point, Point], dict[Point, float]]:
         """The place before each one on the shortest way from the start, and the length of that way."""
         before, length_m, waiting = {start: start}, {start: 0.0}, [(0.0, start)]
         while waiting:
@@ -187,22 +188,24 @@ class _Middle:
                     heappush(waiting, (to_m, to))
         return before, length_m
 
-    def _drawn(self, line: list[XY]) -> Polyline:
+    def _drawn(self, line: list[Point]) -> Polyline:
         """With few corners, and into the room where it ends at one."""
         few = LineString(line).simplify(STRAIGHT_M)
-        corners = [_xy(Point(at)) for at in few.coords[1:-1]]
+        corners = [_xy(shapely.Point(at)) for at in few.coords[1:-1]]
         points = [line[0], *corners, line[-1]] if self.free.covers(few) else line
         into = [self._within(points[0]), *points, self._within(points[-1])]
         return tuple(at for at in into if at is not None)
 
-    def _within(self, door: XY) -> XY | None:
+    def _within(self, door: Point) -> Point | None:
         room = self.doors.get(door)
-        return None if room is None else _xy(nearest_points(room.ground, Point(door))[0])
+        return None if room is None else _xy(nearest_points(room.ground, shapely.Point(door))[0])
 
 
-def _branches(start: XY, goals: Sequence[XY], before: dict[XY, XY]) -> list[list[XY]]:
+def _branches(
+    start: Point, goals: Sequence[Point], before: dict[Point, Point]
+) -> list[list[Point]]:
     """The ways from the start to all goals, cut where they part and at goals."""
-    after: dict[XY, set[XY]] = defaultdict(set)
+    after: dict[Point, set[Point]] = defaultdict(set)
     for goal in goals:
         at = goal
         while at != start:

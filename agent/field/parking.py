@@ -19,16 +19,15 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from agent.field.field_map import Field, Polyline
+from agent.field.field_map import Field
 from agent.interface.config import MS, S
+from agent.interface.geometry import Point, Polyline
 from agent.interface.lifecycle import State
 from agent.interface.mission import FleetView
 from agent.motion.deadlock_yield import APART_M as PAST_M
 from agent.motion.deadlock_yield import NEAR_M
 from agent.motion.implement_clearance import LEAD_M
 from crdt.progress import BLOCK_UNITS
-
-Point = tuple[float, float]
 
 # Between two hulls, beside a line that will be worked: a robot that drives its lead beyond the end of
 # the line must not take a parked robot there for an obstruction.

@@ -14,9 +14,10 @@ from agent.claims.standing_owners import STANDS, StandingOwners
 from agent.field.field_map import Field
 from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot
 from agent.field.ground_parts import GroundParts
-from agent.field.section_shares import Point, SectionJob, shares
+from agent.field.section_shares import SectionJob, shares
 from agent.field.travel_times import Remainder, TravelTimes
 from agent.interface.config import LEASE_US, S
+from agent.interface.geometry import Point
 from agent.interface.mission import ClaimRequest, FleetView
 from crdt import Phase
 

@@ -15,9 +15,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.interface.geometry import Point
 from agent.mapf.linear_assignment import NOBODY, assigned
-
-Point = tuple[float, float]
 
 
 class SectionJob(NamedTuple):

@@ -10,8 +10,9 @@ from math import hypot
 
 import numpy as np
 
-from agent.field.field_map import Field, Polyline
-from agent.field.travel_times import Floats, Point, TravelTimes, Whole
+from agent.field.field_map import Field
+from agent.field.travel_times import Floats, TravelTimes, Whole
+from agent.interface.geometry import Point, Polyline
 from agent.motion.tractor_tracker import SteeringLimits, bend_speed_m_s, heading_of
 from agent.paths.dubins import soonest_for_s
 from agent.paths.route import Route

@@ -11,10 +11,10 @@ from agent.field.corner_cuts import PAST_END_M
 from agent.field.field_map import Field, Section
 from agent.field.field_mission import FieldMission
 from agent.field.ground_parts import GroundParts
-from agent.field.section_shares import Point
 from agent.field.travel_times import TravelTimes
 from agent.field.work_leg import WorkLeg
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from agent.interface.mission import STILL, THERE_M, FleetView, MotionRequest
 from agent.motion.implement_clearance import LEAD_M

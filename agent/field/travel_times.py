@@ -13,13 +13,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.field.field_map import Field, Polyline, Section
+from agent.field.field_map import Field, Section
+from agent.interface.geometry import Point, Polyline
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.path_tracker import PathTracker
 from agent.paths.nav_mesh import spread
 from agent.paths.route import Route
 
-Point = tuple[float, float]
 Whole = NDArray[np.int64]
 Floats = NDArray[np.float64]
 

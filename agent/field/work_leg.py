@@ -6,7 +6,7 @@ from itertools import pairwise
 from math import dist, hypot
 from typing import Final, NamedTuple
 
-from agent.field.section_shares import Point
+from agent.interface.geometry import Point
 from agent.motion.implement_clearance import LEAD_M
 
 STRAIGHT_M: Final = 0.01  # a lead-in that begins closer to the line of its first unit does not turn

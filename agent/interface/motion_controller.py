@@ -4,12 +4,11 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple, Protocol
 
 from agent.interface.effects import Drive, Effect
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.observation import Neighbour, Observation
 from protocol.frames.safety_frames import Command
-
-Point = tuple[float, float]  # metres east and north in the field
 
 
 class BodyLimits(NamedTuple):

@@ -29,6 +29,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.interface.config import MS, S
+from agent.interface.geometry import Point
 from agent.mapf.agreement_phase import CALM_US, AgreementPhase, after, ahead
 from agent.mapf.lacam import JointPlan, Precedence, planned, search
 from agent.mapf.lattice import FINE, Lattice, components
@@ -36,7 +37,6 @@ from agent.mapf.linear_assignment import assigned
 from protocol.frames.agreement_frames import AgreementKind, AgreementMessage, AgreementReply
 from protocol.state_machine import StateMachine, matrix
 
-Point = tuple[float, float]
 STANDS_M_S = 0.06  # slower than this is standing: what POSE can tell apart from nothing
 PATIENCE_US = 10 * S  # longer than a sync (2 s) or a protective stop that ends (2 s) and the way on
 PLACELESS_US = 2 * S  # for a member that knew its place before: 20 words, 30 % of them lost

@@ -17,7 +17,8 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
-Point = tuple[float, float]  # metres (x, y)
+from agent.interface.geometry import Point
+
 Near = NDArray[np.int32]  # (nodes, 4): east, north, west, south; -1 where there is none
 NODES_MAX = 1 << 16  # an ACCORD frame names a node in 16 bits
 TRIES = 12  # layouts tried; a few are enough if lines can go through all passages at all

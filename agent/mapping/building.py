@@ -14,10 +14,10 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.mapf.lattice import Lattice
 from agent.paths.route import Route
 
-Point = tuple[float, float]
 OPEN = frozenset(".GS")  # Moving AI: free ground; the rest (@, O, T, W, #) is blocked
 STRAY_M = 0.1  # a body this near to a node of the lattice counts as being there
 FINE_M = 0.2  # cells of the path grid are at most this wide

@@ -19,6 +19,7 @@ import scipy
 from numpy.typing import NDArray
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.geometry import Point
 from agent.interface.instants import FOREVER_US
 from agent.interface.observation import Observation
 from agent.mapping.building import Floor
@@ -31,7 +32,6 @@ from crdt.passing_map import FIRST_LEVEL
 from crdt.sighting import FREE, OBSTACLE, RECORD_BITS, UNKNOWN, VALUE, unpack
 from protocol.sync.map_sync import MapSync, Values
 
-XY = tuple[float, float]
 RANGE_M = 4.0  # range up to which echoes are used; beyond it rays are more than a robot apart
 BELIEVED_S = 30  # an obstacle not observed for this long may have gone: paths lead there again
 # An obstacle that expired and was found again is kept twice as long each time, at most 16 minutes. A
@@ -44,7 +44,7 @@ FORGET_US = 1 * S  # period of the search for expired observations
 BODY = -1  # the obstacle number of a silent member; others are numbered by their cell
 IMPASSABLE = -2  # the number of a place that we could not pass; its owner is NOBODY_SLOT
 NOBODY_SLOT = -1
-NOBODY: Mapping[int, XY] = {}
+NOBODY: Mapping[int, Point] = {}
 assert SURE == FIRST_LEVEL
 UNSEEN_SCANS = BELIEVED_S * S // CONTROL_PERIOD_US
 
@@ -64,14 +64,16 @@ class DynamicObstacles:
         """
         self.floor, self.sync, self.reach_m = floor, sync, reach_m
         self.sensed = UnexplainedEchoes(floor.fences, floor.radius_m)
-        self.hits: list[XY] = []  # echoes of this period that neither a wall nor a robot explains
+        self.hits: list[
+            Point
+        ] = []  # echoes of this period that neither a wall nor a robot explains
         self.map: ObstacleMap | None = None
         self._geometry = geometry_of(floor)
         self._version = 0
 
     def observe(
         self, here: Observation, reach_m: float, robots: Iterable[Sequence[float]], now_us: int,
-        bodies: Mapping[int, XY] = NOBODY,
+        bodies: Mapping[int, Point] = NOBODY,
     ) -> None:  # fmt: skip
         """Once each control period: take in a scan and what others have reported.
 
@@ -92,11 +94,11 @@ class DynamicObstacles:
         self.map.stand(bodies, now_us)
         self.map.take_in(here, known, now_us, told)
 
-    def on_map(self, at: XY) -> bool:
+    def on_map(self, at: Point) -> bool:
         """Whether a place (x, y), in metres, is on the map of the building, walls included."""
         return self._geometry.holds(at)
 
-    def avoid(self, at: XY, now_us: int) -> None:
+    def avoid(self, at: Point, now_us: int) -> None:
         """Avoid a place for `BELIEVED_S`, because we were held up there and see no obstacle."""
         if self.map is None:
             self.map = ObstacleMap(self.floor, self.sync)
@@ -112,23 +114,23 @@ class DynamicObstacles:
         """A counter that differs from before if an obstacle appeared or went."""
         return 0 if self.map is None else self.map.grid.changes
 
-    def reported(self) -> list[XY]:
+    def reported(self) -> list[Point]:
         """Middles of the obstacles that others report, and of silent robots."""
         if self.map is None:
             return []
         return [(o.x_m, o.y_m) for o in self.map.grid.obstacles.values()]
 
-    def things(self) -> list[XY]:
+    def things(self) -> list[Point]:
         """Middles of all obstacles that are not walls."""
         return [] if self.map is None else self.map.things()
 
-    def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
+    def stands_near(self, points: Sequence[Point], reach_m: float) -> bool:
         """Whether an obstacle that is not on the plan is nearer than `reach_m` to one of the
         points.
         """
         return self.map is not None and self.map.stands_near(points, reach_m)
 
-    def path(self, at: XY, goal: XY) -> tuple[XY, ...] | None:
+    def path(self, at: Point, goal: Point) -> tuple[Point, ...] | None:
         """A path round all obstacles, start and goal included; None if there is none at present.
 
         If the goal is taken and `reach_m` allows it, the path ends at the nearest free place.
@@ -141,7 +143,7 @@ class DynamicObstacles:
             found = None if place is None else self.map.grid.plan(at, place)
         return None if found is None else tuple(found)
 
-    def reaches(self, at: XY, goals: Sequence[XY], on_plan: bool = False) -> list[bool]:
+    def reaches(self, at: Point, goals: Sequence[Point], on_plan: bool = False) -> list[bool]:
         """For each goal, whether it can be reached, or approached near enough, round all current
         obstacles. `on_plan`: round the walls of the plan alone.
         """
@@ -160,7 +162,7 @@ class DynamicObstacles:
         found: list[bool] = there.tolist()
         return found
 
-    def _beside(self, at: XY, parts: NDArray[np.int32]) -> NDArray[np.int32]:
+    def _beside(self, at: Point, parts: NDArray[np.int32]) -> NDArray[np.int32]:
         """The numbers of the regions that a robot at `at` is in; empty where an obstacle is right
         beside it.
         """
@@ -169,14 +171,16 @@ class DynamicObstacles:
         mine: NDArray[np.int32] = np.unique(parts[own[:, 0], own[:, 1]])
         return mine[mine > 0]
 
-    def places(self, at: XY, goals: Sequence[XY], parts: NDArray[np.int32]) -> list[XY | None]:
+    def places(
+        self, at: Point, goals: Sequence[Point], parts: NDArray[np.int32]
+    ) -> list[Point | None]:
         """For each goal, the reachable place nearest to it within `reach_m`; None if there is none.
 
         `parts`: (rows, columns) regions as in `Floor.parts`. A goal itself is returned if an
         obstacle is so near to us that our region is not known.
         """
         floor, mine = self.floor, self._beside(at, parts)
-        found: list[XY | None] = []
+        found: list[Point | None] = []
         for goal in goals:
             gaps, cells = self._disc(goal, max(self.reach_m, floor.fine_m))
             ours = np.isin(parts[cells[:, 0], cells[:, 1]], mine)
@@ -189,7 +193,7 @@ class DynamicObstacles:
                 found.append(self._geometry.centre(*cells[best].tolist()))
         return found
 
-    def _disc(self, at: XY, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    def _disc(self, at: Point, reach_m: float) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Distances (n,) in metres and cells (n, 2) of the cells whose middles are within `reach_m`
         of a place.
         """
@@ -221,7 +225,7 @@ class ObstacleMap(LocalAndFleetMap):
         self._forgot_at_us = 0
         self._walls = int(np.count_nonzero(floor.fine))
         self._open = ~scipy.ndimage.binary_dilation(floor.fine, iterations=WALL_CELLS)
-        self._bodies: dict[int, XY] = {}
+        self._bodies: dict[int, Point] = {}
         self._block = max(round(BLOCK_M / floor.fine_m), 1)  # cells
         blocks = tuple(-(-cells // self._block) for cells in (rows, columns))
         # For each block: how often its time of belief was doubled, and whether it has expired and
@@ -309,7 +313,7 @@ class ObstacleMap(LocalAndFleetMap):
         kept: NDArray[np.int64] = cells[levels == level]
         return kept
 
-    def things(self) -> list[XY]:
+    def things(self) -> list[Point]:
         """Middles of the connected obstacles off the walls, (x, y) metres."""
         parts, count = scipy.ndimage.label(
             self.grid.solid & self._open, np.ones((3, 3), dtype=np.int8)
@@ -321,7 +325,7 @@ class ObstacleMap(LocalAndFleetMap):
         cell_m = self.geometry.cell_m
         return [(west + (c + 0.5) * cell_m, south + (r + 0.5) * cell_m) for r, c in middles]
 
-    def stands_near(self, points: Sequence[XY], reach_m: float) -> bool:
+    def stands_near(self, points: Sequence[Point], reach_m: float) -> bool:
         """Whether a solid cell off the walls is nearer than `reach_m` to one of the points."""
         if not points or not self.standing:
             return False
@@ -340,7 +344,7 @@ class ObstacleMap(LocalAndFleetMap):
         parts: NDArray[np.int32] = scipy.ndimage.label(~self.grid.tight.blocked)[0]
         return parts
 
-    def stand(self, bodies: Mapping[int, XY], now_us: int) -> None:
+    def stand(self, bodies: Mapping[int, Point], now_us: int) -> None:
         """Place silent members as obstacles, by slot.
 
         Each stands until the member is received, or until we see that its place is free. A place that
@@ -357,7 +361,7 @@ class ObstacleMap(LocalAndFleetMap):
                 self.grid.place(body, now_us)
         self._bodies = bodies
 
-    def avoid(self, at: XY, now_us: int) -> None:
+    def avoid(self, at: Point, now_us: int) -> None:
         """Avoid one place for `BELIEVED_S`; it replaces the place of the last call."""
         self.grid.remove(NOBODY_SLOT, IMPASSABLE)
         cell_m = self.geometry.cell_m

@@ -10,10 +10,10 @@ from math import ceil, hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Cell, GridPoint
 from agent.kernels.kernel import njit
-from agent.paths.any_angle_planner import Planner, Point, Waypoints
+from agent.paths.any_angle_planner import Planner, Waypoints
 
-Cell = tuple[int, int]
 Changes = NDArray[np.int64]  # (n, 3): row, column, 1 if solid or blocked now, else 0
 Grid = NDArray[np.bool_]
 
@@ -95,7 +95,7 @@ class Inflation:
         filled = _grow(self._counts, self._stencil, toggled, changes)
         return self.planner.update(changes[:filled])
 
-    def plan(self, start: Point, goal: Point, carved: list[Cell]) -> Waypoints | None:
+    def plan(self, start: GridPoint, goal: GridPoint, carved: list[Cell]) -> Waypoints | None:
         """Waypoints from start to goal, (row, column) with whole numbers at cell centres; None if
         no path exists.
 
@@ -153,6 +153,6 @@ class Inflation:
         return found
 
 
-def cell_of(point: Point) -> Cell:
+def cell_of(point: GridPoint) -> Cell:
     """The (row, column) cell of a point given as row and column, with whole numbers at centres."""
     return int(np.floor(point[0] + 0.5)), int(np.floor(point[1] + 0.5))

@@ -21,11 +21,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.mapping.inflation import Cell, Changes, Grid, Inflation, cell_of
+from agent.interface.geometry import Cell, Point
+from agent.mapping.inflation import Changes, Grid, Inflation, cell_of
 from agent.mapping.ray_evidence import LEAST, MOST, SOLID, room_for, weigh_scan
 from agent.paths.any_angle_planner import Waypoints
 
-XY = tuple[float, float]
 Floats = NDArray[np.float64]
 CELL_M = 0.20
 INFLATION_M = 0.10  # kept from everything solid, beyond the body's radius
@@ -73,7 +73,7 @@ class OccupancyGrid:
         self,
         rows: int,
         columns: int,
-        origin_m: XY,
+        origin_m: Point,
         body_radius_m: float,
         fixed: Grid | None = None,
         *,
@@ -112,8 +112,9 @@ class OccupancyGrid:
 
     # ---------------------------------------------------------------- what is there
 
-    def observe(self, at: XY, heading_rad: float, ranges_m: Sequence[float] | Floats, range_max_m: float,
-                others: Sequence[tuple[float, float, float]] | Floats = ()) -> int:  # fmt: skip
+    def observe(self, at: Point, heading_rad: float, ranges_m: Sequence[float] | Floats,
+                range_max_m: float, others: Sequence[tuple[float, float, float]] | Floats = (),
+                ) -> int:  # fmt: skip
         """Take in one scan. Returns how many cells became solid or free.
 
         `at`: position of the sensor. `ranges_m`: at equal angles counter-clockwise from the
@@ -244,7 +245,7 @@ class OccupancyGrid:
 
     # ---------------------------------------------------------------- paths
 
-    def plan(self, start: XY, goal: XY) -> list[XY] | None:
+    def plan(self, start: Point, goal: Point) -> list[Point] | None:
         """Waypoints in metres from start to goal, both included; None if there is no path.
 
         It is the cheaper (`cost_m`) of two paths: the shortest, and the shortest that keeps
@@ -290,7 +291,7 @@ class OccupancyGrid:
                 return other
         return best
 
-    def cost_m(self, path: Sequence[XY]) -> float:
+    def cost_m(self, path: Sequence[Point]) -> float:
         """Length of a path; a metre near something solid counts `1 + SOFT_COST`."""
         total = 0.0
         rows, columns = self.solid.shape
@@ -304,11 +305,11 @@ class OccupancyGrid:
             total += length_m * (1.0 + SOFT_COST * float(np.mean(self.wide.blocked[r, c])))
         return total
 
-    def _cells(self, at: XY) -> XY:
+    def _cells(self, at: Point) -> Point:
         """A place as (columns, rows) from the corner of the grid, in cells."""
         return (at[0] - self.origin_m[0]) / self.cell_m, (at[1] - self.origin_m[1]) / self.cell_m
 
-    def _point(self, at: XY) -> XY:
+    def _point(self, at: Point) -> Point:
         """A place as (row, column) of the planner, whole numbers at cell centres."""
         x, y = self._cells(at)
         rows, columns = self.solid.shape
@@ -316,12 +317,12 @@ class OccupancyGrid:
             x, y = min(x, columns - EDGE), min(y, rows - EDGE)
         return y - 0.5, x - 0.5
 
-    def _centre(self, cell: Cell) -> XY:
+    def _centre(self, cell: Cell) -> Point:
         """The middle of a cell, (x, y) metres."""
         x_m, y_m = self.origin_m
         return x_m + (cell[1] + 0.5) * self.cell_m, y_m + (cell[0] + 0.5) * self.cell_m
 
-    def _metres(self, path: Waypoints, start: XY, goal: XY) -> list[XY]:
+    def _metres(self, path: Waypoints, start: Point, goal: Point) -> list[Point]:
         inner = [
             (
                 self.origin_m[0] + (column + 0.5) * self.cell_m,

@@ -10,9 +10,10 @@ from typing import Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import Drive
+from agent.interface.geometry import Point
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.obstacle_detector import GroundCell, ObstacleDetector, middle
-from agent.motion.swept_ground import Point, SweptGround
+from agent.motion.swept_ground import SweptGround
 
 STANDING_M_S: Final = 0.02  # slower motion has no direction
 STAYS_US: Final = 10 * S  # what keeps the bar up again after so long has not gone

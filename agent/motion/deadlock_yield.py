@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from agent.avoidance.fence_distance import way_gap_m
 from agent.interface.config import CONTROL_PERIOD_US, MS, S
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 
-Point = tuple[float, float]
 PERIOD_S: Final = CONTROL_PERIOD_US / S
 
 # A stalled robot wants at least this speed, and has moved less than this distance.

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from math import hypot
 from typing import Final
 
+from agent.interface.geometry import Point
 from agent.interface.observation import Observation
 from agent.motion.deadlock_yield import NEAR_M, NearbyRobot
 
@@ -32,9 +33,6 @@ EQUAL_COS: Final = 0.95  # of two courses that are nearly equal
 # for the course of a moment, and bars turn with their courses.
 KEEP_M: Final = 0.4
 NOT_NEARER_M: Final = 0.02  # a robot that is too near already keeps its distance less this
-
-
-Point = tuple[float, float]
 
 
 class Implement:

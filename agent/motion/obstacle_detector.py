@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 
 from agent.avoidance.fence_distance import gap_m, way_gap_m
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, S
+from agent.interface.geometry import Point
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import StoppingZone
 from agent.motion.swept_ground import SweptGround
 
-Point = tuple[float, float]
 GroundCell = tuple[int, int]  # a square of the ground: one point is remembered in each
 
 REACTION_S: Final = (ACTUATOR_TTL_US + CONTROL_PERIOD_US) / S  # until a halt is in force

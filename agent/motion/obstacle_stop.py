@@ -15,6 +15,7 @@ from typing import Final
 
 from agent.interface.config import MS, S
 from agent.interface.effects import HALT, Drive, Effect, Send, Trace
+from agent.interface.geometry import Point
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.bar_guard import BarGuard
@@ -24,7 +25,6 @@ from agent.motion.obstacle_detector import (
     Detection,
     GroundCell,
     ObstacleDetector,
-    Point,
     middle,
 )
 from protocol.frames.operator_frames import NUMBERS, OperatorReport, ReportKind

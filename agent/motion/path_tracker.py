@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from math import atan2, hypot, pi, sin, sqrt
 from typing import Final, Protocol
 
-Point = tuple[float, float]
+from agent.interface.geometry import Point
 
 POINT_M: Final = 1e-9  # a segment shorter than this is a point
 # The cross-track error is closed with this rate. Control at 20 Hz is stable below about 10.

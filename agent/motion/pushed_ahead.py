@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from agent.avoidance.fence_distance import way_gap_m
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from agent.motion.deadlock_yield import NearbyRobot
-
-Point = tuple[float, float]
 
 PUSHED_M_S: Final = 0.3  # a robot that drives back this fast, against its wish, is pushed
 PUSHED_US: Final = 2 * S  # longer than making way for one that crosses

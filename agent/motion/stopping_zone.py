@@ -22,9 +22,8 @@ from agent.interface.config import (
     MS,
     S,
 )
+from agent.interface.geometry import Point
 from agent.interface.observation import Neighbour, Observation
-
-Point = tuple[float, float]
 
 # Time until it brakes: it detects the silence, and its last command is still in force. In fleets of
 # more than 30, which detect silence later, a robot that was cut off may stand further on. Any echo

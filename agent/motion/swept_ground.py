@@ -9,9 +9,8 @@ from collections.abc import Sequence
 from math import ceil, cos, hypot, sin
 from typing import Final
 
+from agent.interface.geometry import Point
 from agent.motion.implement_clearance import COMING_M, DEPTH_M, MOVES_M_S
-
-Point = tuple[float, float]
 
 # Beyond the ends of the bar: a person who walks comes this much nearer until the bar is up.
 ASIDE_M: Final = 0.3

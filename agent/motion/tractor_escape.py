@@ -3,9 +3,10 @@
 from collections.abc import Iterable
 from math import copysign, cos, hypot, sin
 
+from agent.interface.geometry import Point
 from agent.motion.tractor_tracker import AT_WORK, SteeredWheels, SteeringLimits, TractorTracker
 from agent.paths.dubins import step
-from agent.paths.tractor_route import Piece, Point, TurnRoute, VehiclePose, sampled
+from agent.paths.tractor_route import Piece, TurnRoute, VehiclePose, sampled
 
 # Of the arcs and straights that are tried. The short ones are for corners, where no other is free.
 LENGTHS_M = (0.6, 1.2, 3.0, 5.0, 8.0)

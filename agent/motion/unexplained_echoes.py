@@ -10,10 +10,10 @@ from math import cos, dist, inf, nan, pi, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.interface.observation import Observation
 from agent.kernels.kernel import njit
 
-Point = tuple[float, float]  # metres east and north in the field
 Floats = NDArray[np.float64]
 NO_WALLS = np.empty((0, 4))
 # Where more echoes are near than ORCA takes, one of several that are so near to each other stands for

@@ -14,6 +14,7 @@ from math import cos, hypot, sin
 from typing import NamedTuple
 
 from agent.interface.config import GONE_QUIET_US, MS, S
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from agent.interface.mission import (
     STILL,
@@ -37,7 +38,6 @@ from protocol.frames.agreement_frames import AgreementMessage, AgreementReply, S
 from protocol.frames.messages import Message
 from protocol.sync.map_sync import MapSync
 
-Point = tuple[float, float]
 GOALS_MAX = 512  # goals of a robot: a section is the slot times this plus the goal's number
 WANTS_M_S = 0.1  # a robot that wants less than this is not stalled
 GOT_ON_M = 0.3  # a robot that drives less along its path within `STALL_US` is stalled

@@ -2,9 +2,9 @@
 
 from math import hypot
 
+from agent.interface.geometry import Point
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 
-Point = tuple[float, float]
 NEAR_M = 0.1  # a robot this near to the start of the path has arrived there
 
 

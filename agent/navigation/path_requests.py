@@ -10,7 +10,7 @@ from collections.abc import Callable
 from math import hypot
 from typing import TypeVar
 
-from agent.paths.route import Point
+from agent.interface.geometry import Point
 
 T = TypeVar("T")
 AHEAD_S = 10.0  # driving time to the goal at which the path after it is requested

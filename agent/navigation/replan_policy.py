@@ -11,11 +11,11 @@ from collections.abc import Callable
 from math import hypot
 
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from agent.interface.observation import Observation
 from agent.mapping.dynamic_obstacles import DynamicObstacles
 from agent.motion.path_tracker import SAMPLE_M, PathTracker
 
-Point = tuple[float, float]
 TICKS = 2  # a path counts as blocked after more than this many control periods
 KEPT_US = 5 * S  # how long the path that was left is kept
 # The horizon is this time at full speed, or the braking distance plus `BEYOND_M` if that is longer.

@@ -14,13 +14,13 @@ received, and otherwise every robot moves its stamp on by the same quarter.
 from collections.abc import Callable, Iterable
 
 from agent.interface.config import MS, S
+from agent.interface.geometry import Point
 from agent.interface.mission import FleetView
 from agent.motion.stopping_zone import seen_through
 from crdt.hybrid_clock import HybridClock
 from protocol.frames.agreement_frames import FALLEN, STAMP_MAX, SilentPosition
 from protocol.frames.fleet_frames import NOWHERE_M
 
-Point = tuple[float, float]
 DEAD_US = 5 * S  # a member silent for this long is an obstacle, and rounds do not wait for it
 TICK_US = 250 * MS  # period of the common clock
 TOLD_US = 5 * S  # one robot repeats each position this often, for robots that were away

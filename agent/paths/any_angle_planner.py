@@ -16,12 +16,12 @@ from math import floor, hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import GridPoint
 from agent.paths.corner_cache import CornerMemory
 from agent.paths.regions import regions_of
 from agent.paths.theta_star import GridSearch, sees
 
-Point = tuple[float, float]  # row, column; a pair of integers is the centre of that cell
-Waypoints = list[Point]
+Waypoints = list[GridPoint]
 Grid = NDArray[np.bool_]
 Change = tuple[int, int, bool]  # row, column, blocked from now on
 Cells = NDArray[np.int64]  # (n, 3), a change a row
@@ -54,7 +54,7 @@ class Planner:
             self._regions = None
         return changed
 
-    def plan(self, start: Point, goal: Point) -> Waypoints | None:
+    def plan(self, start: GridPoint, goal: GridPoint) -> Waypoints | None:
         """Waypoints from start to goal, both included as given, or None where there is no way."""
         if self._regions is not None and not self._joined(start, goal):
             return None
@@ -70,7 +70,7 @@ class Planner:
         assert cells is not None
         return [start, *cells[1:-1], goal]
 
-    def plan_plain(self, start: Point, goal: Point) -> Waypoints | None:
+    def plan_plain(self, start: GridPoint, goal: GridPoint) -> Waypoints | None:
         """Basic Theta* over cell centres; start and goal count as the centres of their cells."""
         a, b = self._cell(start), self._cell(goal)
         return None if a is None or b is None else self._over_cells(a, b)
@@ -83,14 +83,14 @@ class Planner:
         """Whether the straight line between two cell centres touches free cells only."""
         return bool(sees(self.blocked, a[0], a[1], b[0], b[1]))
 
-    def _cell(self, point: Point) -> tuple[int, int] | None:
+    def _cell(self, point: GridPoint) -> tuple[int, int] | None:
         """The free cell of a point, None where it is blocked or outside."""
         row, column = floor(point[0] + 0.5), floor(point[1] + 0.5)
         rows, columns = self.blocked.shape
         inside = 0 <= row < rows and 0 <= column < columns
         return (row, column) if inside and not self.blocked[row, column] else None
 
-    def _joined(self, start: Point, goal: Point) -> bool:
+    def _joined(self, start: GridPoint, goal: GridPoint) -> bool:
         """Whether two points are in free cells of one region."""
         a, b = self._cell(start), self._cell(goal)
         assert self._regions is not None
@@ -103,7 +103,7 @@ class Planner:
         return None if cells is None else [(float(row), float(column)) for row, column in cells]
 
 
-def plan(blocked: Grid, start: Point, goal: Point) -> Waypoints | None:
+def plan(blocked: Grid, start: GridPoint, goal: GridPoint) -> Waypoints | None:
     """A path over a boolean array, True where blocked: waypoints (row, column), or None.
 
     >>> wall = np.zeros((5, 5), dtype=bool); wall[2, :4] = True

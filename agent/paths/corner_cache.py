@@ -10,6 +10,7 @@ numbers.
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import GridPoint
 from agent.kernels.kernel import njit
 from agent.paths.corner_graph import (
     COLUMNS,
@@ -43,7 +44,6 @@ POOL_MAX = 1 << 24  # edges cached (64 MB); beyond this they are forgotten
 REACH = 2  # cells; changes this near to each other share one rectangle, so a box is one entry
 OUTSIDE = -2
 VIEW, HEAP, POOL = 256, 1024, 1024  # initial sizes, doubled when one is too small
-Point = tuple[float, float]  # row, column
 Flags = NDArray[np.bool_]
 Ints = NDArray[np.int32]
 Longs = NDArray[np.int64]
@@ -211,7 +211,7 @@ class CornerMemory:
         """Corners that the last query expanded."""
         return int(self._ints[EXPANDED])
 
-    def way(self, start: Point, goal: Point) -> list[Point] | None:
+    def way(self, start: GridPoint, goal: GridPoint) -> list[GridPoint] | None:
         """The corners at which a shortest path bends; None where there is no path or an end is not
         free.
 

@@ -9,7 +9,7 @@ from itertools import pairwise
 from math import dist, hypot, inf
 from typing import NamedTuple
 
-Point = tuple[float, float]  # metres (x, y)
+from agent.interface.geometry import Point
 
 
 class Leg(NamedTuple):

@@ -18,11 +18,11 @@ import numpy as np
 import scipy
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.kernels.kernel import njit
 from agent.paths.binary_heap import close_gap, push
 from agent.paths.theta_star import sees
 
-Point = tuple[float, float]  # metres (x, y)
 Floats = NDArray[np.float64]
 Longs = NDArray[np.int64]
 Box = tuple[int, int, int, int]  # rows [r0, r1) and columns [c0, c1)

@@ -7,11 +7,11 @@ from math import dist, hypot
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.paths.any_angle_planner import Planner
 from agent.paths.lane_ways import LaneWays
 from agent.paths.regions import regions_of
 
-Point = tuple[float, float]  # metres (x, y)
 SAME_M = 1e-3  # places nearer to each other than this are one
 OPEN_SEARCH_CELLS = 12  # greatest distance by which a start or goal on a blocked cell is moved
 

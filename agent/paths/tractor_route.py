@@ -11,10 +11,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.paths.dubins import step
 from agent.paths.hybrid_a_star import BACK_COST, SHIFT_M, is_free, piece_is_free, search
 
-Point = tuple[float, float]  # metres (x, y)
 SAMPLE_M = 0.1
 RUN_UPS_M = (1.5, 1.0, 0.5)  # lengths of the straight before the goal that are tried
 RUN_OUT_COST_M = 3.0  # a run-out that makes the rest longer by more is left out

@@ -3,13 +3,13 @@
 from collections.abc import Mapping, Sequence
 
 from agent.interface.effects import Drive, Effect
+from agent.interface.geometry import Point
 from agent.interface.motion_controller import ObstacleQuestion
 from agent.interface.observation import Neighbour, Observation
 from agent.safety.stop_cause import StopCause
 from agent.safety.stop_controller import StopController
 from protocol.frames.safety_frames import Command
 
-Point = tuple[float, float]
 NOWHERE = frozenset[Point]()
 NOTHING_ROUND = (NOWHERE, False)
 

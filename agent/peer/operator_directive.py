@@ -12,6 +12,7 @@ from typing import Any
 
 from agent.interface.config import S
 from agent.interface.effects import HALT, Effect, Persist, Send, Trace
+from agent.interface.geometry import Point
 from agent.interface.mission import STILL, THERE_M, FleetView, Mission, MotionRequest
 from agent.peer import inputs, notices
 from agent.peer.obstacle_hold import ObstacleHold
@@ -29,8 +30,6 @@ from agent.peer.sense_freshness import Senses
 from agent.safety.stop_controller import StopController
 from protocol.frames.operator_frames import OperatorGoal, OperatorReport, ReportKind, goal_check
 from protocol.frames.safety_frames import EVERYBODY, Command, OperatorCommand
-
-Point = tuple[float, float]
 
 DIRECTED = (
     Command.WAIT,

@@ -12,8 +12,7 @@ from math import hypot
 from typing import Final
 
 from agent.interface.config import CONTROL_PERIOD_US, S
-
-Point = tuple[float, float]
+from agent.interface.geometry import Point
 
 WANTS_M_S: Final = 0.05  # a robot that wants less than this is not held up
 GOT_ON_M: Final = 0.4  # a robot that has moved this far is not stalled; at creep speed it takes 4 s

@@ -22,12 +22,12 @@ from agent.exploration.exploration_task import (
     view_cells,
 )
 from agent.interface.config import PEERS_MAX, SPEED_MAX_M_S
+from agent.interface.geometry import Point
 from agent.interface.identity import SilencePolicy
 from agent.interface.vehicle import DriveTrain, Vehicle
 from crdt.occupancy import EDGE, SIDE_MAX, Geometry
 from crdt.sighting import MergeOrder
 
-XY = tuple[float, float]  # metres east and north
 SAID_MAX = 60  # characters of a wrong value quoted in a message
 
 
@@ -68,7 +68,7 @@ class FieldTable(Table):
     section_length_m: float = Field(default=250.0, ge=10.0, le=50_000.0)
     unit_m: float = Field(default=5.0, ge=0.5, le=100.0)
     # Metres east and north of the middle; default: a corner.
-    gate: XY | None = None
+    gate: Point | None = None
 
 
 class FleetTable(Table):
@@ -118,7 +118,7 @@ class WarehouseTable(Table):
 
     map: str  # a file in Moving AI format, or the drawing itself
     cell_m: float = Field(default=1.0, ge=0.5, le=10.0)
-    bays: list[XY] = Field(default=[])
+    bays: list[Point] = Field(default=[])
     handle_s: float = Field(default=2.0, ge=0.1, le=600.0)
     t_max: int = Field(default=4, ge=1, le=100)
 
@@ -177,7 +177,7 @@ class OrderTable(Table):
     """A task for the fleet besides exploration; the nearest free robot does it."""
 
     kind: Literal["navigate_to", "patrol"]
-    points: list[XY] = Field(min_length=1, max_length=64)  # metres east and north of the middle
+    points: list[Point] = Field(min_length=1, max_length=64)  # metres east and north of the middle
 
     @property
     def order(self) -> ExplorationOrder:

@@ -20,6 +20,7 @@ from agent.field.field_mission import FieldMission
 from agent.field.field_plan import TURN_SPARE, FieldPlan, FieldValues
 from agent.field.tractor_mission import TractorMission
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import geometry_of
@@ -37,7 +38,6 @@ from crdt.passing_map import LAST_TIME, PassingMap
 from crdt.sighting import OBSERVER_MAX
 from protocol.sync.map_sync import MapSync
 
-Point = tuple[float, float]  # metres east and north
 MAP_TICK_US = 1 * S  # of the clock in the records of a fleet's map
 # Indoor robots stop from full speed in half of this; a longer horizon closes corridors.
 HORIZON_S = 1.0

@@ -37,8 +37,8 @@ from pydantic import Field, ValidationError, model_validator
 
 from agent.exploration.exploration_task import ORDERS_MAX
 from agent.interface.config import PEERS_MAX
+from agent.interface.geometry import Point
 from agent.runtime.declared_values import (
-    XY,
     BatteryTable,
     FieldTable,
     FleetTable,
@@ -177,14 +177,14 @@ class TaskTable(Table):
     """A transport that is known before the start; metres from the corner of the map."""
 
     number: int = Field(ge=0)
-    pickup: XY
-    dropoff: XY
+    pickup: Point
+    dropoff: Point
 
 
 class CarrierTable(WarehouseTable):
     """A warehouse as one of its robots has it."""
 
-    home: XY  # where the robot waits
+    home: Point  # where the robot waits
     seed: int = 1  # of its search for plans
     battery: BatteryTable = BatteryTable()
     task: list[TaskTable] = Field(default=[])
@@ -193,7 +193,7 @@ class CarrierTable(WarehouseTable):
 class NavigationTable(FloorTable):
     """A building, and the goals of each robot of the fleet in their order."""
 
-    goals: list[list[XY]]
+    goals: list[list[Point]]
 
 
 class ExplorationTable(UnknownPlaceTable):

@@ -14,8 +14,9 @@ from typing import Any
 
 import numpy as np
 
+from agent.interface.geometry import Cell
 from agent.runtime.files.given_file import PLAN_BYTES_MAX, GivenFileError, parse_json, read_text
-from sim.files.grid_map import CELLS_MAX, Cell, GridFileError, Walls, check_starts
+from sim.files.grid_map import CELLS_MAX, GridFileError, Walls, check_starts
 from sim.files.whole_file import write_whole
 
 STEPS = ((0, 0), (-1, 0), (1, 0), (0, -1), (0, 1))  # row and column of each action

@@ -16,10 +16,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Cell
 from agent.runtime.files.given_file import GivenFileError, parse_json, read_text
 from sim.files.whole_file import write_whole
 
-Cell = tuple[int, int]  # row, column
 Walls = NDArray[np.bool_]  # (rows, columns), True for cells that no robot can enter
 PASSABLE = ".GS"
 CELLS_MAX = 4 << 20  # 2048 x 2048: twice the side of the largest published benchmark map

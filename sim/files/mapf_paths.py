@@ -19,7 +19,8 @@ nothing forward in time, and visits that no such order allows are an error.
 from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 
-Cell = tuple[int, int]  # row, column
+from agent.interface.geometry import Cell
+
 Visit = tuple[float, int, int]  # units of time, robot, cell number
 MARGIN = 0.5  # of a unit: a visit is rounded to the nearest one
 # A body is in a cell for a unit if it goes to the middle and back; looks at bodies are 0.03 units apart.

@@ -12,8 +12,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.interface.geometry import Cell
 from agent.runtime.files.given_file import GivenFileError, read_text
-from sim.files.grid_map import FILE_BYTES_MAX, Cell, GridFileError, Walls, check_starts
+from sim.files.grid_map import FILE_BYTES_MAX, GridFileError, Walls, check_starts
 
 FIELDS = 9  # of a line
 

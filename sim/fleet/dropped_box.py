@@ -4,15 +4,14 @@ from collections.abc import Callable
 from math import hypot
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.geometry import Point
 from sim.fleet.moving_obstacles import Shape, has_room
 from sim.fleet.scheduler import Script
 from sim.world.world import World
 
-XY = tuple[float, float]
-
 
 def drop(
-    world: World, now_us: Callable[[], int], place: XY, size_m: float, for_s: float
+    world: World, now_us: Callable[[], int], place: Point, size_m: float, for_s: float
 ) -> Script[None]:
     """Stand there for `for_s`. A box falls beside robots, also right before one that drives, but not on
     one, which it would push away. Where a robot is it waits until there is room, as people do.
@@ -29,7 +28,7 @@ def drop(
     world.remove_box(box)
 
 
-def _is_on_robot(world: World, place: XY, size_m: float) -> bool:
+def _is_on_robot(world: World, place: Point, size_m: float) -> bool:
     """Whether a box there would overlap a robot."""
     for body in world.robots.values():
         beyond_m, beside_m = (

@@ -15,6 +15,7 @@ from math import atan2, cos, dist, hypot, pi, sin
 from typing import NamedTuple
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.geometry import Point
 from sim.fleet.scheduler import Script
 from sim.world.world import World
 
@@ -32,7 +33,6 @@ LEAVE_M = (
 )
 DIRECTIONS = 16  # in which a way out is looked for
 LOOK_M = 12.0  # of a way out that is looked at: robots further off have time to see the mover
-XY = tuple[float, float]
 
 
 class Shape(NamedTuple):
@@ -48,7 +48,7 @@ class Shape(NamedTuple):
 
 
 def walk(
-    world: World, now_us: Callable[[], int], shape: Shape, route: list[XY], speed_m_s: float,
+    world: World, now_us: Callable[[], int], shape: Shape, route: list[Point], speed_m_s: float,
     yields: bool,
 ) -> Script[None]:  # fmt: skip
     """Appear at the first point of the route, follow it, and vanish at its end. It does not appear
@@ -90,11 +90,11 @@ def walk(
     world.remove_box(number)
 
 
-def _length_m(route: list[XY]) -> float:
+def _length_m(route: list[Point]) -> float:
     return sum(dist(*leg) for leg in pairwise(route))
 
 
-def _way_out(world: World, place: XY, shape: Shape) -> list[XY]:
+def _way_out(world: World, place: Point, shape: Shape) -> list[Point]:
     """A straight way from here, in the direction that passes the robots at the greatest distance."""
     bodies = [body.position for body in world.robots.values()]
     angles_rad = [2 * pi * k / DIRECTIONS for k in range(DIRECTIONS)]
@@ -115,7 +115,7 @@ def _way_out(world: World, place: XY, shape: Shape) -> list[XY]:
     return [place, (place[0] + LEAVE_M * cos(best_rad), place[1] + LEAVE_M * sin(best_rad))]
 
 
-def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:
+def _on(route: list[Point], gone_m: float) -> tuple[Point, float]:
     """The place so far along a route, metres, and the direction of its leg, radians."""
     for begin, end in pairwise(route):
         leg_m = dist(begin, end)
@@ -127,7 +127,7 @@ def _on(route: list[XY], gone_m: float) -> tuple[XY, float]:
     raise AssertionError("a route has a leg")
 
 
-def has_room(world: World, place: XY, shape: Shape) -> bool:
+def has_room(world: World, place: Point, shape: Shape) -> bool:
     """Whether no robot stands there, or drives near."""
     return all(
         dist(place, body.position) - shape.reach_m - body.radius_m
@@ -136,13 +136,13 @@ def has_room(world: World, place: XY, shape: Shape) -> bool:
     )
 
 
-def _put(world: World, place: XY, shape: Shape, heading_rad: float) -> int:
+def _put(world: World, place: Point, shape: Shape, heading_rad: float) -> int:
     if shape.wide_m:
         return world.add_box(*place, shape.long_m, shape.wide_m, heading_rad)
     return world.add_disc(*place, shape.long_m / 2)
 
 
-def _in_the_way(world: World, place: XY, next_place: XY, shape: Shape) -> bool:
+def _in_the_way(world: World, place: Point, next_place: Point, shape: Shape) -> bool:
     """Whether the next step comes near to a robot; one that leads away from it does not."""
     return any(
         dist(next_place, body.position) < shape.reach_m + body.radius_m + CLEAR_M
@@ -151,7 +151,7 @@ def _in_the_way(world: World, place: XY, next_place: XY, shape: Shape) -> bool:
     )
 
 
-def _turns_into(world: World, place: XY, heading_rad: float, shape: Shape) -> bool:
+def _turns_into(world: World, place: Point, heading_rad: float, shape: Shape) -> bool:
     """Whether a vehicle that has turned there touches a robot. A robot that keeps off its long side may
     stand within the circle of its corners."""
     if not shape.wide_m:

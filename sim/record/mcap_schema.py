@@ -7,8 +7,8 @@ foxglove schemas are those that Foxglove has published.
 
 from typing import Any
 
+from agent.interface.geometry import Point
 from sim.record.foxglove import FRAME_TRANSFORMS, GRID, LOCATION_FIX, LOG, SCENE_UPDATE
-from sim.record.robot_intent import XY
 
 INTENT, THINGS, FLEET = "headland.Intent", "headland.Things", "headland.Fleet"
 Schema = dict[str, Any]
@@ -217,7 +217,7 @@ def things_of_message(message: dict[str, Any]) -> list[list[float]]:
     ]
 
 
-def _xy(point: XY | list[float]) -> dict[str, float]:
+def _xy(point: Point | list[float]) -> dict[str, float]:
     x, y = point
     return {"x": x, "y": y}
 

@@ -8,11 +8,11 @@ observed run has the same trace hash as an unobserved one.
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from agent.interface.config import NEIGHBOURS_MAX
+from agent.interface.geometry import Point
 
 if TYPE_CHECKING:
     from agent.peer.peer import Peer
 
-XY = tuple[float, float]
 POINTS_MAX = 48  # of a path: enough for a person, and it fits a datagram
 STRANGE_MAX = 16
 
@@ -26,11 +26,11 @@ class Intent(NamedTuple):
     heading_rad: float
     vx_m_s: float
     vy_m_s: float
-    wanted: XY  # velocity that its mission wants, before avoidance and safety
-    path: tuple[XY, ...]  # the rest of its path, nearest point first
+    wanted: Point  # velocity that its mission wants, before avoidance and safety
+    path: tuple[Point, ...]  # the rest of its path, nearest point first
     avoids: tuple[int, ...]  # the robots that ORCA keeps clear of, nearest first
     hears: tuple[int, ...]  # the members that it considers live, itself included
-    strange: tuple[XY, ...]  # obstacles that it sees and that are not announced
+    strange: tuple[Point, ...]  # obstacles that it sees and that are not announced
     holds: tuple[str, ...]  # the causes for which it may not move
     tool: bool  # it wants its implement down
 
@@ -57,7 +57,7 @@ def intent_of(peer: "Peer") -> Intent | None:
     if here is None:
         return None
     others = sorted(motion.others, key=lambda o: o.distance_m) if motion is not None else []
-    strange: list[XY] = [] if motion is None else list(motion.strange)
+    strange: list[Point] = [] if motion is None else list(motion.strange)
     if motion is not None and motion.lookout is not None:
         strange += [point for point, _ in motion.lookout.points.values()]
     way = () if peer.mission is None else peer.mission.remaining_path

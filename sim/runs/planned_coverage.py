@@ -7,8 +7,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from agent.coverage.team import Team
+from agent.interface.geometry import Cell
 from sim.files.coverage_plan_file import STEPS, Plan
-from sim.files.grid_map import Cell, Instance
+from sim.files.grid_map import Instance
 
 # Upper limit of a run. Each goal is at most all cells away, and each goal reached is a covered
 # cell. The limit is far above real runs; a run that reaches it has a broken invariant and is not

@@ -16,11 +16,12 @@ from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
 from shapely.geometry.polygon import orient
 
-from agent.field.field_map import Field, Polyline, Section
+from agent.field.field_map import Field, Section
 from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot, Rows
 from agent.field.plan_schedule import Visit, visits
-from agent.field.section_shares import Point, SectionJob, shares
+from agent.field.section_shares import SectionJob, shares
 from agent.field.travel_times import Remainder, TravelTimes
+from agent.interface.geometry import Point, Polyline
 from agent.interface.vehicle import DriveTrain
 from agent.runtime.files.field_error import LonLat
 from agent.runtime.files.field_file import plane

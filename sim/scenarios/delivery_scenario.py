@@ -8,7 +8,8 @@ from typing import Any, Literal, NamedTuple
 
 from pydantic import Field
 
-from agent.runtime.declared_values import XY, BatteryTable, FieldTable, Table
+from agent.interface.geometry import Point
+from agent.runtime.declared_values import BatteryTable, FieldTable, Table
 from agent.runtime.declared_values import WarehouseTable as RobotWarehouse
 from agent.runtime.files.given_file import (
     SCENARIO_BYTES_MAX,
@@ -34,8 +35,8 @@ TASK_KEYS = ("pickup_x_m", "pickup_y_m", "dropoff_x_m", "dropoff_y_m", "at_s")
 class TaskRow(NamedTuple):
     """One task of a file: metres from the south-west corner of the map, seconds from the start."""
 
-    pickup: XY
-    dropoff: XY
+    pickup: Point
+    dropoff: Point
     at_s: float = 0.0
 
 
@@ -144,7 +145,7 @@ def _row(path: Path, number: int, row: Any) -> TaskRow:
     return TaskRow((found[0], found[1]), (found[2], found[3]), found[4])
 
 
-def random_tasks(cells: list[XY], count: int, within_for_s: float, rng: Random) -> list[TaskRow]:
+def random_tasks(cells: list[Point], count: int, within_for_s: float, rng: Random) -> list[TaskRow]:
     """Transports between random cells, in the order in which they appear within `within_for_s`."""
     rows = []
     for _ in range(count):

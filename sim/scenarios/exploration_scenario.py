@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from agent.exploration.exploration_task import ORDERS_MAX
+from agent.interface.geometry import Point
 from agent.mapping.inflation import Inflation
 from agent.mapping.occupancy_grid import INFLATION_M
-from agent.runtime.declared_values import XY, FieldTable, OrderTable, UnknownPlaceTable
+from agent.runtime.declared_values import FieldTable, OrderTable, UnknownPlaceTable
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
 from crdt.allocation import FieldAllocationCRDT
 from sim.scenarios.fleet_setup import FleetSetup
@@ -29,7 +30,7 @@ class ArenaTable(UnknownPlaceTable):
     """A walled rectangle round the origin, and solid rectangles in it: west, south, east, north."""
 
     solid: list[Box] = Field(default=[])
-    starts: list[XY]
+    starts: list[Point]
     rays: int = Field(default=36, ge=4, le=720)
 
 
@@ -167,7 +168,7 @@ class ExplorationSetup(FleetSetup):
         )  # not through a wall
         return found
 
-    def _region_of_start(self, regions: NDArray[np.int32], at: XY) -> NDArray[np.bool_]:
+    def _region_of_start(self, regions: NDArray[np.int32], at: Point) -> NDArray[np.bool_]:
         """(rows, columns): the region nearest to a start; its cell alone if there is none.
 
         `regions`: (rows, columns), 0 where none is. A body may start nearer to a wall than the cells of a
@@ -207,7 +208,7 @@ def _check_starts(scenario: ExplorationScenario) -> None:
                 )
 
 
-def _check_order(scenario: ExplorationScenario, number: int, points: Sequence[XY]) -> None:
+def _check_order(scenario: ExplorationScenario, number: int, points: Sequence[Point]) -> None:
     """Raises ScenarioError for a point so near to the outer wall that no robot can stand there.
 
     Robots find out by themselves which points are in solid rectangles."""
@@ -220,6 +221,6 @@ def _check_order(scenario: ExplorationScenario, number: int, points: Sequence[XY
             )
 
 
-def _ring(box: Box) -> list[XY]:
+def _ring(box: Box) -> list[Point]:
     west, south, east, north = box
     return [(west, south), (east, south), (east, north), (west, north)]

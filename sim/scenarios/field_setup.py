@@ -4,9 +4,9 @@ from collections.abc import Callable, Mapping
 from functools import cached_property
 from pathlib import Path
 
-from shapely.geometry import Point
+import shapely
 
-from agent.field.field_map import XY, Field, start_poses
+from agent.field.field_map import Field, start_poses
 from agent.field.field_plan import (
     CLEARANCE_M,
     FieldError,
@@ -14,6 +14,7 @@ from agent.field.field_plan import (
     divided,
     planned_radius_m,
 )
+from agent.interface.geometry import Point
 from agent.interface.vehicle import DriveTrain
 from agent.runtime.files.field_error import FILE_BYTES_MAX, FieldFileError
 from agent.runtime.files.field_file import read_boundary
@@ -64,7 +65,7 @@ class FieldSetup(FleetSetup):
         self.starts = self._starts()
         self._check_places()
 
-    def _starts(self) -> list[XY]:
+    def _starts(self) -> list[Point]:
         """Places of the robots, (x, y) metres. ScenarioError if there is no room for all."""
         own_m, count = self.scenario.fleet.radius_m, self.scenario.fleet.robots
         for radius_m in (max(own_m, STARTS_AS_M), own_m):
@@ -146,7 +147,7 @@ class FieldSetup(FleetSetup):
 
     def free_space(self, radius_m: float) -> Callable[[float, float], bool]:
         inside = self.field.polygon.buffer(-radius_m)
-        return lambda x_m, y_m: bool(inside.contains(Point(x_m, y_m)))
+        return lambda x_m, y_m: bool(inside.contains(shapely.Point(x_m, y_m)))
 
     def ground(self, raster: Raster) -> Ground:
         """Which part of the area asked for these bodies can work. `raster`: see

@@ -11,6 +11,7 @@ from pathlib import Path
 from random import Random
 
 from agent.interface.config import PEERS_MAX
+from agent.interface.geometry import Point
 from agent.interface.vehicle import Vehicle
 from agent.runtime.files.key_file import FLEET, NAMES, OPERATOR, KeyFileError, read
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts, keyring_of
@@ -20,7 +21,6 @@ from sim.scenarios.scenario import Scenario, ScenarioError
 from sim.world.drive_trains import Chassis
 from sim.world.world import World
 
-Point = tuple[float, float]
 DRAWN = "drawn"  # instead of a key file: keys from the seed, which are secret in virtual time only
 
 

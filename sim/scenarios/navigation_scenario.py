@@ -17,8 +17,9 @@ from pydantic import Field
 from shapely.geometry import box
 from shapely.ops import unary_union
 
+from agent.interface.geometry import Point
 from agent.mapping.building import Floor, FloorError
-from agent.runtime.declared_values import XY, FieldTable, FloorTable, Table
+from agent.runtime.declared_values import FieldTable, FloorTable, Table
 from agent.runtime.files.given_file import DRAWING_BYTES_MAX, GivenFileError, read_text
 from sim.scenarios.navigation_setup import NavigationSetup, scattered
 from sim.scenarios.scenario import (
@@ -40,8 +41,8 @@ class ErrandTable(Table):
     """Where robots start, and where each has to go; both may be drawn."""
 
     each: int = Field(default=1, ge=1, le=64)  # goals per robot, drawn by the seed
-    starts: list[XY] | None = None
-    goals: list[list[XY]] | None = None
+    starts: list[Point] | None = None
+    goals: list[list[Point]] | None = None
 
 
 class ObstacleTable(Table):
@@ -116,7 +117,7 @@ def _dropped(scenario: NavigationScenario, floor: Floor) -> list[TemporaryObstac
         raise ScenarioError(f"{scenario.name}: obstacles.size_m: {problem}") from None
 
 
-def _part(floor: Floor, at: XY) -> int:
+def _part(floor: Floor, at: Point) -> int:
     """The region of the floor in which a place lies; no path joins two of them."""
     west, south = floor.origin
     return int(
@@ -124,7 +125,7 @@ def _part(floor: Floor, at: XY) -> int:
     )
 
 
-def _check_together(name: str, floor: Floor, starts: list[XY], goals: list[list[XY]]) -> None:
+def _check_together(name: str, floor: Floor, starts: list[Point], goals: list[list[Point]]) -> None:
     """Raises ScenarioError where robots have no room beside each other, or no way to a goal."""
     ends = [own[-1] if own else start for start, own in zip(starts, goals, strict=True)]
     for what, places in (("starts", starts), ("goals", ends)):
@@ -143,7 +144,7 @@ def _check_together(name: str, floor: Floor, starts: list[XY], goals: list[list[
                 )
 
 
-def _places(scenario: NavigationScenario, floor: Floor) -> tuple[list[XY], list[list[XY]]]:
+def _places(scenario: NavigationScenario, floor: Floor) -> tuple[list[Point], list[list[Point]]]:
     name, table, robots = scenario.name, scenario.errands, scenario.fleet.robots
     if (table.starts is None) != (table.goals is None):
         raise ScenarioError(f"{name}: errands: write down both starts and goals, or neither")

@@ -11,11 +11,12 @@ from random import Random
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.mapping.building import Floor
 from agent.runtime.declared_values import FieldTable
 from agent.runtime.mission_parts import navigation_parts
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
-from sim.scenarios.fleet_setup import FleetSetup, Point
+from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import BusTable, FleetTable, RunTable, Scenario
 from sim.world.lidar import Lidar
 from sim.world.temporary_obstacles import TemporaryObstacle, schedule

@@ -23,7 +23,6 @@ from sim.world.world import World
 LOOK_US = 50 * MS
 SIGHT = 2.0  # cells
 COVERED = 0.1  # of a cell, the same as a robot's own criterion
-Cell = tuple[int, int]
 
 
 class GridBody(SimulatedBody):

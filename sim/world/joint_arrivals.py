@@ -9,7 +9,7 @@ from collections import deque
 from collections.abc import Sequence
 from math import perm
 
-from sim.files.grid_map import Cell
+from agent.interface.geometry import Cell
 
 CONFIGURATIONS_MAX = 100_000  # tried in about a second
 RING_MIN = 4  # robots that can move on in a full ring

@@ -12,10 +12,10 @@ from agent.delivery.cost_matrix import Carrier
 from agent.delivery.delivery_mission import REACH_M
 from agent.interface.config import S
 from agent.interface.effects import HALT, GatedDrive
+from agent.interface.geometry import Point
 from agent.interface.observation import Observation, VisibleParcel
 from agent.interface.ports import Body
 
-Point = tuple[float, float]
 STILL_M_S = 0.1  # a robot handles parcels and charges only while slower than this
 # The tables in `to_plain`, by task or by slot: key in the file, and attribute.
 KEPT = {

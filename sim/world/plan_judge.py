@@ -9,8 +9,9 @@ not be covered.
 from collections import deque
 from typing import NamedTuple
 
+from agent.interface.geometry import Cell
 from sim.files.coverage_plan_file import STEPS, Plan
-from sim.files.grid_map import Cell, Walls
+from sim.files.grid_map import Walls
 
 
 class PlanScore(NamedTuple):

@@ -9,7 +9,8 @@ import pymunk
 from numpy.typing import NDArray
 from pymunk import batch
 
-XY = tuple[float, float]
+from agent.interface.geometry import Point
+
 Floats = NDArray[np.float64]
 
 MASS_KG = 120.0
@@ -45,12 +46,12 @@ class Physics:
         self.inertia = np.vstack((self.inertia, (MASS_KG, MASS_KG, moment)))
         self._add(pymunk.Circle(body, radius_m), body)
 
-    def add_wall(self, a: XY, b: XY) -> pymunk.Shape:
+    def add_wall(self, a: Point, b: Point) -> pymunk.Shape:
         """A wall without thickness from `a` to `b`, metres; the shape that is returned can be
         removed."""
         return self._add(pymunk.Segment(self.space.static_body, a, b, 0.0))
 
-    def add_box(self, corners: list[XY]) -> pymunk.Shape:
+    def add_box(self, corners: list[Point]) -> pymunk.Shape:
         """A box that stands still, by its corners in metres."""
         return self._add(pymunk.Poly(self.space.static_body, corners))
 

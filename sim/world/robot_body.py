@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from agent.interface.config import ACTUATOR_TTL_US
 from agent.interface.effects import HALT, Drive
+from agent.interface.geometry import Point
 from agent.interface.observation import NOTHING_SEEN, Observation
 from sim.world.drive_trains import (
     COLUMNS,
@@ -28,7 +29,6 @@ from sim.world.drive_trains import (
 )
 from sim.world.ground_truth import Track
 
-XY = tuple[float, float]
 # A push within 2.5 degrees of the course is along it: a bar of 4 m then moves 9 cm along itself on 2 m.
 ALONG_COS = 0.999
 OBSERVATION = tuple.__new__
@@ -69,7 +69,7 @@ class SimulatedBody:
         self._lifts_told = 0  # how often when it was last sensed
 
     @property
-    def position(self) -> XY:
+    def position(self) -> Point:
         """Metres east and north, at the world's present step."""
         x_m, y_m = self.world.motion[self.index, :2].tolist()
         return x_m, y_m

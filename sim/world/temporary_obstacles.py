@@ -11,11 +11,11 @@ from math import hypot, pi
 from random import Random
 from typing import NamedTuple
 
-from shapely.geometry import MultiPolygon, Point, Polygon
+import shapely
+from shapely.geometry import MultiPolygon, Polygon
 
+from agent.interface.geometry import Point
 from sim.world.world import World
-
-XY = tuple[float, float]
 
 PLACES = 8  # candidates; an obstacle does not appear if all of them are taken
 DRAWS_MAX = 1_000  # for a position in the area; an area that fails this often has no room for a box
@@ -26,7 +26,7 @@ class TemporaryObstacle(NamedTuple):
 
     birth_at_us: int
     expiry_at_us: int
-    places: tuple[XY, ...]  # in order of preference
+    places: tuple[Point, ...]  # in order of preference
     width_m: float
     depth_m: float
     heading_rad: float
@@ -70,11 +70,11 @@ def random_temporary_obstacle_generator(
         )
 
 
-def _place(rng: Random, area: Polygon | MultiPolygon) -> XY:
+def _place(rng: Random, area: Polygon | MultiPolygon) -> Point:
     west, south, east, north = area.bounds
     for _ in range(DRAWS_MAX):
         spot = (rng.uniform(west, east), rng.uniform(south, north))
-        if area.contains(Point(spot)):
+        if area.contains(shapely.Point(spot)):
             return spot
     inner = area.representative_point()
     return float(inner.x), float(inner.y)

@@ -17,7 +17,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-XY = tuple[float, float]
+from agent.interface.geometry import Point
+
 Floats = NDArray[np.float64]
 Ints = NDArray[np.int32]
 
@@ -37,7 +38,7 @@ class Grid(NamedTuple):
     south_m: float
     cell_m: float
 
-    def edges(self) -> Iterator[tuple[XY, XY]]:
+    def edges(self) -> Iterator[tuple[Point, Point]]:
         """The borders between blocked and free cells, merged where they are straight."""
         padded = np.pad(self.blocked, 1)
         for flat, solid in ((True, padded), (False, padded.T)):
@@ -49,7 +50,7 @@ class Grid(NamedTuple):
                     ends = ((a, c), (b, c)) if flat else ((c, a), (c, b))
                     yield self._corner(*ends[0]), self._corner(*ends[1])
 
-    def _corner(self, column: int, row: int) -> XY:
+    def _corner(self, column: int, row: int) -> Point:
         return self.west_m + column * self.cell_m, self.south_m + row * self.cell_m
 
     def is_blocked(self, x_m: float, y_m: float) -> bool:
@@ -60,7 +61,7 @@ class Grid(NamedTuple):
         return 0 <= row < rows and 0 <= column < columns and bool(self.blocked[row, column])
 
 
-def ring_edges(rings: Iterable[Sequence[XY]]) -> Iterator[tuple[XY, XY]]:
+def ring_edges(rings: Iterable[Sequence[Point]]) -> Iterator[tuple[Point, Point]]:
     """The sides of closed outlines, whether or not they repeat their first point at the end."""
     for ring in rings:
         points = [(float(p[0]), float(p[1])) for p in ring]
@@ -72,7 +73,7 @@ def ring_edges(rings: Iterable[Sequence[XY]]) -> Iterator[tuple[XY, XY]]:
 class Walls:
     """Segments that stay, and the blocked grid if there is one."""
 
-    def __init__(self, edges: Iterable[tuple[XY, XY]], grid: Grid | None = None) -> None:
+    def __init__(self, edges: Iterable[tuple[Point, Point]], grid: Grid | None = None) -> None:
         segments = np.array([(*a, b[0] - a[0], b[1] - a[1]) for a, b in edges]).reshape(-1, 4)
         self.floats: Floats = np.zeros((FIRST + len(segments), 4))
         self.floats[FIRST:] = segments

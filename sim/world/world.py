@@ -22,6 +22,7 @@ import numpy as np
 import pymunk
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from sim.world.contact_free_steps import (
     CODES,
     GUARDED,
@@ -55,7 +56,6 @@ from sim.world.walls import (
     OBSTACLE_COLUMNS,
     OBSTACLES_MAX,
     SHAPE,
-    XY,
     Grid,
     Walls,
     ring_edges,
@@ -90,7 +90,7 @@ class World:
 
     def __init__(
         self,
-        rings: Sequence[Sequence[XY]],
+        rings: Sequence[Sequence[Point]],
         seed: int | str = 0,
         lidar: Lidar | None = None,
         grid: Grid | None = None,
@@ -152,7 +152,7 @@ class World:
         return float(self._nearest[NEAREST_ROBOT])
 
     def add_robot(
-        self, slot: int, at: XY, radius_m: float, chassis: Chassis, heading_rad: float = 0.0
+        self, slot: int, at: Point, radius_m: float, chassis: Chassis, heading_rad: float = 0.0
     ) -> SimulatedBody:
         """Put a robot at `at`, metres east and north, at rest. Its slot may not be in the world
         yet."""

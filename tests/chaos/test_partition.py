@@ -8,8 +8,8 @@ from collections import defaultdict
 import pytest
 from shapely.geometry import LineString, Point
 
-from agent.field.field_map import Polyline
 from agent.interface.config import S
+from agent.interface.geometry import Polyline
 from crdt import Phase
 from protocol.frames.codec import decode_once
 from protocol.frames.frame import Frame

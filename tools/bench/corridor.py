@@ -12,6 +12,7 @@ from random import Random
 from statistics import median
 from typing import NamedTuple
 
+from agent.interface.geometry import Point
 from agent.mapping.building import Floor
 from sim.runs.navigation_run import NavigationRun
 from sim.scenarios.building_generator import CORRIDOR, DEAD_END, JUNCTION
@@ -27,7 +28,6 @@ SEEDS, QUICK_SEEDS = 200, 1
 PLAIN_SEEDS, QUICK_PLAIN_SEEDS = 20, 1  # ORCA by itself: its failures take the whole time limit
 DEAR = "swap 5:5"  # in a quick run not by ORCA alone
 LOSS = 0.3
-XY = tuple[float, float]
 
 
 class CrossingResult(NamedTuple):
@@ -38,12 +38,12 @@ class CrossingResult(NamedTuple):
     seconds: float
 
 
-def places(*cells: tuple[int, int]) -> list[XY]:
+def places(*cells: tuple[int, int]) -> list[Point]:
     """The centres of cells (column, row), as metres (x, y)."""
     return [((c + 0.5) * CELL_M, (r + 0.5) * CELL_M) for c, r in cells]
 
 
-def swap(count: int, seed: int) -> tuple[str, list[XY], list[XY]]:
+def swap(count: int, seed: int) -> tuple[str, list[Point], list[Point]]:
     """`count` robots in each of two rooms, each to a place of its own in the other one. Drawing,
     starts and goals in metres."""
     rng = Random(f"{seed}/swap/{count}")
@@ -53,7 +53,7 @@ def swap(count: int, seed: int) -> tuple[str, list[XY], list[XY]]:
     return CORRIDOR, starts, rng.sample(right, count) + rng.sample(left, count)
 
 
-def junction(seed: int) -> tuple[str, list[XY], list[XY]]:
+def junction(seed: int) -> tuple[str, list[Point], list[Point]]:
     """Two robots from end to end of the bar of a T, at places drawn by the seed. Drawing, starts
     and goals in metres."""
     rng = Random(f"{seed}/junction")
@@ -61,7 +61,7 @@ def junction(seed: int) -> tuple[str, list[XY], list[XY]]:
     return JUNCTION, [a, b], [b, a]
 
 
-def dead_end(seed: int) -> tuple[str, list[XY], list[XY]]:
+def dead_end(seed: int) -> tuple[str, list[Point], list[Point]]:
     """One wants out of the blind end of a corridor, and another in. Drawing, starts and goals in
     metres."""
     rng = Random(f"{seed}/dead end")
@@ -70,7 +70,7 @@ def dead_end(seed: int) -> tuple[str, list[XY], list[XY]]:
     return DEAD_END, [end, rng.choice(room)], [rng.choice(room), end]
 
 
-LAYOUTS: dict[str, Callable[[int], tuple[str, list[XY], list[XY]]]] = {
+LAYOUTS: dict[str, Callable[[int], tuple[str, list[Point], list[Point]]]] = {
     "swap 1:1": partial(swap, 1),
     "swap 3:3": partial(swap, 3),
     "swap 5:5": partial(swap, 5),

@@ -15,6 +15,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.interface.geometry import Point
 from agent.mapf.joint_plan_agreement import seats
 from agent.mapf.lacam import planned
 from agent.mapf.pibt import ways
@@ -30,7 +31,6 @@ ROBOTS, SIDE, LIMIT_S = 100, 64, 900.0
 QUICK_ROBOTS, QUICK_SIDE = 8, 16  # of whole peers
 SEEDS, QUICK_SEEDS = 100, 5  # of joint plans
 WAIT_SHARE = 3.0
-XY = tuple[float, float]
 
 
 class RoomsScenario(NamedTuple):
@@ -38,8 +38,8 @@ class RoomsScenario(NamedTuple):
 
     floor: Floor
     name: str
-    starts: list[XY]
-    goals: list[XY]
+    starts: list[Point]
+    goals: list[Point]
 
 
 def crowd_of(seed: int, robots: int = ROBOTS, side: int = SIDE) -> RoomsScenario:

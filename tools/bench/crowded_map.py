@@ -12,6 +12,7 @@ from pathlib import Path
 from random import Random
 from typing import Any
 
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from crdt import Phase
 from protocol.frames.codec import encode
@@ -29,7 +30,6 @@ SPEED_M_S = 2.0
 FIRST_ADDRESS = 0x80
 UNITS = 40  # of a block
 NEAR_M, NEAR_MAX = 12.0, 8  # who is avoided
-Point = tuple[float, float]
 
 
 @dataclass

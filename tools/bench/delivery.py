@@ -10,8 +10,9 @@ import numpy as np
 from agent.delivery.cost_matrix import FULL, Carrier, CostMatrix, Trip, workload
 from agent.delivery.routing_problem import Workload
 from agent.delivery.tour_auction import RoutingPlanner
+from agent.interface.geometry import Point
 from agent.mapping.building import Floor
-from agent.paths.nav_mesh import Mesh, Point
+from agent.paths.nav_mesh import Mesh
 from sim.scenarios.building_generator import warehouse
 from tools.bench.delivery_decision import ROBOTS, decisions
 from tools.bench.delivery_trouble import MIXED, TROUBLES, troubled

@@ -8,8 +8,8 @@ the start to the last finish.
 from enum import Enum
 from typing import NamedTuple
 
-from agent.field.field_map import Polyline
 from agent.interface.config import S
+from agent.interface.geometry import Point, Polyline
 from sim.fleet.outcome import FieldOutcome
 from sim.fleet.simulated_fleet import Cluster
 from sim.runs.field_run import FieldRun
@@ -26,7 +26,6 @@ class FleetChange(Enum):
 
 SHARES = {FleetChange.DIES: 0.5, FleetChange.JOINS: 1 / 3}  # of the time that the whole fleet takes
 KINDS = {FleetChange.DIES: "crash", FleetChange.JOINS: "join"}  # of the fault
-Point = tuple[float, float]
 
 
 class Moment(NamedTuple):

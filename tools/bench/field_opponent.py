@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from agent.field.field_map import Polyline
+from agent.interface.geometry import Point, Polyline
 from agent.interface.vehicle import Vehicle
 from sim.scenarios.field_setup import FieldSetup
 from tools.bench.routing_opponents import guided_search
@@ -21,7 +21,6 @@ from tools.bench.routing_opponents import guided_search
 TICK_S = 0.01  # unit of time of the opponent, whose times are whole numbers
 SPAN_COST = 100  # of the last finish, in those of travel
 
-Point = tuple[float, float]
 Times = NDArray[np.int64]
 
 

@@ -11,10 +11,11 @@ from math import atan2, inf, pi
 
 import numpy as np
 
+from agent.interface.geometry import Point
 from agent.motion.tractor_tracker import bend_speed_m_s
 from agent.paths.dubins import STRAIGHT_1_M, WORDS, words
 from sim.scenarios.field_setup import FieldSetup
-from tools.bench.field_opponent import FleetProblem, Point, ticks
+from tools.bench.field_opponent import FleetProblem, ticks
 
 Pose = tuple[float, float, float]  # x, y in metres, heading in radians
 

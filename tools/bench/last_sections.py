@@ -14,9 +14,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from agent.interface.config import S
+from agent.interface.geometry import Point
 from sim.world.ground_truth import TrackPoint
 
-Point = tuple[float, float]
 # To begin a stretch, besides the way: to brake, to turn, and to gain speed again. As long as ways of 3 m
 # between rows take (docs/measured/fields.md).
 BEGIN_S: Final = 3.0

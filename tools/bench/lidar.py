@@ -12,6 +12,7 @@ import numpy as np
 import pymunk
 
 from agent.interface.effects import Drive
+from agent.interface.geometry import Point
 from sim.world.drive_trains import EXPIRES_US, STEP_US, Chassis
 from sim.world.lidar import Lidar
 from sim.world.world import World
@@ -21,14 +22,13 @@ SEED = 20
 RAYS = 36
 RANGE_M = 10.0
 RADIUS_M = 0.4
-XY = tuple[float, float]
 
 
 def hall(seed: int, robots: int) -> tuple[World, pymunk.Space]:
     """Shelves in rows, robots anywhere between them; the same in a space of pymunk alone."""
     rng = Random(f"{seed}/lidar/{robots}")
     side_m = max(20.0, 6.0 * robots**0.5)
-    rings: list[list[XY]] = [[(0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m)]]
+    rings: list[list[Point]] = [[(0.0, 0.0), (side_m, 0.0), (side_m, side_m), (0.0, side_m)]]
     aisles = np.arange(4.0, side_m - 6.0, 8.0).tolist()
     shelves = [(x, y) for x in aisles for y in np.arange(4.0, side_m - 3.0, 6.0).tolist()]
     for x, y in shelves:
@@ -38,7 +38,7 @@ def hall(seed: int, robots: int) -> tuple[World, pymunk.Space]:
     for ring in rings:
         for a, b in zip(ring, [*ring[1:], ring[0]], strict=True):
             space.add(pymunk.Segment(space.static_body, a, b, 0.0))
-    places: list[XY] = []
+    places: list[Point] = []
     while len(places) < robots:
         x, y = rng.uniform(1.0, side_m - 1.0), rng.uniform(1.0, side_m - 1.0)
         clear = all((x - a) ** 2 + (y - b) ** 2 > (2.5 * RADIUS_M) ** 2 for a, b in places)

@@ -16,6 +16,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from agent.interface.geometry import Point
 from agent.mapping.building import Floor
 from agent.mapping.dynamic_obstacles import ObstacleMap
 from sim.runs.navigation_run import NavigationOutcome, NavigationRun
@@ -32,7 +33,6 @@ CELL_M, ROBOTS, PAIRS, QUICK_PAIRS = 0.2, 3, 20, 4
 FAR_M, APART_M = 3.0, 1.0  # a goal from its start (thesis 6.1.3); robots from each other
 LIMIT_S = 180.0  # the longest way takes 25 s at 1 m/s
 RMSE_M, REPLAN_MS, SUCCESS = 0.06, 50.0, 0.99
-XY = tuple[float, float]
 
 
 def floor_of(inflation_m: float) -> Floor:
@@ -40,7 +40,7 @@ def floor_of(inflation_m: float) -> Floor:
     return Floor.drawn(office(), CELL_M, RADIUS_M, inflation_m)
 
 
-def pairs(seed: int, floor: Floor) -> tuple[list[XY], list[XY]]:
+def pairs(seed: int, floor: Floor) -> tuple[list[Point], list[Point]]:
     """Starts and goals on free cells of the widest inflation, so that all inflations have them."""
     rng = Random(f"{seed}/pairs")
     rows, columns = np.nonzero(~floor.inflated)
@@ -50,7 +50,7 @@ def pairs(seed: int, floor: Floor) -> tuple[list[XY], list[XY]]:
         for r, c in zip(rows.tolist(), columns.tolist(), strict=True)
     ]
 
-    def draw(others: list[XY], far_from: XY | None = None) -> XY:
+    def draw(others: list[Point], far_from: Point | None = None) -> Point:
         while True:
             spot = rng.choice(free)
             clear = all(hypot(spot[0] - x, spot[1] - y) >= APART_M for x, y in others)
@@ -59,8 +59,8 @@ def pairs(seed: int, floor: Floor) -> tuple[list[XY], list[XY]]:
             ):
                 return spot
 
-    starts: list[XY] = []
-    goals: list[XY] = []
+    starts: list[Point] = []
+    goals: list[Point] = []
     for _ in range(ROBOTS):
         starts.append(draw(starts))
     for start in starts:

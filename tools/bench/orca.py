@@ -21,6 +21,7 @@ from numpy.typing import NDArray
 
 from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.observation import Neighbour, Observation
@@ -42,7 +43,6 @@ REFERENCE_US = 14.2  # pyrvo's simulator of eleven, on the machine that the targ
 PEERS = 100
 DRIVES = 100  # calls of one batch, of a robot
 NUMBA = f"numba {numba.__version__}"
-XY = tuple[float, float]
 
 
 def pyrvo() -> Any:
@@ -75,7 +75,7 @@ def on_circle() -> NDArray[np.float32]:
 
 
 def simulator(rvo: Any, dt_s: float, range_m: float, radius_m: float, speed_m_s: float,
-              horizon_s: float, places: list[XY]) -> Any:  # fmt: skip
+              horizon_s: float, places: list[Point]) -> Any:  # fmt: skip
     """A pyrvo simulator with agents at these places, metres."""
     made = rvo.RVOSimulator()
     made.set_time_step(dt_s)
@@ -85,7 +85,7 @@ def simulator(rvo: Any, dt_s: float, range_m: float, radius_m: float, speed_m_s:
     return made
 
 
-def wish(agents: NDArray[np.float32], goals: NDArray[np.float32]) -> list[XY]:
+def wish(agents: NDArray[np.float32], goals: NDArray[np.float32]) -> list[Point]:
     """Straight to the goals (n, 2): the velocities, m/s, are written into `agents` (n, columns),
     and returned for pyrvo."""
     to_goal = goals - agents[:, : column.Y + 1]
@@ -115,7 +115,7 @@ def circle(rvo: Any, steps: int) -> Iterator[Figure]:
     ours_s = theirs_s = 0.0
     different = 0
     for _ in range(steps // BLOCK):  # a block of ours, then the same of theirs
-        block: list[tuple[list[XY], NDArray[np.float32]]] = []
+        block: list[tuple[list[Point], NDArray[np.float32]]] = []
         for _ in range(BLOCK):
             wanted = wish(agents, goals)
             start = process_time()

@@ -9,7 +9,8 @@ import numba
 import numpy as np
 from scipy.ndimage import label
 
-from agent.paths.any_angle_planner import Planner, Point, Waypoints, length
+from agent.interface.geometry import GridPoint
+from agent.paths.any_angle_planner import Planner, Waypoints, length
 from tools.bench.figure import Figure
 from tools.bench.map_kinds import Grid, city, maps, small_maps
 from tools.bench.optimum import Judge
@@ -32,7 +33,7 @@ def queries(blocked: Grid, count: int, rng: np.random.Generator) -> list[Query]:
     return found
 
 
-def each(work: Callable[[Point, Point], Waypoints | None], asked: list[Query]) -> float:
+def each(work: Callable[[GridPoint, GridPoint], Waypoints | None], asked: list[Query]) -> float:
     """CPU seconds of all queries."""
     start = process_time()
     for a, b in asked:

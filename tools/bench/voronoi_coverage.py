@@ -11,8 +11,9 @@ from collections import deque
 
 import numpy as np
 
+from agent.interface.geometry import Cell
 from sim.files.coverage_plan_file import STEPS, Plan
-from sim.files.grid_map import Cell, Instance, Walls
+from sim.files.grid_map import Instance, Walls
 
 STILL_MAX = 3  # steps without any move after which a strict schedule is stuck: nothing else changes
 

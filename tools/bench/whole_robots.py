@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from agent.avoidance.obstacle_tree import obstacle_tree
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOUR_RANGE_M, NEIGHBOURS_MAX, S
 from agent.interface.effects import Drive
+from agent.interface.geometry import Point
 from agent.mapping.occupancy_grid import CELL_M, OccupancyGrid
 from agent.motion.path_tracker import PathTracker
 from sim.world.drive_trains import Chassis
@@ -34,10 +35,9 @@ HORIZON_S, WALL_HORIZON_S = 2.0, 0.5
 ARRIVED_M, AHEAD_M = 0.4, 2.0
 FASTER = 10.0
 LOST_M = 1.0  # a robot that is further off its path plans another
-XY = tuple[float, float]
 
 
-def racks() -> list[list[XY]]:
+def racks() -> list[list[Point]]:
     """Five rows of three, 1 m deep, with aisles of 3.5 m and more."""
     found = []
     for row in range(5):
@@ -74,7 +74,7 @@ class Crowd:
 
     def __init__(self, seed: int) -> None:
         self.rng = Random(f"{seed}/whole robots")
-        boundary: list[XY] = [(0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M)]
+        boundary: list[Point] = [(0.0, 0.0), (SIDE_M, 0.0), (SIDE_M, SIDE_M), (0.0, SIDE_M)]
         self.world = World([boundary, *racks()], seed, Lidar(RAYS, RANGE_M))
         chassis = Chassis(speed_m_s=SPEED_M_S, acceleration_m_s2=ACCELERATION_M_S2)
         blocked = solid()
@@ -92,14 +92,14 @@ class Crowd:
         self.goals = [self._goal() for _ in range(ROBOTS)]
         self.reached = 0
 
-    def _start(self) -> XY:
+    def _start(self) -> Point:
         while True:
             spot = self._goal()
             others = (body.position for body in self.world.robots.values())
             if all(hypot(spot[0] - x, spot[1] - y) > 3 * RADIUS_M for x, y in others):
                 return spot
 
-    def _goal(self) -> XY:
+    def _goal(self) -> Point:
         clear_m = RADIUS_M + 0.5
         while True:
             x = self.rng.uniform(clear_m, SIDE_M - clear_m)
@@ -130,7 +130,7 @@ class Crowd:
             world.body(slot).drive(Drive(vx_m_s, vy_m_s), now_us)
         world.advance(now_us + CONTROL_PERIOD_US)
 
-    def _way(self, slot: int, at: XY, grid: OccupancyGrid, news: bool) -> PathTracker:
+    def _way(self, slot: int, at: Point, grid: OccupancyGrid, news: bool) -> PathTracker:
         goal = self.goals[slot]
         if hypot(goal[0] - at[0], goal[1] - at[1]) < ARRIVED_M:
             self.reached += 1

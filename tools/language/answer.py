@@ -3,9 +3,10 @@
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+from agent.interface.geometry import Point
 from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.intent import At, Beside, Query
-from tools.language.places import Places, Point
+from tools.language.places import Places
 
 NO_PLACE = "it does not know where it is"
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from math import hypot
 from typing import NamedTuple
 
-from tools.language.fleet_state import FleetNow, Point, RobotNow
+from agent.interface.geometry import Point
+from tools.language.fleet_state import FleetNow, RobotNow
 from tools.language.intent import (
     AnyIntent,
     At,

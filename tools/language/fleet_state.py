@@ -4,7 +4,8 @@ from collections.abc import Mapping
 from math import hypot
 from typing import NamedTuple
 
-Point = tuple[float, float]
+from agent.interface.geometry import Point
+
 STANDING_M_S = 0.05  # slower than this it stands; POSE tells speed in steps of 0.05 m/s or less
 
 

@@ -13,11 +13,11 @@ from typing import Annotated
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
+from agent.interface.geometry import Point
 from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
 from tools.language.intent import Metres
 from tools.language.vocabulary import is_word, words_of
 
-Point = tuple[float, float]
 PLACES_MAX = 1000  # more are a map and not names
 NEAR = 0.6  # likeness of a name that is offered instead
 

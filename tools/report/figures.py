@@ -7,6 +7,7 @@ from itertools import groupby
 from math import inf, isfinite
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from agent.interface.geometry import Point
 from agent.interface.lifecycle import State
 from crdt import Phase
 from sim.files import palette
@@ -67,14 +68,12 @@ def colour_of(slot: int | None) -> str:
 
 # -------------------------------------------------------------------- maps
 
-XY = tuple[float, float]
-
 
 class _Map:
     """A ground at one scale in both directions, with what lies on it."""
 
     def __init__(
-        self, scene: Scene | None, lines: Iterable[Iterable[XY]], slots: Sequence[int]
+        self, scene: Scene | None, lines: Iterable[Iterable[Point]], slots: Sequence[int]
     ) -> None:
         """`lines`: what has to be seen beside the scene. Nonsense in a scene raises TypeError,
         ValueError, KeyError, IndexError or OverflowError."""
@@ -113,11 +112,11 @@ class _Grid(NamedTuple):
     rows: int
     columns: int
     cell_m: float
-    origin: XY
+    origin: Point
     bits: str
 
     @property
-    def end(self) -> XY:
+    def end(self) -> Point:
         west, south = self.origin
         return west + self.columns * self.cell_m, south + self.rows * self.cell_m
 
@@ -154,11 +153,11 @@ def _grid_of(grid: Any) -> _Grid | None:
     return _Grid(rows, columns, cell_m, (float(west), float(south)), bits)
 
 
-def _xy(points: Iterable[Any]) -> list[XY]:
+def _xy(points: Iterable[Any]) -> list[Point]:
     return [(float(p[0]), float(p[1])) for p in points]
 
 
-def _bounds(lines: Iterable[Iterable[XY]]) -> tuple[AxisSpan, AxisSpan]:
+def _bounds(lines: Iterable[Iterable[Point]]) -> tuple[AxisSpan, AxisSpan]:
     """Around all finite places, with a margin; of a single place, a few metres."""
     west = south = inf
     east = north = -inf
@@ -346,7 +345,7 @@ def load(
 
 def _steps(
     bins: Sequence[tuple[int, Counter[str]]], values: Sequence[float], end_s: float
-) -> Iterable[XY]:
+) -> Iterable[Point]:
     for k, ((second, _), value) in enumerate(zip(bins, values, strict=True)):
         yield second, value
         yield bins[k + 1][0] if k + 1 < len(bins) else end_s, value

@@ -14,10 +14,11 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
+
 Points = NDArray[np.float64]  # (n, 2)
 # While it is followed, a line is a list: of five points, numpy takes ten times as long.
-XY = tuple[float, float]
-Line = list[XY]
+Line = list[Point]
 
 SAME_M = 0.05  # intents are rounded to a centimetre, and paths with bends are thinned to a metre
 MOVES_M_S = 0.05
@@ -93,7 +94,7 @@ def followed(intents: Iterable[tuple[int, dict[str, Any]]], zero_at_us: int) -> 
     ]
 
 
-def _told(intent: dict[str, Any]) -> tuple[int, XY, float, Line, bool] | None:
+def _told(intent: dict[str, Any]) -> tuple[int, Point, float, Line, bool] | None:
     try:
         here = (float(intent["x"]), float(intent["y"]))
         path = _line(intent["path"])
@@ -134,7 +135,7 @@ def _rest(line: Line, path: Line) -> tuple[Line, Line, Line]:
     return line, [line[int(distances[0].argmin())], *path], path[known:]
 
 
-def _off_m(here: XY, line: Line) -> float:
+def _off_m(here: Point, line: Line) -> float:
     """From a place to a line; infinite where the line has no piece."""
     (x, y), least_m2 = here, inf
     for (ax, ay), (bx, by) in pairwise(line):
@@ -147,7 +148,7 @@ def _off_m(here: XY, line: Line) -> float:
     return sqrt(least_m2)
 
 
-def _distances(points: Sequence[XY], line: Line) -> Points:
+def _distances(points: Sequence[Point], line: Line) -> Points:
     """(points, segments), metres."""
     of, corners = np.array(points), np.array(line)
     a, b = corners[:-1], corners[1:]

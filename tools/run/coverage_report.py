@@ -10,8 +10,9 @@ from typing import Any
 from rich.console import Console
 from rich.markup import escape
 
+from agent.interface.geometry import Cell
 from sim.files.coverage_plan_file import Plan, write_plan
-from sim.files.grid_map import Cell, Instance, Walls
+from sim.files.grid_map import Instance, Walls
 from sim.files.palette import rgb_of
 from sim.files.strict_json import dumps
 from sim.runs.planned_coverage import Arrival, Death, work

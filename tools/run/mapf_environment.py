@@ -19,9 +19,9 @@ from gymnasium.spaces import Box, Dict, Discrete
 from numpy.typing import NDArray
 from pettingzoo import ParallelEnv
 
+from agent.interface.geometry import Cell
 from sim.files.mapf_scenario import MapfInstance
 
-Cell = tuple[int, int]
 MOVES: tuple[Cell, ...] = (
     (0, 0),
     (-1, 0),

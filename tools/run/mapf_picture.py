@@ -6,10 +6,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Cell
 from sim.files.whole_file import whole_file
 from tools.run.plain_text import plain_text
 
-Cell = tuple[int, int]  # row, column
 INCHES, DOTS = 8.0, 120
 
 

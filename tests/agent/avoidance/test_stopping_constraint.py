@@ -17,12 +17,12 @@ from agent.avoidance.stopping_constraint import (
     before_agent,
     within_grip,
 )
+from agent.interface.geometry import Point
 
 NO_FENCES = np.zeros((0, 4))
 RADIUS_M, SPEED_M_S, BRAKING_M_S2, DT_S, STEP_S = 0.35, 1.0, 2.0, 0.05, 0.01
 MARGIN_M = 0.15  # as `agent/motion/holonomic_motion.py` has it
 ROUNDED_M = 0.05  # POSE: the place
-XY = tuple[float, float]
 
 
 class Robot:
@@ -31,13 +31,13 @@ class Robot:
     def __init__(self, x_m: float, y_m: float, vx_m_s: float, stops: bool) -> None:
         self.at, self.v, self.wanted = (x_m, y_m), (vx_m_s, 0.0), (vx_m_s, 0.0)
         self.hard_m_s2 = BRAKING_M_S2
-        self.heard: dict[int, tuple[XY, XY, float]] = {}
+        self.heard: dict[int, tuple[Point, Point, float]] = {}
         self.avoidance = OrcaSolver(
             RADIUS_M, SPEED_M_S, 1.0, 1.0, DT_S, NO_FENCES, keep_right_rad=0.05,
             stopping_m_s2=BRAKING_M_S2 if stops else 0.0,
         )  # fmt: skip
 
-    def choose(self, goal: XY, now_s: float) -> None:
+    def choose(self, goal: Point, now_s: float) -> None:
         dx, dy = goal[0] - self.at[0], goal[1] - self.at[1]
         far = max(hypot(dx, dy), 1e-9)
         speed = min(SPEED_M_S, far)
@@ -62,7 +62,7 @@ class Robot:
         self.at = self.at[0] + self.v[0] * STEP_S, self.at[1] + self.v[1] * STEP_S
 
 
-def play(rng: Random, robots: list[Robot], goals: list[XY], loss: float, halt: float) -> float:
+def play(rng: Random, robots: list[Robot], goals: list[Point], loss: float, halt: float) -> float:
     """Everybody halts now and then for a second; returns the smallest gap between two bodies."""
     until_s = [0.0] * len(robots)
     closest_m = 9e9

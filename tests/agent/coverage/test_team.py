@@ -8,7 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from agent.coverage.team import Cell, Team
+from agent.coverage.team import Team
+from agent.interface.geometry import Cell
 from tests.examples import examples
 
 Walls = NDArray[np.bool_]

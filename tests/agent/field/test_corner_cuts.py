@@ -5,13 +5,14 @@ from math import dist, radians, sin
 import numpy as np
 import pytest
 import shapely
-from shapely.geometry import LineString, MultiLineString, Point, Polygon, box
+from shapely.geometry import LineString, MultiLineString, Polygon, box
 from shapely.ops import unary_union
 
 from agent.field.corner_cuts import PAST_END_M, cut_at_corners
 from agent.field.field_division import LEANS_M, divide
-from agent.field.field_map import XY, Field, Polyline
+from agent.field.field_map import Field
 from agent.field.field_plan import FieldValues, divided, planned_radius_m
+from agent.interface.geometry import Point, Polyline
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.implement_clearance import LEAD_M
 from agent.motion.tractor_tracker import BEND_HALF_M, smooth_way
@@ -41,7 +42,7 @@ def test_a_rectangle_becomes_its_sides_each_a_little_longer() -> None:
 
 def test_a_ring_that_has_no_room_past_its_corners_ends_in_them() -> None:
     """A body of 0.8 m with an implement of 2 m in a pointed field: the plan divided by zero."""
-    octagon = Point(0.0, 0.0).buffer(30.0, quad_segs=2)
+    octagon = shapely.Point(0.0, 0.0).buffer(30.0, quad_segs=2)
     around = tuple(octagon.exterior.coords)
     pieces = cut_at_corners(around, 1.8, 1.0, octagon.buffer(-0.01), asked=octagon)
     assert [pytest.approx(piece[0]) for piece in pieces] == list(around[:-1])
@@ -113,7 +114,7 @@ def swept(field: Field, past_m: float = 0.0, turn_radius_m: float = 0.0) -> Cove
     return coverage(raster, {0: track}, field.implement_width_m, ground.cells)
 
 
-def _beyond(a: XY, b: XY, past_m: float) -> XY:
+def _beyond(a: Point, b: Point, past_m: float) -> Point:
     share = past_m / dist(a, b)
     return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share
 

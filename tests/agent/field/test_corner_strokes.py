@@ -16,8 +16,9 @@ from agent.field.corner_strokes import (
     CornerStrokes,
     sharp_corners,
 )
-from agent.field.field_map import XY, Field, Polyline, Section
+from agent.field.field_map import Field, Section
 from agent.field.field_plan import FieldValues, divided, planned_radius_m
+from agent.interface.geometry import Point, Polyline
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.holonomic_motion import FENCE_M
 from agent.motion.implement_clearance import LEAD_M
@@ -75,7 +76,7 @@ def test_body_and_bar_stay_where_they_may_be(outline: Polygon, vehicle: Vehicle)
         assert turned_rad <= sum(map(dist, stroke, stroke[1:])) / planned_radius_m(vehicle)
 
 
-def beyond(a: XY, b: XY, by_m: float) -> XY:
+def beyond(a: Point, b: Point, by_m: float) -> Point:
     share = by_m / dist(a, b)
     return b[0] + (b[0] - a[0]) * share, b[1] + (b[1] - a[1]) * share
 

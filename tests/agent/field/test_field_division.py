@@ -30,7 +30,8 @@ from agent.field.field_division import (
     _swaths_least,
     divide,
 )
-from agent.field.field_map import Field, Polyline
+from agent.field.field_map import Field
+from agent.interface.geometry import Polyline
 from sim.world.coverage_truth import BACK_COS
 from tests.examples import examples
 

@@ -6,10 +6,10 @@ from math import atan2, degrees, dist, pi
 
 import pytest
 import shapely
-from shapely.geometry import LineString, Point, Polygon, box
+from shapely.geometry import LineString, Polygon, box
 
-from agent.field.field_map import XY
 from agent.field.headland_rings import pieces, rings, swinging
+from agent.interface.geometry import Point
 
 WIDTH_M, SLACK_M = 4.0, 0.1
 
@@ -19,7 +19,7 @@ def ring_of(polygon: Polygon) -> LineString:
     return ring
 
 
-def turns_deg(line: Sequence[XY]) -> list[float]:
+def turns_deg(line: Sequence[Point]) -> list[float]:
     courses = [atan2(b[1] - a[1], b[0] - a[0]) for a, b in pairwise(line) if dist(a, b) > 1e-9]
     return [
         abs(degrees((after - before + pi) % (2 * pi) - pi)) for before, after in pairwise(courses)
@@ -27,7 +27,7 @@ def turns_deg(line: Sequence[XY]) -> list[float]:
 
 
 def test_a_ring_without_tips_stays_as_it_is() -> None:
-    around = Point(0, 0).buffer(20).difference(box(-3, -3, 3, 3))
+    around = shapely.Point(0, 0).buffer(20).difference(box(-3, -3, 3, 3))
     for shape in (box(0, 0, 40, 30), Polygon([(0, 0), (40, 0), (20, 35)]), around):
         for ring in rings(shape.buffer(-WIDTH_M / 2)):
             assert swinging(ring, SLACK_M, WIDTH_M) is ring
@@ -43,7 +43,7 @@ def test_in_a_tip_a_ring_turns_twice_and_stays_within_half_the_overlap(end_m: fl
 
 
 @pytest.mark.parametrize("size", [(0.03, 0.03), (0.0005, 0.0005), (0.15, 1.0), (0.05, 90.0)])
-def test_a_ring_without_width_becomes_a_rectangle(size: XY) -> None:
+def test_a_ring_without_width_becomes_a_rectangle(size: Point) -> None:
     ring = ring_of(box(0, 0, WIDTH_M + size[0], WIDTH_M + size[1]))
     turned = swinging(ring, SLACK_M, WIDTH_M)
     assert turns_deg([*turned.coords, turned.coords[1]]) == pytest.approx([90.0] * 4)
@@ -58,7 +58,10 @@ def test_a_bent_ring_keeps_to_its_line() -> None:
 
 def test_pieces_meet_where_the_ring_is_straight() -> None:
     sides = 40  # a side of 4.7 m: no place is half a width and a metre from both corners
-    for ring in (ring_of(box(0, 0, 90, 60)), ring_of(Point(0, 0).buffer(32, quad_segs=sides // 4))):
+    for ring in (
+        ring_of(box(0, 0, 90, 60)),
+        ring_of(shapely.Point(0, 0).buffer(32, quad_segs=sides // 4)),
+    ):
         found = list(pieces(ring, 60.0, WIDTH_M))
         assert len(found) == round(ring.length / 60.0)
         assert sum(LineString(piece).length for piece in found) == pytest.approx(ring.length)

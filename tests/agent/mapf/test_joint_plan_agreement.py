@@ -5,6 +5,7 @@ from random import Random
 import pytest
 
 from agent.interface.config import MS, S
+from agent.interface.geometry import Point
 from agent.mapf.agreement_phase import NUMBERS, AgreementPhase
 from agent.mapf.joint_plan_agreement import (
     JOINT_PLAN_TABLE,
@@ -21,7 +22,6 @@ from tests.state_tables import check_table
 
 FLOOR = Floor.drawn(CORRIDOR, 1.0, 0.35)
 BEAT_US = 50 * MS
-Point = tuple[float, float]
 
 
 class Fleet:

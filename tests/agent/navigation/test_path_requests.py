@@ -1,7 +1,7 @@
 """A robot's own planner: what cannot wait goes before what is planned ahead."""
 
+from agent.interface.geometry import Point
 from agent.navigation.path_requests import KEPT, PathRequests
-from agent.paths.route import Point
 
 A, B, C = (0.0, 0.0), (5.0, 0.0), (9.0, 0.0)
 

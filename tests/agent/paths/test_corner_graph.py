@@ -10,8 +10,9 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.ndimage import label
 
+from agent.interface.geometry import Point
 from agent.paths.any_angle_planner import Change, Planner, Waypoints, length, plan
-from tests.agent.visibility_graph import MARGIN, Point, entered, shortest
+from tests.agent.visibility_graph import MARGIN, entered, shortest
 from tests.examples import examples
 
 seeds = st.integers(0, 1 << 30)

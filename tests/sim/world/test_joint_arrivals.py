@@ -1,6 +1,6 @@
 """How many robots can be at their goals at once, where the answer is plain."""
 
-from sim.files.grid_map import Cell
+from agent.interface.geometry import Cell
 from sim.world.joint_arrivals import most_arrived
 
 ROW: set[Cell] = {(0, column) for column in range(6)}

@@ -9,8 +9,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from agent.interface.geometry import Point
 from agent.mapping.inflation import Grid
-from agent.mapping.occupancy_grid import SCANS_MAX, XY, OccupancyGrid, memory_of
+from agent.mapping.occupancy_grid import SCANS_MAX, OccupancyGrid, memory_of
 from agent.mapping.ray_evidence import room_for, weigh_scan
 
 
@@ -47,7 +48,7 @@ class OccupancyFleet:
     """The occupancy grids of many robots in one piece of memory, which take their scans together."""
 
     def __init__(
-        self, count: int, fixed: Grid, origin_m: XY, body_radius_m: float, ignored_m: float
+        self, count: int, fixed: Grid, origin_m: Point, body_radius_m: float, ignored_m: float
     ) -> None:
         """`fixed`: walls that are known, of all; `ignored_m`: echoes this near to another robot's
         middle are that robot."""
