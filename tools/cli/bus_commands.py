@@ -49,7 +49,7 @@ def _find_launch(interface: str, port: int, *given: object) -> None:
         raise SystemExit(wrong(problem)) from None
 
 
-def _no_bus(context: typer.Context, source: Path) -> None:
+def _no_bus(context: typer.Context, command: str, source: Path) -> None:
     """End with one line where words of a bus stand beside a file, which would be shown in its place.
 
     A default may be of python-can's own file, and is no word of the person."""
@@ -58,7 +58,7 @@ def _no_bus(context: typer.Context, source: Path) -> None:
     given = [f"--{word}" for word, of in sources if of is not None and of.name == "COMMANDLINE"]
     if given:
         raise SystemExit(
-            wrong(f"inspect {source}: a file needs no bus; leave out {', '.join(given)}")
+            wrong(f"{command} {source}: a file needs no bus; leave out {', '.join(given)}")
         )
 
 
@@ -268,7 +268,7 @@ def inspect(
     Example: headland inspect runs/latest --why S7
     """
     if source is not None:
-        _no_bus(context, source)
+        _no_bus(context, "inspect", source)
     _find_launch(interface, port, source, mermaid, why, picture, traces)
     from tools.inspect.inspection import inspect as command
 
@@ -280,6 +280,7 @@ def inspect(
 
 @app.command("map", rich_help_panel=LOOK)
 def show_map(
+    context: typer.Context,
     source: Annotated[Path | None, typer.Argument(help="Run folder or log; none: a live bus.")] = None,
     interface: Interface = "socketcand", channel: Channel = "can0", bitrate: Bitrate = 250_000,
     host: Host = "127.0.0.1", port: Port = 0, keys: PanelKey = None,
@@ -301,6 +302,8 @@ def show_map(
         from tools.common.child_process import end_with_input as begin
 
         begin()
+    if source is not None:
+        _no_bus(context, "map", source)
     _find_launch(interface, port, source, keys, scenario, operator_key, metrics, foxglove)
     from tools.livemap.command import show_map as command
 

@@ -51,6 +51,10 @@ def inspect(
     try:
         if watch and (source is not None or why is not None or traces_of is not None):
             raise SourceError("--watch: of a live bus, without a log, --why or --traces")
+        if source is not None and (seconds is not None or traces_of is not None):
+            raise SourceError(f"--seconds, --traces: of a live bus; leave out {source}")
+        if source is None and speed:
+            raise SourceError("--speed: of a log, and none is given")
         if source is None and seconds is not None and not seconds > 0.0:
             raise SourceError(f"--seconds {seconds:g}: a live bus is heard for longer than that")
         if traces_of is not None:

@@ -73,10 +73,12 @@ def show_map(
                 if foxglove is not None:
                     check_port(foxglove)
                 return _live(scene, launch, where, own, listener, as_json, served, foxglove)
-            if metrics is not None or foxglove is not None:
-                raise MetricsError(
-                    "--metrics, --foxglove: of a live bus; a recording has no present"
-                )
+            live = {
+                "--metrics": metrics, "--foxglove": foxglove, "--keys": keys,
+                "--operator-key": operator_key,
+            }  # fmt: skip
+            if given := [option for option, value in live.items() if value is not None]:
+                raise MetricsError(f"{', '.join(given)}: of a live bus; a recording has no present")
             with _reading(source, as_json):
                 recording = recorded(source, scene)
             server = make_server(recording, str(source), False, speed or RECORDED_SPEED)
