@@ -33,6 +33,10 @@ PASSING_M: Final = 0.1
 # An echo this near to a fence is the fence: maps and poses are not perfect.
 FENCE_TOLERANCE_M: Final = 0.25
 ROBOT_TOLERANCE_M: Final = 0.35  # round a known robot: POSE rounds, courses bend between two beats
+# Round the places where a silent robot may stand, or one that does not know its place. ORCA keeps
+# `BESIDE_M` from them, so a hull that is further out would be touched.
+SILENT_TOLERANCE_M: Final = 0.1
+assert SILENT_TOLERANCE_M < BESIDE_M, "avoidance keeps clear of what silent robots explain"
 WATCH_M: Final = 8.0  # points are kept up to this distance
 CHAIN_M: Final = 1.5  # echoes this close together are one thing
 GRAIN_M: Final = 0.25  # side of a ground cell
@@ -233,6 +237,7 @@ class ObstacleDetector:
         """The echoes that no robot explains."""
         left = list(echoes)
         near_m = self.radius_m + ROBOT_TOLERANCE_M
+        silent_m = self.radius_m + SILENT_TOLERANCE_M
         for slot, (pose, heard_at_us) in neighbours.items():
             if not left:
                 return []
@@ -240,7 +245,7 @@ class ObstacleDetector:
                 continue
             places = self.coasting.places(slot)
             if places is not None:
-                left = [e for e in left if all(dist(e, place) > near_m for place in places)]
+                left = [e for e in left if all(dist(e, place) > silent_m for place in places)]
                 continue
             age_s = (now_us - heard_at_us) / S
             way_m = pose.speed_m_s * age_s

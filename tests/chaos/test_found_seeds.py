@@ -123,6 +123,8 @@ MENDED = {
     ("all", 112001244): "sim/chaos/fault_profiles.py",
     # A start came just after a place froze, while the body still drove.
     ("all", 112001178): "agent/peer/sense_freshness.py",
+    # A robot drove 0.3 m before it found its place frozen, and another one touched it there.
+    ("senses", 114001205): "agent/motion/obstacle_detector.py",
 }
 
 

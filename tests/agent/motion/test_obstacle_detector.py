@@ -47,6 +47,23 @@ def test_what_stands_beside_a_robot_stays_in_mind() -> None:
     assert detector.observe(here, AHEAD, {1: beside}, 1 * S) is not None
 
 
+@pytest.mark.parametrize(
+    ("off_m", "explained"), [(0.0, True), (0.08, True), (0.2, False), (0.33, False)]
+)
+def test_a_silent_robot_does_not_explain_a_hull_that_avoidance_would_touch(
+    off_m: float, explained: bool
+) -> None:
+    """Found by `headland chaos`, profile senses, seed 114001205: a robot drove 0.3 m before it found that
+    its place was frozen. Its hull there was explained by the place that it had told, and another
+    robot kept its distance from that place only (S19)."""
+    zone = StoppingZone(RADIUS_M, 1.5)
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), zone)
+    here = observation()
+    told = Neighbour(Pose(BODY[0] + off_m, 0.0, 0.0, 0.0, State.IDLE, False, 0), 0)
+    zone.observe({1: told}, here, 2 * S)
+    assert (detector.observe(here, AHEAD, {1: told}, 2 * S) is None) is explained
+
+
 @pytest.mark.parametrize("before_m", [0.36, 0.38, 0.6])
 def test_noise_before_a_robot_is_forgotten_when_the_scan_is_right_again(before_m: float) -> None:
     """Found by `headland chaos`, profile rays, seed 106000098: an echo that noise had put 0.37 m before a
