@@ -202,8 +202,10 @@ def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
     `rings`: of (longitude, latitude) in degrees, the exterior first. Raises FieldFileError if the
     outline is invalid or too large. `path` and `name` are for its message.
     """
+    rings = _past_180(rings)
     xs, ys = [p[0] for p in rings[0]], [p[1] for p in rings[0]]
-    origin = ((min(ys) + max(ys)) / 2, (min(xs) + max(xs)) / 2)
+    middle_deg = (min(xs) + max(xs)) / 2
+    origin = ((min(ys) + max(ys)) / 2, middle_deg - 360.0 if middle_deg > 180.0 else middle_deg)
     across_deg = max(max(xs) - min(xs), max(ys) - min(ys))
     advice = "are these metres?" if across_deg > ACROSS_MAX_DEG else "divide it"
     to_metres = Proj(plane(origin))  # made in 0.3 ms; a transformer between two systems takes 10
@@ -219,3 +221,11 @@ def project(path: Path, name: str, rings: list[list[LonLat]]) -> Boundary:
     if max(map(abs, polygon.bounds)) > EXTENT_MAX_M:
         raise FieldFileError(f"{path}: {name}: larger than {2 * EXTENT_MAX_M:.0f} m; {advice}")
     return Boundary(name, polygon, origin)
+
+
+def _past_180(rings: list[list[LonLat]]) -> list[list[LonLat]]:
+    """Rings whose longitudes go on past 180 degrees where the field lies across that meridian."""
+    xs = [p[0] for p in rings[0]]
+    if max(xs) - min(xs) <= 360.0 - ACROSS_MAX_DEG:
+        return rings
+    return [[(x + 360.0 if x < 0.0 else x, y) for x, y in ring] for ring in rings]

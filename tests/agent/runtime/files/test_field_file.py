@@ -95,3 +95,19 @@ def test_formats_that_are_not_read_are_named(tmp_path: Path, name: str) -> None:
     path.write_bytes(b"\x00<kml/>")
     with pytest.raises(FieldFileError, match="is not read; convert it to GeoJSON"):
         fields_of(path)
+
+
+@pytest.mark.parametrize("east_deg", [0.0001, 0.0005, 0.0009])
+def test_a_field_across_the_180th_meridian_is_a_field(tmp_path: Path, east_deg: float) -> None:
+    """It was refused as larger than 6552 m, on Taveuni in Fiji as in Chukotka."""
+    west, east = 180.0 + east_deg - 0.001, east_deg - 180.0
+    ring = [[west, -17.0], [east, -17.0], [east, -16.999], [west, -16.999], [west, -17.0]]
+    here = read_boundary(file_of(tmp_path, feature({"type": "Polygon", "coordinates": [ring]})))
+    there = [[x - 10.0 if x > 0.0 else x + 350.0, y] for x, y in ring]
+    (tmp_path / "there").mkdir()
+    like = read_boundary(
+        file_of(tmp_path / "there", feature({"type": "Polygon", "coordinates": [there]}))
+    )
+    assert here.polygon.equals_exact(like.polygon, 1e-6)
+    assert -180.0 <= here.origin[1] <= 180.0
+    assert (here.origin[1] - like.origin[1]) % 360.0 == pytest.approx(10.0)
