@@ -24,14 +24,13 @@ from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.messages import GROUP_OF
 from protocol.frames.network_frames import (
-    Acknowledgment,
-    AcknowledgmentControl,
     AddressClaimed,
     ExtendedTransportData,
     ExtendedTransportManagement,
     Request,
     TransportData,
     TransportManagement,
+    refusal,
 )
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData
 from protocol.name import Name
@@ -153,10 +152,7 @@ class TaskController:
         if address is None or source >= NULL_ADDRESS:
             return []
         if isinstance(message, Request) and not everybody:
-            refusal = Acknowledgment(
-                AcknowledgmentControl.NACK, 0xFF, source, message.pgn & 0x3FFFF
-            )
-            return [encode(refusal, address)]
+            return [encode(refusal(source, message.pgn), address)]
         if everybody and not isinstance(message, ProcessData):
             return []  # long messages to all would take the sessions of implements
         if isinstance(message, TransportManagement | TransportData):

@@ -31,10 +31,10 @@ from protocol.backbone_messages import BackboneHeader, BackboneKind, Body, Summa
 from protocol.frames.codec import Malformed, decode_once, destination_of
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.frame import Frame
-from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.messages import Message
-from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.network_frames import AddressClaimed, Request, refusal
 from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.segment_frames import FleetReset, FleetStop, SegmentSummary, gateway_slot
 from protocol.frames.work_frames import (
@@ -192,6 +192,8 @@ class Gateway:
         here = self._announced is not None and destination in (GLOBAL_ADDRESS, self._announced)
         if here and message.pgn == CLAIM_PGN:
             return [self._send(AddressClaimed(self.name.pack()))]
+        if here and destination == self._announced and source < NULL_ADDRESS:
+            return [self._send(refusal(source, message.pgn))]
         return ()
 
     def _on_foreign_claim(self, source: int, name: int, now_us: int) -> Sequence[Out]:

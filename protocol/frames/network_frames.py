@@ -118,6 +118,17 @@ ACKNOWLEDGMENT = FrameLayout(
 )  # fmt: skip
 
 
+PGN_MASK = 0x3FFFF  # 18 bits
+
+
+def refusal(asker: int, pgn: int) -> Acknowledgment:
+    """The answer of a device that alone was asked for a group which it does not send (ISO 11783-3).
+
+    `asker`: the source address of the request.
+    """
+    return Acknowledgment(AcknowledgmentControl.NACK, 0xFF, asker, pgn & PGN_MASK)
+
+
 class TransportManagement(NamedTuple):
     """Opens, controls and closes the transfer of a longer message (ISO 11783-3, PGN 60416).
 

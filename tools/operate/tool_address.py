@@ -24,12 +24,7 @@ from protocol.frames.delivery_frames import TaskOrder
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.messages import GROUP_OF, Message
-from protocol.frames.network_frames import (
-    Acknowledgment,
-    AcknowledgmentControl,
-    AddressClaimed,
-    Request,
-)
+from protocol.frames.network_frames import AddressClaimed, Request, refusal
 from protocol.frames.safety_frames import AllImplementsStop, EmergencyStop, Freshness
 from protocol.name import Name, tool_name
 
@@ -155,8 +150,7 @@ class DeviceAddress:
         """A tool serves no group. A device that asked it alone is told so (ISO 11783-3)."""
         address = self.address
         if address is not None and destination == address:
-            control = AcknowledgmentControl.NACK
-            self.bus.send(encode(Acknowledgment(control, 0xFF, source, pgn & 0x3FFFF), address))
+            self.bus.send(encode(refusal(source, pgn), address))
 
     def _tick(self, now_us: int) -> None:
         if self.claim is None:

@@ -38,9 +38,9 @@ from agent.runtime.robot_body import DeclaredMachine, RobotBody
 from protocol.address import AddressClaim, AddressMessage
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
-from protocol.frames.identifier import GLOBAL_ADDRESS, Identifier
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS, Identifier
 from protocol.frames.messages import GROUP_OF
-from protocol.frames.network_frames import AddressClaimed, Request
+from protocol.frames.network_frames import AddressClaimed, Request, refusal
 from protocol.links.bus import CanBus, open_bus
 from protocol.name import Name
 
@@ -201,6 +201,11 @@ class IsobusBody(RobotBody):
             everybody = identifier.destination == GLOBAL_ADDRESS
             if everybody or identifier.destination == self.claim.candidate:
                 self._say(self.claim.on_request(everybody, now_us))
+        elif isinstance(message, Request) and source < NULL_ADDRESS:
+            address = self.claim.address
+            if address is not None and identifier.destination == address:
+                assert self._bus is not None
+                self._bus.send(encode(refusal(source, message.pgn), address))
 
     def _claims(self, now_us: int) -> None:
         if self.claim is not None:

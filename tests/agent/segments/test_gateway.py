@@ -9,8 +9,8 @@ from agent.segments.gateway_election import LISTEN_US
 from agent.segments.segment_area import Area
 from crdt import Phase
 from protocol.frames.codec import encode
-from protocol.frames.identifier import GLOBAL_ADDRESS
-from protocol.frames.network_frames import AddressClaimed
+from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.network_frames import AddressClaimed, Request, refusal
 from protocol.frames.segment_frames import CANDIDATES_MAX, GATEWAY_ADDRESS, GatewayBeat
 from protocol.frames.work_frames import TaskClaim
 from protocol.name import GATEWAY_FUNCTION, Name
@@ -69,6 +69,19 @@ def test_a_gateway_keeps_its_address_from_a_device_with_a_higher_name() -> None:
         answers += claimed(gateway, HIGHER, GATEWAY_ADDRESS, at_us)
     assert said(answers, AddressClaimed) == [GATEWAY_ADDRESS] * 2
     assert gateway.candidacy.address == GATEWAY_ADDRESS
+
+
+def test_a_gateway_refuses_a_group_that_it_alone_is_asked_for() -> None:
+    """A terminal that gets no answer asks again and again (ISO 11783-3)."""
+    gateway = began(0)
+    gateway.on_tick(LISTEN_US)
+    asked = [
+        effect
+        for source, destination in ((38, GATEWAY_ADDRESS), (38, GLOBAL_ADDRESS), (38, ROBOT),
+                                    (NULL_ADDRESS, GATEWAY_ADDRESS))
+        for effect in gateway.on_frame(encode(Request(0xFEDA), source, destination), 2 * LISTEN_US)
+    ]  # fmt: skip
+    assert asked == [Send(refusal(38, 0xFEDA), source=GATEWAY_ADDRESS)]
 
 
 def test_a_gateway_without_another_address_tries_each_again_now_and_then() -> None:

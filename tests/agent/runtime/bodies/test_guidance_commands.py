@@ -16,7 +16,9 @@ from agent.runtime.bodies.guidance_commands import GuidanceCommands
 from agent.runtime.bodies.isobus_body import IsobusBody
 from agent.runtime.body_plugins import made
 from agent.runtime.robot_body import DeclaredMachine, FactoryError
+from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
+from protocol.frames.network_frames import Request
 
 TRACTOR, US = 240, 200
 INFO = 0x0CACFF00 | TRACTOR
@@ -198,6 +200,13 @@ def test_a_tractor_is_brought_to_a_line_and_stands_when_its_switch_goes_off(
         await drives(40.0)
         assert abs(tractor.y_m) < 0.2 and tractor.x_m > 20.0, (tractor.x_m, tractor.y_m)
         assert tractor.heard > 300
+        ours = body.claim.address
+        body._heard(encode(Request(0xFEDA), 38, ours))  # a terminal asks for a group (ISO 11783-3)
+        body._heard(encode(Request(0xFEDA), 38))
+        answers = iter(lambda: bus.recv(0), None)
+        told = [(m.arbitration_id & 0xFF, bytes(m.data)) for m in answers
+                if m.arbitration_id >> 16 & 0xFF == 0xE8]  # fmt: skip
+        assert told == [(ours, bytes.fromhex("01FFFFFF26DAFE00"))]
         tractor.switch = False
         await drives(1.0)
         stands_at_m = tractor.x_m
