@@ -14,6 +14,7 @@ The frame `map` has x east and y north, metres. Time is that of the recording: i
 virtual time, and is the time of day for a launch.
 """
 
+import os
 import shutil
 from collections import Counter
 from collections.abc import Sequence
@@ -24,6 +25,7 @@ from typing import Any, Final, Literal
 import numpy as np
 
 from agent.safety.stop_cause import Severity, StopCause
+from sim.files.whole_file import TOKEN_BYTES
 from sim.record.recording import Recording
 
 NS_PER_US: Final = 1000
@@ -251,23 +253,15 @@ def write_bag(recording: Recording, folder: Path, storage: Storage) -> Counter[s
         raise BagError(f"{folder}: exists; a bag is written into a new folder")
     if not recording.intents:
         raise BagError("the run has no recorded places of robots")
-    part = folder.with_name(f"{folder.name}.part")
-    shutil.rmtree(part, ignore_errors=True)
+    beside = folder.with_name(f".headland-{os.urandom(TOKEN_BYTES).hex()}")
+    # The files of a bag have the name of its folder, and its metadata names them.
+    part = beside / folder.name
     plugin = StoragePlugin.MCAP if storage == "mcap" else StoragePlugin.SQLITE3
     try:
         with Writer(part, version=Writer.VERSION_LATEST, storage_plugin=plugin) as writer:
             bag = BagWriter(writer, get_typestore(Stores.ROS2_JAZZY))
             bag.write(recording)
-        _rename(part, folder)
+        part.rename(folder)
     finally:
-        shutil.rmtree(part, ignore_errors=True)
+        shutil.rmtree(beside, ignore_errors=True)
     return bag.counts
-
-
-def _rename(part: Path, folder: Path) -> None:
-    """The files of a bag have its name, and its metadata has theirs."""
-    metadata = part / "metadata.yaml"
-    metadata.write_text(metadata.read_text().replace(part.name, folder.name))
-    for file in part.glob(f"{part.name}*"):
-        file.rename(part / file.name.replace(part.name, folder.name))
-    part.rename(folder)

@@ -109,6 +109,26 @@ def test_a_bag_is_never_written_over_another_and_never_half(run: Path, tmp_path:
     assert sorted(path.name for path in tmp_path.iterdir()) == ["bag"]
 
 
+@pytest.mark.parametrize("name", ["bag[1]", 'it\'s a: "bag"', "b\u00fcg"])
+def test_a_bag_of_any_name_has_the_files_that_its_metadata_names(
+    run: Path, tmp_path: Path, name: str
+) -> None:
+    """The file of `bag[1]` kept the name `bag[1].part.mcap`: the name was taken for a pattern."""
+    counts = write_bag(recorded(run), tmp_path / name, "mcap")
+    with highlevel.AnyReader([tmp_path / name]) as opened:
+        assert sum(1 for _ in opened.messages()) == counts.total()
+    assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+def test_a_bag_removes_nothing_beside_it(run: Path, tmp_path: Path) -> None:
+    """`--bag day` deleted a folder that was called `day.part`."""
+    mine = tmp_path / "bag.part" / "notes.txt"
+    mine.parent.mkdir()
+    mine.write_text("kept")
+    write_bag(recorded(run), tmp_path / "bag", "mcap")
+    assert mine.read_text() == "kept"
+
+
 def test_a_folder_without_a_run_is_one_line(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
