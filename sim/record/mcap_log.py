@@ -153,7 +153,11 @@ class McapLog:
         return self._channels[topic]
 
     def close(self) -> None:
-        """Write the index and close the file. Without it a reader has to search the whole file."""
+        """Write the index and close the file. Without it a reader has to search the whole file.
+
+        A log in parts closes its full part, and once more where no next part could be begun."""
+        if self._file.closed:
+            return
         self._writer.finish()
         self._file.close()
 

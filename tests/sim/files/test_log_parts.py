@@ -1,12 +1,15 @@
 """F11: the logs of a launch do not fill the disk: they are in parts, and the newest are kept."""
 
+from collections.abc import Callable
+from errno import ENOSPC
 from pathlib import Path
 
 import pytest
 
 from protocol.frames.frame import Frame
 from sim.files.candump import CandumpWriter, read_candump
-from sim.files.log_parts import Limit, PartedLog, parts_of
+from sim.files.log_parts import Limit, PartedLog, part_path, parts_of
+from sim.files.recording_end import Ending
 from sim.record.mcap_log import McapLog, read_frames, read_recording
 from sim.record.robot_intent import Intent
 from sim.record.scene_builder import scene_of
@@ -75,3 +78,28 @@ def test_f11_an_mcap_is_closed_and_begun_again_by_size(tmp_path: Path) -> None:
         assert found.count == sum(counts) and found.scene is not None
         assert found.t_us(0) == (40_000 - sum(counts)) * 1000
         assert len(found.intents) == sum(counts) // 1000
+
+
+@pytest.mark.parametrize(("name", "begin"), [("can.log", _candump), ("run.mcap", _mcap)])
+def test_f11_a_disk_that_is_full_where_a_part_begins_ends_the_recording_with_one_line(
+    tmp_path: Path, name: str, begin: Callable[[Path, int], CandumpWriter | McapLog]
+) -> None:
+    """A launch ended with "write to closed file", and left no report.json."""
+    if begin is _mcap:
+        pytest.importorskip("mcap", reason="the extra `operator` is not installed")
+
+    def first_part(path: Path, t_us: int) -> CandumpWriter | McapLog:
+        if t_us:
+            raise OSError(ENOSPC, "No space left on device")
+        return begin(path, t_us)
+
+    said: list[str] = []
+    log = PartedLog(tmp_path / name, first_part, 0, LIMIT, said.append)
+    ending = Ending(name, said.append)
+    for number in range(20_000):
+        ending(log.write, number * 1000, _frame(number))
+    ending.close(log.close)
+    assert said == [f"{name}: No space left on device: recording ends, the fleet goes on"]
+    (kept,) = tmp_path.iterdir()
+    assert kept.name == part_path(tmp_path / name, 1).name
+    assert [frame for _, frame in frames_of(kept)][:2] == [_frame(0), _frame(1)]
