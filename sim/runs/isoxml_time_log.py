@@ -16,6 +16,7 @@ from protocol.device_description import WORK_STATE
 from sim.runs.work_record import LogPoint
 
 EPOCH = datetime(1980, 1, 1, tzinfo=UTC)
+END = EPOCH + timedelta(days=1 << 16)  # of the days that two bytes can count: in the year 2159
 RTK_FIXED = 4
 DEGREE = 10_000_000
 DAY_MS = 86_400_000
@@ -38,7 +39,7 @@ def header(element: str) -> str:
 
 
 def pack(log: Sequence[LogPoint], started: datetime) -> bytes:
-    """Records of one robot's track."""
+    """Records of one robot's track, from `EPOCH` to `END`."""
     start_at_ms = (started - EPOCH) // MILLISECOND
     records, before = [], None
     for point in log:

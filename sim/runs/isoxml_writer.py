@@ -13,7 +13,6 @@ Written as a folder, or as a zip if the name ends in .zip.
 import zipfile
 import zlib
 from collections.abc import Callable
-from datetime import timedelta
 from decimal import Decimal
 from importlib.metadata import version
 from pathlib import Path
@@ -24,7 +23,7 @@ from agent.runtime.files.isoxml_reader import NAME
 from protocol.device_description import WIDTH, WORK_STATE
 from protocol.name import fleet_name
 from sim.files.whole_file import whole_file, write_whole
-from sim.runs.isoxml_time_log import header, pack
+from sim.runs.isoxml_time_log import END, EPOCH, header, pack
 from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord, area_m2
 
 DEVICE, WIDTH_OBJECT, STATE_OBJECT = 0, 1, 2  # object numbers within a device
@@ -36,8 +35,14 @@ ZONE = 1  # code of the treatment zone that was worked
 
 def write_isoxml(record: WorkRecord, out: Path) -> None:
     """Write task data into a folder (created if needed) or a zip. FieldFileError without
-    `isoxml`, and where task data of others is."""
+    `isoxml`, where task data of others is, and for work of a time that time logs do not know."""
     refuse_others(out)
+    if record.started < EPOCH or record.stopped >= END:
+        raise FieldFileError(
+            f"{out}: by the clock of its computer the work began on {record.started:%Y-%m-%d}; task "
+            f"data has times from {EPOCH.year} to {END.year}. Set the clock, and 'started' in "
+            "work.geojson"
+        )
     files = {NAME: task_file(out, lambda: _contents(record))}
     for number, (robot, log) in enumerate(sorted(record.logs.items()), 1):
         files[f"TLG{number:05d}.xml"] = header(f"DET-{robot + 1}").encode()
@@ -209,7 +214,6 @@ def _task(iso: Any, record: WorkRecord) -> Any:
             polygon_of(iso, rings, iso.PolygonType.TreatmentZone) for rings in record.covered
         ],
     )
-    stopped = record.started + timedelta(milliseconds=record.duration_ms)
     statuses = iso.TaskStatus
     return iso.Task(
         id="TSK-1",
@@ -221,7 +225,7 @@ def _task(iso: Any, record: WorkRecord) -> Any:
         times=[
             iso.Time(
                 start=XmlDateTime.from_datetime(record.started),
-                stop=XmlDateTime.from_datetime(stopped),
+                stop=XmlDateTime.from_datetime(record.stopped),
                 type=iso.TimeType.Effective,
             )
         ],

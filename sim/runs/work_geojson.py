@@ -5,6 +5,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from agent.interface.config import PEERS_MAX
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
 from agent.runtime.files.printable_text import printable
@@ -53,7 +54,7 @@ def read_work_geojson(path: Path) -> WorkRecord:
     document = load_json(path)
     try:
         return _record(document)
-    except (KeyError, IndexError, TypeError, ValueError, AttributeError) as problem:
+    except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as problem:
         raise FieldFileError(f"{path}: not a work record: {problem!r}") from None
 
 
@@ -78,17 +79,28 @@ def _record(document: dict[str, Any]) -> WorkRecord:
             case "covered":
                 covered.append(_rings(coordinates))
             case "log":
-                logs[int(said["robot"])] = tuple(
+                logs[_slot(said["robot"])] = tuple(
                     LogPoint(int(t_ms), lon, lat, bool(working))
                     for t_ms, (lon, lat), working in zip(
                         said["t_ms"], _points(coordinates), said["working"], strict=True
                     )
                 )
     started = datetime.fromisoformat(head["started"]).astimezone(UTC)
-    return WorkRecord(
+    record = WorkRecord(
         printable(str(head["name"])), started, bool(head["finished"]), int(head["width_mm"]),
         head["rings"], tuple(swaths), tuple(covered), logs,
     )  # fmt: skip
+    if any(point.t_ms < 0 for log in logs.values() for point in log) or record.stopped < started:
+        raise ValueError("a time before the work began")
+    return record
+
+
+def _slot(told: Any) -> int:
+    """Raises ValueError for what is no robot of a fleet."""
+    slot = int(told)
+    if not 0 <= slot < PEERS_MAX:
+        raise ValueError(f"there is no robot {slot}")
+    return slot
 
 
 def _points(coordinates: Any) -> tuple[tuple[float, float], ...]:

@@ -6,7 +6,7 @@ Positions are longitude and latitude in degrees (WGS 84), rounded to what ISO 11
 """
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from datetime import datetime
+from datetime import datetime, timedelta
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -69,6 +69,11 @@ class WorkRecord(NamedTuple):
     def duration_ms(self) -> int:
         """Until the last point of any robot; 0 without points."""
         return max((log[-1].t_ms for log in self.logs.values() if log), default=0)
+
+    @property
+    def stopped(self) -> datetime:
+        """When the last point of any robot was, UTC. OverflowError after the year 9999."""
+        return self.started + timedelta(milliseconds=self.duration_ms)
 
 
 def record_of(

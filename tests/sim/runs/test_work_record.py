@@ -267,6 +267,50 @@ def test_a_covered_place_that_is_not_in_degrees_is_told(
         read_work_geojson(tmp_path / "work.geojson")
 
 
+@pytest.mark.parametrize("year", [1970, 2200])
+def test_work_of_a_clock_that_was_not_set_is_one_line(
+    tmp_path: Path, record: WorkRecord, year: int
+) -> None:
+    """A computer without a clock of its own begins in 1970, and time logs in 1980: `headland export`
+    ended in a traceback."""
+    odd = record._replace(started=STARTED.replace(year=year))
+    write_geojson(odd, tmp_path / "work.geojson")
+    assert read_work_geojson(tmp_path / "work.geojson") == odd
+    with pytest.raises(
+        FieldFileError, match=rf"began on {year}-03-04; task data has times from 1980"
+    ):
+        write_isoxml(odd, tmp_path / "T")
+    assert not (tmp_path / "T").exists()
+
+
+@pytest.mark.parametrize(
+    ("kind", "key", "value"),
+    [
+        ("boundary", "started", "0001-01-01T00:00:00+14:00"),
+        ("log", "t_ms", 10**15),
+        ("log", "t_ms", 10**30),
+        ("log", "t_ms", -1),
+        ("log", "robot", -1),
+        ("log", "robot", 5000),
+    ],
+)
+def test_a_time_or_a_robot_that_cannot_be_is_one_line(
+    tmp_path: Path, record: WorkRecord, kind: str, key: str, value: object
+) -> None:
+    """Each of these ended `headland export` in a traceback."""
+    path = tmp_path / "work.geojson"
+    write_geojson(record, path)
+    document = json.loads(path.read_text())
+    said = next(f["properties"] for f in document["features"] if f["properties"]["kind"] == kind)
+    if key == "t_ms":
+        said[key][-1] = value
+    else:
+        said[key] = value
+    path.write_text(json.dumps(document))
+    with pytest.raises(FieldFileError, match=r"not a work record: "):
+        read_work_geojson(path)
+
+
 @given(data=st.data())
 @settings(
     max_examples=examples(100),
