@@ -11,6 +11,8 @@ from sim.files.candump import FrameColumns, read_columns
 from sim.files.log_parts import parts_of
 
 ROWS = 4096  # of a log that is read frame by frame
+BYTES_MAX = 8  # of a classic frame
+SECONDS_MAX = 1e12  # of a time in a log, as candump logs have it: 30,000 years
 
 
 NO_LOG = "no such log, and no run folder with a can.log or run.mcap in it"
@@ -87,6 +89,10 @@ def _frames_of(path: Path, other: Callable[[], object]) -> Iterator[tuple[int, F
         check_regular(path)
         for message in can.LogReader(path):
             beyond = message.is_error_frame or message.is_remote_frame or message.is_fd
+            # The .csv of python-can does not say which frames are of CAN FD: their length does.
+            beyond = beyond or len(message.data) > BYTES_MAX
+            if not abs(message.timestamp) < SECONDS_MAX:
+                raise ValueError(f"a time of {message.timestamp:g} s")
             if message.is_extended_id and not beyond:
                 yield (
                     round(message.timestamp * 1e6),
