@@ -236,6 +236,9 @@ def _messages(path: Path, wanted: Callable[[str], bool]) -> Iterator[tuple[int, 
         file.seek(max(0, size - len(MAGIC)))
         whole = file.read() == MAGIC
         file.seek(0)
+        if MAGIC.startswith(file.read(len(MAGIC) + 1)):
+            return  # of what was killed before its first bytes were on the disk
+        file.seek(0)
         messages = messages_of(file, wanted)
         while True:
             try:

@@ -11,8 +11,10 @@ pytest.importorskip("mcap", reason="the extra `operator` is not installed")
 from mcap.reader import NonSeekingReader
 from mcap.writer import CompressionType, Writer
 
+from protocol.frames.frame import Frame
 from sim.record.mcap_chunks import messages_of
-from sim.record.mcap_log import read_recording
+from sim.record.mcap_log import McapLog, read_frames, read_recording
+from tools.livemap.command import recorded
 
 SEED = 31
 
@@ -57,3 +59,22 @@ def test_a_damaged_chunk_is_refused(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(ValueError, match="crc"):
         read_recording(path)
+
+
+def test_a_file_that_was_cut_off_anywhere_at_its_begin_has_no_message_yet(tmp_path: Path) -> None:
+    """A run of a small field that was killed in its first seconds left an empty run.mcap. For it
+    `headland report` and `headland map` refused the folder, whose can.log was whole."""
+    log = McapLog(tmp_path / "run.mcap", {"name": "small"})
+    log.write(0, Frame(0xCFF1080, bytes(8)))
+    log.close()
+    whole, cut = (tmp_path / "run.mcap").read_bytes(), tmp_path / "cut.mcap"
+    for size in range(300):
+        cut.write_bytes(whole[:size])
+        assert list(read_frames(cut)) == []
+        assert read_recording(cut).count == 0
+    (tmp_path / "can.log").write_text("(0.000000) can0 0CFF1080#0011223344556677\n")
+    (tmp_path / "run.mcap").write_bytes(b"")
+    assert recorded(tmp_path, None).count == 1
+    cut.write_bytes(b"\x89MCAP1\r\n")
+    with pytest.raises(ValueError, match="not an MCAP file"):
+        list(read_frames(cut))
