@@ -271,9 +271,11 @@ class Client(asyncio.BufferedProtocol):
         return None
 
     def _enter(self, mode: Mode) -> None:
-        """Change the mode. The jobs and filters of the broadcast manager end with its mode."""
+        """Change the mode. The jobs and filters of the broadcast manager end with its mode, and
+        statistics with control mode."""
         self.mode, self.manager = mode, BroadcastManager()
         self._arm()
+        self._end_statistics()
         if mode is Mode.RAW:
             begins = self.bus is None
             self._attach()
@@ -345,11 +347,14 @@ class Client(asyncio.BufferedProtocol):
     def _statistics(self, words: list[str]) -> None:
         if len(words) != 1 or not words[0].isdecimal() or len(words[0]) > 9:
             raise CommandError(NO_NUMBER)
+        self._end_statistics()
+        if int(words[0]):
+            self._tell_statistics(max(int(words[0]), STATISTICS_MIN_MS) / 1e3, tells=False)
+
+    def _end_statistics(self) -> None:
         if self._statistics_timer is not None:
             self._statistics_timer.cancel()
             self._statistics_timer = None
-        if int(words[0]):
-            self._tell_statistics(max(int(words[0]), STATISTICS_MIN_MS) / 1e3, tells=False)
 
     def _tell_statistics(self, period_s: float, tells: bool = True) -> None:
         if tells and self.bus is not None:
@@ -378,10 +383,10 @@ class Client(asyncio.BufferedProtocol):
         self._arm()
 
     def _end_timers(self) -> None:
-        for timer in (self._manager_timer, self._statistics_timer):
-            if timer is not None:
-                timer.cancel()
-        self._manager_timer = self._statistics_timer = None
+        if self._manager_timer is not None:
+            self._manager_timer.cancel()
+            self._manager_timer = None
+        self._end_statistics()
 
     def _send(self, frame: Frame | None) -> str | None:
         if frame is None:

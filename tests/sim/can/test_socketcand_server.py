@@ -506,6 +506,24 @@ def test_statistics_come_in_control_mode() -> None:
     clients("statistics", story)
 
 
+@pytest.mark.parametrize("mode", [b"rawmode", b"bcmmode"])
+def test_statistics_end_with_control_mode(mode: bytes) -> None:
+    """As in socketcand. A client in raw mode was told them for as long as it was there."""
+
+    def story(port: int, hub: Hub) -> None:
+        with greeted(port) as one:
+            told(one, b"< controlmode >", b"< ok >")
+            one.sendall(b"< statistics 10 >")
+            assert answered(one, b"") == b"< stat 0 0 0 0 >"
+            one.sendall(b"< " + mode + b" >< echo >")
+            while answered(one, b"") != b"< echo >":
+                pass
+            (client,) = hub.clients
+            assert client._statistics_timer is None
+
+    clients(f"statistics end {mode.decode()}", story)
+
+
 def test_a_wrong_bus_ends_the_connection() -> None:
     def story(port: int, hub: Hub) -> None:
         with socket.create_connection(("127.0.0.1", port), LIMIT_S) as sock:
