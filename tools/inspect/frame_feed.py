@@ -7,12 +7,12 @@ from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
 from tools.inspect.inspector import Inspector
+from tools.inspect.log_frames import SILENCE_S
 from tools.inspect.screen import Feed, InspectScreen
 from tools.operate.operator_device import Operator
 
 AT_ONCE = 500  # frames between two looks at the keyboard, at full speed
 PERIOD_S = 0.05  # frames of a log are given in portions of this, times the speed
-SILENCE_S = 10.0  # a longer gap of a log, as of a clock that was set, is shown as one of this
 HEARD_S = 0.3  # by then we are on the bus
 
 

@@ -12,6 +12,7 @@ from sim.files.log_parts import parts_of
 
 ROWS = 4096  # of a log that is read frame by frame
 BYTES_MAX = 8  # of a classic frame
+SILENCE_S = 10.0  # a longer gap of a log, as of a clock that was set, is played as one of this
 SECONDS_MAX = 1e12  # of a time in a log, as candump logs have it: 30,000 years
 
 

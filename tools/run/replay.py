@@ -15,7 +15,7 @@ from tools.common.bus_address import AttachError
 from tools.common.bus_attach import attach
 from tools.common.exit_codes import wrong
 from tools.inspect.inspector import Inspector
-from tools.inspect.log_frames import SourceError, frames_of
+from tools.inspect.log_frames import SILENCE_S, SourceError, frames_of
 from tools.inspect.robot_table import table_of
 from tools.livemap.command import show_map
 
@@ -77,17 +77,21 @@ async def _play(
     look: Callable[[], None],
 ) -> None:
     loop, bus = asyncio.get_running_loop(), open_bus()
-    begun_s, first_s, looked_s = loop.time(), None, 0.0
+    due_s, before_s, looked_s = loop.time(), None, 0.0
     try:
         for t_us, frame in frames_of(log):
             t_s = t_us / 1e6
-            first_s = t_s if first_s is None else first_s
+            step_s = 0.0 if before_s is None else t_s - before_s
+            if before_s is None or not -SILENCE_S <= step_s <= 0.0:
+                before_s = t_s
             if speed > 0:
-                await asyncio.sleep(max(0.0, begun_s + (t_s - first_s) / speed - loop.time()))
+                # A clock that was set, forward or back, is no time that passed on the bus.
+                due_s += min(max(step_s, 0.0), SILENCE_S) / speed
+                await asyncio.sleep(max(0.0, due_s - loop.time()))
             hear(t_us, frame)
             if bus is not None:
                 bus.send(frame)
-            if t_s - looked_s >= LOOK_S * max(speed, 1.0):
+            if abs(t_s - looked_s) >= LOOK_S * max(speed, 1.0):
                 looked_s = t_s
                 if speed > 0:
                     look()

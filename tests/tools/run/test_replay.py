@@ -1,13 +1,15 @@
 """Logs in every format we write, read back by the inspector and by python-can."""
 
+import asyncio
 import json
 from pathlib import Path
 
 import can
 import pytest
 
+from sim.fleet.virtual_clock import run_virtual
 from tools.inspect.log_frames import frames_of
-from tools.run.replay import replay
+from tools.run.replay import _play, replay
 from tools.run.run_field import run
 
 
@@ -47,6 +49,33 @@ def test_replay_onto_a_bus(recorded: Path) -> None:
         while listener.recv(0.0) is not None:
             heard += 1
     assert heard == sum(1 for _ in frames_of(recorded))
+
+
+@pytest.mark.parametrize(
+    ("clock_s", "took_s"),
+    [
+        ([0, 1, 5], 0.5),
+        ([0, 1, 3601, 3602], 1.2),
+        ([0, 1, 1e8, 2, 3, 4], 1.3),
+        ([90, 0, 1, 2], 0.2),
+    ],
+)
+def test_a_log_with_a_gap_is_replayed_to_its_end(
+    tmp_path: Path, clock_s: list[float], took_s: float
+) -> None:
+    """Where the clock of a logger had been set by years, `headland replay --speed 10` stood for good.
+    Where it had been set back, all frames came at once until the clock was where it had been."""
+    log, heard_s = tmp_path / "gap.log", list[float]()
+    log.write_text("".join(f"({t_s:.6f}) can0 0CFF1080#00\n" for t_s in clock_s))
+
+    async def story() -> float:
+        await _play(
+            lambda t_us, _: heard_s.append(t_us / 1e6), log, 10.0, lambda: None, lambda: None
+        )
+        return asyncio.get_running_loop().time()
+
+    assert run_virtual(story()) == pytest.approx(took_s, abs=0.01)
+    assert heard_s == clock_s
 
 
 def test_what_cannot_be_read_or_written_is_said_in_a_line(
