@@ -94,14 +94,15 @@ def setting_of(mapf: MapfInstance, seed: int, loss: float, crashes: int) -> Mapf
         raise GridFileError(f"{mapf.name}: {error}") from None
 
 
-def path_file(run: MapfRun, outcome: MapfOutcome) -> str:
-    """The file of paths of a run that is over, as MAPF validators read it."""
+def path_file(run: MapfRun, outcome: MapfOutcome, map_file: str = "") -> str:
+    """The file of paths of a run that is over, as MAPF validators read it. `map_file`: the name of the
+    map, which viewers open; empty: that of the instance."""
     setting, ground = run.setting, run.setting.ground
     starts = [ground.cell(number) for number in setting.cells]
     goals = [ground.cell(number) for number in setting.goals]
     steps = [[ground.cell(number) for number in cells] for cells in run.steps]
     head = {
-        "agents": len(starts), "map_file": outcome.map, "solver": "headland",
+        "agents": len(starts), "map_file": map_file or outcome.map, "solver": "headland",
         "solved": int(outcome.success), "soc": round(outcome.sum_of_costs),
         "soc_lb": outcome.shortest, "makespan": len(steps) - 1, "seed": outcome.seed,
     }  # fmt: skip
@@ -134,7 +135,7 @@ def reports(
             outcome = run.run()
         verdict = judged(run, outcome, mapf.walls)
         if out is not None and not outcome.conflict:
-            write_whole(out, path_file(run, outcome))
+            write_whole(out, path_file(run, outcome, map_file.name))
         if picture is not None and not outcome.conflict:
             _draw(picture, run, outcome, mapf)
         yield {

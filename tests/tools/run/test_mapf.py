@@ -35,6 +35,14 @@ def test_a_line_for_each_number_of_robots_and_a_file_of_paths(map_file: Path) ->
     assert judge_paths(out.read_text(), map_file.read_text(), range(4)).faults == []
 
 
+def test_the_paths_name_the_file_of_the_map(map_file: Path) -> None:
+    """Viewers of such paths open the map that is named there. It was `small-seed-1`, which is no
+    file."""
+    out = map_file.with_name("paths.txt")
+    list(mapf.reports(map_file, None, [1], 1, 0.0, 0, out))
+    assert f"map_file={map_file.name}" in out.read_text().splitlines()
+
+
 @pytest.mark.parametrize(
     ("words", "line"),
     [
