@@ -36,8 +36,12 @@ class Endpoint:
 
     def __init__(self, url: str, model: str, key: str | None = None) -> None:
         """`url`: up to and with the version, as http://127.0.0.1:8080/v1. Raises EndpointError."""
-        parts = urlsplit(url)
-        if parts.scheme not in ("http", "https") or not parts.hostname:
+        try:
+            parts = urlsplit(url)
+            named = parts.scheme in ("http", "https") and bool(parts.hostname)
+        except ValueError:  # of half an IPv6 address
+            named = False
+        if not named:
             raise EndpointError(f"--endpoint {url}: needs http:// or https:// and a host")
         if find_spec("httpx") is None:
             raise EndpointError("--endpoint needs httpx: pip install 'headland[operator]'")

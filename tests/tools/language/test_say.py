@@ -95,6 +95,8 @@ WRONG = {
     "no places": (OFFLINE._replace(places=Path("nowhere.toml")), "nowhere.toml"),
     "wrong places": (OFFLINE._replace(places=Path("bad.toml")), "not TOML"),
     "no URL": (OFFLINE._replace(endpoint="file:///etc/x"), "--endpoint"),
+    "half a URL": (OFFLINE._replace(endpoint="http://[::1/v1"), "--endpoint http://[::1/v1"),
+    "by no number": (Options(NO_BUS, by="9" * 5000), "--by 999"),
     "no key": (Options(NOBODY, key=Path("nowhere")), "nowhere"),
     "nobody listens": (Options(NOBODY), "cannot open socketcand at 127.0.0.1:1"),
     "no such interface": (Options(("nonsense", *NO_BUS[1:])), "cannot open nonsense"),
