@@ -26,6 +26,9 @@ def one_line_errors() -> Iterator[None]:
             os.environ.pop(size, None)
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors in STRICT:
         sys.stdout.reconfigure(errors="backslashreplace")  # as stderr has it
+    if isinstance(sys.stdin, TextIOWrapper) and sys.stdin.errors in STRICT:
+        # A byte that is no text would end the thread that reads what a person types.
+        sys.stdin.reconfigure(errors="backslashreplace")
     try:
         try:
             with interrupted_imports():

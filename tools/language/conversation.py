@@ -192,8 +192,9 @@ class Conversation:
 
         def pump() -> None:
             with suppress(RuntimeError):  # the loop is closed, so no listener is left
-                for line in sys.stdin:
-                    loop.call_soon_threadsafe(self.lines.put_nowait, line)
+                with suppress(OSError):  # the terminal is gone: as its end
+                    for line in sys.stdin:
+                        loop.call_soon_threadsafe(self.lines.put_nowait, line)
                 loop.call_soon_threadsafe(self.lines.put_nowait, None)
 
         threading.Thread(target=pump, name=PROMPT, daemon=True).start()

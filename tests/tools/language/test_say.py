@@ -1,5 +1,7 @@
 """`headland say` as people call it: readings, recorded runs, pipes, an endpoint, and one-line errors."""
 
+import asyncio
+import errno
 import json
 import os
 import subprocess
@@ -18,6 +20,7 @@ from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspection import inspect
+from tools.language.conversation import Conversation
 from tools.language.endpoint import ANSWER_BYTES_MAX, Endpoint, EndpointError, meant
 from tools.language.intent import Goal
 from tools.language.places import Places
@@ -69,6 +72,41 @@ def test_how_a_phrase_is_read_needs_no_bus(tmp_path: Path) -> None:
     assert [t["asked_back"] and t["asked_back"]["reason"] for t in told] == [
         None, "unsafe", "not understood",
     ]  # fmt: skip
+
+
+def test_a_byte_that_is_no_text_ends_no_conversation(tmp_path: Path) -> None:
+    """The thread that reads died of it, and every later phrase, a stop too, was heard by nobody."""
+    done = subprocess.run(
+        [sys.executable, "-m", "tools.cli.headland", "say", "--read", "--json"], cwd=tmp_path,
+        input=b"st\xe4tus\nstop\n", capture_output=True, check=False, timeout=60.0,
+        env={**os.environ, "PYTHONPATH": str(ROOT), "PYTHONIOENCODING": "utf-8:strict"},
+    )  # fmt: skip
+    told = [json.loads(line) for line in done.stdout.splitlines()]
+    assert told[0]["asked_back"]["reason"] == "not understood"
+    assert told[1]["intents"] == [{"kind": "control", "action": "stop", "robots": "all"}]
+    assert done.stderr == b""
+
+
+def test_a_terminal_that_is_gone_ends_a_conversation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Reading it fails, as with `nohup` after a hang-up. The conversation stayed for ever."""
+
+    class Gone:
+        def isatty(self) -> bool:
+            return False
+
+        def __iter__(self) -> Iterator[str]:
+            raise OSError(errno.EIO, os.strerror(errno.EIO))
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "stdin", Gone())
+
+    async def main() -> int:
+        async with asyncio.timeout(10.0):
+            return await Conversation(OFFLINE).hold(None)
+
+    assert asyncio.run(main()) == 0
 
 
 def test_a_recorded_run_answers_and_takes_no_orders(recorded: Path, tmp_path: Path) -> None:
