@@ -12,6 +12,7 @@ from sim.scenarios.navigation_scenario import NavigationScenario, load_mission, 
 from sim.scenarios.scenario import ScenarioError
 from sim.scenarios.scenario_kind import Kind, named
 from tools.common.exit_codes import WRONG
+from tools.run.launch_setup import AnySetting, places_of
 
 
 def check(names: list[str], as_json: bool) -> int:
@@ -47,13 +48,21 @@ def setup_of(name: str) -> FleetSetup:
     if kind is Kind.GRID:
         raise ScenarioError(f"{name}: a map is no scenario: headland run {name} plans and plays it")
     if kind is Kind.DELIVERY:
-        return DeliverySetup(load_warehouse(path))
+        return _said(DeliverySetup(load_warehouse(path)))
     if kind is Kind.EXPLORATION:
         return ExplorationSetup(load_arena(path))
     scenario = load_mission(path)
     return (
-        setting_of(scenario) if isinstance(scenario, NavigationScenario) else FieldSetup(scenario)
+        setting_of(scenario)
+        if isinstance(scenario, NavigationScenario)
+        else _said(FieldSetup(scenario))
     )
+
+
+def _said(setup: AnySetting) -> AnySetting:
+    """The same. Raises ScenarioError where `headland say` cannot name its places."""
+    places_of(setup)
+    return setup
 
 
 def _count(number: int, what: str) -> str:

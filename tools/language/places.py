@@ -9,12 +9,12 @@ import json
 from collections.abc import Mapping
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from agent.interface.geometry import Point
-from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, read_toml
+from agent.runtime.files.given_file import SETTINGS_BYTES_MAX, GivenFileError, parse_toml, read_toml
 from tools.language.intent import Metres
 from tools.language.vocabulary import is_word, words_of
 
@@ -65,14 +65,27 @@ class Places:
     def read(cls, path: Path) -> "Places":
         """Raises PlacesError."""
         try:
-            file = _File(**read_toml(path, SETTINGS_BYTES_MAX))
-        except GivenFileError as problem:
+            return cls._of(read_toml(path, SETTINGS_BYTES_MAX))
+        except (GivenFileError, PlacesError) as problem:
             raise PlacesError(f"{path}: {problem}") from None
+
+    @classmethod
+    def parse(cls, text: str) -> "Places":
+        """The places of the text of a file. Raises PlacesError."""
+        try:
+            return cls._of(parse_toml(text))
+        except GivenFileError as problem:
+            raise PlacesError(str(problem)) from None
+
+    @classmethod
+    def _of(cls, table: Mapping[str, Any]) -> "Places":
+        try:
+            file = _File(**table)
         except ValidationError as problem:
             error = problem.errors()[0]
             key = ".".join(map(str, error["loc"]))
             raise PlacesError(
-                f"{path}: {key}: needs name = [east, north] in metres below [places]: {error['msg']}"
+                f"{key}: needs name = [east, north] in metres below [places]: {error['msg']}"
             ) from None
         return cls(file.places, file.sections)
 
@@ -82,5 +95,10 @@ class Places:
         lines = []
         for title, points in (("places", named), ("sections", sections)):
             lines += [f"[{title}]"]
-            lines += [f"{json.dumps(n)} = [{x:.2f}, {y:.2f}]" for n, (x, y) in points.items()]
+            lines += [f"{_quoted(name)} = [{x:.2f}, {y:.2f}]" for name, (x, y) in points.items()]
         return "\n".join(lines) + "\n"
+
+
+def _quoted(name: str) -> str:
+    """As a string of TOML, which has no halves of a character, as JSON writes them of an emoji."""
+    return json.dumps(name, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -42,10 +42,9 @@ from tools.common.process_identity import identity
 from tools.inspect.inspector import NO_KEYS, Inspector
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress
-from tools.language.places import Places
 from tools.run.fleet_folder import TRUTH, FleetFolder, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
-from tools.run.launch_setup import AnySetting, robot_document
+from tools.run.launch_setup import AnySetting, places_of, robot_document
 from tools.run.launch_status import LaunchStatus
 from tools.run.run_recorder import RunRecorder
 
@@ -156,7 +155,7 @@ class Launch:
 
         bodies.relay.keep = intend
         write_whole(self.out / "bus.json", dumps(where))
-        write_whole(self.out / "places.toml", self._places())
+        write_whole(self.out / "places.toml", places_of(self.setting))
         self.console.print(
             f"bus: socketcand {HOST}:{bus.port} channel {CHANNEL}   "
             f"({viewer_command(HOST, bus.port)})"
@@ -232,13 +231,6 @@ class Launch:
             return OutsideHub(HOST, self.hub_port)
         scenario = self.setting.scenario
         return OwnHub(HOST, port, scenario.bus.bitrate, scenario.run.seed)
-
-    def _places(self) -> str:
-        """What people can name when they speak to this fleet."""
-        assert isinstance(self.setting, FieldSetup)
-        field = self.setting.field
-        named = {"gate": field.gate, **self.setting.scenario.places}
-        return Places.write(named, {section.name: section.ends[0] for section in field.sections})
 
     def _heard(self, t_us: int, frame: Frame) -> None:
         self.inspector.hear(t_us / 1e6, frame)

@@ -19,7 +19,6 @@ from sim.record.remote_body import BodyServer
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.world.parcel_truth import CarrierBody, Parcels
 from tools.common.counted import counted
-from tools.language.places import Places
 from tools.operate.order_proofs import FileProofs
 from tools.operate.tool_address import DeviceAddress
 from tools.run.launch import Launch
@@ -102,11 +101,6 @@ class HaulLaunch(Launch):
         truth = self.floor.truth
         to_do = max(len(truth.dropoff), len(self.floor.setting.rows))
         return len(truth.delivered_at_us), to_do, "parcels"
-
-    def _places(self) -> str:
-        assert isinstance(self.setting, DeliverySetup)
-        bays = {f"charger {k}": place for k, place in enumerate(self.setting.house.bays)}
-        return Places.write({**bays, **self.setting.scenario.places}, {})
 
     def _report(self, elapsed_s: float, finished: bool) -> None:
         truth, allocation = self.floor.truth, self.inspector.allocation

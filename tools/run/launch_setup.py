@@ -9,6 +9,7 @@ from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError, load
 from sim.scenarios.scenario_kind import Kind, named
+from tools.language.places import Places, PlacesError, Point
 
 UNLAUNCHED = {
     Kind.ERRANDS: "a scenario of errands", Kind.EXPLORATION: "an arena", Kind.GRID: "a grid map",
@@ -28,9 +29,32 @@ def setting_of(
             f"{scenario}: this is {UNLAUNCHED[kind]}, and a launch has fields and warehouses; "
             f"it is played by: headland run {found}"
         )
+    setting: AnySetting
     if is_warehouse(scenario):
-        return DeliverySetup(load_warehouse(scenario).changed(robots, seed, keys))
-    return FieldSetup(load(scenario).changed(robots, seed, keys))
+        setting = DeliverySetup(load_warehouse(scenario).changed(robots, seed, keys))
+    else:
+        setting = FieldSetup(load(scenario).changed(robots, seed, keys))
+    places_of(setting)  # said before robots start
+    return setting
+
+
+def places_of(setting: AnySetting) -> str:
+    """The text of `places.toml`: what people can name when they speak to this fleet.
+
+    Raises ScenarioError where a place has a name that cannot be said, or is too far away.
+    """
+    sections: dict[str, Point] = {}
+    if isinstance(setting, DeliverySetup):
+        own = {f"charger {k}": bay for k, bay in enumerate(setting.house.bays)}
+    else:
+        own = {"gate": setting.field.gate}
+        sections = {section.name: section.ends[0] for section in setting.field.sections}
+    text = Places.write({**own, **setting.scenario.places}, sections)
+    try:
+        Places.parse(text)
+    except PlacesError as problem:
+        raise ScenarioError(f"{setting.scenario.name}: {problem}") from None
+    return text
 
 
 def robot_document(

@@ -11,6 +11,7 @@ from sim.scenarios.scenario_kind import Kind, all_shipped, named
 from tests.tools.complaint import Complaints
 from tools.cli import scenario_check, scenario_files
 from tools.cli.doctor import doctor
+from tools.run.launch_setup import setting_of
 
 
 @pytest.mark.parametrize(
@@ -120,6 +121,27 @@ def test_what_is_wrong_is_one_line_with_what_was_meant(
 ) -> None:  # fmt: skip
     said = Complaints(monkeypatch, capfd).of(words, tmp_path)
     assert said.code == 2 and why in said.line
+
+
+@pytest.mark.parametrize(
+    ("place", "why"),
+    [
+        ("home = [1.0, 2.0]", "place 'home': is a word of the language"),
+        ("Gate = [1.0, 2.0]", "places 'Gate' and 'gate' are said alike"),
+        ("dock = [1.0, 20000.0]", "places.dock.1: needs name = [east, north]"),
+    ],
+)
+def test_a_place_that_nobody_can_say_is_told_before_a_launch(
+    place: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The fleet was launched, and `headland say stop` ended with this line."""
+    shipped = (Path(__file__).parents[3] / "sim" / "scenarios" / "small.toml").read_text()
+    path = tmp_path / "yard.toml"
+    path.write_text(f"{shipped}\n[places]\n{place}\n")
+    assert scenario_check.check([str(path)], False) == 2
+    assert f"headland: small: {why}" in capsys.readouterr().err
+    with pytest.raises(ScenarioError, match="place"):
+        setting_of(str(path), None, None, None)
 
 
 def test_the_doctor_names_what_it_looked_at(capsys: pytest.CaptureFixture[str]) -> None:

@@ -12,6 +12,7 @@ from agent.peer import fleet_summary
 from agent.peer.fleet_summary import FleetSummary, MemberRow
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import NOWHERE_M, PLACE_UNKNOWN_M_S, Member, Pose
+from sim.files.whole_file import write_whole
 from tests.examples import examples
 from tools.bench.phrases import Case, misspelt, phrases, understood
 from tools.inspect.inspector import Inspector
@@ -241,6 +242,14 @@ def test_places_come_from_a_file(tmp_path: Path) -> None:
         "0 set-goal 1,-2.5"
     ]
     assert understood("send r4 to shelf 3", FILE._replace(places=places)) == ["4 set-goal 0,9"]
+
+
+@pytest.mark.parametrize("name", ["dock \U0001f69c", 'größe "a"', "dock\x7f b", "dock\tb"])
+def test_a_place_of_any_name_is_read_as_it_was_written(name: str, tmp_path: Path) -> None:
+    """A name with an emoji was no TOML, and `headland say stop` ended with that."""
+    path = tmp_path / "places.toml"
+    write_whole(path, Places.write({name: (1.0, 2.0)}, {}))
+    assert Places.read(path).points == {name: (1.0, 2.0)}
 
 
 WRONG = (
