@@ -29,7 +29,7 @@ from tools.language.question import Question
 from tools.language.question import QuestionReason as Why
 from tools.operate.device_keys import DeviceKeys
 from tools.operate.estop import press
-from tools.operate.operator_device import KnownRobot, Operator
+from tools.operate.operator_device import LIVE_S, KnownRobot, Operator
 from tools.operate.order import LISTEN_S, convey
 from tools.operate.pgn_client import PgnClient
 
@@ -168,7 +168,8 @@ class CommandSession:
                 r for r in operator.live if (r.started or r.slot not in asked) and not r.stopped
             ]
             waited_s = loop.time() - begun_s
-            settled = waited_s >= PLAIN_STOP_S and not free and not operator.unknown
+            unnamed = operator.unnamed(begun_s - LIVE_S)
+            settled = waited_s >= PLAIN_STOP_S and not free and not unnamed
             if settled or waited_s >= HOLD_S:
                 break
         outcome.held = sorted(robot.slot for robot in operator.live if robot not in free)
@@ -177,7 +178,8 @@ class CommandSession:
     async def _all_late(self) -> list[KnownRobot] | None:
         """An ordinary stop; robots that have not confirmed it in time. None: no robot is heard."""
         loop, operator = asyncio.get_running_loop(), self.operator
-        end_s = loop.time() + PLAIN_STOP_S
+        begun_s = loop.time()
+        end_s = begun_s + PLAIN_STOP_S
         operator.ask_who()
         for robot in operator.robots.values():
             robot.report = None
@@ -187,7 +189,9 @@ class CommandSession:
             operator.now_s = loop.time()
             late = [robot for robot in operator.live if not _stands(robot)]
             if loop.time() >= end_s:
-                return late if operator.live and not operator.unknown else None
+                # A conversation of hours has heard addresses that are long gone.
+                named = not operator.unnamed(begun_s - LIVE_S)
+                return late if operator.live and named else None
 
     # ---------------------------------------------------------------- answers
 

@@ -38,7 +38,7 @@ from tools.common.event_lines import EventLines
 from tools.inspect.inspector import SILENT_S, Inspector, Seen
 from tools.inspect.proven_work import ProvenWork
 from tools.operate.estop import press
-from tools.operate.operator_device import Operator
+from tools.operate.operator_device import LIVE_S, Operator
 from tools.operate.order_proofs import proofs_of
 from tools.operate.reset import operator_keyring
 from tools.vda5050.factsheet import factsheet_of
@@ -356,9 +356,11 @@ class MasterGateway:
             self._take_key()
         except AttachError as problem:  # robots brake for a stop without a tag, too
             self.operator.keyring, unsigned = None, f"{problem}; the stop is said unsigned; "
+        begun_s = asyncio.get_running_loop().time()
         late = await press(self.operator, Reason.OPERATOR_INTERVENTION, OBEY_S)
         names = [self.serial(robot.slot) for robot in late]
-        names += [f"address {address}" for address in sorted(self.operator.unknown)]
+        # A gateway that runs for days has heard addresses that are long gone.
+        names += [f"address {each}" for each in self.operator.unnamed(begun_s - LIVE_S)]
         if names:
             return f"{unsigned}not confirmed by {', '.join(names)}"
         if not self.operator.live:

@@ -183,6 +183,23 @@ def test_a_stop_that_is_not_heard_is_told(tmp_path: Path) -> None:
     play(story, tmp_path)
 
 
+def test_an_ordinary_stop_waits_for_no_address_that_is_long_gone(tmp_path: Path) -> None:
+    """In a conversation of hours it became an emergency stop, because of an address that had spoken once
+    and had never said which robot it is."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        loop = asyncio.get_running_loop()
+        await speaker.hear_fleet()
+        speaker.operator.unknown[140] = loop.time() - 60.0
+        told = await speaker.say("stop")
+        assert told.stopped == [0, 1, 2] and told.code == 0 and not told.latched
+        begun_s = loop.time()
+        assert (await speaker.say("whoa")).held == [0, 1, 2]
+        assert loop.time() - begun_s < 2.0
+
+    play(story, tmp_path)
+
+
 def test_an_ordinary_stop_that_became_an_emergency_stop_says_so(tmp_path: Path) -> None:
     """Nothing told a person that `start all` would not end it."""
 

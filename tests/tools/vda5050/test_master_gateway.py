@@ -38,6 +38,7 @@ from sim.fleet.transport_orders import TransportClient
 from tests.tools.vda5050.test_fleet_vehicle import BRING, FETCH, HOUSE, node, order
 from tools.common.event_lines import EventLines
 from tools.inspect.proven_work import ProvenWork
+from tools.operate.operator_device import KnownRobot
 from tools.vda5050 import master_gateway
 from tools.vda5050.command import serve
 from tools.vda5050.fleet_vehicle import UNHEARD
@@ -353,6 +354,31 @@ def test_a_stop_that_no_robot_hears_has_failed(
         state = port.vehicle.instant["s1"]
         assert state.action_status is ActionStatus.FAILED
         assert state.result_description == "no robot is heard"
+        await left(gateway)
+
+    asyncio.run(story())
+
+
+def test_a_stop_waits_for_no_address_that_is_long_gone(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Each stop of hours later had failed because of one that never said which robot it is."""
+
+    async def nobody_late(*_: object) -> list[KnownRobot]:
+        return []
+
+    async def story() -> None:
+        gateway = gateway_on(tmp_path, [])
+        port, operator, loop = gateway.ports[0], gateway.operator, asyncio.get_running_loop()
+        monkeypatch.setattr(master_gateway, "press", nobody_late)
+        operator.hear(loop.time(), encode(Member(0, 1, 7), 128))
+        operator.unknown[140] = loop.time() - 3600.0
+        await done(gateway, instant("stop", "s1"))
+        assert port.vehicle.instant["s1"].action_status is ActionStatus.FINISHED
+        operator.unknown[140] = loop.time()
+        await done(gateway, instant("stop", "s2"))
+        state = port.vehicle.instant["s2"]
+        assert state.result_description == "not confirmed by address 140"
         await left(gateway)
 
     asyncio.run(story())
