@@ -147,7 +147,7 @@ class CommandSession:
         live = self.operator.live
         outcome.stopped = [robot.slot for robot in live if robot not in late]
         # A robot that was heard and fell silent without saying goodbye has confirmed nothing.
-        outcome.not_stopped = sorted(set(self.operator.robots) - set(outcome.stopped))
+        outcome.not_stopped = self._missing(outcome.stopped)
 
     async def _hold_all(self, outcome: Outcome) -> None:
         """Everybody stands until a start; said again until all that beat have confirmed it."""
@@ -173,7 +173,11 @@ class CommandSession:
             if settled or waited_s >= HOLD_S:
                 break
         outcome.held = sorted(robot.slot for robot in operator.live if robot not in free)
-        outcome.not_stopped = sorted(set(operator.robots) - set(outcome.held))
+        outcome.not_stopped = self._missing(outcome.held)
+
+    def _missing(self, standing: list[int]) -> list[int]:
+        """Robots that are or were there, have said no farewell, and are none of these."""
+        return [r.slot for r in self.operator.members if r.slot not in standing]
 
     async def _all_late(self) -> list[KnownRobot] | None:
         """An ordinary stop; robots that have not confirmed it in time. None: no robot is heard."""

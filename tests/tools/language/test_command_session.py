@@ -200,6 +200,20 @@ def test_an_ordinary_stop_waits_for_no_address_that_is_long_gone(tmp_path: Path)
     play(story, tmp_path)
 
 
+def test_a_robot_that_has_left_is_not_said_to_drive(tmp_path: Path) -> None:
+    """Each later stop of the conversation said NOT STOPPED of it, and exit 1."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        await speaker.hear_fleet()
+        await cluster.robots[2].runner.leave()
+        await elapse(3.0)
+        assert (await speaker.say("whoa")).not_stopped == []
+        told = await speaker.say("stop")
+        assert told.stopped == [0, 1] and told.not_stopped == [] and told.code == 0
+
+    play(story, tmp_path)
+
+
 def test_an_ordinary_stop_that_became_an_emergency_stop_says_so(tmp_path: Path) -> None:
     """Nothing told a person that `start all` would not end it."""
 
