@@ -68,21 +68,21 @@ class InspectScreen(App[None]):
 
     def compose(self) -> ComposeResult:
         """The parts of the screen (textual calls it)."""
-        yield Static(id="stops")
-        yield Static(id="keys")
+        yield Static(id="stops", markup=False)
+        yield Static(id="keys", markup=False)
         with Horizontal(id="top"):
             with Vertical(id="left"):
                 yield Rows(FLEET, id="fleet")
             with Vertical(id="right"):
-                yield Static(id="machine")
-                yield Static(id="path")
+                yield Static(id="machine", markup=False)
+                yield Static(id="path", markup=False)
         with Horizontal(id="bottom"):
             yield Rows(SECTIONS, id="sections")
             yield Rows(FRAMES, id="frames")
             with Vertical(id="loadbox"):
-                yield Static(id="share")
+                yield Static(id="share", markup=False)
                 yield Sparkline(id="load", summary_function=max)
-        yield Static(id="status")
+        yield Static(id="status", markup=False)
         yield Footer()
 
     def on_mount(self) -> None:

@@ -150,8 +150,9 @@ def _announce(as_json: bool, url: str, **more: str | None) -> None:
 def _reading(source: Path, as_json: bool) -> AbstractContextManager[object]:
     """Says at a terminal that a long recording is being read."""
     from rich.console import Console  # a tenth of the map's start; a live bus does without
+    from rich.markup import escape
 
-    return Console(stderr=as_json).status(f"reading {source}")
+    return Console(stderr=as_json).status(escape(f"reading {source}"))
 
 
 async def serve(server: "MapServer", listener: socket.socket) -> None:

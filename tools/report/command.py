@@ -61,15 +61,16 @@ def _read(source: Path) -> "tuple[RunEvidence, list[Chapter]]":
     """Raises SourceError and McapMissing."""
     with planned_aside(source) as planned:
         from rich.console import Console
+        from rich.markup import escape
 
         from tools.report.chapter import chapters
         from tools.report.run_data import gather
 
-        with Console(stderr=True).status(f"reading {source}") as status:
+        with Console(stderr=True).status(escape(f"reading {source}")) as status:
             evidence = gather(source, intents=planned is None)
             found = []
             for chapter in chapters(evidence, planned):
-                status.update(f"{source}: {chapter.title.lower()}")
+                status.update(escape(f"{source}: {chapter.title.lower()}"))
                 found.append(chapter)
     return evidence, found
 

@@ -123,6 +123,16 @@ def test_the_screen_as_a_picture(frames: list[tuple[int, Frame]], tmp_path: Path
     assert "@font-face" not in drawn and 'url("' not in drawn, "nothing is loaded from elsewhere"
 
 
+def test_a_name_with_brackets_is_shown_as_it_is(
+    frames: list[tuple[int, Frame]], tmp_path: Path
+) -> None:
+    """They were read as marks of a style: a folder `a[/b]` ended the screen, and `[old]` was left out."""
+    path = tmp_path / "inspect.svg"
+    for name in ("a[/b]", "runs[old]"):
+        draw(InspectScreen(Inspector(), name, from_log(frames[:9], Inspector(), True)), path)
+        assert name in path.read_text()
+
+
 @pytest.mark.parametrize(
     ("name", "code"), [("nodir/x.svg", 2), (".", 2), ("file/x.svg", 2), ("/dev/full", 75)]
 )

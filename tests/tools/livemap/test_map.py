@@ -25,10 +25,12 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import Estop, Heal, Partition, Reset, load
 from tools.bench.browser import browser, complaints, missing, until
-from tools.livemap.command import MapThread, recorded, show_map
+from tools.inspect.log_frames import SourceError
+from tools.livemap.command import MapThread, _reading, recorded, show_map
 from tools.livemap.page_updates import PageUpdates
 from tools.livemap.playback import Index, Player, Reader
 from tools.livemap.server import _obey
+from tools.report.command import _read
 from tools.run.run_recorder import RunRecorder
 
 if TYPE_CHECKING:
@@ -174,6 +176,14 @@ def test_what_a_person_can_get_wrong_is_one_line(
 
 @pytest.mark.slow
 @needs_browser
+def test_a_folder_with_brackets_in_its_name_can_be_read() -> None:
+    """They were read as marks of a style, and a folder `a[/b]` ended the command with a traceback."""
+    with _reading(Path("a[/b]"), True):
+        pass
+    with pytest.raises(SourceError, match="nowhere"):
+        _read(Path("nowhere[/b]"))
+
+
 def test_a_recording_is_looked_through(shown: str) -> None:
     with browser() as page:
         page.get(shown)
