@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.delivery.task_registry import TransportTask
+from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.vda5050.messages import MasterOrder
 
 
@@ -32,12 +33,25 @@ class OrderBook:
     """The newest order of each vehicle, and the task of every order, by the number that it has."""
 
     def __init__(self, path: Path) -> None:
-        """Read what is there. Raises BookError, OSError."""
+        """Read what is there. Raises BookError, also where another gateway keeps this book, and
+        OSError."""
         self.path = path
         self.orders: dict[int, BookedOrder] = {}
         self.tasks: dict[int, TransportTask] = {}
         path.parent.mkdir(parents=True, exist_ok=True)
-        whole = 0
+        self._lock = path.with_name(f"{path.name}.lock").open("w")
+        try:
+            if not take_lock(self._lock, wait=False):
+                raise BookError(
+                    f"--book {path}: another headland vda5050 keeps it: end that one first"
+                )
+            self._open()
+        except (BookError, OSError):
+            self._lock.close()
+            raise
+
+    def _open(self) -> None:
+        path, whole = self.path, 0
         if path.exists():
             for line in path.read_bytes().splitlines(keepends=True):
                 if not line.endswith(b"\n"):
@@ -86,5 +100,6 @@ class OrderBook:
         self._take(booked)
 
     def close(self) -> None:
-        """Close the file; every record is on the disk already."""
+        """Close the file, for another gateway too; every record is on the disk already."""
         self._file.close()
+        self._lock.close()

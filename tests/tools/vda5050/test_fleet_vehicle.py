@@ -218,6 +218,16 @@ def test_any_json_is_an_order_or_a_value_error(anything: Any) -> None:
         assert str(refused)
 
 
+def test_a_book_has_one_gateway(tmp_path: Path) -> None:
+    """Two took each order of the master, and one cut off what the other had written."""
+    path = tmp_path / "book.jsonl"
+    book = OrderBook(path)
+    with pytest.raises(BookError, match="another headland vda5050 keeps it"):
+        OrderBook(path)
+    book.close()
+    OrderBook(path).close()
+
+
 def test_a_book_is_read_again_and_a_torn_last_line_is_forgotten(tmp_path: Path) -> None:
     path = tmp_path / "book.jsonl"
     book, whole = OrderBook(path), order(FETCH, BRING | {"sequenceId": 2})
