@@ -88,13 +88,24 @@ class Conversation:
             outcome = await speaker.say(phrase)
             self.tell(outcome)
             if queue and talking and (serving is None or serving.done()):
-                serving = asyncio.create_task(speaker.serve(self.tell))
+                serving = asyncio.create_task(self._serve(speaker))
             if outcome.queued and not talking:
                 await self._wait(speaker, queue)
         if serving is not None:
             serving.cancel()
             with suppress(asyncio.CancelledError):
                 await serving
+
+    async def _serve(self, speaker: CommandSession) -> None:
+        """Beside what is typed: a disk that is full must not end it, nor stay untold."""
+        try:
+            await speaker.serve(self.tell)
+        except (QueueError, OSError) as problem:
+            why = problem.strerror if isinstance(problem, OSError) else None
+            print(
+                f"headland: goals wait until the next phrase: {why or problem}",
+                file=sys.stderr, flush=True,
+            )  # fmt: skip
 
     async def _wait(self, speaker: CommandSession, queue: GoalQueue) -> None:
         """This command serves the queue until its goals are given."""

@@ -6,11 +6,11 @@ import json
 import os
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import AsyncIterator, Iterator
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from threading import Thread
-from typing import Any
+from typing import Any, cast
 
 import pytest
 
@@ -20,9 +20,12 @@ from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.inspect.inspection import inspect
+from tools.language import conversation
 from tools.language.conversation import Conversation
 from tools.language.endpoint import ANSWER_BYTES_MAX, Endpoint, EndpointError, meant
+from tools.language.goal_queue import GoalQueue
 from tools.language.intent import Goal
+from tools.language.outcome import Outcome
 from tools.language.places import Places
 from tools.language.question import Question
 from tools.language.say import say
@@ -107,6 +110,36 @@ def test_a_terminal_that_is_gone_ends_a_conversation(
             return await Conversation(OFFLINE).hold(None)
 
     assert asyncio.run(main()) == 0
+
+
+def test_a_queue_that_cannot_be_written_is_told_and_ends_no_conversation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Goals were not given any more and nobody knew, and at its end came the traceback of a task."""
+
+    served = asyncio.Event()
+
+    class Speaker:
+        async def say(self, phrase: str) -> Outcome:
+            return Outcome(phrase)
+
+        async def serve(self, tell: object) -> None:
+            served.set()
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    async def typed() -> AsyncIterator[str]:
+        for phrase in ("status", "stop"):
+            yield phrase
+            await served.wait()
+            served.clear()
+
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(conversation, "CommandSession", lambda *_: Speaker())
+    GoalQueue(tmp_path / "queue.json").add("gate", (1.0, 2.0))
+    talking = Conversation(Options(NO_BUS, queue=tmp_path / "queue.json"))
+    asyncio.run(talking._on_bus(cast(Any, None), None, typed(), True))
+    line = f"headland: goals wait until the next phrase: {os.strerror(errno.ENOSPC)}"
+    assert capfd.readouterr().err.splitlines() == [line] * 2
 
 
 def test_a_recorded_run_answers_and_takes_no_orders(recorded: Path, tmp_path: Path) -> None:
