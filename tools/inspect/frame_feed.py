@@ -6,6 +6,7 @@ from collections.abc import Awaitable, Callable, Iterable
 from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
+from tools.common.bus_attach import connections_of
 from tools.inspect.inspector import Inspector
 from tools.inspect.log_frames import SILENCE_S
 from tools.inspect.screen import Feed, InspectScreen
@@ -48,8 +49,10 @@ def from_bus(
             bus.subscribe(lambda frame: inspector.hear(loop.time() - begun_s, frame))
             operator = Operator(bus, None)
             await operator.listen(HEARD_S)
-            operator.ask_work()  # what was claimed before we came
+            asked = -1
             while True:  # the screen ends it
+                if asked != (asked := connections_of(bus)):
+                    operator.ask_work()  # what was said before we came, and while the bus was away
                 await asyncio.sleep(PERIOD_S)
                 if inspector.first_s is not None:
                     inspector.now_s = loop.time() - begun_s  # quiet is time, too

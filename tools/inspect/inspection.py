@@ -18,7 +18,7 @@ from protocol.links.socketcand_link import SocketcandLink
 from protocol.state_machine import to_mermaid
 from sim.files.strict_json import dumps
 from tools.common.bus_address import AttachError
-from tools.common.bus_attach import attach, lost_of, stay_attached
+from tools.common.bus_attach import attach, connections_of, lost_of, stay_attached
 from tools.common.exit_codes import code_of, wrong
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
@@ -172,10 +172,13 @@ async def _listen(
     try:
         bus.subscribe(lambda frame: inspector.hear(loop.time() - begun_s, frame))
         operator = Operator(bus, None)
+        asked = connections_of(bus)
         loop.call_later(HEARD_S, operator.ask_work)
         end_s = inf if seconds is None else loop.time() + seconds
         while (left_s := end_s - loop.time()) > 0:
             await operator.listen(left_s if tell is None else min(left_s, WATCH_S))
+            if asked != (asked := connections_of(bus)):
+                operator.ask_work()  # what was said while the bus was away
             if tell is not None:
                 if inspector.first_s is not None:
                     inspector.now_s = loop.time() - begun_s  # quiet is time, too

@@ -14,6 +14,7 @@ from protocol.frames.operator_frames import ReportKind
 from protocol.frames.safety_frames import Command, Reason
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
+from tools.common.bus_attach import connections_of
 from tools.inspect.inspector import Inspector
 from tools.language import view
 from tools.language.alarm import may_be_alarm
@@ -55,7 +56,7 @@ class CommandSession:
         self.letters = PgnClient(bus, self.operator.device)
         self.places, self.queue, self.read, self.ask = places, queue, read, ask
         self.timeout_s, self.by = timeout_s, by
-        self.heard = False
+        self.bus, self.heard = bus, -1  # how often the link was made when the fleet was asked
         loop = asyncio.get_running_loop()
         bus.subscribe(lambda frame: self._hear(loop.time(), frame))
 
@@ -65,11 +66,11 @@ class CommandSession:
 
     async def hear_fleet(self) -> FleetNow:
         """The robots that are there. The first call takes as long as robots need to report themselves."""
-        if not self.heard:
+        if self.heard != (made := connections_of(self.bus)):
             await self.operator.listen(HEARD_S)
             self.operator.ask_work()  # what was claimed before we came
             await self.operator.listen(LISTEN_S)
-            self.heard = True
+            self.heard = made
         self.operator.now_s = self.inspector.now_s = asyncio.get_running_loop().time()
         return view.as_heard(self.inspector)
 

@@ -9,6 +9,7 @@ from agent.interface.ports import Bus
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import Command, Reason
 from tools.common.bus_address import AttachError
+from tools.common.bus_attach import connections_of
 from tools.operate.device_keys import DeviceKeys
 from tools.operate.estop import press
 from tools.operate.operator_device import LIVE_S, KnownRobot, Operator
@@ -63,13 +64,12 @@ class Panel:
 
     async def keep_asking(self) -> None:
         """Asks which robots are there and what has been done, because a late listener has missed it."""
-        first = True
+        asked = -1
         while True:
             self.stopper.ask_who()
-            if first:
+            if asked != (asked := connections_of(self.bus)):
                 self.stopper.ask_work()
                 self.stopper.ask_stops()
-            first = False
             await asyncio.sleep(ASK_S if self.stopper.robots else LISTEN_S)
 
     async def stop(self) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 import asyncio
 from collections.abc import Callable
+from random import Random
 
 import pytest
 
@@ -11,8 +12,9 @@ from protocol.frames.fleet_frames import Heartbeat, Member
 from protocol.frames.frame import Frame
 from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import StateSyncRequest
+from protocol.links.socketcand_link import SocketcandLink
 from sim.fleet.virtual_clock import elapse, run_virtual
-from tools.livemap.stop_panel import CONFIRM_S, Panel, PanelError, not_confirmed
+from tools.livemap.stop_panel import ASK_S, CONFIRM_S, Panel, PanelError, not_confirmed
 
 PERIOD_S = 0.05
 
@@ -186,5 +188,23 @@ def test_an_address_that_has_not_said_which_robot_it_is_has_not_confirmed() -> N
         told = await pressed
         speaking.cancel()
         assert told["unnamed"] == [140] and "address 140" in not_confirmed(told)
+
+    run_virtual(story())
+
+
+def test_a_map_asks_again_what_was_said_while_its_bus_was_away() -> None:
+    """Sections that were done meanwhile stayed as they were before, on the map and in the metrics."""
+
+    async def story() -> None:
+        robots = Robots()
+        link, asked = SocketcandLink("127.0.0.1", 1, "can0", Random(1)), list[int]()
+        robots.panel.bus = link
+        robots.panel.stopper.ask_work = lambda: asked.append(link.connections)  # type: ignore[method-assign]
+        asking = asyncio.create_task(robots.panel.keep_asking())
+        for made in (1, 1, 2):
+            link.connections = made
+            await elapse(ASK_S + 1.0)
+        asking.cancel()
+        assert asked == [1, 2]
 
     run_virtual(story())
