@@ -157,9 +157,9 @@ def run(
         raise SystemExit(command(name, robots, seed, out, json, film))
     if kind is Kind.GRID:
         with told_loading():
-            from tools.run.coverage import GRID_ROBOTS, drive_grid
+            from tools.run.coverage import drive_grid
 
-        raise SystemExit(drive_grid(Path(name), robots or GRID_ROBOTS, seed or 0, out, json))
+        raise SystemExit(drive_grid(Path(name), robots, seed or 0, out, json))
     with told_loading():
         from tools.run.run_field import run as work
 

@@ -22,7 +22,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False, rich_markup_mode=None,
 )  # fmt: skip
 
-GRID_ROBOTS = 6  # of `headland run MAP`, where no number is given
+GRID_ROBOTS = 6  # of `headland run` of a .map, where no number is given
 ROBOT_CELLS_MAX = 1 << 27  # a team keeps eight bytes for each robot and cell: a gibibyte
 
 
@@ -153,7 +153,7 @@ def drive(
         raise SystemExit(wrong(error, code_of(error))) from None
 
 
-def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: bool) -> int:
+def drive_grid(map: Path, robots: int | None, seed: int, out: Path | None, as_json: bool) -> int:
     """`headland run` of a .map or .mcpp: whole peers, without faults. Returns the exit code."""
     from sim.files.grid_map import GridFileError
     from sim.scenarios.scenario import ScenarioError
@@ -173,8 +173,13 @@ def drive_grid(map: Path, robots: int, seed: int, out: Path | None, as_json: boo
         return wrong(error, code_of(error))
 
 
-def instance_of(map: Path, robots: int, seed: int) -> "Instance":
-    """A map and where so many robots start on it. Raises GridFileError and OSError."""
+def instance_of(map: Path, robots: int | None, seed: int) -> "Instance":
+    """A map and where so many robots start on it. Raises GridFileError and OSError.
+
+    `robots`: None, all of an .mcpp, which says where they start, and GRID_ROBOTS of a .map.
+    """
+    if robots is None and map.suffix != ".mcpp":
+        robots = GRID_ROBOTS
     return _instance(map, robots, seed, (0, 0, 0.0), False)
 
 

@@ -63,7 +63,7 @@ def run_of(
 
 def _grid(path: Path, robots: int | None, seed: int, changes: dict[str, Any]) -> CoverageRun:
     try:
-        instance = coverage.instance_of(path, robots or coverage.GRID_ROBOTS, seed)
+        instance = coverage.instance_of(path, robots, seed)
         setting = grid_setting(instance, seed, (), 0.0, "continue", 0.0)
     except (GridFileError, OSError) as problem:
         raise ScenarioError(str(problem)) from None

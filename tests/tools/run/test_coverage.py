@@ -10,11 +10,15 @@ import pytest
 from typer.testing import CliRunner, Result
 
 from sim.files.coverage_plan_file import Plan, read_plan
-from sim.files.grid_map import read_instance
+from sim.files.grid_map import GridFileError, Instance, read_instance, write_instance
 from sim.files.palette import rgb_of
+from sim.scenarios.scenario import ScenarioError
 from sim.world.plan_judge import PlanJudge, judge
-from tools.run.coverage import app
+from tools.run.coverage import GRID_ROBOTS, app, instance_of
 from tools.run.coverage_report import drawing
+from tools.run.scenario_run import run_of
+
+FOUR = Instance("four", np.zeros((4, 4), dtype=bool), [(0, 0), (3, 3)])  # cells a side
 
 
 def call(*words: object) -> Result:
@@ -51,6 +55,23 @@ def test_an_export_is_solved_as_the_original(tmp_path: Path) -> None:
     assert json.loads(third.stdout)["robots"] == 3
     fourth = call("solve", export.with_suffix(".map"), "--robots", 3, "--gate", "--out", second)
     assert fourth.exit_code == 0
+
+
+@pytest.mark.parametrize("name", ["four.map", "four.mcpp"])
+def test_no_robots_on_a_grid_are_refused_and_not_played_as_six(name: str, tmp_path: Path) -> None:
+    write_instance(tmp_path / name, FOUR)
+    with pytest.raises(GridFileError, match="robots"):
+        instance_of(tmp_path / name, 0, 1)
+    with pytest.raises(ScenarioError, match="robots"):
+        run_of(str(tmp_path / name), robots=0)
+
+
+def test_a_run_of_an_mcpp_has_the_robots_of_the_file(tmp_path: Path) -> None:
+    write_instance(tmp_path / "four.mcpp", FOUR)
+    assert instance_of(tmp_path / "four.mcpp", None, 1).starts == FOUR.starts
+    assert run_of(str(tmp_path / "four.mcpp")).setting.instance.starts == FOUR.starts
+    write_instance(tmp_path / "four.map", FOUR)
+    assert len(instance_of(tmp_path / "four.map", None, 1).starts) == GRID_ROBOTS
 
 
 def test_deaths_and_joins_are_in_the_plan(tmp_path: Path) -> None:
