@@ -150,16 +150,19 @@ class CoverageRun(MissionRun[CoverageSetup, CoverageFleet, CoverageOutcome]):
 
     def measure(self, cluster: CoverageFleet) -> dict[str, Any]:
         truth, setting, witness = cluster.grid_world.truth, self.setting, self.witness
-        late = truth.first_at_us[sorted(cluster.reachable())]
-        starts = [
-            cell for slot, cell in enumerate(setting.instance.starts)
-            if not any(f.kind == "join" and f.robot == slot for f in setting.scenario.fault)
-        ]  # fmt: skip
+        reachable = sorted(cluster.reachable())
+        late = truth.first_at_us[reachable]
+        joined = [0] * len(setting.instance.starts)  # the step before a robot is switched on
+        for fault in setting.scenario.fault:
+            if fault.kind == "join":
+                joined[fault.robot] = int(fault.at_s / STEP_S)
+        wanted = {setting.ground.cell(number) for number in reachable}
+        bound = lower_bound(setting.instance.walls, setting.instance.starts, joined, wanted)
         return {
             "map": setting.instance.name,
             "uncovered": int(np.count_nonzero(late == NONE)),
             "makespan_s": float(late.max(initial=0)) / S,
-            "bound_s": lower_bound(setting.instance.walls, starts) * STEP_S,
+            "bound_s": bound * STEP_S,
             "replanned": witness.replanned,
             "redone": witness.redone,
             "untold": witness.untold,

@@ -7,6 +7,7 @@ not be covered.
 """
 
 from collections import deque
+from collections.abc import Collection, Sequence
 from typing import NamedTuple
 
 from agent.interface.geometry import Cell
@@ -69,23 +70,37 @@ def judge(plan: Plan) -> PlanScore:
     return court.verdict()
 
 
-def lower_bound(walls: Walls, starts: list[Cell]) -> int:
-    """A lower bound for all plans: cells at distance d or more are not entered in the first d - 1
-    steps.
+def lower_bound(
+    walls: Walls, starts: Sequence[Cell], joined: Sequence[int] = (),
+    wanted: Collection[Cell] | None = None,
+) -> int:  # fmt: skip
+    """A lower bound for all plans, in steps: cells at distance d or more are not entered in the first
+    d - 1 steps, and a robot enters one cell a step.
+
+    `joined`: the step from which on each robot is there; empty: all are from the beginning on.
+    `wanted`: the cells that count; None: all that a robot can reach.
 
     >>> import numpy as np
     >>> lower_bound(np.zeros((1, 9), dtype=bool), [(0, 0), (0, 1)])
     7
+    >>> lower_bound(np.zeros((1, 9), dtype=bool), [(0, 0), (0, 8)], [0, 2])
+    5
     """
-    distance = steps_from(walls.tolist(), starts)
-    rings = [0] * (max(distance.values(), default=0) + 2)
-    for away in distance.values():
-        rings[away] += 1
+    since = list(joined) or [0] * len(starts)
+    first: dict[Cell, int] = {}  # the step after which a robot can be in a cell
+    for step in sorted(set(since)):
+        there = [cell for cell, begun in zip(starts, since, strict=True) if begun == step]
+        for cell, away in steps_from(walls.tolist(), there).items():
+            first[cell] = min(first.get(cell, step + away), step + away)
+    rings = [0] * (max(first.values(), default=0) + 1)
+    for cell, away in first.items():
+        if cell not in starts and (wanted is None or cell in wanted):
+            rings[away] += 1
     best, beyond = 0, 0
     for away in range(len(rings) - 1, 0, -1):
         beyond += rings[away]
-        if beyond:
-            best = max(best, away - 1 + -(-beyond // len(starts)))
+        while beyond > sum(max(0, best - max(away - 1, begun)) for begun in since):
+            best += 1
     return best
 
 

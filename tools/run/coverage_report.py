@@ -34,8 +34,12 @@ def solved(
         plan = work(instance, turn_cost, deaths, arrivals)
     cpu_s = time.process_time() - begun_s
     write_plan(out, plan)
-    verdict = judge(plan)
-    bound = lower_bound(instance.walls, instance.starts)
+    court = PlanJudge(plan)
+    while not court.over:
+        court.advance()
+    verdict = court.verdict()
+    # With those who joined, and without what only the dead could reach.
+    bound = lower_bound(plan.walls, plan.starts, plan.joined, court.wanted())
     report = figures(plan, verdict, turn_cost) | {
         "lower_bound": bound,
         "ratio": round(verdict.makespan / bound, 4) if bound else 1.0,

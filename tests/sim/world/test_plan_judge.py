@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 
 from agent.interface.geometry import Cell
 from sim.files.coverage_plan_file import Plan, parse_plan
-from sim.files.grid_map import GridFileError
-from sim.world.plan_judge import judge
+from sim.files.grid_map import Cell, GridFileError
+from sim.world.plan_judge import judge, lower_bound
 
 UP, DOWN, LEFT, RIGHT = 1, 2, 3, 4
 
@@ -62,6 +62,19 @@ def test_a_robot_that_joins_is_not_there_before() -> None:
     assert judge(late).makespan == 2 and judge(late).ok
     late.actions[0] = [RIGHT, RIGHT, 0]
     assert judge(late).collisions == 2, "at its arrival, and in the step after it"
+
+
+def test_no_plan_is_better_than_the_bound_with_a_robot_that_joins() -> None:
+    for begun in range(7):
+        late = plan(["." * 9], [(0, 0), (0, 8)], [[RIGHT] * 8, [0] * begun + [LEFT] * 8])
+        late.joined = [0, begun]
+        assert judge(late).makespan == lower_bound(late.walls, late.starts, late.joined), begun
+
+
+def test_the_bound_is_that_of_the_cells_that_count() -> None:
+    walls = np.zeros((1, 9), dtype=bool)
+    assert lower_bound(walls, [(0, 0)], [], {(0, 1), (0, 2)}) == 2
+    assert lower_bound(walls, [(0, 0)]) == 8
 
 
 @given(st.integers(1, 6), st.integers(1, 6), st.data())

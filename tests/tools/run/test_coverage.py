@@ -85,6 +85,18 @@ def test_deaths_and_joins_are_in_the_plan(tmp_path: Path) -> None:
     assert judge(plan).ok and call("replay", out).exit_code == 0
 
 
+@pytest.mark.parametrize("command", ["solve", "drive"])
+def test_a_robot_that_joins_does_not_beat_the_lower_bound(command: str, tmp_path: Path) -> None:
+    aisle = tmp_path / "aisle.map"
+    write_instance(aisle, Instance("aisle", np.zeros((1, 60), dtype=bool), [(0, 0)]))
+    words = {
+        "solve": ["--robots", 1, "--join", "0,1@3", "--out", tmp_path / "plan.json"],
+        "drive": ["--robots", 2, "--join", "1@3"],
+    }
+    report = json.loads(call(command, aisle, *words[command], "--seed", 3, "--json").stdout)
+    assert report["ratio"] >= 1.0, report
+
+
 def test_a_plan_with_faults_is_not_exit_0(tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     call("solve", "--robots", 4, "--out", out)
