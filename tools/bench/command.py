@@ -1,7 +1,7 @@
 """`headland bench NAME`: every figure that a document of ours claims, measured again."""
 
 import inspect
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from importlib import import_module
 
 from rich.console import Console
@@ -63,6 +63,10 @@ def bench(
     if name != "all" and name not in BENCHES:
         known = ", ".join((*BENCHES, "all"))
         return wrong(f"no bench {name}: choose one of {known}")
+    if seconds is not None and name != "all" and "seconds" not in _taken(name):
+        return wrong(
+            f"--seconds: does nothing here: {name} does not run by the clock; leave it out"
+        )
     found: list[Figure] = []
     console = Console(stderr=as_json)
     names = tuple(BENCHES) if name == "all" else (name,)
@@ -117,9 +121,14 @@ def _all_figures(name: str, quick: bool, seed: int, seconds: float | None) -> li
 
 def _figures(name: str, quick: bool, seed: int, seconds: float | None) -> Iterator[Figure]:
     figures: Callable[..., Iterator[Figure]] = import_module(f"{__package__}.{name}").figures
-    taken = inspect.signature(figures).parameters
+    taken = _taken(name)
     given = {"seed": seed, "seconds": seconds}
     yield from figures(quick, **{key: value for key, value in given.items() if key in taken})
+
+
+def _taken(name: str) -> Collection[str]:
+    """What a bench can be told, by the names of its parameters."""
+    return inspect.signature(import_module(f"{__package__}.{name}").figures).parameters
 
 
 def _line(figure: Figure) -> Table:

@@ -137,7 +137,8 @@ def run(
         "--live": live and not warehouse, "--port": port and not live,
         "--seconds": seconds is not None and not live, "--map": show_map and not worked,
         "--drive": drive is not None and not worked,
-        "--feature": feature is not None and not worked, "--log": bool(log) and not worked,
+        "--feature": feature is not None and kind not in (Kind.FIELD, Kind.PROTOCOL),
+        "--log": bool(log) and not worked,
         "--limit": limit is not None and (live or not (worked or warehouse)),
         "--keys": keys is not None and not (worked or warehouse), "--film": film and kind is Kind.GRID,
     }  # fmt: skip
@@ -446,6 +447,8 @@ def compile_core(
     Example: headland compile
     Example: headland compile --kernels
     """
+    if kernels and remove:
+        raise SystemExit(wrong("--remove: does nothing with --kernels; leave one of them out"))
     if kernels:
         from tools.build.warmup import main as compile_kernels
 

@@ -1,5 +1,6 @@
 """Commands that try the fleet: bad luck, any bytes, and figures measured again."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -59,6 +60,18 @@ def chaos(
     The first failing seed is made small and saved as a scenario.
     Example: headland chaos --seeds 0:1000 --profile stop --jobs 2
     """
+    _refuse(
+        {
+            "--only": (bool(only) and not mutants, "without --mutants; add --mutants"),
+            "--golden": (golden and scenario is None, "without --scenario; add --scenario FILE"),
+            "--mutants": (mutants and scenario is not None, "with --scenario; leave one out"),
+            "--profile": (mutants and profile != "all", "with --mutants; leave one out"),
+            "--report": (
+                report is not None and (mutants or scenario is not None),
+                "with --mutants or --scenario; leave one out",
+            ),
+        }
+    )
     from tools.build.compiled_core import use
 
     if not mutants:  # no bug can be planted in machine code
@@ -74,6 +87,13 @@ def chaos(
     raise SystemExit(
         command(seeds, profile, jobs, seconds, out, mutants, json, cluster, only or ())
     )
+
+
+def _refuse(unfit: Mapping[str, tuple[bool, str]]) -> None:
+    """Words of which one would be ignored are said: a campaign is no hunt for the bug that was named."""
+    for option, (is_unfit, why) in unfit.items():
+        if is_unfit:
+            raise SystemExit(wrong(f"{option}: does nothing {why}"))
 
 
 @app.command(rich_help_panel=DEVELOP)

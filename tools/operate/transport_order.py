@@ -64,6 +64,8 @@ def order(
 
 
 def _rows(pickup: str | None, dropoff: str | None, file: Path | None) -> list[TaskRow]:
+    if file is not None and pickup is not None:
+        raise ScenarioError(f"--file {file}: {pickup} is a place already; order it by itself")
     if file is not None:
         rows = read_tasks(file)
         if not rows:
