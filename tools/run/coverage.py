@@ -23,6 +23,7 @@ app = typer.Typer(
 )  # fmt: skip
 
 GRID_ROBOTS = 6  # of `headland run` of a .map, where no number is given
+RANDOM = 32, 32, 0.2  # rows, columns and share of walls of a random map
 ROBOT_CELLS_MAX = 1 << 27  # a team keeps eight bytes for each robot and cell: a gibibyte
 
 
@@ -31,9 +32,9 @@ def solve(
     map: Annotated[Path | None, typer.Argument(help="A .map or .mcpp; none: a random map.")] = None,
     robots: Annotated[int | None, typer.Option(help="How many (an .mcpp: only the first).")] = None,
     seed: Annotated[int, typer.Option(help="Of the start cells and of a random map.")] = 0,
-    height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = 32,
-    width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = 32,
-    wall_prob: Annotated[float, typer.Option(help="Share of walls of a random map.")] = 0.2,
+    height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = RANDOM[0],
+    width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = RANDOM[1],
+    wall_prob: Annotated[float, typer.Option(help="Share of walls of a random map.")] = RANDOM[2],
     gate: Annotated[bool, typer.Option("--gate", help="All start together in a corner.")] = False,
     turn_cost: Annotated[float, typer.Option(help="Steps that a quarter turn costs.")] = 0.0,
     die: Annotated[list[str] | None, typer.Option(help="ROBOT@STEP becomes a wreck.")] = None,
@@ -110,9 +111,9 @@ def drive(
     map: Annotated[Path | None, typer.Argument(help="A .map or .mcpp; none: a random map.")] = None,
     robots: Annotated[int | None, typer.Option(help="How many (an .mcpp: only the first).")] = None,
     seed: Annotated[int, typer.Option(help="Of start cells, a random map, and the wire.")] = 0,
-    height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = 32,
-    width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = 32,
-    wall_prob: Annotated[float, typer.Option(help="Share of walls of a random map.")] = 0.2,
+    height: Annotated[int, typer.Option("--H", help="Rows of a random map.")] = RANDOM[0],
+    width: Annotated[int, typer.Option("--W", help="Columns of a random map.")] = RANDOM[1],
+    wall_prob: Annotated[float, typer.Option(help="Share of walls of a random map.")] = RANDOM[2],
     gate: Annotated[bool, typer.Option("--gate", help="All start together in a corner.")] = False,
     turn_cost: Annotated[float, typer.Option(help="Steps that a quarter turn costs.")] = 0.0,
     die: Annotated[list[str] | None, typer.Option(help="ROBOT@SECOND: power off.")] = None,
@@ -180,7 +181,7 @@ def instance_of(map: Path, robots: int | None, seed: int) -> "Instance":
     """
     if robots is None and map.suffix != ".mcpp":
         robots = GRID_ROBOTS
-    return _instance(map, robots, seed, (0, 0, 0.0), False)
+    return _instance(map, robots, seed, RANDOM, False)
 
 
 def _instance(
@@ -197,6 +198,10 @@ def _instance(
         read_map,
     )
 
+    if path is not None and random != RANDOM:
+        raise GridFileError(
+            f"--H, --W and --wall-prob are of a random map: leave them out with {path}"
+        )
     if path is not None and path.suffix == ".mcpp" and not gate:
         instance = read_instance(path)
         _check_size(instance.walls)

@@ -74,6 +74,17 @@ def test_a_run_of_an_mcpp_has_the_robots_of_the_file(tmp_path: Path) -> None:
     assert len(instance_of(tmp_path / "four.map", None, 1).starts) == GRID_ROBOTS
 
 
+@pytest.mark.parametrize("word", ["--H", "--W", "--wall-prob"])
+@pytest.mark.parametrize("command", ["solve", "drive"])
+def test_words_of_a_random_map_are_refused_beside_a_map(
+    command: str, word: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    write_instance(tmp_path / "four.map", FOUR)
+    done = call(command, "four.map", "--robots", 2, word, 1)
+    assert done.exit_code == 2 and "random map" in done.stderr and "four.map" in done.stderr
+
+
 def test_deaths_and_joins_are_in_the_plan(tmp_path: Path) -> None:
     out = tmp_path / "plan.json"
     words = ["--H", 24, "--W", 24, "--wall-prob", 0, "--robots", 4, "--out", out, "--json"]
