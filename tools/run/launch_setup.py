@@ -3,13 +3,14 @@
 from pathlib import Path
 from typing import Any
 
+from agent.interface.geometry import Point
 from agent.runtime.declared_values import FieldTable, FleetTable, WarehouseTable
 from sim.scenarios.delivery_scenario import is_warehouse, load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError, load
 from sim.scenarios.scenario_kind import Kind, named
-from tools.language.places import Places, PlacesError, Point
+from tools.language.places import Places, PlacesError
 
 UNLAUNCHED = {
     Kind.ERRANDS: "a scenario of errands", Kind.EXPLORATION: "an arena", Kind.GRID: "a grid map",

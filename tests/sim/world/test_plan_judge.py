@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from agent.interface.geometry import Cell
 from sim.files.coverage_plan_file import Plan, parse_plan
-from sim.files.grid_map import Cell, GridFileError
+from sim.files.grid_map import GridFileError
 from sim.world.plan_judge import judge, lower_bound
 
 UP, DOWN, LEFT, RIGHT = 1, 2, 3, 4
