@@ -8,6 +8,7 @@ from collections import Counter, deque
 from collections.abc import Iterator
 from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field
+from math import inf
 from typing import Any
 
 from agent.delivery.task_registry import TASKS_MAX, stop_names
@@ -54,6 +55,7 @@ NO_KEYS = "NO KEYS: any device on the bus can stop and release this fleet"
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
 ASKED_S = 2.0  # a release that is asked for is said twice a second
 NEVER_S = float("-inf")
+FREE_S = 5.0  # a robot that hears a stop says so within half a second
 # A robot that says so long after a reset that stops hold it has not taken that reset: it tells each of
 # its causes within seconds, and a reset is repeated for less than two.
 RESET_TAKEN_S, RESET_REFUSED_S = 2.0, 10.0
@@ -84,6 +86,9 @@ class Seen:
     placed: bool = True  # it knows where it is
     has_place: bool = False  # it has told one
     stopped: bool = False
+    free_s: float = (
+        inf  # since when all its beats say that no stop holds it; inf: the newest does not
+    )
     left: bool = False
     started: bool = True  # until a heartbeat says that it is not
     keyed: bool | None = None  # whether its fleet has keys, as it says; None: it has not said
@@ -259,6 +264,7 @@ class Inspector:
                     robot.x_m, robot.y_m, robot.has_place = message.x_m, message.y_m, True
                 robot.speed_m_s = message.speed_m_s if message.placed else 0.0
                 robot.stopped = message.stopped
+                robot.free_s = inf if message.stopped else min(robot.free_s, t_s)
                 self._state(t_s, robot, message.state, kind)
             case Heartbeat():
                 robot.health, robot.operations = message.health, message.operations
@@ -269,6 +275,7 @@ class Inspector:
                 if not robot.held:
                     robot.causes.moves()
                 robot.clock[robot.slot] = message.operations
+                robot.free_s = inf if message.stopped else min(robot.free_s, t_s)
                 self._state(t_s, robot, message.state, kind)
             case Standstill():
                 robot.causes.hear(message, round(t_s * 1e6))
@@ -348,8 +355,16 @@ class Inspector:
 
     @property
     def latched(self) -> list[tuple[int, int, int]]:
-        """Dots of the stops that were heard and not cleared: slot, incarnation, counter."""
-        return sorted(set(self.stops) - set(self.cleared))
+        """Dots of the stops that were heard and hold robots: slot, incarnation, counter.
+
+        A reset may not have been heard. So a stop holds none either if every robot that is heard has said
+        for `FREE_S` that no stop holds it, and each of them was there before."""
+        left = set(self.stops) - set(self.cleared)
+        live = [r for r in self.robots.values() if not r.left and self.now_s - r.last_s <= SILENT_S]
+        free_s = max((r.free_s for r in live), default=inf)
+        if self.now_s - free_s >= FREE_S:
+            left = {dot for dot in left if self.now_s - self.stops[dot] < FREE_S}
+        return sorted(left)
 
     @property
     def keyed(self) -> bool | None:

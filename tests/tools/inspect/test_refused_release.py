@@ -96,3 +96,19 @@ def test_t11_the_list_of_the_map_and_a_report_tell_that_a_release_was_refused() 
     assert "the release was refused: robots hold the stop" in told, told
     (pressed,) = timeline.pressed
     assert pressed.cleared_s is None
+
+
+@pytest.mark.parametrize("held", [False, True])
+def test_a_stop_whose_reset_was_not_heard_is_not_shown_for_ever(held: bool) -> None:
+    """A map whose link was away at the reset showed a stop while all robots drove."""
+    inspector = listener(False)
+    other = AddressClaimed(fleet_name("held", 2).pack())
+    for message in (other, Member(2, 1, 7)):
+        inspector.hear(0.2, encode(message, 130))
+    free = Heartbeat(1, State.WORKING, False, False, True, False, 1.0, 0, 0, False)
+    for tick in range(10, 200):
+        inspector.hear(0.1 * tick, encode(free, 129))
+        inspector.hear(0.1 * tick, encode(free._replace(stopped=held), 130))
+        assert (inspector.latched == [DOT]) is (held or tick < 60), tick
+    inspector.hear(20.0, encode(EmergencyStop(1, 1, 8, Reason.OPERATOR_INTERVENTION), 249))
+    assert (1, 1, 8) in inspector.latched, "a press is shown at once"
