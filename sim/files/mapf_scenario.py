@@ -44,7 +44,8 @@ def parse_scenario(
         raise GridFileError(f"{name}: has {len(lines) - 1} agents, not {agents}")
     starts, goals = [], []
     for number, line in enumerate(lines[1 : agents + 1]):
-        words = line.split()
+        # Tabs divide the fields, because a name may have spaces. Some files have spaces only.
+        words = line.split("\t") if "\t" in line.strip() else line.split()
         try:
             if len(words) != FIELDS or not isfinite(float(words[8])):
                 raise ValueError

@@ -9,6 +9,7 @@ from agent.interface.config import PEERS_MAX
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
 from agent.runtime.files.printable_text import printable
+from protocol.device_pool import SECTION_WIDTH_MAX_MM
 from sim.files.whole_file import write_whole
 from sim.runs.work_record import LogPoint, Rings, Swath, WorkRecord
 
@@ -55,7 +56,8 @@ def read_work_geojson(path: Path) -> WorkRecord:
     try:
         return _record(document)
     except (KeyError, IndexError, TypeError, ValueError, AttributeError, OverflowError) as problem:
-        raise FieldFileError(f"{path}: not a work record: {problem!r}") from None
+        said = problem if isinstance(problem, ValueError) else repr(problem)
+        raise FieldFileError(f"{path}: not a work record: {said}") from None
 
 
 def run_of(path: Path) -> str | None:
@@ -85,14 +87,24 @@ def _record(document: dict[str, Any]) -> WorkRecord:
                         said["t_ms"], _points(coordinates), said["working"], strict=True
                     )
                 )
+    if "started" not in head:
+        raise ValueError("no boundary of it says when the work began; a plan does not")
     started = datetime.fromisoformat(head["started"]).astimezone(UTC)
     record = WorkRecord(
-        printable(str(head["name"])), started, bool(head["finished"]), int(head["width_mm"]),
+        printable(str(head["name"])), started, bool(head["finished"]), _width_mm(head["width_mm"]),
         head["rings"], tuple(swaths), tuple(covered), logs,
     )  # fmt: skip
     if any(point.t_ms < 0 for log in logs.values() for point in log) or record.stopped < started:
         raise ValueError("a time before the work began")
     return record
+
+
+def _width_mm(told: Any) -> int:
+    """Raises ValueError for what is no width of an implement."""
+    width_mm = int(told)
+    if not 0 < width_mm <= SECTION_WIDTH_MAX_MM:
+        raise ValueError(f"no implement is {told!s:.20} mm wide")
+    return width_mm
 
 
 def _slot(told: Any) -> int:

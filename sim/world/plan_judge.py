@@ -67,6 +67,7 @@ def judge(plan: Plan) -> PlanScore:
     court = PlanJudge(plan)
     while not court.over:
         court.advance()
+    court.end()
     return court.verdict()
 
 
@@ -127,6 +128,10 @@ class PlanJudge:
         self._move(self.step)
         self.step += 1
         self._arrive(self.step)
+
+    def end(self) -> None:
+        """After the last step: robots that die in the step after it do not cover what is left."""
+        self._die(self.step)
 
     @property
     def over(self) -> bool:

@@ -37,6 +37,7 @@ def solved(
     court = PlanJudge(plan)
     while not court.over:
         court.advance()
+    court.end()
     verdict = court.verdict()
     # With those who joined, and without what only the dead could reach.
     bound = lower_bound(plan.walls, plan.starts, plan.joined, court.wanted())

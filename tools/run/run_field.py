@@ -103,7 +103,8 @@ class FieldCommand(MissionCommand[FieldRun]):
         missed = None if self.run.truth is None else self.run.truth.missed
         marks = marks_of(self.run.told_faults, tracks)
         draw_field(field, rows, title, folder / "field.png", missed, marks)
-        started = datetime.now(UTC) - timedelta(seconds=outcome.wall_s)
+        # The work ends now: farm software takes no work of the future.
+        started = datetime.now(UTC) - timedelta(seconds=outcome.simulated_s)
         work = record_of(field, tracks, outcome.finished, started)
         write_geojson(work, folder / "work.geojson", log_hash)
         return ["field.png", "work.geojson"]

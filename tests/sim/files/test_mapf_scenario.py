@@ -26,6 +26,16 @@ def test_ends_and_empty_lines_are_no_matter(tmp_path: Path, end: str) -> None:
     ]
 
 
+def test_the_name_of_a_map_may_have_spaces(tmp_path: Path) -> None:
+    """The fields of a line are told apart by tabs."""
+    spaced = [line.replace("m.map", "my maps/m 1.map") for line in (ONE, TWO)]
+    assert read(tmp_path, HEAD, *spaced) == [(0, 0), (0, 3)]
+    assert read(tmp_path, HEAD, *(line.replace("\t", " ") for line in (ONE, TWO))) == [
+        (0, 0),
+        (0, 3),
+    ]
+
+
 @pytest.mark.parametrize(
     ("lines", "why"),
     [

@@ -292,6 +292,8 @@ def test_work_of_a_clock_that_was_not_set_is_one_line(
         ("log", "t_ms", -1),
         ("log", "robot", -1),
         ("log", "robot", 5000),
+        ("boundary", "width_mm", -5),
+        ("boundary", "width_mm", 10**400),
     ],
 )
 def test_a_time_or_a_robot_that_cannot_be_is_one_line(

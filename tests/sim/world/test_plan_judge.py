@@ -56,6 +56,13 @@ def test_a_wreck_blocks_and_frees_of_what_only_it_reached() -> None:
     assert judge(line).wall_entries == 1
 
 
+def test_a_robot_that_dies_after_the_last_step_covers_nothing_more() -> None:
+    line = plan(["...."], [(0, 0)], [[RIGHT]])
+    assert judge(line).uncovered == 2
+    line.died = [1]
+    assert judge(line).uncovered == 0, "no robot is left that could reach a cell"
+
+
 def test_a_robot_that_joins_is_not_there_before() -> None:
     late = plan(["..."], [(0, 0), (0, 2)], [[0, RIGHT, 0], [0, 0, 0]])
     late.joined = [0, 2]

@@ -4,6 +4,7 @@ import json
 import os
 import subprocess
 import sys
+from datetime import UTC, datetime
 from pathlib import Path
 
 import can
@@ -46,7 +47,9 @@ def test_run_leaves_report_picture_and_logs(tmp_path: Path) -> None:
     assert phases[:2] == ["CLAIMED", "STARTED"] and phases[-2:] == ["STARTED", "DONE"], phases
     done = headland("export", "out", "--isoxml", "T", "--geojson", "w.geojson", folder=tmp_path)
     assert done.returncode == 0 and "finished" in done.stdout, done.stderr
-    assert read_work_isoxml(tmp_path / "T") == read_work_geojson(tmp_path / "w.geojson")
+    work = read_work_geojson(tmp_path / "w.geojson")
+    assert read_work_isoxml(tmp_path / "T") == work
+    assert work.stopped <= datetime.now(UTC), "a run that is faster than its clock"
     assert headland("export", "nowhere", "--isoxml", "T", folder=tmp_path).returncode == 2
     table = headland("inspect", "out", folder=tmp_path)
     assert "path of" in table.stdout and table.returncode == 0
