@@ -75,6 +75,8 @@ SEES_WRONG: Final = (
     kinds.Freeze,
 )  # fmt: skip
 ROLLS_ON_US = 1 * S  # after the touch of a robot that a person pushes
+# A slow body that pushes another one is never deep in it. Bodies that only met part within a control period.
+LEANS_US = 200_000
 # The latest observation is one period old at most, expires one period after its limit, and that is
 # noticed one control period later.
 SENSELESS_US = AGE_MAX_US + 2 * CONTROL_PERIOD_US + SLACK_US
@@ -827,10 +829,14 @@ class ScenarioJudge:
             )
             if contact.against.startswith(THING):
                 excused |= any(begin <= contact.t_us < end for begin, end in self._comes)
-            if contact.depth_m > TOUCH_M and not excused:
-                depth_cm = contact.depth_m * 100
-                what = f"robot {contact.first} {depth_cm:.0f} cm into {contact.against}"
-                self._add("S17", contact.t_us / 1e6, what)
+            for_us = contact.last_at_us - contact.t_us
+            if (contact.depth_m > TOUCH_M or for_us >= LEANS_US) and not excused:
+                how = f"{contact.depth_m * 100:.0f} cm into"
+                if contact.depth_m <= TOUCH_M:
+                    how = f"leans for {for_us / S:.1f} s on"
+                self._add(
+                    "S17", contact.t_us / 1e6, f"robot {contact.first} {how} {contact.against}"
+                )
                 return
 
     def _implements_over_things(self) -> None:

@@ -7,6 +7,7 @@ from sim.chaos.scenario_judge import ScenarioJudge
 from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import load
+from sim.world.ground_truth import Contact
 
 COMES_S, MEETS_S, END_S = 6.0, 7.0, 9.0
 INTO_M = 0.3  # of one body into what it meets
@@ -26,15 +27,19 @@ class Carried(ScenarioJudge):
         world.advance(round(MEETS_S * S))
         first, second = world.body(0), world.body(1)
         x_m, y_m = first.position
-        if self.meets == "box":
+        if self.meets == "leans":
+            at_us = round(MEETS_S * S)
+            world.contacts.append(Contact(at_us, 0, 1, 0.001, "robot 1", x_m, y_m, at_us + S // 2))
+        elif self.meets == "box":
             world.add_box(x_m + first.radius_m + 1.0 - INTO_M, y_m, 2.0)
         else:
             world.place(second, x_m + 2 * first.radius_m - INTO_M, y_m, 0.0)
 
 
-@pytest.mark.parametrize(("meets", "broken"), [("robot", True), ("box", False)])
+@pytest.mark.parametrize(("meets", "broken"), [("robot", True), ("box", False), ("leans", True)])
 def test_a_person_elsewhere_excuses_no_robot_that_touches_another(meets: str, broken: bool) -> None:
-    """S17 was not judged between robots, nor at fences, for 3 s after anything came into the field."""
+    """S17 was not judged between robots, nor at fences, for 3 s after anything came into the field.
+    A robot that leans on another is a millimetre deep in it. That was never judged."""
     person = kinds.Person(
         at_s=COMES_S, kind="person", route=[(-19.0, -13.0), (-18.0, -13.0)], speed_m_s=0.5
     )
