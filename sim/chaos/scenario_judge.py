@@ -75,7 +75,7 @@ SEES_WRONG: Final = (
     kinds.Freeze,
 )  # fmt: skip
 ROLLS_ON_US = 1 * S  # after the touch of a robot that a person pushes
-# A slow body that pushes another one is never deep in it. Bodies that only met part within a control period.
+# A slow body that pushes another one is never deep in it. Bodies that only met part again at once.
 LEANS_US = 200_000
 # The latest observation is one period old at most, expires one period after its limit, and that is
 # noticed one control period later.
@@ -111,6 +111,9 @@ class _FrozenPlace(NamedTuple):
     driven_m: float  # its true way until then
     end_at_us: int
     unnoticed_m: frozenset[float]  # the distances that it may drive before each of its faults shows
+    # How often its senses were away meanwhile. Then it knows nothing of the place before, and drives
+    # until the fault shows again.
+    again: int = 0
 
 
 class StopEarly(Exception):
@@ -458,8 +461,11 @@ class ScenarioJudge:
             if watch in (None, number):
                 self._blind[slot].remove(number)
                 self.senseless.release(number)
+        frozen = self._frozen.get(slot)
         if watch is None:
             self._frozen.pop(slot, None)
+        elif frozen is not None:
+            self._frozen[slot] = frozen._replace(again=frozen.again + 1)
 
     def _place_freezes(self, slot: int, end_at_us: int, unnoticed_m: float) -> None:
         """S19: it notices this when it drives, and stops within its distance limit."""
@@ -474,6 +480,7 @@ class ScenarioJudge:
                 before.driven_m,
                 max(before.end_at_us, end_at_us),
                 before.unnoticed_m | {unnoticed_m},
+                before.again,
             )
             self._at(end_at_us, partial(self._thaws, slot))
 
@@ -486,7 +493,7 @@ class ScenarioJudge:
         body = self.cluster.world.robots[slot]
         way_m = body.track.driven_m - frozen.driven_m
         most_m = body.chassis.speed_m_s * (SENSELESS_US / S + body.chassis.stopping_for_s / 2)
-        if way_m > most_m + sum(frozen.unnoticed_m):
+        if way_m > (1 + frozen.again) * (most_m + sum(frozen.unnoticed_m)):
             what = f"robot {slot} drives {way_m:.1f} m while its place is frozen"
             self._add("S19", now_us / 1e6, what)
 

@@ -125,6 +125,8 @@ MENDED = {
     ("all", 112001178): "agent/peer/sense_freshness.py",
     # A robot drove 0.3 m before it found its place frozen, and another one touched it there.
     ("senses", 114001205): "agent/motion/obstacle_detector.py",
+    # The senses of a robot with a hung receiver went away, and came back while it still hung.
+    ("fixes", 115200000): "sim/chaos/scenario_judge.py",
 }
 
 
