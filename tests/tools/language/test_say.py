@@ -188,7 +188,7 @@ def test_what_a_person_can_do_wrong_is_one_line(
 
 
 def inspected(source: Path | None, why: str | None, as_json: bool, picture: Path | None) -> int:
-    return inspect(source, *NO_BUS, 1.0, False, why, as_json, picture=picture)
+    return inspect(source, *NO_BUS, None, False, why, as_json, picture=picture)
 
 
 def test_why_is_told_with_its_frames(recorded: Path, capfd: pytest.CaptureFixture[str]) -> None:

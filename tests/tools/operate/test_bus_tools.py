@@ -171,7 +171,7 @@ def test_a14_frames_that_no_robot_reads_are_counted_in_a_log(
         "(1.000000) can0 0CFF1080#0000000000000000\n(1.1) can0 123#0102\n(1.2) can0 123#R\n"
         "(1.3) can0 20000088#0000000000000000\n(1.4) can0 0CFE0C26#01FFFFFFFFFFFFFF\n"
     )
-    words = (log, "socketcand", "can0", 250_000, "127.0.0.1", 0, 0.0, False, None)
+    words = (log, "socketcand", "can0", 250_000, "127.0.0.1", 0, None, False, None)
     assert inspect(*words, as_json=True) == 0
     seen = json.loads(capsys.readouterr().out)
     assert seen["other_frames"] == 3 and seen["malformed"] == {}
