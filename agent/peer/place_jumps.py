@@ -9,7 +9,7 @@ way, and no part of the jump. If it counted as one, the true place would be wron
 A place is trusted when the robot drives by it, or when nothing was wrong with it for `TRUSTED_US`.
 """
 
-from math import degrees, hypot, pi, radians, remainder
+from math import degrees, hypot, inf, pi, radians, remainder
 from typing import Final, NamedTuple
 
 from agent.interface.config import ACTUATOR_TTL_US, CONTROL_PERIOD_US, SPEED_MAX_M_S, S
@@ -210,7 +210,7 @@ class PlaceJumps:
         if in_time:
             reach = _reach_unseen(before, limits, unseen, passed_for_s)
         else:
-            reach = self._reach_from(before, limits, unseen, told)
+            reach = self._reach_from(before, limits, unseen, told, inf if gap else passed_for_s)
         back = self._offset.moved(dx_m, dy_m, turned_rad)
         # It may have returned or driven on. One that drove on is not where it was before the jump.
         slow = unseen is not NOTHING_UNSEEN or hypot(before.vx_m_s, before.vy_m_s) <= STARTS_M_S
@@ -238,9 +238,10 @@ class PlaceJumps:
         return f"jumped by {moved_m:.1f} m"
 
     def _reach_from(
-        self, before: Observation, limits: BodyLimits, unseen: Unseen, told: bool
-    ) -> Reach:
-        """How far a body that lost its senses there can have come.
+        self, before: Observation, limits: BodyLimits, unseen: Unseen, told: bool,
+        passed_for_s: float,
+    ) -> Reach:  # fmt: skip
+        """How far a body that lost its senses there can have come, `passed_for_s` ago.
 
         It drove until its senses were old, for the lifetime of a command, and braked, with no more
         than the acceleration of its limits, and nearly in the direction in which it was driving.
@@ -253,6 +254,7 @@ class PlaceJumps:
         driving_for_s = (AGE_MAX_US + ACTUATOR_TTL_US) / S
         fastest_m_s = max(speed_m_s, unseen.speed_m_s) + acceleration_m_s2 * driving_for_s
         way_for_s = driving_for_s + fastest_m_s / acceleration_m_s2 / 2  # braking at half the speed
+        way_for_s = min(way_for_s, passed_for_s)
         way_m = unseen.way_m + fastest_m_s * way_for_s
         turned_rad = unseen.turned_rad + abs(self._turn_rad_s) * way_for_s + ASIDE
         return Reach(*_course(before), way_m, turned_rad)
