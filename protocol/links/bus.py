@@ -15,7 +15,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable
-from errno import ENODEV, ENXIO
+from errno import ENETDOWN, ENODEV, ENXIO
 from typing import TYPE_CHECKING, Any, Final
 
 from protocol.controller_health import Health, told_by
@@ -40,6 +40,7 @@ IPV6_MULTICAST_ALL: Final = 29
 # Errors of an interface that is gone. When its adapter comes back, it is another one, and an open socket
 # stays without. A link that is down (ENETDOWN) comes back by itself.
 GONE: Final = frozenset({ENODEV, ENXIO})
+AWAY: Final = GONE | {ENETDOWN}  # errors after which frames of others were missed
 LOST_S: Final = (
     3.0  # errors for this long, and no frame: the interface does not come back by itself
 )
@@ -61,6 +62,8 @@ class InterfaceErrors:
         self.clock = clock
         self.count = 0  # of reception
         self.newest = ""
+        self.returns = 0  # times at which frames came again from an interface that had been away
+        self._away = False
         self._run_at_s: float | None = None  # since when there are errors of reception and no frame
         self._gone_at_s: float | None = None  # since when the interface is gone
         self._at_s = 0.0  # when the newest error of reception was
@@ -68,6 +71,8 @@ class InterfaceErrors:
 
     def received(self) -> None:
         """A frame came: the interface is there."""
+        self.returns += self._away
+        self._away = False
         self._run_at_s = self._gone_at_s = None
 
     def add(self, problem: Exception) -> None:
@@ -86,6 +91,7 @@ class InterfaceErrors:
     def add_code(self, problem: Exception) -> None:
         """Reception or sending failed: its number says whether the interface is gone."""
         code = getattr(problem, "error_code", None) or getattr(problem, "errno", None)
+        self._away = self._away or code in AWAY
         if code in GONE and self._gone_at_s is None:
             self._gone_at_s = self.clock()
             self.newest = (str(problem).splitlines() or [""])[0] or os.strerror(int(code))
@@ -204,6 +210,7 @@ class CanBus:
         self.ignored = 0  # error, remote and 11-bit frames, and those without a whole identifier
         self.refused = 0  # frames that the driver did not accept
         self._told = Health.ACTIVE  # health as reported by error frames
+        self._returns = 0  # of the controller from bus-off, and of the socket into its group
         self.errors = InterfaceErrors()
         self._notifier: can.Notifier | None = None
         # Loop, the file that it reads, and what it calls then.
@@ -257,6 +264,12 @@ class CanBus:
             return told
         return self._confirmed
 
+    @property
+    def connections(self) -> int:
+        """How often it began to hear others: once, and after each time at which it had heard nobody: its
+        link was down, its controller off the bus, or its socket out of its group."""
+        return 1 + self.errors.returns + self._returns
+
     def _is_own(self, message: "can.Message") -> bool:
         """Whether this is our own frame returned. SocketCAN marks frames of other local programs
         too."""
@@ -291,7 +304,9 @@ class CanBus:
                 return
             self.ignored += 1
             if message.is_error_frame:
-                self._told = told_by(message.arbitration_id, bytes(message.data), self._told)
+                was = self._told
+                self._told = told_by(message.arbitration_id, bytes(message.data), was)
+                self._returns += was is Health.OFF and self._told is not Health.OFF
 
         loop = asyncio.get_running_loop()
         try:
@@ -326,6 +341,7 @@ class CanBus:
         if bus is None:
             return
         read = self._read
+        self._returns += 1
         self._end_read()
         self.bus.shutdown()
         self.bus = bus

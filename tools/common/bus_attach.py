@@ -59,10 +59,10 @@ def lost_of(*buses: object) -> str | None:
 
 
 def connections_of(bus: object) -> int:
-    """How often a link of socketcand was made; of another bus 0.
+    """How often a bus began to hear others; of something else 0.
 
     A tool has missed what was said before each, and no robot says it again unasked."""
-    return bus.connections if isinstance(bus, SocketcandLink) else 0
+    return bus.connections if isinstance(bus, SocketcandLink | CanBus) else 0
 
 
 async def while_attached(work: Coroutine[Any, Any, T], *buses: object) -> T:

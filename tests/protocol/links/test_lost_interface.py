@@ -13,8 +13,10 @@ from typing import Any
 import can
 import pytest
 
+from protocol.controller_health import BUS_OFF, CONTROLLER, RESTARTED
 from protocol.frames.frame import Frame
 from protocol.links.bus import LOST_S, CanBus, InterfaceErrors, open_bus
+from tools.common.bus_attach import connections_of
 
 FRAME = Frame(0x18FEF100, b"\1")
 LIMIT_S = 10.0
@@ -283,3 +285,57 @@ def test_errors_without_end_are_a_lost_interface_and_errors_between_frames_are_n
         assert trial.bus.lost is not None and "cannot receive" in trial.bus.lost
 
     played(play)
+
+
+class Controlled(Adapter):
+    """Its controller tells by error frames what becomes of it: their classes are its faults."""
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        self.ours.settimeout(timeout)
+        try:
+            self.ours.recv(1)
+        except (TimeoutError, BlockingIOError):
+            return None, False
+        told = self.faults.pop(0)
+        message = can.Message(
+            arbitration_id=told or 1,
+            is_extended_id=not told,
+            is_error_frame=bool(told),
+            data=bytes(8),
+        )
+        return message, False
+
+
+def test_a_tool_asks_again_after_a_link_was_down() -> None:
+    """Sections that were done meanwhile stayed undone on the map for good."""
+
+    async def play(trial: Trial) -> None:
+        await trial.hears()
+        first = connections_of(trial.bus)
+        await trial.errs(ENETDOWN)
+        assert connections_of(trial.bus) == first, "it is still down"
+        for _ in range(3):
+            await trial.hears()
+            assert connections_of(trial.bus) == first + 1
+        await trial.errs(EIO)
+        await trial.hears()
+        assert connections_of(trial.bus) == first + 1, "an error between two frames is no absence"
+
+    played(play)
+
+
+def test_a_tool_asks_again_after_its_controller_was_off_the_bus() -> None:
+    async def main() -> None:
+        adapter = Controlled(by_file=True)
+        bus, heard = CanBus(adapter), asyncio.Event()
+        bus.subscribe(lambda frame: heard.set())
+        first = connections_of(bus)
+        for told, returned in ((CONTROLLER, 0), (BUS_OFF, 0), (RESTARTED, 1), (RESTARTED, 1)):
+            heard.clear()
+            adapter.happens(told)
+            adapter.happens()
+            await asyncio.wait_for(heard.wait(), LIMIT_S)
+            assert connections_of(bus) == first + returned
+        bus.close()
+
+    asyncio.run(main())

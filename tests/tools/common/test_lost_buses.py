@@ -20,7 +20,7 @@ GIVEN_UP_S = 5.0  # then a program goes on
 class GoneBus:
     """An adapter that was unplugged."""
 
-    health, lost, sent = Health.ACTIVE, WHY, None
+    health, lost, sent, connections = Health.ACTIVE, WHY, None, 1
 
     def send(self, frame: Frame) -> bool:
         return False
