@@ -2,12 +2,15 @@
 
 serial:/dev/ttyUSB0@115200      tcp://10.0.0.5:2947      tcp://[fd00::5]:2947      udp://0.0.0.0:5017
 
-UDP listens at its address, which is one of this computer, and answers the address that sent last.
+UDP listens at its address, which is one of this computer, and answers the address that sent last. The
+end of a datagram ends a line. A sentence without its checksum goes on in the next datagram, because
+serial adapters cut a stream where a datagram is full.
 
 What is written to a device that has stalled waits in a queue, and is obeyed when it is old. So a line is
 not written while an older one waits for longer than a command lives: the newest line wins.
 """
 
+import re
 import select
 import socket
 import struct
@@ -43,6 +46,8 @@ DISCARD: Final = struct.pack("ii", 1, 0)  # SO_LINGER: closing drops what was no
 LINE_MAX: Final = 1024  # bytes; a sentence has 82
 BAUD: Final = 115_200
 BAUD_MAX: Final = 4_000_000
+BEGINNINGS: Final = (b"$", b"!")  # of a sentence
+CHECKED: Final = re.compile(rb"\*[0-9A-Fa-f]{2}\s*\Z")  # the end of a whole sentence
 FORMS: Final = "serial:PATH[@BAUD], tcp://HOST:PORT or udp://HOST:PORT"  # of an address
 # What a device raises that is gone, is being closed by the other thread, or does not open any more.
 DEVICE_ERRORS: Final[tuple[type[Exception], ...]] = (
@@ -101,6 +106,7 @@ class LinePort:
         self._opens = _opener(address)
         self._stream: Any = None
         self._peer: Any = None  # UDP: who sent last
+        self._begun = b""  # UDP: the beginning of a sentence whose rest is in the next datagram
         self._end = threading.Event()
         self._thread: threading.Thread | None = None
         self._unsent = UnsentBytes(None)
@@ -199,9 +205,25 @@ class LinePort:
         if not isinstance(stream, socket.socket):
             return bytes(stream.read(max(stream.in_waiting, 1)))
         if stream.type == socket.SOCK_DGRAM:
-            datagram, self._peer = stream.recvfrom(65_536)
-            return datagram if datagram.endswith(b"\n") else datagram + b"\n"
+            datagram, sender = stream.recvfrom(65_536)
+            return self._lines_of(datagram, sender)
         return stream.recv(65_536)
+
+    def _lines_of(self, datagram: bytes, sender: Any) -> bytes:
+        """Whole lines with their ends. Raises BlockingIOError if there is only a part of one."""
+        if self._begun and (sender != self._peer or datagram.startswith(BEGINNINGS)):
+            self._begun += b"\n"  # its rest was lost
+        self._peer = sender
+        text = self._begun + datagram
+        end = text.rfind(b"\n") + 1
+        tail = text[end:]
+        if not tail.startswith(BEGINNINGS) or CHECKED.search(tail) or len(tail) > LINE_MAX:
+            self._begun = b""
+            return text + b"\n" if tail or not text else text
+        self._begun = tail
+        if not end:
+            raise BlockingIOError
+        return text[:end]
 
     def _drop(self, discard: bool = False) -> None:
         """Close the stream. `discard`: with what still waits to be sent, which is old."""

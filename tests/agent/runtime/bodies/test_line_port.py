@@ -294,6 +294,31 @@ def test_hostile_datagrams_cost_themselves_and_no_sentence(opened: Open) -> None
     assert got == [b"", b"", b"\x00\xff", b"one", b"two"] and port.overlong == 2
 
 
+def test_a_sentence_that_a_serial_adapter_cuts_is_put_together(opened: Open) -> None:
+    """An adapter sends a datagram when that is full. The sentence at its end was lost, each time."""
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
+        probe.bind(("127.0.0.1", 0))
+        at = probe.getsockname()
+    _, lines = opened(f"udp://127.0.0.1:{at[1]}")
+    with (
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as adapter,
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as other,
+    ):
+        for datagram in (
+            b"$GNHDT,90.0,T*17\r\n$GN",
+            b"HDT,91",
+            b".0,T*16\r\n$GNHDT,92.0,T*1",
+            b"5\r\n$GNHDT,93.0,T*14",  # whole, so it is taken at once
+            b"$GNHDT,9",  # its rest is lost
+            b"$GNHDT,95.0,T*12\r\n$GNHDT,9",
+        ):
+            adapter.sendto(datagram, at)
+        other.sendto(b"one\n", at)
+        got = [lines.get(timeout=LIMIT_S) for _ in range(8)]
+    whole = [b"$GNHDT,9%d.0,T*1%d" % (each, 7 - each) for each in (0, 1, 2, 3, 5)]
+    assert got == [*whole[:4], b"$GNHDT,9", whole[4], b"$GNHDT,9", b"one"]
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="only Linux says what is unacknowledged")
 def test_no_command_waits_behind_old_ones_of_a_controller_that_stalls(
     server: socket.socket, opened: Open, monkeypatch: pytest.MonkeyPatch
