@@ -52,8 +52,7 @@ class Conflicts(Part):
         }
 
     def _field_differs(self, ctx: StepContext, notice: notices.FieldDiffers) -> Outputs:
-        why = "it has another field description"
-        return self.found(StopCause.CONFIG_MISMATCH, notice.address, why, ctx.now_us)
+        return self.found(StopCause.CONFIG_MISMATCH, notice.address, notice.why, ctx.now_us)
 
     def _settled(self, ctx: StepContext, notice: notices.ConflictSettled) -> Outputs:
         self.settled(notice.address, ctx.now_us)

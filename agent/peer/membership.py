@@ -81,7 +81,7 @@ class Membership(Part):
         slot = self.slot = identity.slot
         assert slot in identity.members
         self.silence_for_us, self.safety, self.origins = silence_for_us, safety, origins
-        self.field_hash = identity.field_hash
+        self.field_hash, self._members = identity.field_hash, identity.members
         self.standing = {
             member: MemberStatus.ABSENT for member in sorted(identity.members) if member != slot
         }
@@ -194,7 +194,11 @@ class Membership(Part):
             return NOTHING
         if m.config_hash != self.field_hash:
             self.unbind(source)
-            return [notices.FieldDiffers(source)]
+            return [notices.FieldDiffers(source, "it has another field description")]
+        if m.slot not in self._members:  # it would be in nobody's way, and work what we work
+            self.unbind(source)
+            why = f"it is robot {m.slot}, and our fleet has {len(self._members)} robots"
+            return [notices.FieldDiffers(source, why)]
         announced = notices.MemberAnnounced(source)
         if m.slot == self.slot:
             return [announced, notices.IdentityDoubled(source)]

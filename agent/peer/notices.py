@@ -213,9 +213,10 @@ class MemberAnnounced(NamedTuple):
 
 
 class FieldDiffers(NamedTuple):
-    """The robot at this address has another field description."""
+    """The robot at this address has another field description, or is of a fleet of more robots."""
 
     address: int
+    why: str
 
 
 class IdentityDoubled(NamedTuple):

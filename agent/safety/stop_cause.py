@@ -156,8 +156,8 @@ class StopCause(Enum):
     CONFIG_MISMATCH = _Rule(
         Severity.PROTECTIVE,
         ClearCondition.WHEN_APART,
-        "a robot of this fleet has another field description",
-        "start that robot with the field of this fleet, or switch it off",
+        "a robot of this fleet has another field description, or a slot beyond our number of robots",
+        "start all robots with the same fleet and field, or switch that robot off",
     )
     DUPLICATE_ID = _Rule(
         Severity.PROTECTIVE,

@@ -70,20 +70,37 @@ def test_t1_it_ends_when_the_other_agrees() -> None:
     assert not held_by(peer) and peer.membership.live == {0, 2}
 
 
+def test_t1_a_robot_beyond_our_number_of_robots_holds_while_it_speaks() -> None:
+    """Two robots were added, and the files of the others still said two. These did not see the new ones,
+    drove through them, and worked their sections again."""
+    peer = robot()
+    beyond = len(peer.identity.members)
+    peer.step(Heard(200, AddressClaimed(fleet_name("total", beyond).pack())), 2 * S)
+    peer.step(Heard(200, Member(beyond, 0, 1)), 2 * S)
+    assert held_by(peer) == {StopCause.CONFIG_MISMATCH} and peer.membership.live == {0}
+    assert f"robot {beyond}, and our fleet has {beyond} robots" in held_for(peer)
+    for k in range(10):
+        peer.step(Heard(200, POSE), (3 + k) * S)
+        list(running(peer, (3 + k) * S, (4 + k) * S))
+        assert StopCause.CONFIG_MISMATCH in held_by(peer)
+    list(running(peer, 13 * S, 13 * S + GONE_US))
+    assert StopCause.CONFIG_MISMATCH not in held_by(peer), "it is gone"
+
+
 @pytest.mark.parametrize("first_agrees", [True, False])
 def test_t1_of_two_such_robots_the_one_that_still_speaks_is_named(first_agrees: bool) -> None:
     """People were sent to a machine that had been mended, or switched off, long ago."""
     peer = robot()
-    for address, slot in ((200, 2), (201, 3)):
+    for address, slot in ((200, 1), (201, 2)):
         peer.step(Heard(address, AddressClaimed(fleet_name("total", slot).pack())), 2 * S)
         peer.step(Heard(address, Member(slot, 0, OTHER_FIELD)), 2 * S)
     assert about(StopCause.CONFIG_MISMATCH, held_for(peer)) == 200
     if first_agrees:
-        peer.step(Heard(200, Member(2, 0, 1)), 2 * S)
+        peer.step(Heard(200, Member(1, 0, 1)), 2 * S)
     for k in range(6):
         peer.step(Heard(201, POSE), (3 + k) * S)
     assert about(StopCause.CONFIG_MISMATCH, held_for(peer)) == 201
-    peer.step(Heard(201, Member(3, 0, 1)), 9 * S)
+    peer.step(Heard(201, Member(2, 0, 1)), 9 * S)
     assert StopCause.CONFIG_MISMATCH not in held_by(peer), "no robot that differs is left"
 
 

@@ -23,7 +23,10 @@ from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
 from tools.operate.reset import hear_causes, stands
 
-TOLD = "CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off"
+TOLD = (
+    "CONFIG_MISMATCH with address 200: start all robots with the same fleet and field, or switch "
+    "that robot off"
+)
 
 
 @pytest.mark.parametrize("cause", list(StopCause), ids=lambda cause: cause.name)
