@@ -172,6 +172,48 @@ def choose_goals(grid: TeamGrid, walked: Walked, robots: Robots, now: int) -> No
             if robots.low[robot] < robots.high[robot]:
                 _set_goal(walked, robots, robot, now)
                 _find_way(grid, robots, robot)
+    for robot in range(robots.place.size):
+        if robots.place[robot] != NONE and robots.goal[robot] != NONE:
+            _uncross(grid, robots, robot)
+
+
+@njit(cache=True)
+def _is_corridor(grid: TeamGrid, cell: int) -> bool:
+    """Whether a free cell has no room for a robot beside the way through it."""
+    free, width = grid.free, grid.width
+    return free[cell - width] + free[cell + width] + free[cell - 1] + free[cell + 1] <= 2
+
+
+@njit(cache=True)
+def _goes_through(robots: Robots, robot: int, cell: int) -> bool:
+    """Whether a robot is nearer to its goal in that cell beside it."""
+    if robots.goal[robot] == NONE or robots.fielded[robot] != robots.goal[robot]:
+        return False  # idle, or its goal is next door and not that cell, which is covered
+    field = robots.field[robot]
+    return field[cell] != NONE and field[cell] < field[robots.place[robot]]
+
+
+@njit(cache=True)
+def _uncross(grid: TeamGrid, robots: Robots, robot: int) -> None:
+    """Exchange the runs of two robots in a corridor where each has to go through the other.
+
+    They cannot pass each other. The robot with the older goal would push the other one, which covers
+    that goal; then the other one has the older goal, and so on, one cell more each time.
+    """
+    place = robots.place[robot]
+    for step in (-grid.width, grid.width, -1, 1):
+        other = grid.here[place + step]
+        if other == NONE or not _goes_through(robots, robot, place + step):
+            continue
+        if not (_is_corridor(grid, place) and _is_corridor(grid, place + step)):
+            continue
+        if not _goes_through(robots, other, place):
+            continue
+        for each in (robots.low, robots.high, robots.side, robots.goal, robots.since):
+            each[robot], each[other] = each[other], each[robot]
+        _find_way(grid, robots, robot)
+        _find_way(grid, robots, other)
+        return
 
 
 @njit(cache=True)

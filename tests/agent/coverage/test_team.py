@@ -166,3 +166,38 @@ def test_turns_are_worth_avoiding() -> None:
     walls = np.zeros((24, 24), dtype=np.bool_)
     plain, turning = (Team(walls, [(0, 0), (23, 23)], cost) for cost in (0.0, 0.5))
     assert turning.bound > plain.bound >= 24 * 24 / 2 - 1
+
+
+def in_order(columns: int, at: list[int]) -> int:
+    """The least steps in which robots on one row of cells cover it, none passing another."""
+    for steps in range(2 * columns):
+        first = 0  # what is left begins here
+        for own in sorted(at):
+            back = max(0, own - first)
+            if back > steps:
+                break
+            ahead = max(steps - 2 * back, (steps - back) // 2)
+            first = max(first, own + ahead + 1)
+        if first >= columns:
+            return steps
+    raise AssertionError("one robot needs fewer")
+
+
+def test_neighbours_in_a_corridor_do_not_push_each_other_to_and_fro() -> None:
+    walls = np.zeros((1, 200), dtype=bool)
+    starts = [105, 104, 43, 42]
+    covered: set[Cell] = set()
+    steps = follow(Team(walls, [(0, column) for column in starts]), walls, covered)
+    assert steps == in_order(200, starts) == 94
+
+
+@settings(max_examples=examples(60), deadline=None)
+@given(st.integers(0, 10**6))
+def test_a_corridor_takes_hardly_longer_than_robots_in_their_order(seed: int) -> None:
+    rng = Random(f"{seed}/corridor")
+    columns = rng.randint(40, 120)
+    pairs = {at + k for at in rng.sample(range(columns - 1), rng.randint(1, 4)) for k in (0, 1)}
+    starts = rng.sample(sorted(pairs), len(pairs))
+    walls = np.zeros((1, columns), dtype=bool)
+    steps = follow(Team(walls, [(0, column) for column in starts]), walls, set())
+    assert steps <= 1.3 * in_order(columns, starts) + 4
