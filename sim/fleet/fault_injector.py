@@ -105,6 +105,8 @@ class FaultPlan:
             case kinds.Restart(robot=robot, disk=disk):
                 self._restart(robot, disk)
             case kinds.Join(robot=robot) if not cluster.is_up(robot):
+                if not cluster.has_room(robot):
+                    return self._join_with_room(robot)
                 cluster.boot(robot)
             case kinds.Freeze(robot=robot, for_s=for_s):
                 cluster.freeze(robot, for_s)
@@ -244,6 +246,14 @@ class FaultPlan:
         if disk == "rolled_back" and isinstance(journal, LogJournal):
             cluster.journals[robot] = journal.earlier(self._rng.random())
         cluster.boot(robot)
+
+    def _join_with_room(self, robot: int) -> Script[None]:
+        """Switch a robot on when the others have made room for it."""
+        while not self.cluster.has_room(robot):
+            yield self._now_us() + LOOK_US
+        if not self.cluster.is_up(robot):
+            self._now_us()
+            self.cluster.boot(robot)
 
     def _disk_full(self, robot: int, for_s: float) -> Script[None]:
         """Only a simulated disk can be filled up."""

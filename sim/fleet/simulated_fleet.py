@@ -161,6 +161,10 @@ class Cluster:
             if slot not in late:
                 self.boot(slot)
 
+    def has_room(self, slot: int) -> bool:
+        """Whether there is room for a robot that is to be switched on for the first time."""
+        return True
+
     def boot(self, slot: int) -> Robot:
         """Power a robot up with the contents of its journal."""
         self.look()

@@ -35,6 +35,7 @@ class CoverageFleet(Cluster):
             self.never_died.discard(slot)
         if slot not in self.grid_world.robots:
             number = self._room_for(slot)
+            assert number is not None, "no room"
             self.grid_world.put_robot(slot, number, self.host.now_us())
         return super().boot(slot)
 
@@ -42,7 +43,12 @@ class CoverageFleet(Cluster):
         self.never_died.discard(slot)
         super().kill(slot)
 
-    def _room_for(self, slot: int) -> int:
+    def has_room(self, slot: int) -> bool:
+        """Whether a cell that can be reached from the robot's start is empty, or the robot is there."""
+        return slot in self.grid_world.robots or self._room_for(slot) is not None
+
+    def _room_for(self, slot: int) -> int | None:
+        """The empty cell nearest to a robot's start; None while others are in all of them."""
         ground, start = self.place.ground, self.place.cells[slot]
         seen, queue = {start}, deque([start])
         while queue:
@@ -60,7 +66,7 @@ class CoverageFleet(Cluster):
                 if near != NONE and near not in seen:
                     seen.add(near)
                     queue.append(near)
-        raise AssertionError("more robots than cells")
+        return None
 
     def mission(self, robot: Robot) -> GridWork:
         """The coverage mission of a robot."""

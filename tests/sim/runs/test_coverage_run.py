@@ -268,3 +268,16 @@ def test_bad_input_is_one_line(words: list[str]) -> None:
     done = CliRunner().invoke(app, ["drive", *words])
     assert done.exit_code == 2 and "Traceback" not in done.output
     assert done.output.strip().count("\n") == 0 and "headland:" in done.output
+
+
+@pytest.mark.parametrize("second", [3.5, 4.5])
+def test_a_robot_that_has_no_room_joins_when_the_others_have_made_some(second: float) -> None:
+    place = Instance("two cells", np.zeros((1, 2), dtype=bool), [(0, 0), (0, 1)])
+    run = CoverageRun(
+        CoverageSetup.made(
+            place, faults=[Join(at_s=second, kind="join", robot=0)], time_limit_s=60.0
+        )
+    )
+    outcome = run.run()
+    assert outcome.success, outcome
+    assert run.cluster is not None and run.cluster.is_up(0)
