@@ -142,9 +142,12 @@ class ExplorationSetup(FleetSetup):
 
     @cached_property
     def open(self) -> NDArray[np.bool_]:
-        """(rows, columns): cells that can be seen: free, and connected with the first start."""
+        """(rows, columns): cells that can be seen: free, and connected with the start of a robot."""
         regions, _ = scipy.ndimage.label(~self.solid)
-        return self._region_of_start(regions, self.starts[0])
+        found: NDArray[np.bool_] = np.zeros(regions.shape, dtype=np.bool_)
+        for start in self.starts[: self.scenario.fleet.robots]:
+            found |= self._region_of_start(regions, start)
+        return found
 
     @cached_property
     def reachable(self) -> NDArray[np.bool_]:

@@ -344,3 +344,15 @@ def test_a_fleet_has_a_limit() -> None:
         ExplorationRun(scenario.model_copy(update={"arena": small})).run()
     with pytest.raises(ScenarioError, match=r"arena\.starts"):
         ExplorationRun(load_arena("arena").changed(9, 1))
+
+
+def test_i24_a_room_in_which_only_another_robot_starts_counts_as_well() -> None:
+    place = {"starts": [(-2.0, 0.0), (1.0, 0.0)], "solid": [(-1.1, -2.5, -0.9, 2.5)]}
+    both, alone = (
+        ExplorationSetup(
+            scenario.model_copy(update={"arena": scenario.arena.model_copy(update=place)})
+        )
+        for scenario in (load_arena("arena").changed(robots, 1) for robots in (2, 1))
+    )
+    assert all(both.reachable[both.geometry.cell(start)] for start in both.starts)
+    assert not alone.reachable[alone.geometry.cell((1.0, 0.0))], "nobody comes there"
