@@ -32,6 +32,7 @@ from protocol.frames.codec import Malformed, decode_once, destination_of
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
+from protocol.frames.key_frames import KeySwitch
 from protocol.frames.map_frames import MapDigests, MapPatch
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import AddressClaimed, Request, refusal
@@ -130,6 +131,7 @@ class Gateway:
         revoked may have said it, and learn again from the robots what they still believe."""
         assert self.proofs is not None, "a gateway without keys is given none"
         self.proofs.rekey(keys, now_us)
+        self.stops.keys_changed()
         self.border = WorkRelay(self.area)
         self.sync = Synchronizer(self.sync.slot, self.border.allocation, self.border.progress)
         self.sync.live(self._live, now_us)
@@ -162,6 +164,9 @@ class Gateway:
                 if halves and number is None
                 else ()
             )
+        if isinstance(message, KeySwitch):
+            self.stops.keys_changed()
+            return ()
         if number is not None:
             self.candidacy.on_message(number, message, now_us)
         if self.proofs is None:

@@ -98,6 +98,12 @@ class StopRelay:
             self._again_at_us = now_us + AGAIN_US
             self._repeat(active[-1], True, now_us)
 
+    def keys_changed(self) -> None:
+        """The robots here have other keys. By these they may know a stop that they disbelieved, so it is
+        said again.
+        """
+        self.disbelieved.clear()
+
     def halted(self, now_us: int) -> tuple[int, int]:
         """How many robots were received lately, and how many of them are stopped."""
         lately = [s for heard_at_us, s in self._robots.values() if now_us - heard_at_us < LIVE_US]
