@@ -62,6 +62,8 @@ class FleetStops(Part):
         self._cleared = safety.stops.cleared
         self._stop_due_at_us: dict[StopDot, int] = {}  # stops of our segment, to send to the others
         self._reset_due_at_us: dict[RemoteStopDot, int] = {}
+        # Stops of our segment that stand since before a switch of keys, to tell under the new ones.
+        self._retold_due_at_us: dict[StopDot, int] = {}
         self._halves: dict[tuple[RemoteStopDot, int], int] = {}
         self._told_at_us = -ANSWER_SPACING_US
         self._told: RemoteStopDot | None = None  # last dot sent; the rotation goes on there
@@ -83,9 +85,16 @@ class FleetStops(Part):
         }
 
     def _keys_changed(self, ctx: StepContext, notice: notices.KeysChanged) -> Outputs:
-        """Segments switch one after the other; until then their stops are not believed and brake."""
+        """Segments switch one after the other; until then their stops are not believed and brake.
+
+        A segment that has switched before us did not believe the stops that stand here, so they are told
+        again.
+        """
         self.tags = FleetTags(notice.keys)
-        return NOTHING
+        place = sorted(ctx.live).index(self.slot)
+        dots = enumerate(sorted(self.safety.stops.active), place)
+        self._retold_due_at_us = {dot: ctx.now_us + turn * TURN_US for turn, dot in dots}
+        return self.outgoing(ctx.now_us)
 
     def on_timer(self, ctx: StepContext) -> Outputs:
         if self.is_behind:
@@ -134,6 +143,7 @@ class FleetStops(Part):
             self._stop_due_at_us.setdefault(dot, now_us + next_in_rotation * TURN_US)
         for dot in cleared - self._cleared:
             self._stop_due_at_us.pop(dot, None)
+            self._retold_due_at_us.pop(dot, None)
             self._reset_due_at_us.setdefault(self._everywhere(dot), now_us + place * TURN_US)
         for far_dot in self._far - far:  # a reset of all held stops names no dot in other segments
             self._reset_due_at_us.setdefault(far_dot, now_us + place * TURN_US)
@@ -147,9 +157,10 @@ class FleetStops(Part):
 
     @property
     def due_at_us(self) -> int:
-        if not self._stop_due_at_us and not self._reset_due_at_us:
+        if not self._stop_due_at_us and not self._reset_due_at_us and not self._retold_due_at_us:
             return FOREVER_US
-        return min((*self._stop_due_at_us.values(), *self._reset_due_at_us.values()))
+        due = self._stop_due_at_us, self._reset_due_at_us, self._retold_due_at_us
+        return min(at_us for each in due for at_us in each.values())
 
     def outgoing(self, now_us: int) -> Sequence[Effect]:
         """The stops and resets that are due now, for all segments."""
@@ -159,6 +170,9 @@ class FleetStops(Part):
         for dot in [d for d, due_at_us in self._stop_due_at_us.items() if due_at_us <= now_us]:
             del self._stop_due_at_us[dot]
             effects.append(Send(self.stop_frame(self._everywhere(dot))))
+        for dot in [d for d, due_at_us in self._retold_due_at_us.items() if due_at_us <= now_us]:
+            del self._retold_due_at_us[dot]
+            effects.append(Send(self.stop_frame(self._everywhere(dot))._replace(told=True)))
         for far in [d for d, due_at_us in self._reset_due_at_us.items() if due_at_us <= now_us]:
             del self._reset_due_at_us[far]
             effects += [Send(half) for half in self.reset_frames(far)]
@@ -200,6 +214,7 @@ class FleetStops(Part):
         is_genuine = m == self.stop_frame(far)._replace(told=m.told)
         if near is not None and is_genuine:
             self._stop_due_at_us.pop(near, None)  # another robot has sent it, so we need not
+            self._retold_due_at_us.pop(near, None)
         if self._held(far, near) or (m.told and self._cleared_here(far, near)):
             return ()
         if not is_genuine:
@@ -259,4 +274,5 @@ class FleetStops(Part):
         effects = self.safety.clear_near(near, "a reset of the fleet", now_us)
         self._pressed, self._cleared = self.safety.stops.active, self.safety.stops.cleared
         self._stop_due_at_us.pop(near, None)
+        self._retold_due_at_us.pop(near, None)
         return effects

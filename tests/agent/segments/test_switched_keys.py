@@ -70,3 +70,13 @@ def test_a_stop_of_a_segment_that_switched_first_holds_the_other_one_when_it_has
     press_in_first_segment(fleet)
     switch(fleet, 2)
     assert fleet.run(3 * S, lambda: latched(fleet, 2)), f"seed {SEED}"
+
+
+def test_a_stop_of_a_segment_that_switches_last_holds_the_other_one_after_the_switch(
+    fleet: SegmentFleet,
+) -> None:
+    """No robot told the stop under the new keys, so the other segment never believed it."""
+    switch(fleet, 2)
+    press_in_first_segment(fleet)
+    switch(fleet, 1)
+    assert fleet.run(3 * S, lambda: latched(fleet, 2)), f"seed {SEED}"
