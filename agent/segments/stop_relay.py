@@ -75,9 +75,18 @@ class StopRelay:
 
     @property
     def digest(self) -> int:
-        """32 bits that are equal for equal stops and resets; equal ones need no exchange."""
-        total = sum(mix(int.from_bytes(FLEET_STOP.pack(stop), "little")) for stop in self.stops)
-        for halves in self.resets.values():
+        """32 bits that are equal for equal stops and resets; equal ones need no exchange.
+
+        At the limit each gateway drops what was the oldest to it. So only what is active counts then, or
+        gateways would tell each other for good what they drop.
+        """
+        full = len(self.stops) >= DOTS_MAX or len(self.resets) >= DOTS_MAX
+        total = sum(
+            mix(int.from_bytes(FLEET_STOP.pack(stop), "little"))
+            for stop in self.stops
+            if not full or self._active(_dot(stop))
+        )
+        for halves in () if full else self.resets.values():
             total += sum(
                 mix(int.from_bytes(FLEET_RESET.pack(half), "little")) for half in halves.values()
             )

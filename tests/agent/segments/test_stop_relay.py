@@ -8,6 +8,7 @@ from protocol.frames.segment_frames import FleetReset, FleetStop
 
 ROBOT = 0x80  # bus address
 STOP = FleetStop(segment=1, slot=3, incarnation=1, counter=1)
+NEW = STOP._replace(incarnation=99)
 BEAT_US = 100 * MS
 
 
@@ -102,3 +103,22 @@ def test_a_stop_is_carried_though_its_name_was_said_with_another_tag_before() ->
         near.on_reset(half)
     far.on_backbone_resets(resets, 20 * S)
     assert sent(far, 21 * S, 4 * S, beats=True) == 2 * len(resets), "one reset clears the name"
+
+
+def test_gateways_that_have_forgotten_other_stops_of_long_ago_have_nothing_to_tell() -> None:
+    """Each forgets what was the oldest to it. They told each other all stops once a second for good, said
+    the forgotten ones again on their buses, and forgot the next ones for these."""
+    old = [STOP._replace(incarnation=k >> 8, counter=k & 0xFF) for k in range(DOTS_MAX)]
+    near, far = StopRelay(1, 0), StopRelay(2, 0)
+    for relay, stops in ((near, old), (far, [old[1], old[0], *old[2:]])):
+        for k, stop in enumerate(stops):
+            relay.on_stop(ROBOT, stop, k * S)
+            for half in plain_reset(dot_of(stop)):
+                relay.on_reset(half)
+    for relay in (near, far):
+        relay.on_stop(ROBOT, NEW, DOTS_MAX * S)
+    assert near.stops.keys() != far.stops.keys()
+    assert near.digest == far.digest
+    for half in plain_reset(dot_of(NEW)):
+        near.on_reset(half)
+    assert near.digest != far.digest, "a reset is missing where the stop is active"
