@@ -219,6 +219,8 @@ class Gateway:
         self, source: int, stop: FleetStop, from_gateway: bool, now_us: int
     ) -> Sequence[Out]:
         news = self.stops.on_stop(source, stop, now_us)
+        if news:
+            self._stops_differ.clear()  # the others may miss this one
         return self._publish(BackboneKind.STOPS, tuple(news)) if news and not from_gateway else ()
 
     def _on_message(self, source: int, number: int | None, message: Message, now_us: int) -> None:
@@ -294,8 +296,11 @@ class Gateway:
         if summary.stops == self.stops.digest:
             del self._stops_differ[header.segment]
             return
-        self._stops_differ[header.segment] += 1
-        if self._stops_differ[header.segment] >= 2 and self._tell_at_us is None:
+        tries = self._stops_differ[header.segment] = self._stops_differ[header.segment] + 1
+        # One that stands by may lack stops of before its start, and nobody compares with it. It tries at
+        # 2, 4, 8 ... so that such a difference, which lasts, costs little.
+        rare = not self.leads and (tries & tries - 1) != 0
+        if tries >= 2 and not rare and self._tell_at_us is None:
             place = sorted(self.reach.heard(now_us)).index(header.segment)
             earliest_at_us = self._told_at_us + TELL_SPACING_US
             self._tell_at_us = max(now_us + place * TELL_STEP_US, earliest_at_us)

@@ -435,3 +435,30 @@ def test_an_old_stop_that_a_new_gateway_is_told_does_not_latch_a_new_robot(
     fleet.run(5 * S)
     assert new.safety.far.cleared and not new.safety.latched, f"seed {SEED}"
     bus.close()
+
+
+def test_a_gateway_that_stands_by_and_missed_old_stops_does_not_tell_its_own_for_good(
+    fleet: SegmentFleet,
+) -> None:
+    """Other segments compare with the leader alone, so nobody tells a second gateway that restarts. Once
+    a second it told every segment all stops that it knew, as many as there were since its start."""
+    bus = panel_of(fleet, 1)
+
+    def press_and_release() -> None:
+        press(fleet, 1)
+        assert fleet.run(S, lambda: all_latched(fleet)), f"seed {SEED}"
+        release(fleet, next(iter(fleet.peer(1, 0).safety.stops.active)), bus)
+        fleet.run(5 * S)
+
+    press_and_release()
+    fleet.kill_gateway(next(runner for runner in fleet.gateways[2] if not runner.gateway.leads))
+    second = fleet.add_gateway(2)
+    assert fleet.run(8 * S, lambda: second.gateway.candidacy.number is not None), f"seed {SEED}"
+    press_and_release()
+    assert not second.gateway.leads and len(second.gateway.stops.stops) == 1
+    far = fleet.leader(3)
+    assert far is not None
+    before = far.gateway.counts["STOPS"]
+    fleet.run(60 * S)
+    assert far.gateway.counts["STOPS"] <= before + 5, "twice the time from each one to the next"
+    bus.close()
