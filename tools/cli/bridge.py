@@ -82,31 +82,60 @@ def read_area(segment: int, file: Path | None) -> Area:
     if file is None:
         return Area(segment, 0)
     try:
-        told = read_toml(file, SETTINGS_BYTES_MAX)
-        return Area(
-            segment,
-            _number(told.get("home", 0), 0, SECTION_MAX),
-            {
-                _section(row["section"]): frozenset(_other(each, segment) for each in row["to"])
-                for row in told.get("lent", ())
-            },
-            {
-                _section(row["section"]): SegmentPlace(
-                    _other(row["of"], segment), _section(row["there"])
-                )
-                for row in told.get("borrowed", ())
-            },
-        )
+        told = _known(read_toml(file, SETTINGS_BYTES_MAX), "home", "lent", "borrowed")
+        home = _number(told.get("home", 0), 0, SECTION_MAX)
+        return Area(segment, home, _lent(told, segment, home), _borrowed(told, segment))
     except (ValueError, KeyError, TypeError, AssertionError) as problem:
         raise AttachError(f"{file} does not describe an area: {problem}") from None
 
 
+def _lent(told: dict[str, Any], segment: int, home: int) -> dict[int, frozenset[int]]:
+    """A section may have several rows. Raises ValueError, KeyError or TypeError."""
+    lent: dict[int, frozenset[int]] = {}
+    for said in told.get("lent", ()):
+        row = _known(said, "section", "to")
+        section = _section(row["section"])
+        if section >= home:
+            raise ValueError(f"section {section} is lent, and home is {home}")
+        others = frozenset(_other(each, segment) for each in row["to"])
+        lent[section] = lent.get(section, frozenset()) | others
+    return lent
+
+
+def _borrowed(told: dict[str, Any], segment: int) -> dict[int, SegmentPlace]:
+    """Raises ValueError, KeyError or TypeError."""
+    borrowed: dict[int, SegmentPlace] = {}
+    for said in told.get("borrowed", ()):
+        row = _known(said, "section", "of", "there")
+        section = _section(row["section"])
+        place = SegmentPlace(_other(row["of"], segment), _section(row["there"]))
+        if section in borrowed:
+            raise ValueError(f"section {section} is borrowed twice")
+        if place in borrowed.values():
+            raise ValueError(
+                f"section {place.section} of segment {place.segment} is borrowed twice"
+            )
+        borrowed[section] = place
+    return borrowed
+
+
+def _known(said: Any, *names: str) -> dict[str, Any]:
+    """A table that has no other names, which would count for nothing. Raises ValueError."""
+    if not isinstance(said, dict):
+        raise ValueError(f"{said} is not a table of {', '.join(names)}")
+    for name in said:
+        if name not in names:
+            raise ValueError(f"{name} is none of {', '.join(names)}")
+    return said
+
+
 def _number(said: Any, least: int, greatest: int) -> int:
     """A number that the messages of the backbone can carry. Raises ValueError."""
-    number = int(said)
-    if not least <= number <= greatest:
+    if type(said) is not int:
+        raise ValueError(f"{said} is no whole number")
+    if not least <= said <= greatest:
         raise ValueError(f"{said} is not from {least} to {greatest}")
-    return number
+    return said
 
 
 def _section(said: Any) -> int:

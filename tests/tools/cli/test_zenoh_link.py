@@ -323,3 +323,39 @@ def test_an_area_that_no_message_can_tell_is_refused(tmp_path: Path, said: str) 
     file.write_text(said)
     with pytest.raises(AttachError, match="does not describe an area"):
         read_area(1, file)
+
+
+@pytest.mark.parametrize(
+    ("said", "why"),
+    [
+        ("home = 40\nlend = [{ section = 39, to = [2] }]", "lend is none of home, lent, borrowed"),
+        ("home = 40\nlent = [{ section = 39, to = [2], by = 1 }]", "by is none of section, to"),
+        ("home = 40\nlent = [{ section = 39.9, to = [2] }]", "39.9 is no whole number"),
+        ("home = inf", "inf is no whole number"),
+        ("home = 40\nlent = [{ section = 40, to = [2] }]", "section 40 is lent, and home is 40"),
+        (
+            "borrowed = [{ section = 40, of = 2, there = 0 }, { section = 40, of = 3, there = 0 }]",
+            "section 40 is borrowed twice",
+        ),
+        (
+            "borrowed = [{ section = 40, of = 2, there = 0 }, { section = 41, of = 2, there = 0 }]",
+            "section 0 of segment 2 is borrowed twice",
+        ),
+    ],
+)
+def test_an_area_of_which_a_part_would_not_count_is_refused(
+    tmp_path: Path, said: str, why: str
+) -> None:
+    """The segment would work alone what it meant to share."""
+    file = tmp_path / "area.toml"
+    file.write_text(said)
+    with pytest.raises(AttachError) as problem:
+        read_area(1, file)
+    assert str(problem.value).endswith(why)
+
+
+def test_a_section_that_is_lent_in_two_rows_is_lent_to_both(tmp_path: Path) -> None:
+    """Only the last row counted, so two segments worked the section."""
+    file = tmp_path / "area.toml"
+    file.write_text("home = 1\nlent = [{ section = 0, to = [2] }, { section = 0, to = [3] }]\n")
+    assert read_area(1, file).lent == {0: {2, 3}}
