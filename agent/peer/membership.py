@@ -195,7 +195,7 @@ class Membership(Part):
         if m.config_hash != self.field_hash:
             self.unbind(source)
             return [notices.FieldDiffers(source, "it has another field description")]
-        if m.slot not in self._members:  # it would be in nobody's way, and work what we work
+        if m.slot not in self._members:  # we would neither avoid it nor leave it its work
             self.unbind(source)
             why = f"it is robot {m.slot}, and our fleet has {len(self._members)} robots"
             return [notices.FieldDiffers(source, why)]

@@ -297,8 +297,8 @@ class Gateway:
             del self._stops_differ[header.segment]
             return
         tries = self._stops_differ[header.segment] = self._stops_differ[header.segment] + 1
-        # One that stands by may lack stops of before its start, and nobody compares with it. It tries at
-        # 2, 4, 8 ... so that such a difference, which lasts, costs little.
+        # One that stands by may lack stops of before its start, and no gateway compares with it. It
+        # tries at 2, 4, 8 ... so that such a difference, which lasts, costs little.
         rare = not self.leads and (tries & tries - 1) != 0
         if tries >= 2 and not rare and self._tell_at_us is None:
             place = sorted(self.reach.heard(now_us)).index(header.segment)

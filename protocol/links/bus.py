@@ -266,8 +266,8 @@ class CanBus:
 
     @property
     def connections(self) -> int:
-        """How often it began to hear others: once, and after each time at which it had heard nobody: its
-        link was down, its controller off the bus, or its socket out of its group."""
+        """How often it began to hear others: once, and after each time at which it had heard none. Its
+        link was down then, its controller off the bus, or its socket out of its group."""
         return 1 + self.errors.returns + self._returns
 
     def _is_own(self, message: "can.Message") -> bool:

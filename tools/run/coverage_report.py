@@ -39,7 +39,7 @@ def solved(
         court.advance()
     court.end()
     verdict = court.verdict()
-    # With those who joined, and without what only the dead could reach.
+    # With robots that joined, and without what only dead ones could reach.
     bound = lower_bound(plan.walls, plan.starts, plan.joined, court.wanted())
     report = figures(plan, verdict, turn_cost) | {
         "lower_bound": bound,

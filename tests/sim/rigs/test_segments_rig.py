@@ -440,7 +440,7 @@ def test_an_old_stop_that_a_new_gateway_is_told_does_not_latch_a_new_robot(
 def test_a_gateway_that_stands_by_and_missed_old_stops_does_not_tell_its_own_for_good(
     fleet: SegmentFleet,
 ) -> None:
-    """Other segments compare with the leader alone, so nobody tells a second gateway that restarts. Once
+    """Other segments compare with the leader alone, so no gateway tells a second one that restarts. Once
     a second it told every segment all stops that it knew, as many as there were since its start."""
     bus = panel_of(fleet, 1)
 

@@ -355,4 +355,4 @@ def test_i24_a_room_in_which_only_another_robot_starts_counts_as_well() -> None:
         for scenario in (load_arena("arena").changed(robots, 1) for robots in (2, 1))
     )
     assert all(both.reachable[both.geometry.cell(start)] for start in both.starts)
-    assert not alone.reachable[alone.geometry.cell((1.0, 0.0))], "nobody comes there"
+    assert not alone.reachable[alone.geometry.cell((1.0, 0.0))], "no robot comes there"

@@ -131,7 +131,7 @@ def test_what_is_wrong_is_one_line_with_what_was_meant(
         ("dock = [1.0, 20000.0]", "places.dock.1: needs name = [east, north]"),
     ],
 )
-def test_a_place_that_nobody_can_say_is_told_before_a_launch(
+def test_a_place_that_cannot_be_said_is_told_before_a_launch(
     place: str, why: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     """The fleet was launched, and `headland say stop` ended with this line."""

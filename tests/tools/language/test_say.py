@@ -78,7 +78,7 @@ def test_how_a_phrase_is_read_needs_no_bus(tmp_path: Path) -> None:
 
 
 def test_a_byte_that_is_no_text_ends_no_conversation(tmp_path: Path) -> None:
-    """The thread that reads died of it, and every later phrase, a stop too, was heard by nobody."""
+    """The thread that reads died of it, and every later phrase, a stop too, was not heard."""
     done = subprocess.run(
         [sys.executable, "-m", "tools.cli.headland", "say", "--read", "--json"], cwd=tmp_path,
         input=b"st\xe4tus\nstop\n", capture_output=True, check=False, timeout=60.0,
@@ -115,7 +115,7 @@ def test_a_terminal_that_is_gone_ends_a_conversation(
 def test_a_queue_that_cannot_be_written_is_told_and_ends_no_conversation(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Goals were not given any more and nobody knew, and at its end came the traceback of a task."""
+    """Goals were not given any more, without a word, and at its end came the traceback of a task."""
 
     served = asyncio.Event()
 

@@ -227,7 +227,7 @@ def test_a_tool_without_an_address_tries_again_and_sends_nothing_old() -> None:
         heard.crowded = False
         await elapse(6.0)
         assert operator.device.address == PREFERRED and not operator.device.crowded_out
-        assert not heard.of(OperatorCommand), "a start of a quarter of a minute ago moves nobody"
+        assert not heard.of(OperatorCommand), "a start of a quarter of a minute ago moves no robot"
         operator.command(Command.START)
         await elapse(0.1)
         assert len(heard.of(OperatorCommand)) == 1

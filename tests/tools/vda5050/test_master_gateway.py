@@ -364,13 +364,13 @@ def test_a_stop_waits_for_no_address_that_is_long_gone(
 ) -> None:
     """Each stop of hours later had failed because of one that never said which robot it is."""
 
-    async def nobody_late(*_: object) -> list[KnownRobot]:
+    async def none_late(*_: object) -> list[KnownRobot]:
         return []
 
     async def story() -> None:
         gateway = gateway_on(tmp_path, [])
         port, operator, loop = gateway.ports[0], gateway.operator, asyncio.get_running_loop()
-        monkeypatch.setattr(master_gateway, "press", nobody_late)
+        monkeypatch.setattr(master_gateway, "press", none_late)
         operator.hear(loop.time(), encode(Member(0, 1, 7), 128))
         operator.unknown[140] = loop.time() - 3600.0
         await done(gateway, instant("stop", "s1"))
