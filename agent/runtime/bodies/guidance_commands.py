@@ -15,7 +15,7 @@ from math import tan
 from struct import pack, unpack_from
 from typing import Final
 
-from agent.interface.config import MS
+from agent.interface.config import CONTROL_PERIOD_US, MS
 from agent.motion.wheel_kinematics import WheelSpeeds
 from protocol.frames.frame import Frame
 from protocol.frames.identifier import GLOBAL_ADDRESS, Identifier
@@ -24,6 +24,8 @@ MACHINE_INFO, CURVATURE_COMMAND, SPEED_COMMAND = 0xAC00, 0xAD00, 0xFD43
 WHEEL_SPEED, GROUND_SPEED = 0xFE48, 0xFE49
 PRIORITY: Final = 3
 COMMAND_US: Final = 100 * MS  # the rate of the standard; a halt is said at once
+# Between two commands at least. Control periods come some milliseconds early or late.
+COMMAND_GAP_US: Final = COMMAND_US - CONTROL_PERIOD_US // 2
 INFO_AGE_MAX_US: Final = 500 * MS  # five messages of the tractor
 SPEED_AGE_MAX_US: Final = 500 * MS  # the same of its speed
 CURVATURE_STEP: Final = 0.25  # 1/km per bit
@@ -92,7 +94,7 @@ class GuidanceCommands:
                 return []
             self._engaged = False
             return self._frames(0.0, 0.0, NOT_STEERING, address)
-        if not halts and now_us - self._said_at_us < COMMAND_US:
+        if not halts and now_us - self._said_at_us < COMMAND_GAP_US:
             return []
         self._said_at_us, self._engaged = now_us, True
         # The standard counts curvature to the right of the driver, and our angles go to the left.

@@ -236,7 +236,8 @@ class LinePort:
                     stream.setsockopt(socket.SOL_SOCKET, socket.SO_LINGER, DISCARD)
                 else:
                     stream.reset_output_buffer()
-        stream.close()
+        with suppress(*DEVICE_ERRORS):
+            stream.close()
 
 
 def _has_room(stream: Any) -> bool:

@@ -1,14 +1,17 @@
 """Commands to a tractor by its bus, as bytes, with its interlocks, and on a tractor that obeys them."""
 
 import asyncio
+from itertools import pairwise
 from math import cos, hypot, radians, sin
 from struct import pack, unpack_from
 from typing import Any
 
 import can
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
-from agent.interface.config import MS, S
+from agent.interface.config import CONTROL_PERIOD_US, MS, S
 from agent.interface.effects import Drive, GatedDrive
 from agent.interface.vehicle import DriveTrain, Vehicle
 from agent.motion.wheel_kinematics import WheelSpeeds
@@ -65,6 +68,19 @@ def test_nothing_is_commanded_before_the_tractor_allows_it(info: str) -> None:
     assert guidance.commands(wheels(1.0), 1.0, US, 0) == []
     guidance.take(INFO, bytes.fromhex(info) + b"\xff" * 3, 0)
     assert guidance.commands(wheels(1.0), 1.0, US, 0) == []
+
+
+@given(st.lists(st.integers(-5 * MS, 5 * MS), min_size=100, max_size=100))
+def test_commands_keep_their_rate_though_control_periods_come_early_or_late(late: list[int]) -> None:
+    """Each period that came a microsecond early made a gap of 150 ms."""
+    guidance, said = commands(), list[int]()
+    for period, late_us in enumerate(late):
+        now_us = period * CONTROL_PERIOD_US + late_us
+        guidance.take(INFO, READY, now_us)
+        if guidance.commands(wheels(1.0), 1.0, US, now_us):
+            said.append(now_us)
+    gaps = [after - before for before, after in pairwise(said)]
+    assert len(said) == 50 and all(90 * MS <= gap <= 110 * MS for gap in gaps), gaps
 
 
 def test_it_lets_go_when_the_switch_goes_off_or_the_tractor_falls_silent() -> None:
