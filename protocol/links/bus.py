@@ -48,6 +48,7 @@ ERROR_GAP_S: Final = 1.0  # errors that are further apart are not the same one
 # A multicast group is joined again after this long in which frames are sent and none of them comes back.
 # The kernel returns a frame within a millisecond.
 DEAF_S: Final = 2.0
+QUIET_S: Final = 3.0  # a socket that sends nothing is joined again after this long without a frame
 TELL_EVERY_S: Final = 10.0  # between two lines about errors of reception
 RETRY_S: Final = 0.05  # a thread waits for this long after an error, so that it does not spin
 
@@ -129,6 +130,7 @@ class Loopback:
         self._returns = False  # else this system returns none, and that says nothing
         self._run_at_s: float | None = None  # since when frames are sent and none comes back
         self._sent_at_s = 0.0  # when the newest frame was sent
+        self._heard_at_s: float | None = None  # when the newest frame came; None: none has
         self._told_at_s: float | None = None
 
     def sent(self, frame: Frame) -> None:
@@ -155,12 +157,27 @@ class Loopback:
         run_at_s = self._run_at_s
         return self._returns and run_at_s is not None and self._sent_at_s - run_at_s >= DEAF_S
 
-    def joined_again(self) -> "can.BusABC | None":
+    def received(self) -> None:
+        """A frame came: the socket is a member of its group."""
+        self._heard_at_s = self.clock()
+
+    @property
+    def quiet(self) -> bool:
+        """Whether frames came, and for `QUIET_S` none came or was sent: no device speaks, or the socket
+        has lost its group."""
+        heard_at_s = self._heard_at_s
+        if heard_at_s is None:
+            return False
+        return self.clock() - max(heard_at_s, self._sent_at_s) >= QUIET_S
+
+    def joined_again(self, *, tells: bool = True) -> "can.BusABC | None":
         """The interface, opened once more; None if that fails. `deaf` is true `DEAF_S` later at the
-        earliest."""
+        earliest, and `quiet` `QUIET_S` later. `tells`: a line is logged now and then."""
         import can
 
         self._run_at_s = None
+        if self._heard_at_s is not None:
+            self._heard_at_s = self.clock()
         bus, done = None, "joined the group again"
         try:
             bus = self.opened()
@@ -168,7 +185,7 @@ class Loopback:
         except (can.CanError, OSError) as problem:
             done = f"cannot join the group again: {problem}"
         now_s = self.clock()
-        if self._told_at_s is None or now_s - self._told_at_s >= TELL_EVERY_S:
+        if tells and (self._told_at_s is None or now_s - self._told_at_s >= TELL_EVERY_S):
             self._told_at_s = now_s
             log.warning("bus: own frames do not come back: %s", done)
         return bus
@@ -215,6 +232,7 @@ class CanBus:
         self._notifier: can.Notifier | None = None
         # Loop, the file that it reads, and what it calls then.
         self._read: tuple[asyncio.AbstractEventLoop, int, Callable[[], None]] | None = None
+        self._look: asyncio.TimerHandle | None = None  # the next look whether the group is lost
         self._submit: Callable[[Frame], bool] | None = getattr(bus, "submit", None)
 
     def send(self, frame: Frame) -> bool:
@@ -293,6 +311,8 @@ class CanBus:
 
         def heard(message: "can.Message") -> None:
             self.errors.received()
+            if self._loopback is not None:
+                self._loopback.received()
             # What is sent by UDP is of any kind: some languages have only numbers with a fraction.
             if type(message.arbitration_id) is not int:
                 self.ignored += 1
@@ -334,10 +354,20 @@ class CanBus:
 
         loop.add_reader(file, readable)
         self._read = loop, file, readable
+        if self._loopback is not None:
+            self._look_at_group(self._loopback, loop)
 
-    def _join_again(self, loopback: Loopback) -> None:
+    def _look_at_group(self, loopback: Loopback, loop: asyncio.AbstractEventLoop) -> None:
+        """Who only listens has no frame of its own that could come back."""
+        if self._look is not None:
+            self._look.cancel()
+        if loopback.quiet:
+            self._join_again(loopback, tells=False)
+        self._look = loop.call_later(DEAF_S, self._look_at_group, loopback, loop)
+
+    def _join_again(self, loopback: Loopback, *, tells: bool = True) -> None:
         """Receive by a new socket, which is a member of its group."""
-        bus = loopback.joined_again()
+        bus = loopback.joined_again(tells=tells)
         if bus is None:
             return
         read = self._read
@@ -367,6 +397,9 @@ class CanBus:
         if self._notifier is not None:
             self._notifier.stop()
             self._notifier = None
+        if self._look is not None:
+            self._look.cancel()
+            self._look = None
         self._end_read()
         try:
             self.bus.shutdown()

@@ -1,8 +1,9 @@
 """Run as a script by `test_multicast_loopback.py`, in a network of its own: its only interface is removed
 and comes back.
 
-    unshare -rn python multicast_in_namespace.py GROUP
+    unshare -rn python multicast_in_namespace.py GROUP [listens]
 
+`listens`: the bus says nothing, as that of a viewer.
 Prints which frames of another device were heard, as JSON.
 """
 
@@ -11,6 +12,7 @@ import json
 import subprocess
 import sys
 from collections.abc import Callable
+from contextlib import suppress
 
 import can
 
@@ -34,7 +36,7 @@ def ip(*commands: str) -> None:
         subprocess.run(["ip", *command.split()], check=True)
 
 
-async def play(group: str) -> list[str]:
+async def play(group: str, listens: bool) -> list[str]:
     loop = asyncio.get_running_loop()
     ip(*PLUG)
     bus, heard, refused = open_bus(INTERFACE, group), list[str](), False
@@ -43,7 +45,7 @@ async def play(group: str) -> list[str]:
     async def sends_until(holds: Callable[[], bool]) -> None:
         nonlocal refused
         while not holds():
-            refused = not bus.send(OWN)
+            refused = listens or not bus.send(OWN)
             turn = loop.create_future()
             loop.call_later(LOOK_S, turn.set_result, None)
             await turn
@@ -52,7 +54,8 @@ async def play(group: str) -> list[str]:
         with can.Bus(group, INTERFACE) as speaker:
 
             def holds() -> bool:
-                speaker.send(can.Message(arbitration_id=2, data=word.encode()))
+                with suppress(can.CanError, OSError):
+                    speaker.send(can.Message(arbitration_id=2, data=word.encode()))
                 return word in heard
 
             await sends_until(holds)
@@ -68,5 +71,7 @@ async def play(group: str) -> list[str]:
 
 
 if __name__ == "__main__":
+    only_listens = "listens" in sys.argv
     links.DEAF_S = 0.2  # type: ignore[misc]
-    print(json.dumps(asyncio.run(play(sys.argv[1]))))
+    links.QUIET_S = 0.2 if only_listens else LIMIT_S  # type: ignore[misc]
+    print(json.dumps(asyncio.run(play(sys.argv[1], only_listens))))

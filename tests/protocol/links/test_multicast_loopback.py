@@ -250,3 +250,11 @@ def test_a_network_interface_that_was_removed_and_came_back_is_heard_again() -> 
     assert found.returncode == 0, found.stderr
     assert json.loads(found.stdout) == ["after", "before"]
     assert "joined the group again" in found.stderr
+
+
+def test_who_only_listens_hears_a_network_interface_that_came_back() -> None:
+    """The figures of `headland robot --metrics` stood for good, while its robot was heard again."""
+    found = in_namespace(sys.executable, "-P", str(SCRIPT), "239.74.167.2", "listens")
+    assert found.returncode == 0, found.stderr
+    assert json.loads(found.stdout) == ["after", "before"]
+    assert "own frames" not in found.stderr, "it has sent none"

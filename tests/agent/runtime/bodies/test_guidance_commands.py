@@ -71,7 +71,9 @@ def test_nothing_is_commanded_before_the_tractor_allows_it(info: str) -> None:
 
 
 @given(st.lists(st.integers(-5 * MS, 5 * MS), min_size=100, max_size=100))
-def test_commands_keep_their_rate_though_control_periods_come_early_or_late(late: list[int]) -> None:
+def test_commands_keep_their_rate_though_control_periods_come_early_or_late(
+    late: list[int],
+) -> None:
     """Each period that came a microsecond early made a gap of 150 ms."""
     guidance, said = commands(), list[int]()
     for period, late_us in enumerate(late):
