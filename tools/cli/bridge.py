@@ -36,6 +36,7 @@ from tools.inspect.metrics_address import MetricsAddress, MetricsError, metrics_
 if TYPE_CHECKING:
     from tools.inspect.prometheus_metrics import MetricsServer
 
+NOT_IN_NAMES = "/*$?#"  # Zenoh reads them as levels of a key, or as patterns of other fleets' names
 TELL_S = 5.0  # a status line this often
 
 
@@ -265,6 +266,8 @@ def bridge(
     async def run() -> None:
         if not connect and not listen and config is None:
             raise AttachError("name the backbone: --zenoh tcp/HOST:PORT, or --listen tcp/HOST:PORT")
+        if not fleet or any(sign in NOT_IN_NAMES for sign in fleet):
+            raise AttachError(f"--fleet {fleet!r}: a name without any of {NOT_IN_NAMES}")
         served = None if metrics is None else metrics_address(metrics)
         place, own = read_area(segment, area), None if keys is None else PanelKeys(keys)
         link = ZenohLink(configure(connect, listen, mode, config), asyncio.get_running_loop())

@@ -297,6 +297,17 @@ def test_mistakes_are_told_in_one_line(tmp_path: Path, capsys: pytest.CaptureFix
         configure(["tcp/127.0.0.1:1"], [], file=tmp_path / "none.json5")
 
 
+@pytest.mark.parametrize("fleet", ["", "a/b", "*", "a*", "$*", "a?b", "a#b"])
+def test_a_fleet_whose_name_is_no_part_of_a_key_is_refused_in_one_line(
+    capsys: pytest.CaptureFixture[str], fleet: str
+) -> None:
+    """Most ended with a traceback, and a pattern sent stops and resets to every fleet on the backbone."""
+    hub = [f"tcp/127.0.0.1:{free_port()}"]
+    assert bridge(1, "zenoh", "x", 250_000, "", 0, fleet, [], hub, "", None, None, 0.1, False) == 2
+    said = capsys.readouterr().err
+    assert said == f"headland: --fleet {fleet!r}: a name without any of /*$?#\n"
+
+
 def test_an_area_from_its_file(tmp_path: Path) -> None:
     file = tmp_path / "area.toml"
     file.write_text(
