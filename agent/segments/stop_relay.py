@@ -60,6 +60,8 @@ class StopRelay:
         # the right one, so each is a stop of its own.
         self.stops: dict[FleetStop, None] = {}
         self.resets: dict[RemoteStopDot, dict[int, FleetReset]] = {}
+        # Of what is kept now; None: to be computed. Each summary of another segment is compared with it.
+        self._digest: int | None = None
         self.refused = 0  # dots beyond the limit of news
         # Stops whose repeats were all sent without any robot here stopping for them.
         self.disbelieved: set[FleetStop] = set()
@@ -80,6 +82,8 @@ class StopRelay:
         At the limit each gateway drops what was the oldest to it. So only what is active counts then, or
         gateways would tell each other for good what they drop.
         """
+        if self._digest is not None:
+            return self._digest
         full = len(self.stops) >= DOTS_MAX or len(self.resets) >= DOTS_MAX
         total = sum(
             mix(int.from_bytes(FLEET_STOP.pack(stop), "little"))
@@ -90,7 +94,8 @@ class StopRelay:
             total += sum(
                 mix(int.from_bytes(FLEET_RESET.pack(half), "little")) for half in halves.values()
             )
-        return (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
+        self._digest = (total & 0xFFFF_FFFF_FFFF_FFFF) >> 32
+        return self._digest
 
     # ---------------------------------------------------------------- from our segment
 
@@ -196,6 +201,8 @@ class StopRelay:
         return press in self.stops
 
     def _trim(self) -> None:
+        """Called after each change of stops and resets: keep the limits."""
+        self._digest = None
         if len(self.stops) > DOTS_MAX:
             for press in [s for s in self.stops if not self._active(_dot(s))] + list(self.stops):
                 if len(self.stops) <= DOTS_MAX:

@@ -122,3 +122,18 @@ def test_gateways_that_have_forgotten_other_stops_of_long_ago_have_nothing_to_te
     for half in plain_reset(dot_of(NEW)):
         near.on_reset(half)
     assert near.digest != far.digest, "a reset is missing where the stop is active"
+
+
+def test_the_digest_is_that_of_what_is_kept_now() -> None:
+    """It is kept between two changes, because each summary of another segment is compared with it."""
+    relay = relay_with_stop()
+    for count in range(1, 40):
+        stop = STOP._replace(counter=count)
+        relay.on_stop(ROBOT, stop, count * S)
+        if count % 3:
+            for half in plain_reset(dot_of(stop))[: count % 3]:
+                relay.on_reset(half)
+        if count % 5 == 0:
+            relay.on_backbone_resets(plain_reset(dot_of(NEW)._replace(counter=count)), count * S)
+        kept, relay._digest = relay.digest, None
+        assert relay.digest == kept, count
