@@ -47,6 +47,14 @@ class Charging:
         then = self.house.after(standing, trip, False)
         return self._needed and then.left < self.house.home(trip.dropoff)
 
+    def beyond(self, standing: CarrierState, trip: Trip) -> bool:
+        """Whether a task has to wait although there are bays: the battery does not last for it now, and
+        would not if it were full at any bay.
+
+        `standing`: as in `before`.
+        """
+        return self.before(standing, trip) and not self.house.lasts(trip)
+
     def due(self, now_us: int) -> bool:
         """Whether it is time to call `falls_short`; True at most once in `SHORT_US`."""
         if not self._needed or now_us < self._check_at_us:

@@ -187,13 +187,14 @@ class DeliveryMission(NavigationMission):
         return self._claim(task, view)
 
     def _next(self, view: FleetView) -> int | None:
-        """The first task of our itinerary that is available."""
+        """The first task of our itinerary that is available, and that a charge makes possible."""
         for task in self.dispatch.itinerary:
             if task == self.section or self._shun_ends_at_us.get(task, 0) > view.now_us:
                 continue
             owner = view.allocation.owner_of(task)
             away = owner is not None and self.dispatch.absence.leaves(owner, task, view)
-            if owner is None or (owner != self.slot and away):
+            free = owner is None or (owner != self.slot and away)
+            if free and not self._beyond_battery(task, view):
                 return task
         return None
 
@@ -218,9 +219,15 @@ class DeliveryMission(NavigationMission):
         return through.ready_ms * MS < left_for_us
 
     def _must_charge(self, task: int, view: FleetView) -> bool:
+        return self.charging.before(self.dispatch.standing(view), self._trip(task, view))
+
+    def _beyond_battery(self, task: int, view: FleetView) -> bool:
+        """Whether no charge lasts for a task: one that waits for a charge would charge for ever."""
+        return self.charging.beyond(self.dispatch.standing(view), self._trip(task, view))
+
+    def _trip(self, task: int, view: FleetView) -> Trip:
         dropoff = self.house.trip(self.dispatch.book.tasks[task]).dropoff
-        trip = Trip(self._pickup(task, view), dropoff)
-        return self.charging.before(self.dispatch.standing(view), trip)
+        return Trip(self._pickup(task, view), dropoff)
 
     def _here(self, view: FleetView) -> CarrierState:
         return CarrierState(self.slot, (view.here.x_m, view.here.y_m), 0, self.dispatch.left)

@@ -3,6 +3,7 @@
 from collections.abc import Iterable, Mapping, Sequence
 from copy import copy
 from functools import cached_property
+from math import isfinite
 from typing import NamedTuple
 from zlib import crc32
 
@@ -148,6 +149,16 @@ class Warehouse:
         way_m = self.costs.metres([at], self.bays)[0]
         energy = self.carrier.energy(way_m, self.carrier.time_ms(way_m)) + self._spare
         return int(energy.min()) + self.reserve
+
+    def lasts(self, trip: Trip) -> bool:
+        """Whether a battery that is full at some bay lasts for a task and the way to a bay again."""
+        for bay in self.bays:
+            if not isfinite(self.way_m(bay, trip.pickup)):
+                continue
+            done = self.after(CarrierState(0, bay, 0, FULL), trip, False)
+            if done.left >= self.home(trip.dropoff):
+                return True
+        return False
 
     @cached_property
     def _spare(self) -> Whole:

@@ -6,11 +6,10 @@ it.
 
 from collections.abc import Callable, Mapping
 from functools import partial
-from math import isfinite
 
-from agent.delivery.cost_matrix import FULL, Trip
+from agent.delivery.cost_matrix import Trip
 from agent.delivery.task_registry import TransportTask
-from agent.delivery.warehouse import CarrierState, Warehouse
+from agent.delivery.warehouse import Warehouse
 from agent.interface.config import S
 from protocol.frames.codec import Malformed, decode_once
 from protocol.frames.delivery_frames import TASK_NUMBERS, TaskOrder
@@ -121,15 +120,4 @@ def beyond_battery(house: Warehouse, trips: Mapping[int, Trip]) -> frozenset[int
     both places, and to a bay again."""
     if not (house.carrier.runs_dry and house.bays):
         return frozenset()
-    return frozenset(task for task, trip in trips.items() if not _lasts(house, trip))
-
-
-def _lasts(house: Warehouse, trip: Trip) -> bool:
-    """Whether a battery that is full at some bay lasts for a task and the way to a bay again."""
-    for bay in house.bays:
-        if not isfinite(house.way_m(bay, trip.pickup)):
-            continue
-        done = house.after(CarrierState(0, bay, 0, FULL), trip, False)
-        if done.left >= house.home(trip.dropoff):
-            return True
-    return False
+    return frozenset(task for task, trip in trips.items() if not house.lasts(trip))

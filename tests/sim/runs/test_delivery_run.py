@@ -83,6 +83,27 @@ def test_i24_a_run_tells_which_tasks_a_full_battery_does_not_last_for() -> None:
     assert outcome.beyond_battery == (0,), outcome
 
 
+def test_i24_a_planned_task_that_no_battery_lasts_for_holds_up_no_other_and_no_bay() -> None:
+    """The robot claimed the bay, was full, and claimed it again, twice a second."""
+    battery = {"range_m": 20.0, "charge_s": 5.0}
+    given = scenario(robots=1, random_tasks=0, bays=[(5.5, 2.5)], battery=battery)
+    short = given.run.model_copy(update={"time_limit_s": 60.0})
+    setting = DeliverySetup(given.model_copy(update={"run": short}))
+    setting.rows = [TaskRow((0.5, 0.5), (11.5, 4.5), 1.0), TaskRow((5.5, 0.5), (5.5, 4.5), 1.0)]
+
+    def plan(fleet: DeliveryFleet) -> None:
+        """As a round that all joined leaves it, which gives each task to a robot."""
+        dispatch = fleet.missions[0].dispatch
+        if 0 in dispatch.book.tasks and 0 not in dispatch.itinerary:
+            dispatch.itinerary.insert(0, 0)
+
+    run = DeliveryRun(setting)
+    run.watch = plan
+    outcome = run.run()
+    assert outcome.delivered == 1 and outcome.beyond_battery == (0,), outcome
+    assert outcome.charges < 5, outcome
+
+
 @pytest.mark.slow
 def test_a_boot_with_many_tasks_is_planned_by_all_and_one_plan_is_streamed() -> None:
     outcome, _ = play(scenario())
