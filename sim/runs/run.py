@@ -23,6 +23,7 @@ from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import Fault
 from sim.world.ground_truth import Contact, TrackPoint
 
+DEAD_FOR_US = 5 * S  # by then the bodies of robots that died stand
 _numbers = itertools.count()
 SetupT = TypeVar("SetupT", bound=FleetSetup)
 FleetT = TypeVar("FleetT", bound=Cluster)
@@ -60,6 +61,7 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         self.recorder: Recorder | None = None  # None: a new one
         self.faults: list[tuple[float, Fault]] = []  # that were applied, and when; after the run
         self.cluster: FleetT | None = None  # once it has begun
+        self._alive_at_us = 0  # when a robot was on last, or could be switched on
 
     # ---------------------------------------------------------------- what a mission says
 
@@ -166,7 +168,8 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
         while True:
             yield from self._until_over(cluster, scripts)
             yield from self._until_settled(cluster)
-            if cluster.host.now_us() >= limit_at_us or self.is_over(cluster, scripts):
+            over = self.is_over(cluster, scripts) or self._is_dead(cluster, scripts)
+            if cluster.host.now_us() >= limit_at_us or over:
                 return
 
     def _until_over(self, cluster: FleetT, scripts: Sequence[Handle]) -> Script[None]:
@@ -179,8 +182,15 @@ class MissionRun(ABC, Generic[SetupT, FleetT, OutcomeT]):
             self.look(cluster)
             if self.told is not None:
                 self.told(self.progress(cluster))
-            if self.is_over(cluster, scripts):
+            if self.is_over(cluster, scripts) or self._is_dead(cluster, scripts):
                 break
+
+    def _is_dead(self, cluster: FleetT, scripts: Sequence[Handle]) -> bool:
+        """Whether no robot is on any more, and nothing is left that could switch one on."""
+        now_us = cluster.host.now_us()
+        if cluster.running or not all(script.done() for script in scripts):
+            self._alive_at_us = now_us
+        return now_us - self._alive_at_us >= DEAD_FOR_US
 
     def _until_settled(self, cluster: FleetT) -> Script[None]:
         host = cluster.host

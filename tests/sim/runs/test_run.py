@@ -10,7 +10,7 @@ import pytest
 from sim.fleet.outcome import FieldOutcome
 from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.scenario import Crash, Estop, Loss, Reset, Scenario, load
+from sim.scenarios.scenario import Crash, Estop, Loss, Reset, Restart, Scenario, load
 from tests.chaos.broad import broad
 
 ROOT = Path(__file__).parents[3]
@@ -26,6 +26,18 @@ def test_a_fleet_finishes_a_field(seed: int) -> None:
     outcome = play(load("small").changed(None, seed))
     assert outcome.success, outcome
     assert outcome.units_twice == 0 and outcome.malformed == 0
+
+
+def test_a_run_whose_robots_are_all_dead_ends() -> None:
+    """It went on to its limit, an hour by default."""
+    crashes = [Crash(at_s=4.0 + robot, kind="crash", robot=robot) for robot in range(3)]
+    outcome = play(load("small").model_copy(update={"fault": crashes}))
+    assert not outcome.finished and 6.0 < outcome.simulated_s < 15.0, outcome.simulated_s
+    returns = Restart(at_s=30.0, kind="restart", robot=0)
+    scenario = load("small").model_copy(update={"fault": [*crashes, returns]})
+    limit = scenario.run.model_copy(update={"time_limit_s": 60})
+    outcome = play(scenario.model_copy(update={"run": limit}))
+    assert outcome.simulated_s == 60.0, "robot 0 came back"
 
 
 @pytest.mark.slow
