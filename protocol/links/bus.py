@@ -358,7 +358,7 @@ class CanBus:
             self._look_at_group(self._loopback, loop)
 
     def _look_at_group(self, loopback: Loopback, loop: asyncio.AbstractEventLoop) -> None:
-        """Who only listens has no frame of its own that could come back."""
+        """A program that only listens has no frame of its own that could come back."""
         if self._look is not None:
             self._look.cancel()
         if loopback.quiet:
