@@ -157,7 +157,7 @@ class StopCause(Enum):
         Severity.PROTECTIVE,
         ClearCondition.WHEN_APART,
         "a robot of this fleet has another field description, or a slot beyond our number of robots",
-        "start all robots with the same fleet and field, or switch that robot off",
+        "start all with the same fleet and field, or switch that robot off",
     )
     DUPLICATE_ID = _Rule(
         Severity.PROTECTIVE,
@@ -284,7 +284,7 @@ def sentence(number: int, subject: int, count: int = 0) -> str:
     stops hold it, or how many further robots are silent.
 
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
-    'CONFIG_MISMATCH with address 200: start that robot with the field of this fleet, or switch it off'
+    'CONFIG_MISMATCH with address 200: start all with the same fleet and field, or switch that robot off'
     >>> sentence(StandsBy.STOP_DOT, NOBODY, 3)
     'STOP_DOT (3 stops): see that no person is in danger, then headland release'
     """
