@@ -30,12 +30,12 @@ from protocol.frames.diagnostic_frames import DIAGNOSTIC_PROTOCOLS, DM1, DM2, FU
 from protocol.frames.identifier import GLOBAL_ADDRESS, NULL_ADDRESS
 from protocol.frames.messages import Message
 from protocol.frames.network_frames import (
-    Acknowledgment,
     AcknowledgmentControl,
     Request,
     Request2,
     TransportData,
     TransportManagement,
+    acknowledgment,
 )
 from protocol.transport import (
     SIZE_MAX,
@@ -252,7 +252,7 @@ def acknowledged(
     """The answer to `source`, which has sent something about a group to `destination`."""
     if destination == GLOBAL_ADDRESS:  # J1939-21: no acknowledgment of a global request
         return ()
-    return [Send(Acknowledgment(control, 0xFF, source, pgn & 0x3FFFF))]
+    return [Send(acknowledgment(control, source, pgn))]
 
 
 def _sends(out: Iterable[OutgoingFrame]) -> Sequence[Effect]:

@@ -121,12 +121,20 @@ ACKNOWLEDGMENT = FrameLayout(
 PGN_MASK = 0x3FFFF  # 18 bits
 
 
+def acknowledgment(control: AcknowledgmentControl, asker: int, pgn: int) -> Acknowledgment:
+    """What a device answers to a request for a group (ISO 11783-3).
+
+    `asker`: the source address of the request.
+    """
+    return Acknowledgment(control, 0xFF, asker, pgn & PGN_MASK)
+
+
 def refusal(asker: int, pgn: int) -> Acknowledgment:
     """The answer of a device that alone was asked for a group which it does not send (ISO 11783-3).
 
     `asker`: the source address of the request.
     """
-    return Acknowledgment(AcknowledgmentControl.NACK, 0xFF, asker, pgn & PGN_MASK)
+    return acknowledgment(AcknowledgmentControl.NACK, asker, pgn)
 
 
 class TransportManagement(NamedTuple):

@@ -50,9 +50,13 @@ class Adapter(can.BusABC):
             self.ours.recv(1)
         except (TimeoutError, BlockingIOError):
             return None, False
-        if fault := self.faults.pop(0):
+        return self.received(self.faults.pop(0)), False
+
+    def received(self, fault: int) -> can.Message:
+        """What comes of one fault; 0: a frame."""
+        if fault:
             raise can.CanOperationError("Error receiving", fault)
-        return can.Message(arbitration_id=1, is_extended_id=True), False
+        return can.Message(arbitration_id=1, is_extended_id=True)
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         if self.fails_to_send:
@@ -290,20 +294,13 @@ def test_errors_without_end_are_a_lost_interface_and_errors_between_frames_are_n
 class Controlled(Adapter):
     """Its controller tells by error frames what becomes of it: their classes are its faults."""
 
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        self.ours.settimeout(timeout)
-        try:
-            self.ours.recv(1)
-        except (TimeoutError, BlockingIOError):
-            return None, False
-        told = self.faults.pop(0)
-        message = can.Message(
-            arbitration_id=told or 1,
-            is_extended_id=not told,
-            is_error_frame=bool(told),
+    def received(self, fault: int) -> can.Message:
+        return can.Message(
+            arbitration_id=fault or 1,
+            is_extended_id=not fault,
+            is_error_frame=bool(fault),
             data=bytes(8),
         )
-        return message, False
 
 
 def test_a_tool_asks_again_after_a_link_was_down() -> None:
