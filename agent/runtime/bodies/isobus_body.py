@@ -7,6 +7,9 @@
 Places are taken as the body `nmea` takes them on a CAN bus. Without `steering` and `speed`, which are
 off by default, the body only listens. With them the tractor's own engage switch decides. The implement
 is not moved: it has a task controller for that.
+
+A tractor obeys a command for as long as its maker likes. So the body itself commands it to stand when the
+robot has given no command for 100 ms. Only when this process dies, the tractor's own limit decides.
 """
 
 import asyncio
@@ -15,7 +18,7 @@ from math import cos, sin
 from random import Random
 from typing import Final
 
-from agent.interface.config import MS
+from agent.interface.config import ACTUATOR_TTL_US, MS, S
 from agent.interface.effects import HALT, Drive, GatedDrive
 from agent.interface.observation import Observation
 from agent.interface.vehicle import DriveTrain
@@ -84,6 +87,7 @@ class IsobusBody(RobotBody):
         self._wheels: WheelDrive | None = None
         self._bus: CanBus | None = None
         self._newest: Observation | None = None
+        self._expiry: asyncio.TimerHandle | None = None  # of the last command to move
 
     def declare(self, machine: DeclaredMachine) -> None:
         """Raises ValueError for another drive train than Ackermann, or without a place of (0, 0)."""
@@ -139,11 +143,16 @@ class IsobusBody(RobotBody):
         return self._newest
 
     def drive(self, command: GatedDrive, now_us: int) -> None:
-        """Command steering and speed, as far as they are switched on."""
+        """Command steering and speed, as far as they are switched on, for the lifetime of a command."""
+        self._forget_expiry()
+        if command != HALT and self._bus is not None:
+            loop = asyncio.get_running_loop()
+            self._expiry = loop.call_later(ACTUATOR_TTL_US / S, self._expires)
         self._send(command, now_us)
 
     def close(self) -> None:
         """Let go, and free the interface."""
+        self._forget_expiry()
         if self._bus is None:
             return
         if self.guidance is not None and self.claim is not None and self.claim.address is not None:
@@ -153,6 +162,15 @@ class IsobusBody(RobotBody):
         self._bus = None
 
     # ---------------------------------------------------------------- inside
+
+    def _expires(self) -> None:
+        self._expiry = None
+        self._send(HALT, _now_us())
+
+    def _forget_expiry(self) -> None:
+        if self._expiry is not None:
+            self._expiry.cancel()
+            self._expiry = None
 
     def _send(self, command: Drive, now_us: int) -> None:
         wheels, guidance = self._wheels, self.guidance

@@ -1,6 +1,7 @@
 """Commands to a tractor by its bus, as bytes, with its interlocks, and on a tractor that obeys them."""
 
 import asyncio
+import time
 from itertools import pairwise
 from math import cos, hypot, radians, sin
 from struct import pack, unpack_from
@@ -252,6 +253,42 @@ def listening(monkeypatch: pytest.MonkeyPatch, clock: dict[str, int]) -> Any:
 def hears(body: Any, frames: list[tuple[int, bytes]]) -> None:
     for identifier, data in frames:
         body._heard(Frame(identifier, data))
+
+
+def test_a_tractor_is_told_to_stand_when_the_robot_says_nothing_for_100_ms() -> None:
+    """It drove on for as long as the tractor itself obeys a command, and CI saw 311 ms."""
+
+    async def silent() -> tuple[list[int], float]:
+        body: Any = IsobusBody(
+            1, "silent", "virtual", speed=True, accuracy_m=0.02, origin=(0.0, 0.0)
+        )
+        body.declare(DeclaredMachine(Vehicle(drive=DriveTrain.ACKERMANN), None))
+        bus = can.Bus("silent", interface="virtual")
+        loop = asyncio.get_running_loop()
+        opening = asyncio.create_task(body.open())
+        while not opening.done() or body.claim.address is None:
+            for identifier, data in Tractor().frames():
+                bus.send(can.Message(arbitration_id=identifier, data=data))
+            await asyncio.wait({opening}, timeout=0.01)
+            body._claims(time.monotonic_ns() // 1000)
+        while bus.recv(0) is not None:
+            pass
+        hears(body, Tractor().frames())
+        body.drive(GatedDrive(Drive(1.0, 0.0)), time.monotonic_ns() // 1000)
+        silent_since_s, speeds = loop.time(), list[int]()
+        while not speeds or speeds[-1] != 0:
+            hears(body, Tractor().frames())
+            while (message := bus.recv(0)) is not None:
+                if message.arbitration_id >> 8 & 0xFFFF == 0xFD43:
+                    speeds.append(unpack_from("<H", message.data)[0])
+            await asyncio.wait({loop.create_future()}, timeout=0.005)
+        stood_after_s = loop.time() - silent_since_s
+        body.close()
+        bus.shutdown()
+        return speeds, stood_after_s
+
+    speeds, stood_after_s = asyncio.run(asyncio.wait_for(silent(), 10.0))
+    assert speeds[0] > 500 and speeds[1:] == [0] and stood_after_s > 0.09, (speeds, stood_after_s)
 
 
 def test_a_receiver_that_knows_no_velocity_does_not_hide_the_speed_of_the_tractor(
