@@ -6,6 +6,7 @@ Sans I/O: frames and the time go in, frames to send come out. Cells that are who
 
 from collections import deque
 from collections.abc import Iterable, Sequence
+from math import isfinite
 from random import Random
 from typing import Final, Protocol
 
@@ -238,6 +239,9 @@ class TaskController:
     # ---------------------------------------------------------------- sections
 
     def _move(self, here: Observation) -> None:
+        """Places without a fix are none: what was worked there is not known."""
+        if not isfinite(here.position_accuracy_m):
+            return
         self.here = here
         for source, implement in self.implements.items():
             cells = implement.worked(here, self.hitch_ahead_m, self.ground)

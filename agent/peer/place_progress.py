@@ -100,6 +100,8 @@ class PlaceProgress:
         self._velocity_m_s = (0.0, 0.0)  # of the body, if it is slow to follow its commands
         self.hung: Nowhere | None = None  # where the place leads nowhere at present
         self._tried = False  # again, and has not led on since
+        self._recalled = False  # how far the body drove before the restart is not known
+        self._away_m = (0.0, 0.0)  # by how much the place has jumped since it led nowhere
         self._moved_at_us = 0
         self._fastest_m_s = 0.0  # of the body at most, as its wheels were told and can speed up
         # How the body may have moved at most since the place fell back, if the newest place is a jump: a
@@ -113,10 +115,11 @@ class PlaceProgress:
 
     def recall(self, hung: Nowhere) -> None:
         """The place led nowhere before a restart, and nobody has started the robot since."""
-        self.hung, self._tried = hung, True
+        self.hung, self._tried, self._recalled = hung, True, True
 
     def _look_again(self) -> None:
-        self._before = self.hung = None
+        self._before, self.hung, self._recalled = None, None, False
+        self._away_m = (0.0, 0.0)
         self._velocity_m_s = (0.0, 0.0)
         self._begin_again()
 
@@ -143,19 +146,28 @@ class PlaceProgress:
         """How the body may have moved at most since the oldest kept place, and drives now."""
         return Unseen(self._now.way_m - self._kept[0].way_m, speed_m_s)
 
-    def is_back(self, here: Observation) -> bool:
+    def is_back(self, here: Observation, way_m: float) -> bool:
         """Whether the place is past the one that led nowhere, or the robot tries again. Then look again.
 
         While the body brakes, its wheels still move the place, and a filter needs time to fall back. So
-        the body has to stand for `SETTLES_US`.
+        the body has to stand for `SETTLES_US`. `way_m`: how far it can have driven at most. A place
+        that changed at once by more has jumped, and may jump back to where it led nowhere.
         """
-        hung = self.hung
+        hung, before, self._before = self.hung, self._before, here
         assert hung is not None
+        if (
+            before is not None
+            and hypot(here.x_m - before.x_m, here.y_m - before.y_m) > JUMP_M + way_m
+        ):
+            away_x_m, away_y_m = self._away_m
+            self._away_m = away_x_m + here.x_m - before.x_m, away_y_m + here.y_m - before.y_m
         if hypot(here.vx_m_s, here.vy_m_s) > STANDS_M_S:
             self._moved_at_us = here.sensed_at_us
             return False
         past_m = (here.x_m - hung.x_m) * hung.east + (here.y_m - hung.y_m) * hung.north
         if here.sensed_at_us - self._moved_at_us < SETTLES_US:
+            return False
+        if hypot(*self._away_m) > JUMP_M + way_m and not self._recalled:
             return False
         if past_m <= JUMP_M:
             if hung.fell or self._tried:
@@ -275,11 +287,17 @@ class PlaceProgress:
         return farthest_m <= FOLLOWS * expected_m and wandered_m > WANDERS * farthest_m
 
     def _turned_back(self, drive: Drive) -> bool:
-        """Whether the command is clearly against the way that was expected."""
+        """Whether the command is clearly against the way that was expected, and the body is slow enough
+        to have followed it. A place that falls back makes a robot that passes its goal turn at each fix,
+        and its body drives on."""
         oldest, now = self._kept[0], self._now
         x_m, y_m = now.expected_x_m - oldest.expected_x_m, now.expected_y_m - oldest.expected_y_m
+        (vx_m_s, vy_m_s), way_m = self._velocity_m_s, hypot(x_m, y_m)
         along = x_m * drive.vx_m_s + y_m * drive.vy_m_s
-        return along < BACK_COS * hypot(x_m, y_m) * hypot(drive.vx_m_s, drive.vy_m_s)
+        still_m_s = (x_m * vx_m_s + y_m * vy_m_s) / max(way_m, 1e-9)
+        return (
+            along < BACK_COS * way_m * hypot(drive.vx_m_s, drive.vy_m_s) and still_m_s <= STANDS_M_S
+        )
 
     def _expected_m_s(self, here: Observation, drive: Drive, change_m_s: float) -> float:
         """How fast the body drives at least where it is told to."""

@@ -359,7 +359,7 @@ class Senses(Part):
         here, progress = self.here, self.progress
         assert here is not None
         if progress.hangs:
-            if progress.is_back(here):
+            if progress.is_back(here, self._since.way_m):
                 # What `_frozen` finds next is a change of the place, from this one on.
                 return ""
             self._drive_on(here, sensed_at_us)

@@ -184,6 +184,9 @@ class StopRelay:
     def on_backbone_resets(self, resets: Iterable[FleetReset], now_us: int) -> None:
         """Halves of resets from the backbone; complete ones are sent on our bus."""
         for half in resets:
+            if len(self._to_reset) >= 2 * DOTS_MAX:
+                self.refused += 1  # its sender repeats it, because our digest still differs
+                continue
             known = self.resets.setdefault(_dot(half), {})
             if known.get(half.part) != half:
                 known[half.part] = half

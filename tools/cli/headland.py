@@ -50,6 +50,7 @@ from tools.common.options import (
     Seed,
 )
 from tools.common.told_wait import told_loading
+from tools.common.unused_options import refuse_given
 from tools.run import coverage
 
 WRONG_WORDS: Any = typer.BadParameter.__base__  # click's UsageError, wherever typer keeps its click
@@ -211,6 +212,7 @@ def explore(
 
 @app.command(rich_help_panel=PLAY)
 def launch(
+    context: typer.Context,
     scenario: Annotated[
         str, typer.Argument(help="A scenario file, or the name of one that ships.")
     ] = "oxted",
@@ -254,6 +256,10 @@ def launch(
     Example: headland launch --robots 6, then in another terminal: headland stop
     """
     _refuse_page_port(page_port, show_map)
+    if hub:  # the hub has its port, its bus runs without us
+        refuse_given(context, {"port": f"with --hub {hub}; leave one of them out"})
+    if not show_map:
+        refuse_given(context, {"operator_key": "without --map; add --map"})
     with told_loading():
         from tools.run.launch_command import launch as command
 

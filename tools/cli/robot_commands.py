@@ -9,6 +9,7 @@ import typer
 from tools.cli.panels import OPERATE, SET_UP
 from tools.common.exit_codes import wrong
 from tools.common.options import PORT_MAX, Drive, Foxglove, Json, Metrics
+from tools.common.unused_options import refuse_unused
 
 if TYPE_CHECKING:
     from agent.interface.vehicle import Vehicle
@@ -56,6 +57,7 @@ def _vehicle(
 
 @app.command(rich_help_panel=OPERATE)
 def robot(
+    context: typer.Context,
     file: Annotated[
         Path, typer.Argument(help="The robot file, or that of the whole fleet (TOML).")
     ],
@@ -101,7 +103,10 @@ def robot(
     changes = Changes(slot, interface, channel, body)
     if json and not check:  # a script that forgot --check must not start a machine
         raise SystemExit(wrong("--json: does nothing without --check; add --check"))
-    if not check:
+    if check:
+        told = {"file", "slot", "interface", "channel", "body", "metrics", "foxglove", "json"}
+        refuse_unused(context, "--check", told)
+    else:
         from tools.run.robot_command import robot as command
 
         raise SystemExit(
@@ -148,6 +153,7 @@ def body_check(
 
 @app.command(rich_help_panel=SET_UP)
 def machine(
+    context: typer.Context,
     drive: Annotated[Drive, typer.Option(help="Its drive train.")] = "differential",
     origin: Annotated[str, typer.Option(metavar="LAT,LON", help="Of (0, 0), degrees.")] = "52,5",
     place: Annotated[
@@ -185,9 +191,14 @@ def machine(
     from tools.run.machine_command import order
 
     if tell is not None:
+        refuse_unused(context, "--tell", {"host", "orders"})
         raise SystemExit(order(tell, host, orders))
     if bus is not None and (drive != "ackermann" or ":" not in bus):
         raise typer.BadParameter("--bus INTERFACE:CHANNEL needs --drive ackermann")
+    if bus is not None:
+        refuse_unused(
+            context, "--bus", {"drive", "origin", "place", "host", "orders", "rate", "seed", "json"}
+        )
     x_m, y_m, heading_deg = _numbers(place, "X,Y,DEGREES")
     raise SystemExit(
         command(

@@ -1,6 +1,5 @@
 """Commands that try the fleet: bad luck, any bytes, and figures measured again."""
 
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated
 
@@ -10,6 +9,7 @@ from tools.cli.panels import DEVELOP
 from tools.common.exit_codes import wrong
 from tools.common.options import Cluster, Json
 from tools.common.told_wait import told_loading
+from tools.common.unused_options import refuse_unused
 
 # The names of `sim.chaos.fault_profiles.PROFILES`, whose import takes a second; a test compares them.
 PROFILES = (
@@ -24,6 +24,7 @@ app = typer.Typer()
 
 @app.command(rich_help_panel=DEVELOP)
 def chaos(
+    context: typer.Context,
     seeds: Annotated[
         str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
     ] = "0:20",
@@ -60,18 +61,18 @@ def chaos(
     The first failing seed is made small and saved as a scenario.
     Example: headland chaos --seeds 0:1000 --profile stop --jobs 2
     """
-    _refuse(
-        {
-            "--only": (bool(only) and not mutants, "without --mutants; add --mutants"),
-            "--golden": (golden and scenario is None, "without --scenario; add --scenario FILE"),
-            "--mutants": (mutants and scenario is not None, "with --scenario; leave one out"),
-            "--profile": (mutants and profile != "all", "with --mutants; leave one out"),
-            "--report": (
-                report is not None and (mutants or scenario is not None),
-                "with --mutants or --scenario; leave one out",
-            ),
-        }
-    )
+    if only and not mutants:
+        raise SystemExit(wrong("--only: does nothing without --mutants; add --mutants"))
+    if golden and scenario is None:
+        raise SystemExit(wrong("--golden: does nothing without --scenario; add --scenario FILE"))
+    if report is not None:
+        refuse_unused(context, "--report", {"json"})
+    elif scenario is not None:
+        refuse_unused(context, "--scenario", {"json", "golden"})
+    elif mutants:
+        refuse_unused(
+            context, "--mutants", {"seeds", "jobs", "seconds", "out", "only", "cluster", "json"}
+        )
     from tools.build.compiled_core import use
 
     if not mutants:  # no bug can be planted in machine code
@@ -89,15 +90,9 @@ def chaos(
     )
 
 
-def _refuse(unfit: Mapping[str, tuple[bool, str]]) -> None:
-    """Words of which one would be ignored are said: a campaign is no hunt for the bug that was named."""
-    for option, (is_unfit, why) in unfit.items():
-        if is_unfit:
-            raise SystemExit(wrong(f"{option}: does nothing {why}"))
-
-
 @app.command(rich_help_panel=DEVELOP)
 def fuzz(
+    context: typer.Context,
     targets: Annotated[list[str] | None, typer.Argument(help="Decoders; none: all.")] = None,
     files: Annotated[
         bool, typer.Option("--files", help="Only what reads somebody else's files.")
@@ -123,6 +118,7 @@ def fuzz(
     if again is not None:
         if len(targets or ()) != 1:
             raise SystemExit(wrong("--input needs one target: headland fuzz TARGET --input FILE"))
+        refuse_unused(context, "--input", {"targets", "again"})
         raise SystemExit(once((targets or [""])[0], again))
     named = list(targets or [])
     if files:

@@ -15,30 +15,32 @@ class PanelKeys:
         self.path = panel_path(path) if panel_path(path).exists() else path
         if self.path.is_dir():
             self.path = path / NAMES[FLEET]  # of a folder of an older version
-        self._written_at_ns = self._written()
+        self._read_version = self._version()
         self.keys = self._read()
 
     def renewed(self) -> Keys | None:
         """Other keys than the last, if the file has changed. A file that is wrong, or half written, is
         read at the next look."""
-        written_at_ns = self._written()
-        if written_at_ns == self._written_at_ns:
+        version = self._version()
+        if version == self._read_version:
             return None
         try:
             keys = self._read()
         except AttachError:
             return None
-        self._written_at_ns = written_at_ns
+        self._read_version = version
         if keys == self.keys:
             return None
         self.keys = keys
         return keys
 
-    def _written(self) -> int:
+    def _version(self) -> tuple[int, int, int]:
+        """Inode, size and time of the file: a clock of a few milliseconds does not tell two writes apart."""
         try:
-            return self.path.stat().st_mtime_ns
+            found = self.path.stat()
         except OSError:
-            return 0
+            return (0, 0, 0)
+        return (found.st_ino, found.st_size, found.st_mtime_ns)
 
     def _read(self) -> Keys:
         try:

@@ -34,26 +34,30 @@ def export(
     code is 2 where the folder has none, 2 or 75 where nothing can be written. A FieldFileError becomes
     a line.
 
-    `as_json`: an object with the path of each, instead of lines."""
+    `as_json`: an object with the path of each that was written, also where a later one failed, instead
+    of lines."""
     if isoxml is None and geojson is None and bag is None and film is None:
         return wrong("export: name --isoxml, --geojson, --bag or --film")
     say: Say = (lambda line: None) if as_json else print
-    if bag is not None and (code := _bag(folder, bag, storage, say)):
-        return code
-    if film is not None and (code := _film(folder, film, say)):
-        return code
-    if (isoxml is not None or geojson is not None) and (
-        code := _work(folder, isoxml, geojson, say)
-    ):
-        return code
+    written: dict[str, str] = {}  # of each form, where it is
+    code = 0
+    if bag is not None:
+        code = _bag(folder, bag, storage, say)
+        written |= {"bag": str(bag)} if not code else {}
+    if film is not None and not code:
+        code = _film(folder, film, say)
+        written |= {"film": str(film)} if not code else {}
+    if (isoxml is not None or geojson is not None) and not code:
+        code = _work(folder, isoxml, geojson, say, written)
     if as_json:
-        written = {"isoxml": isoxml, "geojson": geojson, "bag": bag, "film": film}
-        print(dumps({form: str(path) for form, path in written.items() if path is not None}))
-    return 0
+        print(dumps(written))
+    return code
 
 
-def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> int:
-    """Write what was worked; the exit code."""
+def _work(
+    folder: Path, isoxml: Path | None, geojson: Path | None, say: Say, written: dict[str, str]
+) -> int:
+    """Write what was worked, and into `written` where; the exit code."""
     place = isoxml or geojson
     if isoxml is not None and isoxml.suffix.lower() != ".zip" and isoxml.is_file():
         return wrong(f"--isoxml {isoxml}: is a file; name a folder, or one that is to be made")
@@ -66,10 +70,12 @@ def _work(folder: Path, isoxml: Path | None, geojson: Path | None, say: Say) -> 
         _check(folder)
         if isoxml is not None:
             write_isoxml(record, isoxml)
+            written["isoxml"] = str(isoxml)
             say(f"{isoxml}: ISO 11783-10 task data, {_told(record)}")
         if geojson is not None:
             place = geojson
             write_geojson(record, geojson)
+            written["geojson"] = str(geojson)
             say(f"{geojson}: GeoJSON, {_told(record)}")
     except FieldFileError as problem:
         return wrong(problem)

@@ -20,6 +20,7 @@ import time
 from collections import deque
 from collections.abc import Callable
 from contextlib import suppress
+from math import inf
 from typing import Any, Final, Protocol
 
 from agent.interface.config import ACTUATOR_TTL_US, S
@@ -35,6 +36,9 @@ CONNECT_S: Final = 2.0
 AGAIN_S: Final = 0.5  # between two attempts to connect
 LOOK_S: Final = 0.2  # the thread ends within this after `close`
 SILENCE_S: Final = 3.0  # a receiver that said something says something at least once a second
+# A connection on which nothing came yet: a receiver that starts needs its time, and a program that shares
+# its port may have accepted before it has the receiver.
+FIRST_SILENCE_S: Final = 10.0
 WAITS_FOR_US: Final = ACTUATOR_TTL_US  # a command that has waited for longer has expired
 STALLED_FOR_US: Final = S  # a device that takes nothing for this long is reconnected
 SIOCOUTQ: Final = 0x5411  # of Linux (linux/sockios.h): bytes that were sent and not acknowledged
@@ -159,19 +163,19 @@ class LinePort:
             self._thread = None
 
     def _read(self) -> None:
-        rest, heard_at_s = b"", 0.0  # 0.0: nothing was heard on this connection
+        rest, silent_at_s = b"", self._silent_at_s()
         again_at_s = time.monotonic() + AGAIN_S
         while not self._end.is_set():
             if self._stream is None:
-                rest, heard_at_s = b"", 0.0
                 # Some devices open and are gone at once, as a port forwarded to nothing.
                 if self._end.wait(max(again_at_s - time.monotonic(), 0.0)):
                     break
                 with suppress(*DEVICE_ERRORS):
                     self._stream = self._opens()
                 again_at_s = time.monotonic() + AGAIN_S
+                rest, silent_at_s = b"", self._silent_at_s()
                 continue
-            silent = self.receives and heard_at_s and time.monotonic() - heard_at_s > SILENCE_S
+            silent = self.receives and time.monotonic() > silent_at_s
             if silent or self._stalled is self._stream:
                 self.renewed += 1
                 self._drop(discard=True)
@@ -187,7 +191,7 @@ class LinePort:
             if not chunk:  # it is gone
                 self._drop()
                 continue
-            at_us, heard_at_s = time.monotonic_ns() // 1000, time.monotonic()
+            at_us, silent_at_s = time.monotonic_ns() // 1000, time.monotonic() + SILENCE_S
             *lines, rest = (rest + chunk).split(b"\n")
             if len(rest) > LINE_MAX:
                 rest, self.overlong = b"", self.overlong + 1
@@ -200,6 +204,10 @@ class LinePort:
                 except Exception:  # of a driver: it loses this line and not its thread
                     self.failed += 1
         self._drop()
+
+    def _silent_at_s(self) -> float:
+        """When a connection on which nothing came is given up. A serial port has none."""
+        return time.monotonic() + FIRST_SILENCE_S if self.address.startswith("tcp:") else inf
 
     def _chunk(self, stream: Any) -> bytes:
         if not isinstance(stream, socket.socket):

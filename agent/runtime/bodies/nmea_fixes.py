@@ -31,6 +31,7 @@ from agent.runtime.bodies.position_fixes import ACCURACY_M, PositionFixes, cours
 
 KNOT_M_S: Final = 1852 / 3600
 KMH_M_S: Final = 1 / 3.6
+TURN_DEG: Final = 360.0
 
 
 class NmeaFixes:
@@ -74,8 +75,8 @@ class NmeaFixes:
             elif _says_invalid(sentence):
                 self.counts["invalid"] += 1
             elif kind in ("HDT", "THS"):
-                degrees = sentence.headingT if kind == "HDT" else sentence.headt
-                self.fixes.take_heading(course_rad(_number(degrees)), arrived_at_us)
+                bearing = sentence.headingT if kind == "HDT" else sentence.headt
+                self.fixes.take_heading(course_rad(_bearing(bearing)), arrived_at_us)
             elif kind == "GST":
                 sizes_m = _number(sentence.stdLat), _number(sentence.stdLong)
                 # Receivers say by -1 or 0.0 that they do not know it.
@@ -98,6 +99,8 @@ class NmeaFixes:
         self.utc_at_us = (utc.hour * 3600 + utc.minute * 60 + utc.second) * S + utc.microsecond
         self._utc = utc
         if gga.quality in ACCURACY_M:
+            if gga.NS not in ("N", "S") or gga.EW not in ("E", "W"):
+                raise ValueError("a place without its hemisphere")
             at_us = self.sensed_at_us(self.utc_at_us, arrived_at_us)
             self.fixes.take_place(_number(gga.lon), _number(gga.lat), at_us)
             self.fixes.take_kind(gga.quality, arrived_at_us)
@@ -109,7 +112,7 @@ class NmeaFixes:
         if course in ("", None):  # receivers leave it out below a walking pace
             to_rad = self.fixes.heading_rad
         else:
-            to_rad = course_rad(_number(course))
+            to_rad = course_rad(_bearing(course))
         self.fixes.take_speed(speed_m_s, to_rad, arrived_at_us)
 
 
@@ -119,6 +122,15 @@ def _number(field: Any) -> float:
     if not isfinite(value):
         raise ValueError(f"{field!r} is no finite number")
     return value
+
+
+def _bearing(field: Any) -> float:
+    """A bearing in degrees. Some receivers say by 999.9 that they know none. Raises TypeError or
+    ValueError."""
+    bearing = _number(field)
+    if not 0.0 <= bearing <= TURN_DEG:
+        raise ValueError(f"{field!r} is no bearing")
+    return bearing
 
 
 def _says_invalid(sentence: Any) -> bool:

@@ -1,5 +1,6 @@
 """`headland tc` among the other devices of its bus, in virtual time. Found by a review."""
 
+from math import inf
 from random import Random
 from types import SimpleNamespace
 from typing import Any, Final, cast
@@ -10,6 +11,7 @@ from agent.implements.task_controller import (
     TaskController,
     controller_name,
 )
+from agent.interface.observation import Observation
 from agent.peer.diagnostics import COMPONENT_PGN
 from protocol.device_description import DeviceDescription
 from protocol.extended_transport import ExtendedControl
@@ -167,3 +169,17 @@ def test_a_long_message_to_all_opens_no_session() -> None:
     )
     assert node.hears(encode(announced, ROBOT, GLOBAL_ADDRESS), S) == []
     assert node.hears(encode(announced, ROBOT, ADDRESS), S) != []
+
+
+def test_a_place_without_a_fix_is_no_place() -> None:
+    """Ground was taken for worked at places that the receiver itself said to be none."""
+    seen = [Observation(0.0, 0.0, 0.0, 1.0, 0.0, sensed_at_us=0, position_accuracy_m=inf)]
+    fixes = SimpleNamespace(take=lambda *given: seen.pop())
+    control = TaskController(
+        controller_name(5), cast(Any, SimpleNamespace()), cast(Any, fixes), 0.0, Random(1), 0
+    )
+    control.on_frame(encode(Request(CLAIM_PGN), 7), S)
+    assert control.here is None
+    seen.append(Observation(0.0, 0.0, 0.0, 1.0, 0.0, sensed_at_us=S, position_accuracy_m=0.4))
+    control.on_frame(encode(Request(CLAIM_PGN), 7), S)
+    assert control.here is not None

@@ -56,3 +56,55 @@ def test_a_place_that_falls_back_at_a_corner_leads_nowhere(hangs: bool, periods:
         drive = Drive(-2.0, 0.2, 0.0, False) if since_fix else Drive(0.0, -0.5, 0.0, False)
         told = told or progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
     assert bool(told) is hangs, told
+
+
+@pytest.mark.parametrize("hangs", [True, False])
+def test_a_place_that_falls_back_before_a_goal_leads_nowhere(hangs: bool) -> None:
+    """Between two fixes the place passed the goal, and the robot told its body to turn. Each time it
+    forgot what it had seen, and drove 3.4 m at 2 m/s beside its place (fixes 115400116)."""
+    progress, told, x_m = PlaceProgress(), "", 0.0
+    for period in range(40):
+        since_fix = period % 4
+        x_m = 2.0 * PERIOD_S * (since_fix if hangs else period)
+        here = Observation(x_m, 0.0, 0.0, 2.0, 0.0, sensed_at_us=period * CONTROL_PERIOD_US)
+        drive = Drive(-0.4 if since_fix == 3 else 2.3, 0.0)
+        told = told or progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
+    assert bool(told) is hangs, told
+
+
+@pytest.mark.parametrize("periods", [3, 8, 20, 45])
+@pytest.mark.parametrize("slow", [0.5, 1.0, 2.0])
+def test_a_body_that_is_sent_to_and_fro_and_follows_leads_on(periods: int, slow: float) -> None:
+    """`slow`: its acceleration, in those of its limits."""
+    progress, x_m, v_m_s = PlaceProgress(), 0.0, 0.0
+    for period in range(400):
+        told_m_s = 2.0 if period // periods % 2 else -2.0
+        gained_m_s = slow * ACCELERATION_M_S2 * PERIOD_S
+        v_m_s += max(-gained_m_s, min(gained_m_s, told_m_s - v_m_s))
+        x_m += v_m_s * PERIOD_S
+        here = Observation(x_m, 0.0, 0.0, v_m_s, 0.0, sensed_at_us=period * CONTROL_PERIOD_US)
+        found = progress.look(
+            here, Drive(told_m_s, 0.0), LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US
+        )
+        assert not found, (period, found)
+
+
+def test_a_place_that_led_nowhere_and_jumps_away_is_not_back() -> None:
+    """It was taken for one that leads on, jumped back to where it had hung, and the robot drove another
+    1.2 m by it (fixes 115400127). One that moves in time, as a person pushes the body, is back."""
+    for step_m, back in ((90.0, False), (0.05, True)):
+        progress = PlaceProgress()
+        for period in range(40):
+            at_us = period * CONTROL_PERIOD_US
+            here = Observation(0.1 * (period % 4), 0.0, 0.0, 2.0, 0.0, sensed_at_us=at_us)
+            drive = Drive(2.0, 0.0)
+            if progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US):
+                break
+        assert progress.hangs
+        x_m, at_us, was_back = here.x_m, here.sensed_at_us, False
+        for period in range(60):
+            at_us += CONTROL_PERIOD_US
+            x_m += step_m if period == 0 or step_m < 1.0 else 0.0
+            seen = Observation(x_m, 0.0, 0.0, 0.0, 0.0, sensed_at_us=at_us)
+            was_back = was_back or progress.is_back(seen, 1.5)
+        assert was_back is back, step_m

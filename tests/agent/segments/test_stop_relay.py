@@ -137,3 +137,14 @@ def test_the_digest_is_that_of_what_is_kept_now() -> None:
             relay.on_backbone_resets(plain_reset(dot_of(NEW)._replace(counter=count)), count * S)
         kept, relay._digest = relay.digest, None
         assert relay.digest == kept, count
+
+
+def test_resets_that_wait_to_be_said_are_limited() -> None:
+    """Another segment, or what speaks for it, could fill the memory of a gateway."""
+    relay = StopRelay(2, 0)
+    for count in range(1, 3 * DOTS_MAX):
+        relay.on_backbone_resets(plain_reset(dot_of(STOP._replace(counter=count))), 0)
+    waiting = 0
+    while relay.due_at_us < 10**15:
+        waiting += len(relay.on_tick(relay.due_at_us)) // 2
+    assert waiting == 2 * DOTS_MAX and relay.refused

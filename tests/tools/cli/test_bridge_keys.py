@@ -37,6 +37,17 @@ def test_a_gateway_reads_its_file_again_when_the_owner_has_replaced_it(tmp_path:
     assert keys.renewed() is None
 
 
+def test_a_file_that_is_replaced_within_a_tick_of_the_clock_is_read_again(tmp_path: Path) -> None:
+    """Its time was compared alone, and file systems count it in steps of some milliseconds."""
+    first, second = keys_in(tmp_path / "first"), keys_in(tmp_path / "second")
+    files = [folder / NAMES[PANELS] for folder in (first, second)]
+    for file in files:
+        os.utime(file, ns=(7, 7))
+    keys = PanelKeys(first)
+    files[1].replace(files[0])
+    assert files[0].stat().st_mtime_ns == 7 and keys.renewed() is not None
+
+
 def test_a_gateways_file_that_others_may_read_is_refused(tmp_path: Path) -> None:
     folder = keys_in(tmp_path / "keys")
     (folder / NAMES[PANELS]).chmod(0o644)

@@ -51,6 +51,10 @@ def test_run_leaves_report_picture_and_logs(tmp_path: Path) -> None:
     assert read_work_isoxml(tmp_path / "T") == work
     assert work.stopped <= datetime.now(UTC), "a run that is faster than its clock"
     assert headland("export", "nowhere", "--isoxml", "T", folder=tmp_path).returncode == 2
+    (tmp_path / "file").touch()
+    words = ("export", "out", "--isoxml", "T2", "--geojson", "file/w.geojson", "--json")
+    partly = headland(*words, folder=tmp_path)  # a script reads what was written before it failed
+    assert partly.returncode == 2 and json.loads(partly.stdout) == {"isoxml": "T2"}, partly
     table = headland("inspect", "out", folder=tmp_path)
     assert "path of" in table.stdout and table.returncode == 0
 

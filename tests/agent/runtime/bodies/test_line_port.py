@@ -384,6 +384,27 @@ def test_a_receiver_that_falls_silent_is_reconnected_and_a_controller_is_not(
     first.close()
 
 
+def test_a_receiver_that_accepts_and_says_nothing_is_reconnected(
+    server: socket.socket, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A program that shares a serial port accepted before it had the port, and never sent there."""
+    monkeypatch.setattr(line_port, "FIRST_SILENCE_S", 0.05)
+    monkeypatch.setattr(line_port, "LOOK_S", 0.01)
+    lines: SimpleQueue[bytes] = SimpleQueue()
+    port = LinePort(where(server), lambda line, at_us: lines.put(line), receives=True)
+    port.open()
+    first, _ = server.accept()
+    second, _ = server.accept()
+    monkeypatch.setattr(line_port, "FIRST_SILENCE_S", LIMIT_S)
+    second.sendall(b"one\n")
+    while lines.get(timeout=LIMIT_S) != b"one":
+        pass
+    assert port.renewed >= 1
+    port.close()
+    first.close()
+    second.close()
+
+
 def test_a_peer_that_is_gone_without_a_word_is_noticed_by_the_system(
     server: socket.socket, opened: Open
 ) -> None:

@@ -272,6 +272,26 @@ def test_a_field_that_is_not_a_number_is_malformed(word: str) -> None:
     assert (seen.x_m, seen.vx_m_s, seen.vy_m_s) == pytest.approx((0.0, 0.0, 0.0), abs=1e-6)
 
 
+@pytest.mark.parametrize("bearing", ["999.9", "-1.0", "360.1"])
+def test_a_bearing_that_is_none_is_malformed(bearing: str) -> None:
+    """A receiver that says 999.9 until it knows its heading turned a robot by that."""
+    taken = fixes()
+    taken.take(gga("123511.00"), 0)
+    assert taken.take(sentence(f"GNHDT,{bearing},T"), 0) is None
+    taken.take(sentence(f"GNVTG,{bearing},T,,M,10.0,N,18.5,K,A"), 0)
+    assert taken.counts["malformed"] == 2
+    seen = taken.take(hdt(360.0), 0)
+    assert seen is not None and (seen.vx_m_s, seen.vy_m_s) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("place", ["5200.0,,00500.0,E", "5200.0,N,00500.0,"])
+def test_a_place_without_its_hemisphere_is_none(place: str) -> None:
+    """It was taken for one in the north or the east."""
+    taken = fixes()
+    taken.take(gga(place=place), 0)
+    assert taken.counts["malformed"] == 1 and taken.take(hdt(90.0), 0) is None
+
+
 @pytest.mark.parametrize(
     "binary", [b"\xb5\x62\x01\x07\x5c\x00", b"\xd3\x00\x13$\x3e", b"\\s:rx*2A\\"]
 )
