@@ -3,6 +3,7 @@
 from enum import Enum
 from typing import NamedTuple
 
+from protocol.frames.messages import configuration_hash
 from protocol.name import Name
 
 
@@ -28,6 +29,11 @@ class Identity(NamedTuple):
     # On a bus with devices of other makers: DM1 is sent unasked, a task controller is answered.
     diagnostics: bool = False
     implement_width_mm: int = 0  # for a task controller; 0: not known
+
+    @property
+    def config_hash(self) -> int:
+        """What members compare before they work together: the field, and the version of their frames."""
+        return configuration_hash(self.field_hash)
 
     @property
     def component(self) -> str:

@@ -81,7 +81,7 @@ class Membership(Part):
         slot = self.slot = identity.slot
         assert slot in identity.members
         self.silence_for_us, self.safety, self.origins = silence_for_us, safety, origins
-        self.field_hash, self._members = identity.field_hash, identity.members
+        self.config_hash, self._members = identity.config_hash, identity.members
         self.standing = {
             member: MemberStatus.ABSENT for member in sorted(identity.members) if member != slot
         }
@@ -192,9 +192,11 @@ class Membership(Part):
         source, now_us = header.source, ctx.now_us
         if not self.origins.is_robot(source):
             return NOTHING
-        if m.config_hash != self.field_hash:
+        if m.config_hash != self.config_hash:
             self.unbind(source)
-            return [notices.FieldDiffers(source, "it has another field description")]
+            return [
+                notices.FieldDiffers(source, "it has another field description, or other frames")
+            ]
         if m.slot not in self._members:  # we would neither avoid it nor leave it its work
             self.unbind(source)
             why = f"it is robot {m.slot}, and our fleet has {len(self._members)} robots"

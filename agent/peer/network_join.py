@@ -136,7 +136,7 @@ class NetworkJoin(Part):
     @property
     def announcement(self) -> Member:
         """The frame that binds our slot and incarnation to our address."""
-        return Member(self.identity.slot, self.incarnation, self.identity.field_hash)
+        return Member(self.identity.slot, self.incarnation, self.identity.config_hash)
 
     def spoke_from(self, address: int, start_at_us: int) -> bool:
         """Whether we had that address, or claimed it, at that time or later."""

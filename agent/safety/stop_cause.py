@@ -156,8 +156,9 @@ class StopCause(Enum):
     CONFIG_MISMATCH = _Rule(
         Severity.PROTECTIVE,
         ClearCondition.WHEN_APART,
-        "a robot of this fleet has another field description, or a slot beyond our number of robots",
-        "start all with the same fleet and field, or switch that robot off",
+        "a robot of this fleet has another field description, other frames, or a slot beyond our number "
+        "of robots",
+        "start all with the same release, fleet and field, or switch that robot off",
     )
     DUPLICATE_ID = _Rule(
         Severity.PROTECTIVE,
@@ -284,7 +285,7 @@ def sentence(number: int, subject: int, count: int = 0) -> str:
     stops hold it, or how many further robots are silent.
 
     >>> sentence(StandsBy.CONFIG_MISMATCH, 200)
-    'CONFIG_MISMATCH with address 200: start all with the same fleet and field, or switch that robot off'
+    'CONFIG_MISMATCH with address 200: start all with the same release, fleet and field, or switch that robot off'
     >>> sentence(StandsBy.STOP_DOT, NOBODY, 3)
     'STOP_DOT (3 stops): see that no person is in danger, then headland release'
     """

@@ -133,7 +133,7 @@ MEMBER = FrameLayout(
     fields=(
         integer("slot", 8, "of the sender"),
         integer("incarnation", 16, "raised whenever durable memory was lost"),
-        integer("config_hash", 24, "of the field description; another hash is another fleet"),
+        integer("config_hash", 24, "of the field and the version of frames; another is another fleet"),
         integer("flags", 8, "reserved, 0"),
         reserved(8, ones=True),
     ),

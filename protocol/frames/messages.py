@@ -100,6 +100,21 @@ Message = (
     | ExtendedTransportManagement | ExtendedTransportData | TerminalMessage | TerminalRequest
 )  # fmt: skip
 
+# Raised when robots with the frames before would misread ours: with another layout, meaning or PGN of a
+# frame that robots send each other. `tests/protocol/test_frames_version.py` has the layouts of this one.
+FRAMES_VERSION = 1
+VERSION_STEP = 0x9E37_79 | 1  # odd, so that every version has another hash
+HASH_BITS = 24
+
+
+def configuration_hash(work: int, version: int = FRAMES_VERSION) -> int:
+    """24 bits that robots compare before they work together: of their work, and of their frames.
+
+    `work`: hash of the description of the work, 24 bits. Version 1 changes nothing, because robots of
+    before compare the work alone."""
+    return (work + (version - 1) * VERSION_STEP) & ((1 << HASH_BITS) - 1)
+
+
 # By PGN family and priority; `docs/how/frames.md` is in this order.
 GROUPS: tuple[FrameLayout[Any], ...] = (
     safety_frames.EMERGENCY_STOP,

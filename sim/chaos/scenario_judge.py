@@ -267,6 +267,8 @@ class ScenarioJudge:
             lossy = isinstance(fault, LOSSY)
             end_at_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
             self._at(at_us, partial(self._troubled, end_at_us))
+            if end_at_us:  # a press at the same time is not sent completely either
+                self._at(at_us + 1, self._interrupted)
         match fault:
             case kinds.Estop(robot=robot):
                 self._at(at_us, partial(self._pressed, robot))

@@ -24,7 +24,7 @@ from protocol.frames.codec import decode_once, encode
 from protocol.frames.fleet_frames import Heartbeat, LeaderElectionVote, Member, VectorSlice
 from protocol.frames.frame import Frame
 from protocol.frames.key_frames import PART_BYTES, KeyPart, KeysHeld, KeySwitch
-from protocol.frames.messages import Message
+from protocol.frames.messages import Message, configuration_hash
 from protocol.frames.safety_frames import Command, EmergencyReset, HeldReset, OperatorCommand
 from protocol.frames.trust_frames import FleetTimeTold, Proof
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
@@ -203,7 +203,7 @@ def _life(cluster: Cluster, robot: int, rng: Random) -> Message:
 
 def _member(cluster: Cluster, robot: int, rng: Random) -> Message:
     slot = rng.randrange(cluster.scenario.fleet.robots)
-    return Member(slot, rng.randrange(1 << 16), cluster.setting.config_hash)
+    return Member(slot, rng.randrange(1 << 16), configuration_hash(cluster.setting.config_hash))
 
 
 def _vote(cluster: Cluster, robot: int, rng: Random) -> Message:

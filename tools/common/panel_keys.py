@@ -35,7 +35,7 @@ class PanelKeys:
         return keys
 
     def _version(self) -> tuple[int, int, int]:
-        """Inode, size and time of the file: a clock of a few milliseconds does not tell two writes apart."""
+        """Inode, size and time of the file: two writes within a tick of the clock have one time."""
         try:
             found = self.path.stat()
         except OSError:
