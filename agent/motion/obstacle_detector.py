@@ -7,8 +7,14 @@ be between its last pose and its extrapolation, or where it may have come to res
 an obstacle. From then on all unexplained echoes near by are kept as points, until the two rays on
 either side of a point both pass it. So a standing body wider than the gap between two rays is not
 lost. Bodies narrower than that gap at stopping distance can be missed.
+
+Under a policy that goes on without silent members, two parts of a fleet that is cut drive in one
+field and know nothing of each other. So while a member is silent, the nearest unexplained echo is
+also compared with itself a quarter of a second ago. One that comes nearer by itself stops the robot
+in time for both to brake, in whatever direction it is.
 """
 
+from collections import deque
 from collections.abc import Mapping, Sequence
 from math import atan2, ceil, cos, dist, floor, hypot, inf, pi, sin
 from typing import Final, NamedTuple
@@ -22,6 +28,7 @@ from agent.interface.geometry import Point
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.stopping_zone import StoppingZone
 from agent.motion.swept_ground import SweptGround
+from protocol.frames.fleet_frames import Pose
 
 GroundCell = tuple[int, int]  # a square of the ground: one point is remembered in each
 
@@ -50,6 +57,15 @@ NEARER_M: Final = 0.1
 LOOK_M: Final = 0.1  # between places of a way that is looked at for fences
 FINE_LOOK_M: Final = 0.02  # the same round the end of a ray
 assert AT_FENCE_M < FENCE_TOLERANCE_M, "what such a ray has passed is not the fence"
+# What comes nearer by itself, while members are silent, is looked for up to `WATCH_M`.
+APPROACH_OVER: Final = 5  # control periods over which it is measured
+APPROACH_US: Final = (APPROACH_OVER - 1) * CONTROL_PERIOD_US  # at least; and twice that at most
+APPROACHES_M_S: Final = 0.1  # by itself, so that it is no standing thing
+# Two robots that cross brake with less than the sum of what each of them can.
+CROSSING_SHARE: Final = 0.7
+SAME_M: Final = (
+    0.3  # an unexplained echo this much further than the nearest one is of the same hull
+)
 FORGET_US: Final = 300 * S  # a point that was not observed again for this long is dropped
 
 
@@ -59,6 +75,15 @@ class Detection(NamedTuple):
     x_m: float  # the nearest point of it
     y_m: float
     free_m: float  # from the hull along the motion
+
+
+class NearestEcho(NamedTuple):
+    """Of what is neither a fence nor a robot that is heard, and where our body was."""
+
+    at_us: int
+    range_m: float  # from our middle
+    x_m: float
+    y_m: float
 
 
 def stopping_m(speed_m_s: float, deceleration_m_s2: float) -> float:
@@ -81,6 +106,7 @@ class ObstacleDetector:
         self.fences, self.coasting = fences, coasting
         # The newest point in each ground cell, and when it was seen.
         self.points: dict[GroundCell, tuple[Point, int]] = {}
+        self._nearest: deque[NearestEcho] = deque(maxlen=APPROACH_OVER + 1)
 
     def stopping_m(self, speed_m_s: float) -> float:
         """Way to a standstill from this speed: reaction and braking, metres."""
@@ -110,6 +136,44 @@ class ObstacleDetector:
         self._remember(self._strange(everything, here, neighbours, now_us), now_us)
         seen = [self.ahead(here, motion, self.reach_m(hypot(*motion))) for motion in motions]
         return min((s for s in seen if s is not None), key=lambda s: s.free_m, default=None)
+
+    def is_approached(
+        self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int
+    ) -> bool:
+        """Whether something unexplained comes nearer by itself, while members are silent, and is so near
+        that we and it have to brake. Called once each control period.
+
+        `here`: our observation with its rays. `neighbours`: newest poses by slot.
+        """
+        if not here.ranges_m or not self.coasting.is_any:
+            self._nearest.clear()
+            return False
+        echoes = self._echoes(here, WATCH_M, None)
+        unheard = self._off_fences(self._off_heard(echoes, here, neighbours, now_us))
+        if not unheard:
+            self._nearest.clear()
+            return False
+        at = here.x_m, here.y_m
+        x_m, y_m = min(unheard, key=lambda echo: dist(echo, at))
+        range_m, then = dist((x_m, y_m), at), self._nearest[0] if self._nearest else None
+        self._nearest.append(NearestEcho(now_us, range_m, here.x_m, here.y_m))
+        passed_for_us = 0 if then is None else now_us - then.at_us
+        if then is None or not APPROACH_US <= passed_for_us <= 2 * APPROACH_US:
+            return False
+        passed_for_s = passed_for_us / S
+        closing_m_s = (then.range_m - range_m) / passed_for_s
+        gap_to_it_m = range_m - self.radius_m - PASSING_M
+        braking_m = closing_m_s**2 / (2 * CROSSING_SHARE * self.deceleration_m_s2)
+        if closing_m_s <= 0.0 or gap_to_it_m > closing_m_s * REACTION_S + braking_m:
+            return False
+        # If it stands, no point of it was further than where the nearest one is now, but for what a round
+        # hull has between two rays.
+        itself_m = then.range_m - dist((x_m, y_m), (then.x_m, then.y_m))
+        between_m = then.range_m * 2 * pi / len(here.ranges_m)
+        if itself_m < APPROACHES_M_S * passed_for_s + between_m**2 / (8 * self.radius_m):
+            return False
+        near = [echo for echo in unheard if dist(echo, at) <= range_m + SAME_M]
+        return bool(self._off_silent(near, here, neighbours))
 
     def _is_strange(
         self,
@@ -222,10 +286,12 @@ class ObstacleDetector:
         now_us: int,
     ) -> list[Point]:
         """The echoes that neither a robot nor a fence explains."""
-        left = self._off_robots(echoes, here, neighbours, now_us)
-        if not left or self.fences.size == 0:
-            return left
-        return [e for e in left if gap_m(e[0], e[1], self.fences) > FENCE_TOLERANCE_M]
+        return self._off_fences(self._off_robots(echoes, here, neighbours, now_us))
+
+    def _off_fences(self, echoes: list[Point]) -> list[Point]:
+        if not echoes or self.fences.size == 0:
+            return echoes
+        return [e for e in echoes if gap_m(e[0], e[1], self.fences) > FENCE_TOLERANCE_M]
 
     def _off_robots(
         self,
@@ -235,17 +301,34 @@ class ObstacleDetector:
         now_us: int,
     ) -> list[Point]:
         """The echoes that no robot explains."""
-        left = list(echoes)
-        near_m = self.radius_m + ROBOT_TOLERANCE_M
-        silent_m = self.radius_m + SILENT_TOLERANCE_M
+        left = self._off_heard(echoes, here, neighbours, now_us)
+        return self._off_silent(left, here, neighbours)
+
+    def _off_silent(
+        self, echoes: Sequence[Point], here: Observation, neighbours: Mapping[int, Neighbour]
+    ) -> list[Point]:
+        """The echoes that no robot explains that is silent."""
+        left, silent_m = list(echoes), self.radius_m + SILENT_TOLERANCE_M
+        for slot, (pose, _) in neighbours.items():
+            places = self.coasting.places(slot)
+            if places is None or _is_far(pose, here):
+                continue
+            left = [e for e in left if all(dist(e, place) > silent_m for place in places)]
+        return left
+
+    def _off_heard(
+        self,
+        echoes: Sequence[Point],
+        here: Observation,
+        neighbours: Mapping[int, Neighbour],
+        now_us: int,
+    ) -> list[Point]:
+        """The echoes that no robot explains that is heard."""
+        left, near_m = list(echoes), self.radius_m + ROBOT_TOLERANCE_M
         for slot, (pose, heard_at_us) in neighbours.items():
             if not left:
                 return []
-            if max(abs(pose.x_m - here.x_m), abs(pose.y_m - here.y_m)) > 2 * WATCH_M:
-                continue
-            places = self.coasting.places(slot)
-            if places is not None:
-                left = [e for e in left if all(dist(e, place) > silent_m for place in places)]
+            if self.coasting.places(slot) is not None or _is_far(pose, here):
                 continue
             age_s = (now_us - heard_at_us) / S
             way_m = pose.speed_m_s * age_s
@@ -340,6 +423,10 @@ class ObstacleDetector:
         if len(strange) < len(self.points):
             left = set(strange)
             self.points = {cell: seen for cell, seen in self.points.items() if seen[0] in left}
+
+
+def _is_far(pose: Pose, here: Observation) -> bool:
+    return max(abs(pose.x_m - here.x_m), abs(pose.y_m - here.y_m)) > 2 * WATCH_M
 
 
 def _direction(here: Observation, ray: int) -> Point:

@@ -176,8 +176,11 @@ class ObstacleStop:
         sighting = self.lookout.observe(here, motions, neighbours, now_us)
         if self.things:
             self._keep_in_mind()
+        approached = self.lookout.is_approached(here, neighbours, now_us)
         if sighting is None:
             self._moved_at_us = now_us
+            if approached:
+                return HALT, []  # a robot that is cut off from us, as it seems: it stops, too
             return (self._slowed(wanted, here) if self.things else wanted), []
         if self._known((sighting.x_m, sighting.y_m)):
             return self._creep(wanted, here, sighting, may_move, now_us)

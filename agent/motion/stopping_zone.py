@@ -65,6 +65,11 @@ class StoppingZone:
             if len(left) < len(places):
                 self._places[slot] = left
 
+    @property
+    def is_any(self) -> bool:
+        """Whether any member has been silent for long enough to have a zone."""
+        return bool(self._places)
+
     def places(self, slot: int) -> tuple[Point, ...] | None:
         """Possible places of a member, (x, y) metres in driving order, without those seen as free.
 

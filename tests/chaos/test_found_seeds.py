@@ -127,6 +127,8 @@ MENDED = {
     ("senses", 114001205): "agent/motion/obstacle_detector.py",
     # The senses of a robot with a hung receiver went away, and came back while it still hung.
     ("fixes", 115200000): "sim/chaos/scenario_judge.py",
+    # Two robots that were cut off from each other drove to one row.
+    ("apart", 115500072): "agent/motion/obstacle_detector.py",
     # A stop was pressed at the time at which the bus was cut, and its robot lost its memory of it.
     ("stop", 115400199): "sim/chaos/scenario_judge.py",
     # A hung place made the robot turn to and fro before its goal. A hung place jumped away and back.

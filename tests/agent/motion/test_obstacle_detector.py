@@ -5,7 +5,7 @@ from math import cos, hypot, inf, pi, sin
 import numpy as np
 import pytest
 
-from agent.interface.config import S
+from agent.interface.config import CONTROL_PERIOD_US, S
 from agent.interface.lifecycle import State
 from agent.interface.observation import Neighbour, Observation
 from agent.motion.obstacle_detector import ObstacleDetector
@@ -16,15 +16,17 @@ RADIUS_M, RAYS, BODY = 0.8, 72, (2.2, 0.0)
 AHEAD = ((2.0, 0.0),)
 
 
-def observation() -> Observation:
-    """At (0, 0), with a body of `RADIUS_M` at `BODY`."""
-    ranges = []
+def observation(
+    at: tuple[float, float] = (0.0, 0.0), body: tuple[float, float] = BODY
+) -> Observation:
+    """With a body of `RADIUS_M` at `body`."""
+    ranges, x_m, y_m = [], body[0] - at[0], body[1] - at[1]
     for k in range(RAYS):
         ux, uy = cos(2 * pi * k / RAYS), sin(2 * pi * k / RAYS)
-        along_m, across_m = BODY[0] * ux + BODY[1] * uy, abs(BODY[1] * ux - BODY[0] * uy)
+        along_m, across_m = x_m * ux + y_m * uy, abs(y_m * ux - x_m * uy)
         hit = along_m > 0.0 and across_m < RADIUS_M
         ranges.append(along_m - (RADIUS_M**2 - across_m**2) ** 0.5 if hit else inf)
-    return Observation(0.0, 0.0, 0.0, 0.0, 0.0, ranges_m=tuple(ranges))
+    return Observation(*at, 0.0, 0.0, 0.0, ranges_m=tuple(ranges))
 
 
 def test_a_body_that_joins_is_an_obstacle_no_more() -> None:
@@ -164,3 +166,50 @@ def test_a_body_beside_a_slanting_fence_stays_in_mind() -> None:
     at_m = stopped_m / hypot(*point)
     detector.points = {(0, 0): ((point[0] * at_m, point[1] * at_m), 0)}
     assert detector.observe(here, (point,), {}, 50_000) is not None
+
+
+@pytest.mark.parametrize("cut", [True, False])
+@pytest.mark.parametrize("speed_m_s", [0.8, 1.5, 2.5])
+@pytest.mark.parametrize("course", [(-1.0, 0.0), (-0.7, 0.7), (0.0, 1.0), (0.7, 0.7)])
+def test_a_robot_that_is_cut_off_and_comes_from_the_side_is_braked_for(
+    course: tuple[float, float], speed_m_s: float, cut: bool
+) -> None:
+    """Found by `headland chaos`, profile apart, seed 115500072: two robots that were cut off from each
+    other drove from their places to one row. Neither was in the strip of the other until they were 0.4 m
+    apart, and they touched (S17)."""
+    zone = StoppingZone(RADIUS_M, 1.5)
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), zone)
+    silent = Neighbour(Pose(-9.0, 5.0, 0.0, 0.0, State.IDLE, False, 0), 0)
+    us, gap_m, period_s = (0.0, 0.0), 0.0, CONTROL_PERIOD_US / S
+    v_m_s = u_m_s = speed_m_s  # ours, to the east, and its
+    brakes = False
+    body = (4.0 - 6.0 * course[0], -6.0 * course[1])
+    for period in range(400):
+        now_us = 2 * S + period * CONTROL_PERIOD_US
+        here = observation(us, body)
+        if cut:
+            zone.observe({1: silent}, here, now_us)
+        brakes |= detector.is_approached(here, {1: silent} if cut else {}, now_us)
+        if brakes:
+            v_m_s, u_m_s = (max(each - 1.5 * period_s, 0.0) for each in (v_m_s, u_m_s))
+        us = us[0] + v_m_s * period_s, us[1]
+        body = body[0] + course[0] * u_m_s * period_s, body[1] + course[1] * u_m_s * period_s
+        gap_m = hypot(us[0] - body[0], us[1] - body[1]) - 2 * RADIUS_M
+        if gap_m <= 0.0 or v_m_s == 0.0:
+            break
+    assert cut or not brakes, "robots that are heard avoid each other"
+    assert gap_m > 0.0 or not cut, (gap_m, v_m_s)
+
+
+@pytest.mark.parametrize("beside_m", [1.7, 2.2, 4.0])
+def test_a_thing_that_stands_is_passed_at_full_speed_though_a_member_is_silent(
+    beside_m: float,
+) -> None:
+    zone = StoppingZone(RADIUS_M, 1.5)
+    detector = ObstacleDetector(RADIUS_M, 1.5, np.empty((0, 4)), zone)
+    silent = {1: Neighbour(Pose(-9.0, 5.0, 0.0, 0.0, State.IDLE, False, 0), 0)}
+    for period in range(80):
+        now_us = 2 * S + period * CONTROL_PERIOD_US
+        here = observation((-4.0 + 2.5 * period * CONTROL_PERIOD_US / S, 0.0), (0.0, beside_m))
+        zone.observe(silent, here, now_us)
+        assert not detector.is_approached(here, silent, now_us), period
