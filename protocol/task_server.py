@@ -251,12 +251,13 @@ class TaskServer:
         return [_said(client.source, _command(REQUEST_VALUE, key, 0))]
 
     def measure(self, client: ImplementSession, key: Key, period_ms: int) -> list[ServerOutput]:
-        """Ask for a value on change, and by time, as far as the client offers it."""
+        """Ask for a value on change, and by time, as far as the client offers it. `period_ms`: 0: on
+        change alone."""
         offered = 0 if client.pool is None else client.pool.triggers.get(key, 0)
         wanted = ((TIME_INTERVAL, BY_TIME, period_ms), (CHANGE, ON_CHANGE, 1))
         said: list[ServerOutput] = []
         for command, bit, number in wanted:
-            if offered & bit:
+            if offered & bit and number:
                 said.append(_said(client.source, _command(command, key, number)))
         return said or self.ask(client, key)
 

@@ -26,6 +26,8 @@ from protocol.task_client import Key
 
 LATENCY: Final = 142  # DDI: from a setpoint to its effect, ms
 TURN_ON_TIME, TURN_OFF_TIME = 205, 206  # DDI, of a section, ms
+TIMES: Final = frozenset((LATENCY, TURN_ON_TIME, TURN_OFF_TIME))
+TIME_MAX_MS: Final = 60_000  # no section needs so long; a longer time is not believed
 CONTROL_PERIOD_US: Final = 50 * MS
 ACROSS_M: Final = 0.1  # between two places of a section that are looked at
 ALONG_M: Final = 0.05
@@ -43,10 +45,9 @@ class SectionedImplement:
         """`told`: values that it has told of its places and widths. It may have no sections."""
         self.pool, self.sections = pool, pool.sections(told)
         self.refused = pool.refused_sections(told)  # sections whose widths are not believed
-        known = {**pool.fixed, **told}
-        latency_ms = _any(known, LATENCY)
-        self.on_for_us = (_any(known, TURN_ON_TIME) or latency_ms) * MS
-        self.off_for_us = (_any(known, TURN_OFF_TIME) or latency_ms) * MS
+        self._known: dict[Key, int] = {**pool.fixed, **told}
+        self.on_for_us = self.off_for_us = 0
+        self._take_times()
         self.actual = np.zeros(len(self.sections), np.bool_)
         self.wanted = np.zeros(len(self.sections), np.bool_)
         # Condensed values, and the sections that each is of.
@@ -76,6 +77,14 @@ class SectionedImplement:
             for k, section in enumerate(self.sections):
                 if section.element == element:
                     self.actual[k] = number == 1
+        if ddi in TIMES and self.pool.describes(key):
+            self._known[key] = number
+            self._take_times()
+
+    def _take_times(self) -> None:
+        latency_ms = _time_ms(self._known, LATENCY)
+        self.on_for_us = (_time_ms(self._known, TURN_ON_TIME) or latency_ms) * MS
+        self.off_for_us = (_time_ms(self._known, TURN_OFF_TIME) or latency_ms) * MS
 
     # ---------------------------------------------------------------- ground
 
@@ -160,6 +169,10 @@ class SectionedImplement:
         found = list(self._state_words)
         return found or [(section.element, WORK_STATE) for section in self.sections]
 
+    def times(self) -> Sequence[Key]:
+        """The values that say how long its sections take; people change them while it works."""
+        return [key for key in self.pool.properties if key[1] in TIMES]
+
     def _condensed(self, of_word: Sequence[int]) -> int:
         number = 0
         for place in range(PER_WORD):
@@ -188,8 +201,9 @@ def _words(pool: DevicePool, sections: Sequence[BoomSection], ddi: int) -> dict[
     }
 
 
-def _any(known: Mapping[Key, int], ddi: int) -> int:
-    return next((number for (_, each), number in known.items() if each == ddi), 0)
+def _time_ms(known: Mapping[Key, int], ddi: int) -> int:
+    number = next((number for (_, each), number in known.items() if each == ddi), 0)
+    return number if abs(number) <= TIME_MAX_MS else 0
 
 
 def _placed(here: Observation, along: NDArray[np.float64], right: NDArray[np.float64]) -> Points:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.implements.as_applied_map import AsAppliedMap
-from agent.implements.section_control import CONTROL_PERIOD_US, SectionedImplement
+from agent.implements.section_control import CONTROL_PERIOD_US, TIMES, SectionedImplement
 from agent.interface.config import MS, S
 from agent.interface.observation import Observation
 from protocol.address import AddressClaim, AddressMessage
@@ -215,12 +215,12 @@ class TaskController:
         return pool is not None and pool.label.startswith(ROBOT_LABEL)
 
     def _geometry(self, source: int, now_us: int) -> list[ServerOutput]:
-        """Ask for places and widths that the description leaves open."""
+        """Ask for places, widths and times that the description leaves open."""
         client = self.server.clients[source]
         self._settles_at_us[source] = now_us + SETTLES_US
         outputs: list[ServerOutput] = []
         for element, ddi in client.pool.properties if client.pool else ():
-            if ddi in (OFFSET_X, OFFSET_Y, WIDTH):
+            if ddi in (OFFSET_X, OFFSET_Y, WIDTH) or ddi in TIMES:
                 outputs += self.server.ask(client, (element, ddi))
         return outputs
 
@@ -232,6 +232,8 @@ class TaskController:
         outputs: list[ServerOutput] = []
         for key in implement.measured():
             self._asks += self.server.measure(client, key, TOLD_EACH_MS)
+        for key in implement.times():
+            self._asks += self.server.measure(client, key, 0)
         for key, number in implement.automatic():
             outputs += self.server.set_value(client, key, number)
         return outputs + self._setpoints(source, np.ones(len(implement.sections), np.bool_))
