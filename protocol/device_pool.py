@@ -82,13 +82,26 @@ class DevicePool(NamedTuple):
         return key in self.properties or key in self.triggers or key in self.fixed
 
     def sections(self, told: Mapping[tuple[int, int], int]) -> Sequence[BoomSection]:
-        """Its sections from left to right, where their places and widths are known.
+        """Its sections by their numbers, where their places and widths are known.
 
         `told`: values that the implement has told since; they come before the fixed ones. There is none
-        where a width is refused: states are told by the number of a section among all of them.
+        where a width is refused.
         """
         found = self._found_sections(told)
         return () if _refused(found) else found
+
+    def section_order(self, told: Mapping[tuple[int, int], int]) -> Sequence[int]:
+        """The elements of all its sections from left to right, as condensed states have them
+        (ISO 11783-11): also of those without a width, as a section that is folded. By their numbers
+        where a place is not known.
+
+        `told`: as for `sections`."""
+        known = {**self.fixed, **told}
+        found = sorted(e.number for e in self.elements.values() if e.kind == TYPE_SECTION)
+        right_mm = {number: known.get((number, OFFSET_Y)) for number in found}
+        if None in right_mm.values():
+            return found
+        return sorted(found, key=lambda number: right_mm[number] or 0)
 
     def refused_sections(self, told: Mapping[tuple[int, int], int]) -> int:
         """How many sections are wider than `SECTION_WIDTH_MAX_MM`, or all if together they are too wide.

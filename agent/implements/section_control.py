@@ -50,9 +50,10 @@ class SectionedImplement:
         self._take_times()
         self.actual = np.zeros(len(self.sections), np.bool_)
         self.wanted = np.zeros(len(self.sections), np.bool_)
-        # Condensed values, and the sections that each is of.
-        self._told_words = _words(pool, self.sections, SETPOINT_CONDENSED)
-        self._state_words = _words(pool, self.sections, CONDENSED_WORK_STATE)
+        # Condensed values, and the sections that each is of; None: one whose place is not known.
+        order = pool.section_order(told)
+        self._told_words = _words(pool, self.sections, order, SETPOINT_CONDENSED)
+        self._state_words = _words(pool, self.sections, order, CONDENSED_WORK_STATE)
         self._before: tuple[Points, Points] | None = None  # left and right ends at the last fix
         self._ahead_m = np.array([s.ahead_mm / 1000 for s in self.sections])
         self._right_m = np.array([s.right_mm / 1000 for s in self.sections])
@@ -72,7 +73,8 @@ class SectionedImplement:
         """It has told a value: the states of its sections are among them."""
         element, ddi = key
         for place, k in enumerate(self._state_words.get(key, ())):
-            self.actual[k] = number >> 2 * place & 3 == ON
+            if k is not None:
+                self.actual[k] = number >> 2 * place & 3 == ON
         if ddi == WORK_STATE:
             for k, section in enumerate(self.sections):
                 if section.element == element:
@@ -173,26 +175,30 @@ class SectionedImplement:
         """The values that say how long its sections take; people change them while it works."""
         return [key for key in self.pool.properties if key[1] in TIMES]
 
-    def _condensed(self, of_word: Sequence[int]) -> int:
+    def _condensed(self, of_word: Sequence[int | None]) -> int:
         number = 0
         for place in range(PER_WORD):
-            state = ABSENT
-            if place < len(of_word):
-                state = ON if self.wanted[of_word[place]] else OFF
+            state, k = ABSENT, of_word[place] if place < len(of_word) else None
+            if k is not None:
+                state = ON if self.wanted[k] else OFF
             number |= state << 2 * place
         return number - (1 << 32) if number >= 1 << 31 else number
 
 
-def _words(pool: DevicePool, sections: Sequence[BoomSection], ddi: int) -> dict[Key, Sequence[int]]:
+def _words(
+    pool: DevicePool, sections: Sequence[BoomSection], order: Sequence[int], ddi: int
+) -> dict[Key, Sequence[int | None]]:
     """Which sections each condensed value is of, in its order: those below its element.
 
-    An implement with several booms has a value for each of them. `ddi`: of the first `PER_WORD`
+    An implement with several booms has a value for each of them. `order`: elements of all its sections.
+    A section that is not among `sections` keeps its place, as None. `ddi`: of the first `PER_WORD`
     sections."""
-    below: dict[int, list[int]] = {}
-    owners = pool.owners([section.element for section in sections], ddi)
-    for k, element in enumerate(owners):
+    at = {section.element: k for k, section in enumerate(sections)}
+    below: dict[int, list[int | None]] = {}
+    owners = pool.owners(order, ddi) if sections else ()
+    for number, element in zip(order, owners, strict=False):
         if element is not None:
-            below.setdefault(element, []).append(k)
+            below.setdefault(element, []).append(at.get(number))
     return {
         (element, ddi + first // PER_WORD): of_element[first : first + PER_WORD]
         for element, of_element in below.items()
