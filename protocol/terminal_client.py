@@ -131,6 +131,14 @@ class ShownScreen(NamedTuple):
     alarm: str = ""
 
 
+class _Refusal(NamedTuple):
+    """A terminal has refused our pool, and is not asked again at once."""
+
+    for_us: int
+    call_again_at_us: int
+    heard_at_us: int  # its newest status
+
+
 class TerminalClient:
     """The session of one robot with one virtual terminal at a time."""
 
@@ -146,7 +154,7 @@ class TerminalClient:
         self._change_at_us = self._probe_at_us = 0
         self._unanswered_at_us: int | None = None  # of the oldest change without an answer
         self._awaited = 0  # function of that change
-        self._refused_for_us = self._call_again_at_us = 0  # after a pool that was refused
+        self._refusals: dict[int, _Refusal] = {}  # by address of the terminal
         self._redraws = False  # what is sent is the picture alone
         self._refuses: int | None = None  # address of a terminal that took no picture alone
 
@@ -216,8 +224,8 @@ class TerminalClient:
         if self._unanswered_at_us is not None:
             late = now_us >= self._unanswered_at_us + TERMINAL_ANSWER_US
         silent = now_us >= self._heard_at_us + TERMINAL_SILENT_US
-        if silent:
-            self._refused_for_us = self._call_again_at_us = 0
+        if silent and self.server is not None:
+            self._refusals.pop(self.server, None)
         if late or silent:
             self._lose()
             return self._call(now_us)
@@ -294,12 +302,14 @@ class TerminalClient:
     # ---------------------------------------------------------------- log-in
 
     def _status(self, source: int, now_us: int) -> list[TerminalOutput]:
+        refusal = self._refusals.get(source)
+        if refusal is not None:
+            if now_us < refusal.heard_at_us + TERMINAL_SILENT_US:
+                self._refusals[source] = refusal._replace(heard_at_us=now_us)
+            else:
+                del self._refusals[source]  # it may be another one, or a repaired one
         if self.state is not AWAY and source != self.server:
             return []
-        if source != self.server or now_us >= self._heard_at_us + TERMINAL_SILENT_US:
-            self._refused_for_us = self._call_again_at_us = (
-                0  # it may be another one, or a repaired one
-            )
         self.server, self._heard_at_us = source, now_us
         return self._call(now_us)
 
@@ -308,7 +318,8 @@ class TerminalClient:
         heard = self.server is not None and now_us < self._heard_at_us + TERMINAL_SILENT_US
         if self.state is not AWAY or not self.serves or not heard:
             return []
-        if now_us < self._call_again_at_us:
+        refusal = None if self.server is None else self._refusals.get(self.server)
+        if refusal is not None and now_us < refusal.call_again_at_us:
             return []
         self._machine.fire(TerminalEvent.CALLED)
         first = TerminalData(pack("<BBBIB", MAINTENANCE, 1, CLIENT_VERSION, 0xFFFF_FFFF, 0xFF))
@@ -343,7 +354,8 @@ class TerminalClient:
                 self._refused(now_us)
             return []
         self._machine.fire(TerminalEvent.POOL_RIGHT)
-        self._refused_for_us = 0
+        if self.server is not None:
+            self._refusals.pop(self.server, None)
         self.screens += not self._redraws
         self._redraws = False
         self._changes.clear()
@@ -359,8 +371,11 @@ class TerminalClient:
 
     def _refused(self, now_us: int) -> None:
         self._lose()
-        self._refused_for_us = min(max(2 * self._refused_for_us, REFUSED_US), REFUSED_MAX_US)
-        self._call_again_at_us = now_us + self._refused_for_us
+        assert self.server is not None
+        before = self._refusals.get(self.server)
+        longer_us = 0 if before is None else 2 * before.for_us
+        for_us = min(max(longer_us, REFUSED_US), REFUSED_MAX_US)
+        self._refusals[self.server] = _Refusal(for_us, now_us + for_us, self._heard_at_us)
 
     def _lose(self) -> None:
         self._machine.fire(TerminalEvent.GONE)

@@ -128,6 +128,30 @@ def test_a_terminal_that_refuses_the_pool_gets_it_ever_less_often() -> None:
     assert client.state is TerminalState.MEMORY, "it was away, and may have been repaired"
 
 
+def test_two_terminals_that_refuse_the_pool_get_it_ever_less_often() -> None:
+    """Each status of the one let the refusal of the other be forgotten, so both got the pool at each
+    of their statuses."""
+    client = TerminalClient()
+    client.serve(True, 0)
+    pools: dict[int, list[int]] = {VT: [], VT + 1: []}
+    for now_us in range(0, 400 * S, 250 * MS):
+        for terminal in pools:
+            outputs = client.on_message(terminal, STATUS, now_us)
+            outputs += client.on_timer(now_us)
+            if any(data[0] == 0xC0 for data in sent(outputs)):
+                assert client.server == terminal
+                for text in ("C0 04 00", "C3 FFFFFFFF 7F 7F 0F", "C7 01 02 0F F000 F000"):
+                    client.on_message(terminal, bytes.fromhex(text).ljust(8, b"\xff"), now_us)
+                client.upload(b"pool", SHOWN, now_us)
+                for later_us in range(0, 5 * S, 250 * MS):  # the other one speaks meanwhile
+                    for each in pools:
+                        client.on_message(each, STATUS, now_us + later_us)
+                client.uploaded()
+                client.on_message(terminal, bytes.fromhex("12 01 0410 FFFF 02 FF"), now_us)
+                pools[terminal].append(now_us // S)
+    assert pools == {VT: [0, 30, 90, 210], VT + 1: [0, 30, 90, 210]}
+
+
 def test_keys_are_told_and_sent_back() -> None:
     client = shown()
     outputs = tell(client, "00 01 B80B E803 01 FF")
