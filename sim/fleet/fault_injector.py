@@ -136,7 +136,6 @@ class FaultPlan:
                 shape = Shape(fault.length_m, fault.width_m)
                 return walk(cluster.world, self._now_us, shape, route, speed_m_s, yields)
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
-                cluster.stops.carried(robot)
                 return self._push(robot, dx_m, dy_m)
             case kinds.Babble(priority=priority, identifier=identifier, for_s=for_s):
                 if identifier is None:

@@ -276,12 +276,6 @@ class StopMonitor:
             if slot in unheard:
                 self._free(number, slot)
 
-    def carried(self, slot: int) -> None:
-        """A person moves this robot by hand, so its motion no longer counts against a stop."""
-        self._leave_levels(slot)
-        for number in list(self._stages):
-            self._free(number, slot)
-
     def _free(self, number: int, slot: int) -> None:
         if self._stages.get(number, {}).pop(slot, None) is not None:
             self.checker.release(number, (slot,))

@@ -7,11 +7,12 @@ import pytest
 from agent.interface.config import MS, STOP_SPACING_US, S
 from agent.interface.effects import Drive
 from protocol.frames.safety_frames import Command, EmergencyReset, OperatorCommand
+from sim.fleet.fault_injector import FaultPlan
 from sim.fleet.simulated_fleet import OPERATOR, Cluster
 from sim.fleet.stop_monitor import StopMonitor
 from sim.fleet.virtual_clock import elapse, run_virtual
 from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.scenario import load
+from sim.scenarios.scenario import Pushed, load
 from sim.world.protocol_world import ProtocolWorld
 
 Story = Callable[[Cluster], Awaitable[None]]
@@ -98,15 +99,22 @@ def test_who_cannot_hear_is_not_expected_to_obey_where_silence_stops_nobody_for_
     assert play(story).stops.violations == []
 
 
-def test_a_robot_that_is_pushed_by_hand_is_excused() -> None:
+@pytest.mark.parametrize("drives", [False, True])
+def test_a_robot_that_is_pushed_by_hand_still_has_to_obey(drives: bool) -> None:
+    """A push freed it from every stop, so nobody saw whether it drove off afterwards."""
+
     async def story(cluster: Cluster) -> None:
         cluster.press(1)
         await elapse(2.0)
-        cluster.stops.carried(2)
-        cluster.world.body(2).push(0.3, 0.0)
+        push = Pushed(at_s=12.0, kind="pushed", robot=2, dx_m=0.3, dy_m=0.0)
+        cluster.scenario = cluster.scenario.model_copy(update={"fault": [push]})
+        await FaultPlan(cluster).run()
         await elapse(1.0)
+        if drives:
+            await misdrive(cluster, 2)
 
-    assert play(story).stops.violations == []
+    found = {violation.slots for violation in play(story).stops.violations}
+    assert found == ({(2,)} if drives else set())
 
 
 @pytest.mark.parametrize("forgetful", [(), (0,), (0, 1)])
