@@ -91,12 +91,13 @@ class CommandSession:
         outcome = Outcome(phrase, reading, by_model=by_model)
         if stops_all(reading) and not by_model:
             await self._stop_all(outcome, reading)
-            return outcome
+            if len(reading) == 1:
+                return outcome
         fleet = await self.hear_fleet()
         verdict = weigh(reading, fleet, self.places)
         if isinstance(verdict, Question):
             outcome.question = verdict
-            if any(isinstance(i, Control) and i.action == "stop" for i in reading):
+            if outcome.stopped is None and any(map(_stops, reading)):
                 await self._hold_all(outcome)
             return outcome
         if by_model and not await self.ask(f"the model read: {_told(reading)}; obey?"):
@@ -112,7 +113,7 @@ class CommandSession:
     async def _obey(
         self, outcome: Outcome, intents: tuple[AnyIntent, ...], verdict: Authorization
     ) -> None:
-        if verdict.stop_all or verdict.emergency_stop:
+        if (verdict.stop_all or verdict.emergency_stop) and outcome.stopped is None:
             await self._stop_all(outcome, intents)
         words = await asyncio.gather(*map(self._convey, verdict.orders))
         outcome.orders = list(zip(verdict.orders, words, strict=True))
@@ -268,12 +269,17 @@ class CommandSession:
 
 
 def stops_all(intents: tuple[AnyIntent, ...]) -> bool:
-    """A phrase that is a stop of all robots and nothing else."""
-    if len(intents) != 1 or not isinstance(intents[0], Control):
-        return False
-    stop = intents[0]
-    all_of_them = isinstance(stop.robots, str)
-    return stop.action == "emergency_stop" or (stop.action == "stop" and all_of_them)
+    """Whether a phrase stops all robots, whatever else it asks."""
+    return any(
+        isinstance(intent, Control)
+        and _stops(intent)
+        and (intent.action == "emergency_stop" or isinstance(intent.robots, str))
+        for intent in intents
+    )
+
+
+def _stops(intent: AnyIntent) -> bool:
+    return isinstance(intent, Control) and intent.action in ("stop", "emergency_stop")
 
 
 def _stands(robot: KnownRobot) -> bool:

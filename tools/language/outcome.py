@@ -69,16 +69,20 @@ class Outcome:
             kind = self.question.reason
             plain_text = kind is QuestionReason.NOT_UNDERSTOOD
             asked = str(self.question) if plain_text else f"{kind}: {self.question}"
-            return [*self._held_lines(), asked]
+            return [*self._stopped_lines(), *self._held_lines(), asked]
         lines = [_order_line(order, word) for order, word in self.orders]
-        if self.stopped is not None:
-            lines.append(f"stopped: {', '.join(map(str, self.stopped)) or 'no robot is heard'}")
-        if self.latched and self.stopped:
-            lines.append(LATCHED)
-        lines += self._not_stopped_lines()
+        lines += self._stopped_lines()
         lines += [f"queued until a robot is idle: {name}" for name in self.queued]
         source = f"{self.told_by}: " if self.told_by != "the bus" and self.answers else ""
         return lines + [source + answer.text for answer in self.answers] or ["done"]
+
+    def _stopped_lines(self) -> list[str]:
+        """Also where something else in the phrase was asked back."""
+        if self.stopped is None:
+            return []
+        latched = [LATCHED] if self.latched and self.stopped else []
+        stopped = f"stopped: {', '.join(map(str, self.stopped)) or 'no robot is heard'}"
+        return [stopped, *latched, *self._not_stopped_lines()]
 
     def _held_lines(self) -> list[str]:
         if self.held is None:

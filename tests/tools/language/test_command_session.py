@@ -105,6 +105,26 @@ def test_a_stop_of_all_is_said_at_once_and_confirmed(tmp_path: Path) -> None:
     play(story, tmp_path)
 
 
+@pytest.mark.parametrize(
+    "phrase", ["emergency stop and where is robot 9", "where is robot 9 and stop"]
+)
+def test_a_stop_with_a_question_beside_it_is_said_before_the_question_is_weighed(
+    phrase: str, tmp_path: Path
+) -> None:
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        loop = asyncio.get_running_loop()
+        begun_s = loop.time()
+        saying = asyncio.create_task(speaker.say(phrase))
+        await elapse(0.4)  # a stop is sent every 50 ms, and no robot was heard before
+        assert all(cluster.robots[slot].peer.state is not State.WORKING for slot in range(3))
+        told = await saying
+        assert told.stopped == [0, 1, 2] and loop.time() - begun_s < 6.0
+        assert told.code == 3 and told.question is not None and "robot 9" in told.question.text
+        assert told.lines()[0] == "stopped: 0, 1, 2", told.lines()
+
+    play(story, tmp_path)
+
+
 ALARMS = (  # of M13: each was answered by a question while the fleet drove on
     "don't move", "nobody move", "please, for the love of god, stop", "sotp", "stp", "emergency",
     "cut the power", "shut down", "everything off", "stop the one at the gate", "stop robot 2 or 3",
