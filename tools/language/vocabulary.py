@@ -82,6 +82,8 @@ NUMBERS = [
     "zero", "one", "two", "three", "four", "five", "six", "seven", "eight", "nine", "ten", "eleven",
     "twelve", "thirteen", "fourteen", "fifteen", "sixteen", "seventeen", "eighteen", "nineteen", "twenty",
 ]  # fmt: skip
+# One number of two words, never two coordinates.
+TWENTIES = {f"twenty-{unit}": 20 + NUMBERS.index(unit) for unit in NUMBERS[1:10]}
 
 # Words by which a phrase that is not of the language is answered better than by "not understood".
 UNSAFE = {
@@ -181,8 +183,9 @@ def tokens_of(words: list[str], places: Mapping[tuple[str, ...], str]) -> list[T
             at += length
             break
         else:
-            tokens.append(_single(words[at]))
-            at += 1
+            two = "-".join(words[at : at + 2])
+            tokens.append(_single(two if two in TWENTIES else words[at]))
+            at += 2 if two in TWENTIES else 1
     return tokens
 
 
@@ -191,6 +194,8 @@ def _single(word: str) -> Token:
         return Token("NUM", word.lstrip("#"))
     if word in NUMBERS:
         return Token("NUM", str(NUMBERS.index(word)))
+    if word in TWENTIES:
+        return Token("NUM", str(TWENTIES[word]))
     if found := LABEL.fullmatch(word):
         return Token("LABEL", found[1])
     if found := SECTION.fullmatch(word):

@@ -192,6 +192,18 @@ def test_m13_a_phrase_of_the_language_is_no_alarm_unless_it_stops() -> None:
             assert all(one or two for one, two in zip(stops, asks, strict=True)), case.say
 
 
+@pytest.mark.parametrize("number", ["twenty five", "twenty-five", "25"])
+def test_a_number_of_two_words_is_one_number(number: str) -> None:
+    """A robot that was sent to "twenty five" drove to 20, 5."""
+    places = Places({})
+    assert isinstance(read(f"send robot 1 to {number}", places), Question)
+    there = read(f"send robot 1 to {number}, three", places)
+    assert there == (Goal(robot=1, place=At(x_m=25.0, y_m=3.0)),)
+    assert read(f"stop robot {number}", places) == (Control(action="stop", robots=(25,)),)
+    apart = read("send robot 1 to twenty, five", places)
+    assert apart == (Goal(robot=1, place=At(x_m=20.0, y_m=5.0)),)
+
+
 def test_two_goals_for_the_nearest_go_to_two_robots() -> None:
     said = "send the nearest robot to the shelf and a robot to the gate"
     assert understood(said, FILE) == ["4 set-goal 10,0", "0 set-goal 50,50"]
