@@ -20,6 +20,8 @@ class Answer(NamedTuple):
 
 def answer(query: Query, fleet: FleetNow, places: Places, queued: Sequence[str]) -> Answer:
     """`queued`: names of the places that wait for an idle robot."""
+    if isinstance(query.place, Beside) and not fleet.robots[query.place.robot].placed:
+        return Answer(f"robot {query.place.robot}: {NO_PLACE}", None)
     match query.ask:
         case "status":
             return _lines(query, fleet, _status)
@@ -115,11 +117,13 @@ def _progress(fleet: FleetNow, places: Places) -> Answer:
 
 def _nearest(query: Query, fleet: FleetNow, places: Places) -> Answer:
     place = _point(query, fleet, places)
-    placed = [robot for robot in fleet.live if robot.placed]
-    robots = sorted(placed, key=lambda r: (r.away_m(place), r.slot))
+    there = query.place.robot if isinstance(query.place, Beside) else None  # it is not near itself
+    others = [robot for robot in fleet.live if robot.slot != there]
+    robots = sorted((r for r in others if r.placed), key=lambda r: (r.away_m(place), r.slot))
     if not robots:
-        return Answer(f"no robot {'that knows its place ' if fleet.live else ''}is heard", None)
-    first, idle = robots[0], fleet.nearest(place)
+        which = "other " if there is not None else ""
+        return Answer(f"no {which}robot {'that knows its place ' if others else ''}is heard", None)
+    first, idle = robots[0], fleet.nearest(place, frozenset(() if there is None else (there,)))
     text = f"robot {first.slot}, {first.away_m(place):.1f} m away ({first.state})"
     if idle is None:
         text += "; no robot is idle"

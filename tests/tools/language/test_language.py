@@ -98,6 +98,21 @@ def test_a_robot_that_does_not_know_where_it_is_is_not_at_the_origin() -> None:
         )
 
 
+def test_a_robot_is_not_the_nearest_to_itself() -> None:
+    heard = FleetNow({n: RobotNow(n, "IDLE", 10.0 * n, 0.0) for n in range(3)}, {})
+    assert answered("which robot is nearest to robot 2", heard) == "robot 1, 10.0 m away (IDLE)"
+    alone = heard._replace(robots={2: heard.robots[2]})
+    assert answered("which robot is nearest to robot 2", alone) == "no other robot is heard"
+
+
+def test_nothing_is_measured_to_a_robot_that_does_not_know_where_it_is() -> None:
+    """It was taken to be at the origin of the field."""
+    lost = RobotNow(2, "IDLE", 0.0, 0.0, placed=False)
+    fleet = FleetNow({0: RobotNow(0, "IDLE", 30.0, 40.0), 2: lost}, {})
+    for asked in ("how far is robot 0 from robot 2", "which robot is nearest to robot 2"):
+        assert answered(asked, fleet) == "robot 2: it does not know where it is"
+
+
 def compose_of(places: list[tuple[int, float]]) -> FleetSummary:
     """Of idle robots, by their slots and metres east, as a peer writes it and a tool reads it."""
     rows = [MemberRow(slot, State.IDLE, "LIVE", x_m, x_m, 0.0, (), 0.1) for slot, x_m in places]
