@@ -10,6 +10,7 @@ import signal
 import socket
 import subprocess
 import sys
+import threading
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, suppress
 from pathlib import Path
@@ -24,6 +25,7 @@ from websockets.exceptions import ConnectionClosed
 from websockets.frames import Close
 from websockets.sync.client import connect
 
+from agent.interface.lifecycle import State
 from agent.runtime.files import key_file
 from protocol.frames.codec import encode
 from protocol.frames.fleet_frames import Heartbeat, Member, Pose, StandsBy, Standstill
@@ -202,6 +204,42 @@ def test_a_robot_that_fell_silent_has_no_speed(tmp_path: Path) -> None:
         until(page, "document.getElementById('one-name').textContent.includes('as last heard')")
         assert not page.execute_script("return document.querySelector('#machine .now')")
         assert live.says("robot 1 has ended")
+
+
+@needs_browser
+def test_one_robot_is_not_shown_as_of_now_when_the_server_hangs_nor_before_it_was_there() -> None:
+    recording, answers = Recording(), threading.Event()
+    for second in range(60):
+        for slot in (0,) if second < 30 else (0, 1):
+            recording.write(second * 1_000_000, encode(Member(slot, 1, 0), 0x80 + slot))
+            pose = Pose(5.0, 5.0, 0.0, 1.2, State.WORKING, False, 255)
+            recording.write(second * 1_000_000, encode(pose, 0x80 + slot))
+    shown = MapThread(recording, "the test", 0)
+    answers.set()
+    work = shown.server.index.work
+
+    def hung(budget_s: float) -> None:
+        answers.wait()
+        work(budget_s)
+
+    shown.server.index.work = hung  # type: ignore[method-assign]
+    name = "document.getElementById('one-name').textContent"
+    with browser() as page:
+        page.get(shown.url)
+        until(page, "document.querySelector('#fleet [data-slot=\"1\"]')", WAIT_S)
+        page.execute_script("document.querySelector('#fleet [data-slot=\"1\"]').click()")
+        until(page, f"{name} === 'robot 1' && document.querySelector('#machine .now')")
+        answers.clear()
+        until(page, f"{name} === 'robot 1, as last heard'")
+        assert not page.execute_script("return document.querySelector('#machine .now')")
+        answers.set()
+        until(page, f"{name} === 'robot 1'")
+        page.execute_script(
+            "const scrub = document.getElementById('scrub'); scrub.value = scrub.min;"
+            "scrub.dispatchEvent(new Event('input')); scrub.dispatchEvent(new Event('change'));"
+        )
+        until(page, "headland.state().robots.length === 1")
+        until(page, "document.getElementById('one').hidden")
 
 
 # -------------------------------------------------------------------- places

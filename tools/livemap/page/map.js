@@ -10,6 +10,7 @@ const NO_TOKEN = 4401, TOO_MANY = 1013; // close codes of the map's server
 const field = new Field($("field")), side = new Side(choose, (section) => ask({ do: "why", section }));
 let socket = null, told = null, dirty = true, live = false, releases = false, events = [], scrubbing = false;
 let heard = 0, drawn = 0, heardAt = performance.now(), textAt = 0, askedAt = 0, denied = false, full = "";
+let one = null; // the server's last word about the chosen robot
 // What a test may look at.
 window.headland = { pictures: 0, told: 0, state: () => told, field };
 
@@ -44,8 +45,8 @@ function hear(message) {
   heardAt = performance.now();
   if (message.kind === "scene") return begin(message);
   if (message.kind === "robot") {
-    if (message.slot === field.chosen) side.showOne(message, told?.robots.find((r) => r.s === message.slot));
-    return;
+    one = message;
+    return showOne();
   }
   if (message.kind === "why") return side.showWhy(message);
   if (message.jumped) { field.forget(); side.forget(); }
@@ -64,7 +65,7 @@ function hear(message) {
 
 function begin({ title, scene, live: isLive, releases: mayRelease, colours }) {
   live = isLive; releases = mayRelease; denied = false; full = "";
-  told = null;
+  told = one = null;
   side.showEvents(events = [], () => {});
   heard = drawn = 0;
   setColours(colours);
@@ -100,6 +101,7 @@ function picture(now) {
   dirty = false;
   if (!told || !text) return;
   side.show(told, field);
+  showOne();
   side.showStop(told.stop, told.robots);
   side.showSplit(told.islands);
   $("keyless-fleet").hidden = told.keyed !== false;
@@ -160,9 +162,15 @@ function showScale() {
 function choose(slot) {
   field.chosen = field.chosen === slot ? null : slot;
   keep(false);
-  if (field.chosen === null) side.showOne(null);
-  else ask({ do: "robot", slot });
+  showOne();
+  if (field.chosen !== null) ask({ do: "robot", slot });
   dirty = true; textAt = 0;
+}
+
+// Not of a time at which it was not there, nor as if it were of now where the picture is old.
+function showOne() {
+  const robot = told?.robots.find((each) => each.s === field.chosen);
+  side.showOne(robot && one?.slot === robot.s ? one : null, robot);
 }
 
 // The chosen robot stays in the middle, until a person looks elsewhere.
