@@ -143,10 +143,9 @@ def _told(heard: dict[str, Any]) -> str:
 
 
 def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
-    """Which stops are latched, which robots stand, and which do not."""
-    live = [
-        r for r in watcher.robots.values() if not r.left and now_s - r.last_s <= SILENT_S
-    ]  # fmt: skip
+    """Which stops are latched, which robots stand, which do not, and of which nobody knows it."""
+    here = [robot for robot in watcher.robots.values() if not robot.left]
+    live = [robot for robot in here if now_s - robot.last_s <= SILENT_S]
     latched = []
     for dot in watcher.latched:
         reason, said_by = watcher.reasons.get(dot, (None, None))
@@ -161,5 +160,6 @@ def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
     return {
         "latched": latched, "stopped": standing,
         "moving": sorted(r.slot for r in live if not r.stopped),
+        "silent": sorted(r.slot for r in here if now_s - r.last_s > SILENT_S),
         "implements": watcher.implements_stop is not None,
     }  # fmt: skip

@@ -242,6 +242,25 @@ def test_one_robot_is_not_shown_as_of_now_when_the_server_hangs_nor_before_it_wa
         until(page, "document.getElementById('one').hidden")
 
 
+@needs_browser
+def test_a_robot_that_is_not_heard_is_not_said_to_stand_in_a_stop() -> None:
+    recording = Recording()
+    for tenth in range(100):
+        for slot in (0, 1, 2) if tenth < 50 else (0, 1):
+            recording.write(tenth * 100_000, encode(Member(slot, 1, 0), 0x80 + slot))
+            beat = Pose(5.0, 5.0, 0.0, 0.0, State.EMERGENCY_STOP, True, 255)
+            recording.write(tenth * 100_000, encode(beat, 0x80 + slot))
+    recording.close()
+    shown = MapThread(recording, "the test", 0)
+    who = "document.getElementById('stopped-who').textContent"
+    with browser() as page:
+        page.get(shown.url)
+        until(page, f"{who} === 'NOT HEARD: 2'", WAIT_S)
+        seek = "const s = document.getElementById('scrub'); s.value = 4;"
+        page.execute_script(f"{seek} s.dispatchEvent(new Event('input'))")
+        until(page, f"{who} === 'all 3 robots stand'")
+
+
 # -------------------------------------------------------------------- places
 
 

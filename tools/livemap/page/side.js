@@ -211,8 +211,9 @@ export class Side {
     document.querySelector("main").classList.toggle("stopped", standing);
     $("stopped").hidden = !standing;
     if (!standing) return;
-    const moving = stop.moving.length ? `NOT STOPPED: ${stop.moving.join(" ")}` : `all ${stop.stopped.length} robots stand`;
-    set($("stopped-who"), moving);
+    const not = [["NOT STOPPED", stop.moving], ["NOT HEARD", stop.silent]].filter(([, slots]) => slots.length);
+    const who = not.map(([what, slots]) => `${what}: ${slots.join(" ")}`).join(" · ");
+    set($("stopped-who"), who || `all ${stop.stopped.length} robots stand`);
     const last = stop.latched[stop.latched.length - 1];
     const by = !last ? "" : last.slot >= 128 ? "by an operator's device" : `by robot ${last.slot}`;
     set($("stopped-why"), last ? `pressed ${by}${last.reason ? `: ${words(last.reason)}` : ""}` : "");
