@@ -15,6 +15,10 @@ stands until an operator starts it.
 
 A body is expected to drive as fast as it says, in the direction of the command, and no faster than that.
 If it points there, it is expected to speed up, too, whatever it says.
+
+A body that brakes before its goal drives further than it is told. So the way that it says itself, by
+its velocity, is compared with its place as well: if it says `NOWHERE_WAY_M`, and the place fell back
+more than once and has gained less than `FOLLOWS` of that, the place leads nowhere.
 """
 
 from collections import deque
@@ -77,6 +81,17 @@ class _Kept:
         self.falls: Final = falls
 
 
+class _Sensed(NamedTuple):
+    """Sums until a place, of the way that the body says by its velocity, and of what its place did."""
+
+    said_x_m: float = 0.0
+    said_y_m: float = 0.0
+    gone_x_m: float = 0.0
+    gone_y_m: float = 0.0
+    falls: int = 0  # how often the place began to go back against that velocity
+    way_m: float = 0.0  # that of `PlaceProgress`
+
+
 class Nowhere(NamedTuple):
     """A place that led nowhere, and the direction in which the body was told to drive, a unit vector."""
 
@@ -95,6 +110,9 @@ class PlaceProgress:
         self._before: Observation | None = None
         self._kept: deque[_Kept] = deque()  # oldest first: the last `NOWHERE_WAY_M`
         self._now = _Kept(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
+        self._said: deque[_Sensed] = deque()  # oldest first: the last `NOWHERE_WAY_M` of them
+        self._sensed = _Sensed()
+        self._falls_back = False  # against the velocity, in this period
         self._goes_on = True  # in the direction of the command
         self._fell: _Kept | None = None  # before the place went back first, in the last way
         self._velocity_m_s = (0.0, 0.0)  # of the body, if it is slow to follow its commands
@@ -121,6 +139,7 @@ class PlaceProgress:
         self._before, self.hung, self._recalled = None, None, False
         self._away_m = (0.0, 0.0)
         self._velocity_m_s = (0.0, 0.0)
+        self._said.clear()
         self._begin_again()
 
     def _begin_again(self) -> None:
@@ -144,7 +163,10 @@ class PlaceProgress:
 
     def unseen(self, speed_m_s: float) -> Unseen:
         """How the body may have moved at most since the oldest kept place, and drives now."""
-        return Unseen(self._now.way_m - self._kept[0].way_m, speed_m_s)
+        from_m = self._kept[0].way_m
+        if self._said:
+            from_m = min(from_m, self._said[0].way_m)
+        return Unseen(self._now.way_m - from_m, speed_m_s)
 
     def is_back(self, here: Observation, way_m: float) -> bool:
         """Whether the place is past the one that led nowhere, or the robot tries again. Then look again.
@@ -203,12 +225,16 @@ class PlaceProgress:
                 expected_m, gained_m = _since(fell, now)
                 if expected_m <= NOWHERE_WAY_M and gained_m < FOLLOWS * expected_m:
                     self.made_up = Unseen(now.way_m - fell.way_m, told_m_s)
+            self._said.clear()
             self._begin_again()
         if not here.under_way or not 0 <= passed_for_us <= ACTUATOR_TTL_US:
             self._begin_again()
+        if not 0 <= passed_for_us <= ACTUATOR_TTL_US:
+            self._said.clear()
         share, dx_m, dy_m, gained_m, sensed_m = 0.0, 0.0, 0.0, 0.0, 0.0
         # At a corner, a place that falls back may turn the command across the motion at each fix.
-        fell_back = before is not None and bool(kept) and _fell_back(before, here, passed_for_s)
+        falls_back = before is not None and _fell_back(before, here, passed_for_s)
+        fell_back = falls_back and bool(kept)
         if (step_m or fell_back) and before is not None and kept:
             dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
         if step_m:
@@ -234,6 +260,10 @@ class PlaceProgress:
         nowhere_m = NOWHERE_WAY_M + ACCURACIES * here.position_accuracy_m
         while len(kept) > 1 and _between_m(kept[1], self._now) >= nowhere_m:
             kept.popleft()
+        if before is not None:
+            wrong = self._says_otherwise(before, here, falls_back, passed_for_s, nowhere_m)
+            if wrong:
+                return wrong
         expected_m, gained_m = _since(kept[0], self._now)
         if expected_m < nowhere_m:
             return ""
@@ -256,6 +286,41 @@ class PlaceProgress:
         )
         self._moved_at_us = here.sensed_at_us
         return f"told to drive {expected_m:.2f} m, gained {gained_m:.2f} m"
+
+    def _says_otherwise(
+        self, before: Observation, here: Observation, falls_back: bool, passed_for_s: float,
+        nowhere_m: float,
+    ) -> str:  # fmt: skip
+        """Why this place leads nowhere by the velocity of the body; empty if it leads on."""
+        sums, said = self._sensed, self._said
+        began, self._falls_back = falls_back and not self._falls_back, falls_back
+        sums = self._sensed = _Sensed(
+            sums.said_x_m + here.vx_m_s * passed_for_s, sums.said_y_m + here.vy_m_s * passed_for_s,
+            sums.gone_x_m + here.x_m - before.x_m, sums.gone_y_m + here.y_m - before.y_m,
+            sums.falls + began, self._now.way_m,
+        )  # fmt: skip
+        if not said or _said_m(said[-1], sums) >= STEP_M:
+            said.append(sums)
+        while len(said) > 1 and _said_m(said[1], sums) >= nowhere_m:
+            said.popleft()
+        first, said_m = said[0], _said_m(said[0], sums)
+        gone_x_m, gone_y_m = sums.gone_x_m - first.gone_x_m, sums.gone_y_m - first.gone_y_m
+        if (
+            said_m < nowhere_m
+            or sums.falls - first.falls < FALLS
+            or hypot(gone_x_m, gone_y_m) > JUMP_M
+        ):
+            return ""
+        east, north = (
+            (sums.said_x_m - first.said_x_m) / said_m,
+            (sums.said_y_m - first.said_y_m) / said_m,
+        )
+        gained_m = gone_x_m * east + gone_y_m * north
+        if gained_m >= FOLLOWS * said_m:
+            return ""
+        self.hung = Nowhere(here.x_m, here.y_m, east, north, True, False)
+        self._moved_at_us = here.sensed_at_us
+        return f"says that it drove {said_m:.2f} m, gained {gained_m:.2f} m"
 
     def _most_m_s(
         self, here: Observation, told_m_s: float, limits: BodyLimits, passed_for_s: float
@@ -324,6 +389,11 @@ def _fell_back(before: Observation, here: Observation, passed_for_s: float) -> b
     dx_m, dy_m = here.x_m - before.x_m, here.y_m - before.y_m
     fell_m = -(dx_m * here.vx_m_s + dy_m * here.vy_m_s) / speed_m_s
     return fell_m > max(STEP_M, speed_m_s * passed_for_s / 2)
+
+
+def _said_m(first: _Sensed, last: _Sensed) -> float:
+    """The way that the body said between two places."""
+    return hypot(last.said_x_m - first.said_x_m, last.said_y_m - first.said_y_m)
 
 
 def _between_m(first: _Kept, last: _Kept) -> float:

@@ -152,6 +152,8 @@ class ScenarioJudge:
         self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
         self._frozen: dict[int, _FrozenPlace] = {}
         self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
+        # The newest of these of a robot: its watch, when the jump began and when it ends.
+        self._newest_jump: dict[int, tuple[int, int, int]] = {}
         self._far_m: dict[int, float] = {}  # by which the newest jump of its place is wrong
         self._hangs: dict[int, int] = {}  # until when a process does nothing, microseconds
         self._repeats: dict[int, int] = {}  # until when the senses repeat themselves, microseconds
@@ -277,6 +279,7 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self.witness.words.hangs, robot, end_at_us))
                 self._at(at_us, partial(self._hangs.__setitem__, robot, end_at_us))
+                self._at(at_us, partial(self._hides_jump, robot))
                 self._at(at_us, partial(self._unsure_until, robot, end_at_us))
             case kinds.Pushed(robot=robot, dx_m=dx_m, dy_m=dy_m):
                 let_go_at_us = at_us + round(hypot(dx_m, dy_m) / PUSHED_M_S * S) + CONTROL_PERIOD_US
@@ -315,6 +318,7 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_freezes, robot, end_at_us, STARTING_M))
                 self._at(at_us, partial(self._repeat, robot, end_at_us))
+                self._at(at_us, partial(self._hides_jump, robot))
                 self._at(at_us, partial(self._unsure_until, robot, end_at_us))
             case kinds.HungFixes(robot=robot, for_s=for_s):
                 end_at_us = at_us + round(for_s * S)
@@ -451,6 +455,16 @@ class ScenarioJudge:
         watch = self._loses_senses(slot, end_at_us)
         if watch is not None:
             self._jumps.setdefault(slot, []).append(watch)
+            self._newest_jump[slot] = watch, self._now_us(), end_at_us
+
+    def _hides_jump(self, slot: int) -> None:
+        """Its process hangs, or its senses repeat themselves, before they have told it of a jump that has
+        just begun."""
+        watch, begun_at_us, end_at_us = self._newest_jump.get(slot, (-1, 0, 0))
+        hidden = self._now_us() - begun_at_us <= CONTROL_PERIOD_US
+        if hidden and watch in self._blind.get(slot, ()):
+            self._sees_again(slot, watch)
+            self._shows(slot, end_at_us, self._sees_jump)
 
     def _vouched_for(self, slot: int) -> None:
         """A person starts it, and says so that its place is right; or its place is near again."""

@@ -127,6 +127,10 @@ MENDED = {
     ("senses", 114001205): "agent/motion/obstacle_detector.py",
     # The senses of a robot with a hung receiver went away, and came back while it still hung.
     ("fixes", 115200000): "sim/chaos/scenario_judge.py",
+    # A hung place was not found while the body braked before its goal.
+    ("fixes", 115600014): "agent/peer/place_progress.py",
+    # A process hung 36 ms after a place had jumped, and its senses repeated the place before the jump.
+    ("stalls", 115600035): "sim/chaos/scenario_judge.py",
     # Two robots that were cut off from each other drove to one row.
     ("apart", 115500072): "agent/motion/obstacle_detector.py",
     # A stop was pressed at the time at which the bus was cut, and its robot lost its memory of it.

@@ -1,5 +1,7 @@
 """How far a body can have driven, as its wheels were told and can speed up."""
 
+from random import Random
+
 import pytest
 
 from agent.interface.config import CONTROL_PERIOD_US, S
@@ -108,3 +110,33 @@ def test_a_place_that_led_nowhere_and_jumps_away_is_not_back() -> None:
             seen = Observation(x_m, 0.0, 0.0, 0.0, 0.0, sensed_at_us=at_us)
             was_back = was_back or progress.is_back(seen, 1.5)
         assert was_back is back, step_m
+
+
+@pytest.mark.parametrize("hangs", [True, False])
+def test_a_place_that_falls_back_while_the_body_brakes_leads_nowhere(hangs: bool) -> None:
+    """The robot was told 0.3 m/s before its goal, so that hardly a way was expected of it while it drove
+    2 m from its place (fixes 115600014)."""
+    progress, told, x_m, gone_m, periods = PlaceProgress(), "", 0.0, 0.0, 0
+    for period in range(40):
+        v_m_s = max(2.3 - 1.5 * PERIOD_S * period, 0.0)
+        gone_m += v_m_s * PERIOD_S
+        x_m += v_m_s * PERIOD_S
+        if hangs and period % 4 == 0:
+            x_m = 0.0
+        here = Observation(x_m, 0.0, 0.0, v_m_s, 0.0, sensed_at_us=period * CONTROL_PERIOD_US)
+        drive = Drive(0.3, -0.2)
+        told = told or progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
+        if not told:
+            periods += 1
+    assert bool(told) is hangs and (periods < 12) is hangs, (told, periods)
+
+
+def test_a_velocity_that_stays_after_a_halt_is_no_place_that_leads_nowhere() -> None:
+    """Receivers tell it for half a second more, and the noise of a place is a centimetre."""
+    progress, rng = PlaceProgress(), Random(1)
+    for period in range(60):
+        x_m = min(2.0 * PERIOD_S * period, 2.0) + rng.gauss(0.0, 0.01)
+        v_m_s = 2.0 if period < 31 else 0.0
+        here = Observation(x_m, 0.0, 0.0, v_m_s, 0.0, sensed_at_us=period * CONTROL_PERIOD_US)
+        drive = Drive(2.0 if period < 20 else 0.0, 0.0)
+        assert not progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
