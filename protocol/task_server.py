@@ -11,9 +11,10 @@ from enum import Enum
 from struct import pack, unpack
 from typing import Final, NamedTuple
 
-from protocol.device_description import BY_TIME, ON_CHANGE, SETTABLE, VERSION_4
+from protocol.device_description import BY_TIME, ON_CHANGE, ROBOT_LABEL, SETTABLE, VERSION_4
 from protocol.device_pool import DevicePool, read_pool
 from protocol.frames.identifier import GLOBAL_ADDRESS
+from protocol.name import Name, is_robot
 from protocol.state_machine import StateMachine, matrix
 from protocol.task_client import (
     ACKNOWLEDGE,
@@ -48,6 +49,7 @@ from protocol.units import S
 STATUS_PERIOD_US: Final = 2 * S  # between two status messages
 CLIENT_SILENT_US: Final = 6 * S  # a client that says nothing for so long is gone
 CLIENTS_MAX: Final = 16  # implements on one bus; a tractor has two or three
+ROBOTS_MAX: Final = 108  # on one bus; they log in, too, and take no place of an implement
 POOL_BYTES_MAX: Final = 1 << 16  # of one description
 STORED_MAX: Final = 16  # descriptions kept, of devices that are here and of those that have gone
 BOOMS, SECTIONS, CHANNELS = 4, 96, 1
@@ -136,6 +138,12 @@ class ImplementSession:
         """Whether values can be set."""
         return self.machine.state is ACTIVE
 
+    @property
+    def robot(self) -> bool:
+        """Whether it is a robot, by its NAME or, where that is of another maker, its description."""
+        described = self.pool is not None and self.pool.label.startswith(ROBOT_LABEL)
+        return described or is_robot(Name.unpack(self.name))
+
 
 class TaskServer:
     """All sessions of one task controller."""
@@ -198,7 +206,7 @@ class TaskServer:
             for other in [*self.clients.values()]:
                 if other.name == name:
                     moved += self.forget(other.source)
-            if client is None and len(self.clients) >= CLIENTS_MAX:
+            if client is None and self._full(name):
                 self.counts["too many clients"] += 1
                 return moved
             self.clients[source] = client = ImplementSession(source, name, now_us)
@@ -208,6 +216,12 @@ class TaskServer:
                 moved += self._goes_on(client, now_us)
         client.heard_at_us = now_us
         return [*moved, *self._heard(client, command, data)]
+
+    def _full(self, name: int) -> bool:
+        """Whether there is no place for one more device with this NAME."""
+        implements = sum(not client.robot for client in self.clients.values())
+        no_place = implements >= CLIENTS_MAX and not is_robot(Name.unpack(name))
+        return no_place or len(self.clients) >= CLIENTS_MAX + ROBOTS_MAX
 
     def _goes_on(self, client: ImplementSession, now_us: int) -> list[ServerOutput]:
         """A device that has claimed another address goes on with its session, and does not log in."""

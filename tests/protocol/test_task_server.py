@@ -5,10 +5,12 @@ from struct import pack
 
 import pytest
 
-from protocol.device_description import TYPE_SECTION, WIDTH
+from protocol.device_description import TYPE_SECTION, WIDTH, DeviceDescription
 from protocol.device_pool import SECTION_WIDTH_MAX_MM, read_pool
+from protocol.name import DeviceFields, fleet_name
 from protocol.task_server import (
     CLIENTS_MAX,
+    ROBOTS_MAX,
     STORED_MAX,
     ClientActivated,
     ClientLost,
@@ -167,6 +169,31 @@ def test_any_bytes_raise_nothing() -> None:
         if step % 100 == 0:
             server.on_timer(step * 1000)
     assert len(server.clients) <= CLIENTS_MAX
+
+
+@pytest.mark.parametrize("manufacturer", [1407, 555])
+def test_robots_that_log_in_take_no_place_of_an_implement(manufacturer: int) -> None:
+    """Sixteen robots on the bus kept every implement out for good, and nothing was said."""
+    server = TaskServer(0)
+    for slot in range(40):
+        name = fleet_name("north", slot, DeviceFields(manufacturer))
+        description = DeviceDescription(name, f"robot {slot}", "1", 3000)
+        for data in (TASK, b"\x61" + description.pool(4), b"\x81".ljust(8, b"\xff")):
+            server.on_message(1 + slot, name.pack(), data, 0)
+    assert len(server.clients) == 40
+    logged_in(CONDENSED_MAKER, server)
+    assert server.clients[SOURCE].active and not server.clients[SOURCE].robot
+
+
+def test_devices_are_refused_when_there_is_no_place_for_them() -> None:
+    server = TaskServer(0)
+    for number in range(2 * CLIENTS_MAX):
+        server.on_message(1 + number, number, TASK, 0)
+    assert len(server.clients) == CLIENTS_MAX
+    for number in range(200):
+        name = fleet_name(str(number), number % 128).pack()
+        server.on_message(40 + number, name, TASK, 0)
+    assert len(server.clients) == CLIENTS_MAX + ROBOTS_MAX
 
 
 def test_values_that_are_not_described_are_told_and_not_kept() -> None:
