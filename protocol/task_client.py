@@ -35,6 +35,10 @@ STATUS_US: Final = 2 * S  # between two messages of the client task
 SILENT_US: Final = 6 * S  # without a status of the task controller the session is over
 ANSWER_US: Final = 6 * S  # limit for an answer; then the log-in begins again
 UPLOAD_US: Final = 30 * S  # limit for the answer to a pool
+# A task controller that refused us is asked again after this time, doubled each time up to the other. The
+# pools of ten robots at each of its statuses would be a third of the bus.
+REFUSED_US: Final = 30 * S
+REFUSED_MAX_US: Final = 600 * S
 INTERVAL_MIN_US: Final = 100 * MS  # shortest time between two values of one trigger
 VERSION_3: Final = 3
 # Options: task totals and values are told, and sections are switched by the task controller.
@@ -120,6 +124,14 @@ Key = tuple[int, int]  # element, DDI
 Values = Mapping[Key, int]
 
 
+class _LogInRefusal(NamedTuple):
+    """A task controller has refused us, and is not asked again at once."""
+
+    for_us: int
+    log_in_again_at_us: int
+    heard_at_us: int  # its newest status
+
+
 class _Trigger:
     """How often one value is wanted."""
 
@@ -143,6 +155,7 @@ class TaskClient:
         self._machine = StateMachine("task controller session", SESSION_TABLE, W)
         self._heard_at_us = self._due_at_us = self._status_at_us = 0
         self._totals = 0  # the task controller counts: a task is active
+        self._refusals: dict[int, _LogInRefusal] = {}  # by address of the task controller
         self._triggers: dict[Key, _Trigger] = {}
         self.setpoints: dict[Key, int] = {}  # as the task controller has set them in this session
 
@@ -239,7 +252,16 @@ class TaskClient:
 
     def _status(self, source: int, data: bytes, now_us: int) -> list[SessionOutput]:
         """A task controller says that it is there. The first one is taken, until it is silent."""
+        refusal = self._refusals.get(source)
+        if refusal is not None:
+            if now_us < refusal.heard_at_us + SILENT_US:
+                self._refusals[source] = refusal._replace(heard_at_us=now_us)
+            else:  # it may be another one, or have other room
+                del self._refusals[source]
+                refusal = None
         if self.state is not W and source != self.server:
+            return []
+        if self.state is W and refusal is not None and now_us < refusal.log_in_again_at_us:
             return []
         self._heard_at_us, self._totals = now_us, data[4] & 1
         if self.state is not W:
@@ -303,7 +325,7 @@ class TaskClient:
 
     def _granted(self, data: bytes, now_us: int) -> list[SessionOutput]:
         if data[1]:
-            self._lose()
+            self._refused(now_us)
             return []
         self._machine.fire(SessionEvent.GRANTED)
         self._due_at_us = now_us + UPLOAD_US
@@ -311,22 +333,33 @@ class TaskClient:
 
     def _stored(self, data: bytes, now_us: int) -> list[SessionOutput]:
         if data[1]:
-            self._lose()
+            self._refused(now_us)
             return []
         self._machine.fire(SessionEvent.STORED)
         return self._ask(bytes((ACTIVATE, 0xFF)), now_us)
 
     def _activated(self, data: bytes, now_us: int) -> list[SessionOutput]:
         if data[1]:
-            self._lose()
+            self._refused(now_us)
             return []
         self._machine.fire(SessionEvent.ACTIVATED)
         self.sessions += 1
+        if self.server is not None:
+            self._refusals.pop(self.server, None)
         return []
 
     def _ask(self, data: bytes, now_us: int) -> list[SessionOutput]:
         self._due_at_us = now_us + ANSWER_US
         return [_frame(data)]
+
+    def _refused(self, now_us: int) -> None:
+        """It has no room for our description, or cannot use it."""
+        assert self.server is not None
+        before = self._refusals.get(self.server)
+        longer_for_us = 0 if before is None else 2 * before.for_us
+        for_us = min(max(longer_for_us, REFUSED_US), REFUSED_MAX_US)
+        self._refusals[self.server] = _LogInRefusal(for_us, now_us + for_us, self._heard_at_us)
+        self._lose()
 
     def _lose(self) -> None:
         self._machine.fire(SessionEvent.LOST)

@@ -206,6 +206,34 @@ def test_a_refusal_ends_the_log_in(refusal: str) -> None:
     assert client.state is SessionState.WAITING and client.due_at_us is None
 
 
+@pytest.mark.parametrize("refusal", ["51 01", "71 01", "91 01"])
+def test_a_task_controller_that_refuses_a_robot_is_asked_ever_less_often(refusal: str) -> None:
+    """It got the whole description at each of its statuses: 3 % of the bus for each robot."""
+    client, server = TaskClient(DEVICE), Controller(4)
+    plain, wrong = server.answers, bytes.fromhex(refusal).ljust(8, b"\xff")
+
+    def answers(data: bytes) -> list[bytes]:
+        said = [wrong if answer[0] == wrong[0] else answer for answer in plain(data)]
+        server.label = b"\xff" * 7  # what is refused is not kept
+        return said
+
+    server.answers = answers  # type: ignore[method-assign]
+    log_ins = []
+    for now_us in range(0, 400 * S, 2 * S):
+        out = client.on_message(SERVER, STATUS, VALUES_NOW, now_us)
+        if any(isinstance(each, JoinWorkingSet) for each in out):
+            log_ins.append(now_us // S)
+        exchanged(client, server, out, now_us)
+        assert client.state is SessionState.WAITING
+        client.on_message(SERVER + 1, STATUS[:1] + b"\0" * 7, VALUES_NOW, now_us)
+        client.reset()  # the other one does not let it forget
+    assert log_ins == [0, 30, 90, 210]
+    server.answers = plain  # type: ignore[method-assign]
+    again_us = 410 * S  # it was away, and may have been repaired
+    exchanged(client, server, client.on_message(SERVER, STATUS, VALUES_NOW, again_us), again_us)
+    assert logged_in(client)
+
+
 def test_eight_hours_without_loss_and_a_new_log_in_after_silence() -> None:
     client, server = connected(4)
     end_us, now_us, statuses = 8 * 3600 * S, 0, 0
