@@ -37,6 +37,8 @@ TERMINAL_UPLOAD_US: Final = 10 * S  # until the end of a pool is answered
 # pool at each of its statuses would be a fifth of the bus.
 REFUSED_US: Final = 30 * S
 REFUSED_MAX_US: Final = 600 * S
+# A terminal that did not answer the log-in is left for so long: another one on the bus may answer.
+MUTE_US: Final = 2 * S
 CHANGE_GAP_US: Final = 150 * MS  # between two changes: a text takes eight frames
 PROBE_US: Final = 800 * MS  # a number is said again: a terminal that was restarted does not answer
 CHANGES_MAX: Final = 64  # that wait; each line waits once
@@ -220,12 +222,16 @@ class TerminalClient:
         """Maintenance, a change that waits, and the end of a session that has fallen silent."""
         if self.state is AWAY:
             return []
-        late = self.state is not SHOWN and now_us >= self._due_at_us
+        mute = late = self.state is not SHOWN and now_us >= self._due_at_us
         if self._unanswered_at_us is not None:
             late = now_us >= self._unanswered_at_us + TERMINAL_ANSWER_US
         silent = now_us >= self._heard_at_us + TERMINAL_SILENT_US
         if silent and self.server is not None:
             self._refusals.pop(self.server, None)
+        elif mute and self.server is not None:
+            before = self._refusals.get(self.server)
+            for_us = 0 if before is None else before.for_us
+            self._refusals[self.server] = _Refusal(for_us, now_us + MUTE_US, self._heard_at_us)
         if late or silent:
             self._lose()
             return self._call(now_us)

@@ -152,6 +152,33 @@ def test_two_terminals_that_refuse_the_pool_get_it_ever_less_often() -> None:
     assert pools == {VT: [0, 30, 90, 210], VT + 1: [0, 30, 90, 210]}
 
 
+def test_a_terminal_that_answers_nothing_keeps_no_other_one_from_showing_the_screen() -> None:
+    """It was asked again and again, and the statuses of the other one were not listened to."""
+    client = TerminalClient()
+    client.serve(True, 0)
+    asked: list[int | None] = []
+    for now_us in range(0, 10 * S, 50 * MS):
+        outputs = client.on_timer(now_us)
+        for terminal, after_us in ((VT, 0), (VT + 1, 500 * MS)):
+            if now_us % S == after_us:
+                outputs += client.on_message(terminal, STATUS, now_us)
+        asked += [client.server for data in sent(outputs) if data[0] == 0xC0]
+        if VT + 1 in asked:
+            break
+    assert asked == [VT, VT + 1] and now_us < 3 * S
+
+
+def test_a_terminal_that_did_not_answer_is_asked_again() -> None:
+    client, asked = TerminalClient(), list[float]()
+    client.serve(True, 0)
+    for now_us in range(0, 10 * S, 50 * MS):
+        outputs = client.on_timer(now_us)
+        if now_us % S == 0:
+            outputs += client.on_message(VT, STATUS, now_us)
+        asked += [now_us / S for data in sent(outputs) if data[0] == 0xC0]
+    assert asked == [0.0, 4.0, 8.0]
+
+
 def test_keys_are_told_and_sent_back() -> None:
     client = shown()
     outputs = tell(client, "00 01 B80B E803 01 FF")
