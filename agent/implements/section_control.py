@@ -19,6 +19,7 @@ from protocol.device_description import (
     SECTION_CONTROL_STATE,
     SETPOINT_CONDENSED,
     SETPOINT_WORK_STATE,
+    SETTABLE,
     WORK_STATE,
 )
 from protocol.device_pool import BoomSection, DevicePool
@@ -54,6 +55,12 @@ class SectionedImplement:
         order = pool.section_order(told)
         self._told_words = _words(pool, self.sections, order, SETPOINT_CONDENSED)
         self._state_words = _words(pool, self.sections, order, CONDENSED_WORK_STATE)
+        if not self._told_words and not any(
+            (section.element, SETPOINT_WORK_STATE) in pool.properties for section in self.sections
+        ):  # before 2012 the states themselves were set
+            self._told_words = {
+                key: of for key, of in self._state_words.items() if pool.properties[key] & SETTABLE
+            }
         self._before: tuple[Points, Points] | None = None  # left and right ends at the last fix
         self._ahead_m = np.array([s.ahead_mm / 1000 for s in self.sections])
         self._right_m = np.array([s.right_mm / 1000 for s in self.sections])
@@ -162,9 +169,15 @@ class SectionedImplement:
         if self._told_words:
             return [(key, self._condensed(of_word)) for key, of_word in self._told_words.items()]
         return [
-            ((self.sections[k].element, SETPOINT_WORK_STATE), int(self.wanted[k]))
+            (self._setpoint_of(self.sections[k].element), int(self.wanted[k]))
             for k in np.flatnonzero(of).tolist()
         ]
+
+    def _setpoint_of(self, element: int) -> Key:
+        """What switches the section of this element, which has a state of its own."""
+        state = element, WORK_STATE
+        older = (element, SETPOINT_WORK_STATE) not in self.pool.properties
+        return state if older and state in self.pool.properties else (element, SETPOINT_WORK_STATE)
 
     def measured(self) -> Sequence[Key]:
         """The values that say what its sections do."""
