@@ -28,7 +28,7 @@ from protocol.frames.network_frames import AddressClaimed
 from sim.chaos.durability_rules import STANDS, Worked, lost, unknown
 from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import UNSEEN_M, is_link_trouble, span_of
-from sim.chaos.protocol_rules import RuleViolation
+from sim.chaos.protocol_rules import NEVER_US, RuleViolation
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import PUSHED_M_S
 from sim.fleet.outcome import FieldOutcome
@@ -136,8 +136,9 @@ class ScenarioJudge:
         self.broken: list[RuleViolation] = []
         self.outcome: FieldOutcome | None = None
         self._applied: list[tuple[float, Fault]] = []
-        # Dead robot -> watches of the robots that must stand.
-        self._silences: dict[int, list[int]] = {}
+        # Dead robot -> watches of the robots that must stand, and from when on each of them must.
+        self._silences: dict[int, dict[int, int]] = {}
+        self._off_at_us: dict[int, int] = {}  # when each robot was last switched off, or hung
         self._delivering: dict[int, int] = {}  # watch of a stop -> until when it is being sent
         # Seconds at which all robots received each other, in a field under another policy than `stop`.
         self._all_told_at_s: set[int] = set()
@@ -681,8 +682,13 @@ class ScenarioJudge:
         if cluster.is_up(slot) and calm and self.scenario.fleet.silence == "stop":
             met = cluster.acquaintance.met
             others = [robot.slot for robot in cluster.running if met(robot.slot, slot)]
-            watch = self.silence.press(now_us, self._silent_for_us(slot), others)
-            self._silences.setdefault(slot, []).append(watch)
+            silent_for_us = self._silent_for_us(slot)
+            watch = self.silence.press(now_us, silent_for_us, others)
+            self._silences.setdefault(slot, {})[watch] = now_us + silent_for_us
+        if cluster.is_up(slot):
+            # A process that hung noticed nothing meanwhile.
+            hung_at_us = cluster.acquaintance.hang_began_at_us(slot, now_us)
+            self._off_at_us[slot] = now_us if hung_at_us is None else hung_at_us
         self._trouble_at_us = now_us
         self._lapses(slot)
 
@@ -698,8 +704,20 @@ class ScenarioJudge:
 
     def _heard_of(self, slot: int) -> None:
         """It is back, or it can no longer be determined which robots receive each other."""
-        for number in self._silences.pop(slot, []):
+        for number in self._silences.pop(slot, {}):
             self.silence.release(number)
+
+    def _knows_no_silence(self, slot: int, remembers: bool) -> None:
+        """It boots, and has never received those that are dead. If it has kept its memory, it stands on
+        for those whose silence it had noticed. All others stand as before."""
+        for watches in self._silences.values():
+            for number, due_at_us in list(watches.items()):
+                noticed = due_at_us <= self._off_at_us.get(slot, NEVER_US)
+                if (remembers and noticed) or slot not in self.silence.bound(number):
+                    continue
+                if self.silence.bound(number) == {slot}:
+                    del watches[number]
+                self.silence.release(number, (slot,))
 
     def _power(self, slot: int, on: bool) -> None:
         """A robot is about to be switched on or to die."""
@@ -708,14 +726,14 @@ class ScenarioJudge:
             return
         now_us = self._now_us()
         self._lost = {address: lost for address, lost in self._lost.items() if lost[2] != slot}
-        for dead in list(self._silences):  # a robot that boots has never received the dead ones
-            self._heard_of(dead)
+        self._heard_of(slot)
         self._trouble_at_us = now_us
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
         journal = self.cluster.journals[slot]
         recalled = journal.load()
         if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):
             self._add("S13", now_us / 1e6, f"robot {slot} has lost what it had written")
+        self._knows_no_silence(slot, remembers(recalled))
         if not remembers(recalled):
             self.cluster.stops.forgets(slot)
             self.witness.forget(slot)

@@ -64,6 +64,10 @@ class CommandChecker:
         if slots is not None and watch.slots - frozenset(slots):
             self._watches[number] = watch._replace(slots=watch.slots - frozenset(slots))
 
+    def bound(self, number: int) -> frozenset[int]:
+        """The robots that this stop still binds."""
+        return self._watches[number].slots
+
     def lapses(self, slot: int, now_us: int) -> None:
         """The robot has died or hangs, so its last command holds until it expires in the
         actuator."""

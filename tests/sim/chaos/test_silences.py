@@ -1,0 +1,67 @@
+"""S6: who has to stand because a member is silent while other robots boot."""
+
+from collections.abc import Callable
+from typing import Any
+from unittest.mock import patch
+
+import pytest
+
+from agent.peer.membership import Membership
+from agent.safety.stop_controller import StopController
+from sim.chaos.scenario_judge import ScenarioJudge
+from sim.scenarios import scenario as kinds
+from sim.scenarios.protocol_setup import drill
+from sim.scenarios.scenario import Fault
+
+DEAD, TWICE, STANDS = range(3)  # dead from 10 s on, restarted meanwhile, and never off
+
+
+def _forgives(right: Callable[..., Any]) -> Callable[..., Any]:
+    """Whoever hears a new member forgets who was silent."""
+
+    def members(self: StopController, live: frozenset[int], silent: frozenset[int], t: int) -> Any:
+        return right(self, live, frozenset() if live - self._live else silent, t)
+
+    return members
+
+
+def _remembers_nobody(right: Callable[..., Any]) -> Callable[..., Any]:
+    """A restart forgets who was silent."""
+
+    def init(self: Membership, *args: Any) -> None:
+        *first, _, now_us = args
+        right(self, *first, {}, now_us)
+
+    return init
+
+
+PLANTED: dict[str, tuple[type, str, Callable[[Callable[..., Any]], Callable[..., Any]]]] = {
+    "": (StopController, "members", lambda right: right),
+    "forgiven": (StopController, "members", _forgives),
+    "forgotten": (Membership, "__init__", _remembers_nobody),
+}
+
+
+def _judge(faults: list[Fault], end_at_s: float) -> ScenarioJudge:
+    scenario = drill(3, 1, "sprint", "stop", None)
+    run = scenario.run.model_copy(update={"time_limit_s": end_at_s})
+    return ScenarioJudge(scenario.model_copy(update={"fault": faults, "run": run}))
+
+
+@pytest.mark.parametrize(
+    ("planted", "found"), [("", None), ("forgiven", STANDS), ("forgotten", TWICE)]
+)
+def test_a_boot_releases_nobody_else_from_a_silence(planted: str, found: int | None) -> None:
+    """Every boot released all robots, whoever booted and whatever it remembered."""
+    where, name, change = PLANTED[planted]
+    faults: list[Fault] = [
+        kinds.Crash(at_s=10.0, kind="crash", robot=DEAD),
+        kinds.Crash(at_s=14.0, kind="crash", robot=TWICE),
+        kinds.Restart(at_s=15.0, kind="restart", robot=TWICE),
+    ]
+    judge = _judge(faults, 22.0)
+    with patch.object(where, name, change(getattr(where, name))):
+        told = [each.what for each in judge.run().broken if each.rule == "S6"]
+    assert [f"robots ({found},)" in each for each in told] == ([] if found is None else [True]), (
+        told
+    )
