@@ -27,7 +27,7 @@ class ContactHistory:
         self._hang_ends_at_us: dict[int, int] = {}
         self._hang_began_at_us: dict[int, int] = {}
         self._doubled_ends_at_us: dict[int, int] = {}
-        self._taken_ends_at_us = 0  # until then, robots may be without an address
+        self._taken_ends_at_us = 0  # until then, robots may be without an address or the bus
 
     def hangs(self, slot: int, now_us: int, end_at_us: int) -> None:
         """Until then the robot sends nothing; it receives everything at once at the end."""
@@ -50,7 +50,8 @@ class ContactHistory:
         self._met = {pair for pair in self._met if pair[1] != slot}
 
     def addresses_taken(self, end_at_us: int) -> None:
-        """Until then a device may hold every address, so robots that have not met cannot meet."""
+        """Until then a device may hold every address, or the bus, so robots that have not met cannot
+        meet. Look first."""
         self._taken_ends_at_us = max(end_at_us, self._taken_ends_at_us)
 
     def boots(self, slot: int) -> None:

@@ -1,4 +1,4 @@
-"""S6: who has to stand because a member is silent while other robots boot."""
+"""S6: who has to stand because a member is silent, beside boots of other robots and a full bus."""
 
 from collections.abc import Callable
 from typing import Any
@@ -65,3 +65,24 @@ def test_a_boot_releases_nobody_else_from_a_silence(planted: str, found: int | N
     assert [f"robots ({found},)" in each for each in told] == ([] if found is None else [True]), (
         told
     )
+
+
+def test_who_boots_while_a_device_babbles_has_not_met_who_dies_meanwhile() -> None:
+    """`claims` seed 242: no frame of the dead robot had got through to it, and S6 took it for one that
+    had met it."""
+    faults: list[Fault] = [
+        kinds.Crash(at_s=7.4, kind="crash", robot=TWICE),
+        kinds.Babble(at_s=14.2, kind="babble", priority=5, identifier=0, for_s=6.0),
+        kinds.Restart(at_s=14.6, kind="restart", robot=TWICE),
+        kinds.Crash(at_s=18.8, kind="crash", robot=DEAD),
+    ]
+    judge = _judge(faults, 23.0)
+    assert [each for each in judge.run().broken if each.rule == "S6"] == []
+
+
+def test_who_met_before_a_device_babbles_has_met() -> None:
+    babble = kinds.Babble(at_s=10.0, kind="babble", priority=5, identifier=0, for_s=6.0)
+    judge = _judge([babble], 12.0)
+    judge.run()
+    judge.cluster.look()
+    assert all(judge.cluster.acquaintance.met(slot, 2 - slot) for slot in (0, 2))
