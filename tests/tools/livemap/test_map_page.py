@@ -261,6 +261,64 @@ def test_a_robot_that_is_not_heard_is_not_said_to_stand_in_a_stop() -> None:
         until(page, f"{who} === 'all 3 robots stand'")
 
 
+class Hand:
+    """A panel that stops and releases nothing, and waits with its answers."""
+
+    signed, releases = False, True
+
+    def __init__(self) -> None:
+        self.told: list[tuple[bool, bool]] = []  # reset and start, of each release
+        self.answers = threading.Event()
+
+    async def stop(self) -> dict[str, Any]:
+        return {"stopped": [0], "late": [], "unnamed": [], "heard": True, "signed": False}
+
+    async def release(self, keyless: bool, reset: bool, start: bool) -> dict[str, Any]:
+        self.told.append((reset, start))
+        await asyncio.to_thread(self.answers.wait, WAIT_S)
+        return {"cleared": [], "late": [], "heard": True, "signed": False, "started": start}
+
+
+def with_hand() -> tuple[MapThread, Hand]:
+    """A map of a live bus on which one robot stands stopped, and another one waits for a start."""
+    recording, hand = Recording(), Hand()
+    recording.follow(lambda: 1_000_000)
+    for slot, state in enumerate((State.EMERGENCY_STOP, State.IDLE)):
+        stopped = state is State.EMERGENCY_STOP
+        beats = (
+            Member(slot, 1, 0), Pose(5.0, 5.0 * slot, 0.0, 0.0, state, stopped, 255),
+            Heartbeat(1, state, stopped, True, False, False, 1.0, 0, 0),
+        )  # fmt: skip
+        for beat in beats:
+            recording.write(1_000_000, encode(beat, 0x80 + slot))
+    shown = MapThread(recording, "the test", 0)
+    shown.server.panel = hand  # type: ignore[assignment]
+    return shown, hand
+
+
+@needs_browser
+def test_a_press_says_that_a_server_that_hangs_does_not_answer() -> None:
+    """The page said "stopping" for as long as the server hung."""
+    shown, _ = with_hand()
+    answers, work = threading.Event(), shown.server.index.work
+    answers.set()
+
+    def hung(budget_s: float) -> None:
+        answers.wait()
+        work(budget_s)
+
+    shown.server.index.work = hung  # type: ignore[method-assign]
+    says = "document.getElementById('hand-says').textContent"
+    with browser() as page:
+        page.get(shown.url)
+        until(page, "document.getElementById('stop').checkVisibility()", WAIT_S)
+        answers.clear()
+        page.find_element("id", "stop").click()
+        until(page, f"{says}.includes('does not answer: use a stop on a machine')")
+        answers.set()
+        until(page, f"{says} === 'all have confirmed'")
+
+
 # -------------------------------------------------------------------- places
 
 

@@ -116,6 +116,7 @@ function showAge(now) {
   const unheard = (now - heardAt) / 1000, quiet = live && told ? told.quiet + unheard : unheard;
   const old = denied || full !== "" || unheard > OLD_S || (live && told !== null && quiet > OLD_S);
   const behind = live && told && !told.follow;
+  if (presses > answered && unheard > OLD_S && !denied && !full) set($("hand-says"), NO_ANSWER); // a server that hangs refuses nothing
   if (old !== document.body.classList.contains("old")) { document.body.classList.toggle("old", old); dirty = true; }
   side.old = old;
   $("old").hidden = !old;
@@ -279,16 +280,21 @@ async function send(path, body) {
   return answer.json();
 }
 
+const NO_ANSWER = "the map's server does not answer: use a stop on a machine";
+let presses = 0, answered = 0; // of STOP
+
 async function stop() {
   $("release").close(); $("help").close();
   $("hand-says").textContent = "stopping …";
+  presses += 1;
   try {
     const { late, unnamed, heard, problem } = await send("/stop");
     const missing = problem ? [] : [...late, ...unnamed.map((address) => `address ${address}`)];
     $("hand-says").textContent = problem ?? (missing.length ? `NOT CONFIRMED by ${missing.join(" ")}` : heard ? "all have confirmed" : "no robot was heard: none has confirmed");
   } catch {
-    $("hand-says").textContent = "the map's server does not answer: use a stop on a machine";
+    $("hand-says").textContent = NO_ANSWER;
   }
+  answered += 1;
 }
 
 const RELEASE = "Look at the robots first: nobody near them, nothing under them. This clears the stops that are shown and resets each machine.";
