@@ -319,6 +319,23 @@ def test_a_press_says_that_a_server_that_hangs_does_not_answer() -> None:
         until(page, f"{says} === 'all have confirmed'")
 
 
+@needs_browser
+def test_a_release_does_not_start_because_the_one_before_did() -> None:
+    shown, hand = with_hand()
+    hand.answers.set()
+    says = "document.getElementById('hand-says').textContent"
+    with browser() as page:
+        page.get(shown.url)
+        until(page, "document.getElementById('reset').checkVisibility()", WAIT_S)
+        for ticks, outcome in ((True, "released and started"), (False, "released, not started")):
+            page.find_element("id", "reset").click()
+            if ticks:
+                page.find_element("id", "also").click()
+            page.find_element("id", "release-yes").click()
+            until(page, f"{says} === '{outcome}'")
+    assert hand.told == [(True, True), (True, False)]
+
+
 # -------------------------------------------------------------------- places
 
 
