@@ -336,6 +336,24 @@ def test_a_release_does_not_start_because_the_one_before_did() -> None:
     assert hand.told == [(True, True), (True, False)]
 
 
+@needs_browser
+def test_a_late_answer_to_a_release_is_none_to_a_start() -> None:
+    """It closed the form of the start, and said that robots were started."""
+    shown, hand = with_hand()
+    says = "document.getElementById('hand-says').textContent"
+    with browser() as page:
+        page.get(shown.url)
+        until(page, "document.getElementById('start').checkVisibility()", WAIT_S)
+        page.find_element("id", "reset").click()
+        page.find_element("id", "release-yes").click()
+        page.find_element("id", "release-no").click()
+        page.find_element("id", "start").click()
+        hand.answers.set()
+        until(page, f"{says} === 'released, not started'")
+        assert page.execute_script("return document.getElementById('release').open")
+    assert hand.told == [(True, False)]
+
+
 # -------------------------------------------------------------------- places
 
 

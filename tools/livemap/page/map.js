@@ -316,18 +316,21 @@ function openRelease(what) {
 }
 
 async function release() {
-  $("release-says").textContent = order === "start" ? "starting …" : "releasing …";
+  const what = order, before = presses; // a person may cancel, open the form for the other one, or stop
+  const say = (text) => {
+    if ($("release").open && order === what) $("release-says").textContent = text;
+    else if (presses === before) $("hand-says").textContent = text;
+  };
+  $("release-says").textContent = what === "start" ? "starting …" : "releasing …";
   try {
-    const answer = await send(`/${order}`, { keyless: $("keyless").checked, start: $("also").checked });
-    if (answer.problem) { $("release-says").textContent = answer.problem; return; }
-    if (!answer.heard || answer.late.length) {
-      $("release-says").textContent = answer.heard ? `not ${order === "start" ? "started" : "released"}: ${answer.late.join(" ")}` : "no robot was heard";
-      return;
-    }
-    $("release").close();
-    $("hand-says").textContent = order === "start" ? "started" : answer.started ? "released and started" : "released, not started";
+    const answer = await send(`/${what}`, { keyless: $("keyless").checked, start: $("also").checked });
+    if (answer.problem) return say(answer.problem);
+    if (!answer.heard || answer.late.length)
+      return say(answer.heard ? `not ${what === "start" ? "started" : "released"}: ${answer.late.join(" ")}` : "no robot was heard");
+    if (order === what) $("release").close();
+    say(what === "start" ? "started" : answer.started ? "released and started" : "released, not started");
   } catch {
-    $("release-says").textContent = "the map's server does not answer";
+    say("the map's server does not answer");
   }
 }
 
