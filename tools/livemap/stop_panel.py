@@ -114,7 +114,8 @@ class Panel:
         return self._key is not None
 
     async def release(self, keyless: bool, reset: bool, start: bool) -> dict[str, Any]:
-        """Clear the stops and reset each machine, and start: both or one of them.
+        """Clear the stops and reset each machine, and start: both or one of them. `late` of the answer
+        has robots that are still latched; where all are `released`, those that did not start.
 
         `keyless`: the person says that the fleet has no keys. Raises PanelError.
         """
@@ -135,7 +136,7 @@ class Panel:
 
     async def _release(self, reset: bool, start: bool) -> dict[str, Any]:
         try:
-            keyring = operator_keyring(self._key, RELEASE_S)
+            keyring = operator_keyring(self._key, 2 * RELEASE_S)
         except AttachError as problem:
             raise PanelError(str(problem)) from None
         operator = Operator(self.bus, keyring, self.stopper.device)
@@ -145,8 +146,11 @@ class Panel:
             await operator.listen(LISTEN_S, stops=True)
             operator.check_address()
             shown, _ = operator.shown.named
-            left = await (self._reset(operator, start) if reset else self._start(operator))
-            still = await held_still(operator) if left else frozenset()
+            latched = await release(operator, False, RELEASE_S) if reset else []
+            # On a bus that carries nothing a start would arrive after a later stop.
+            starts = start and not latched and bool(operator.live or not reset)
+            unstarted = await self._start(operator) if starts else []
+            still = await held_still(operator) if latched else frozenset()
             operator.check_address()
         except AttachError as problem:
             raise PanelError(str(problem)) from None
@@ -154,12 +158,9 @@ class Panel:
             self._listeners.remove(operator)
         return {
             "cleared": [".".join(map(str, d)) for d in shown if d not in still] if reset else [],
-            "late": left, "heard": bool(operator.live), "signed": keyring is not None,
-            "started": start,
+            "late": latched or unstarted, "heard": bool(operator.live), "signed": keyring is not None,
+            "released": not latched, "started": starts and not unstarted,
         }  # fmt: skip
-
-    async def _reset(self, operator: Operator, start: bool) -> list[int]:
-        return await release(operator, start, RELEASE_S)
 
     async def _start(self, operator: Operator) -> list[int]:
         """Every machine that is not latched; returns those that did not start."""

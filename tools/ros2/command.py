@@ -200,7 +200,8 @@ async def _serve(
         except PanelError as problem:
             return False, str(problem)
         missing = not_confirmed(found)
-        told = f"not released: {missing}" if missing else "released"
+        failed = "not started" if found["released"] else "not released"
+        told = f"{failed}: {missing}" if missing else "released"
         return bool(found["heard"]) and not missing, told
 
     graph = await _joined(namespace, domain, zenoh)

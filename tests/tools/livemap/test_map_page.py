@@ -276,7 +276,8 @@ class Hand:
     async def release(self, keyless: bool, reset: bool, start: bool) -> dict[str, Any]:
         self.told.append((reset, start))
         await asyncio.to_thread(self.answers.wait, WAIT_S)
-        return {"cleared": [], "late": [], "heard": True, "signed": False, "started": start}
+        told = {"cleared": [], "late": [], "heard": True, "signed": False, "released": True}
+        return {**told, "started": start}
 
 
 def with_hand() -> tuple[MapThread, Hand]:

@@ -24,7 +24,7 @@ class Robots:
 
     def __init__(self) -> None:
         self.stops: list[tuple[int, int, int]] = []  # names of stops that were pressed, in order
-        self.latched = False
+        self.latched, self.started = False, True
         self._spent: set[tuple[int, int, int]] = set()
         self.panel = Panel(self, None)  # type: ignore[arg-type]
 
@@ -50,7 +50,7 @@ class Robots:
     def beat(self) -> None:
         for slot in (0, 1):
             beat = Heartbeat(
-                1, State.WORKING, self.latched and slot == 0, False, True, False, 1.0, 0, 0
+                1, State.WORKING, self.latched and slot == 0, False, self.started, False, 1.0, 0, 0
             )
             for message in (Member(slot, 1, 7), beat):
                 self.panel.hear(self._now_s, encode(message, 128 + slot))
@@ -136,6 +136,25 @@ def test_a_stop_that_robots_hold_after_a_release_was_not_cleared() -> None:
         await robots.run(CONFIRM_S)
         answer = await done
         assert answer["late"] == [0] and answer["cleared"] == []
+
+    run_virtual(story())
+
+
+def test_robots_that_do_not_start_after_a_release_are_not_said_to_be_started() -> None:
+    """The panel said "released and started" as soon as it had sent three starts."""
+
+    async def story() -> None:
+        robots = Robots()
+        for starts in (False, True):
+            robots.started = False
+            await robots.run(1.0)
+            done = asyncio.create_task(robots.panel.release(keyless=True, reset=True, start=True))
+            await robots.run(2.0)
+            robots.started = starts
+            await robots.run(CONFIRM_S)
+            answer = await done
+            assert answer["started"] == starts and answer["late"] == ([] if starts else [0, 1])
+            assert answer["released"]
 
     run_virtual(story())
 

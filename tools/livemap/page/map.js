@@ -326,7 +326,7 @@ async function release() {
     const answer = await send(`/${what}`, { keyless: $("keyless").checked, start: $("also").checked });
     if (answer.problem) return say(answer.problem);
     if (!answer.heard || answer.late.length)
-      return say(answer.heard ? `not ${what === "start" ? "started" : "released"}: ${answer.late.join(" ")}` : "no robot was heard");
+      return say(answer.heard ? `not ${answer.released ? "started" : "released"}: ${answer.late.join(" ")}` : "no robot was heard");
     if (order === what) $("release").close();
     say(what === "start" ? "started" : answer.started ? "released and started" : "released, not started");
   } catch {
