@@ -21,7 +21,7 @@ from tools.language.alarm import may_be_alarm
 from tools.language.answer import answer
 from tools.language.authorize import Authorization, AuthorizedOrder, weigh
 from tools.language.fleet_state import FleetNow
-from tools.language.goal_queue import GoalQueue, Queued
+from tools.language.goal_queue import GoalQueue, Queued, QueueError
 from tools.language.intent import AnyIntent, Control
 from tools.language.outcome import Outcome
 from tools.language.parse import read
@@ -117,16 +117,25 @@ class CommandSession:
             await self._stop_all(outcome, intents)
         words = await asyncio.gather(*map(self._convey, verdict.orders))
         outcome.orders = list(zip(verdict.orders, words, strict=True))
+        try:
+            self._queue(outcome, verdict)
+            names = self.queue.names if any(q.ask == "queue" for q in verdict.queries) else []
+        except (QueueError, OSError) as problem:  # full, damaged, or no room on the disk
+            why = problem.strerror if isinstance(problem, OSError) else None
+            outcome.question = Question(Why.NOT_NOW, why or str(problem))
+            return
+        if verdict.queries:
+            fleet = await self._view()
+            outcome.told_by = fleet.told_by
+            outcome.answers = [answer(q, fleet, self.places, names) for q in verdict.queries]
+
+    def _queue(self, outcome: Outcome, verdict: Authorization) -> None:
+        """Raises QueueError, OSError."""
         if verdict.clear_queue:
             self.queue.clear()
         for goal in verdict.waiting:
             self.queue.add(goal.name, goal.place)
             outcome.queued.append(goal.name)
-        if verdict.queries:
-            fleet = await self._view()
-            outcome.told_by = fleet.told_by
-            names = self.queue.names
-            outcome.answers = [answer(q, fleet, self.places, names) for q in verdict.queries]
 
     async def _convey(self, order: AuthorizedOrder) -> str | None:
         """What the robot says, or None where it does not obey."""

@@ -87,7 +87,7 @@ class Conversation:
         async for phrase in phrases:
             outcome = await speaker.say(phrase)
             self.tell(outcome)
-            if queue and talking and (serving is None or serving.done()):
+            if talking and (serving is None or serving.done()):
                 serving = asyncio.create_task(self._serve(speaker))
             if outcome.queued and not talking:
                 await self._wait(speaker, queue)

@@ -65,14 +65,14 @@ class Outcome:
 
     def lines(self) -> list[str]:
         """Sentences for a person, one a line: stops first, then orders, waiting goals and answers."""
+        lines = [_order_line(order, word) for order, word in self.orders]
+        lines += self._stopped_lines()
+        lines += [f"queued until a robot is idle: {name}" for name in self.queued]
         if self.question is not None:
             kind = self.question.reason
             plain_text = kind is QuestionReason.NOT_UNDERSTOOD
             asked = str(self.question) if plain_text else f"{kind}: {self.question}"
-            return [*self._stopped_lines(), *self._held_lines(), asked]
-        lines = [_order_line(order, word) for order, word in self.orders]
-        lines += self._stopped_lines()
-        lines += [f"queued until a robot is idle: {name}" for name in self.queued]
+            return [*lines, *self._held_lines(), asked]
         source = f"{self.told_by}: " if self.told_by != "the bus" and self.answers else ""
         return lines + [source + answer.text for answer in self.answers] or ["done"]
 

@@ -125,6 +125,20 @@ def test_a_stop_with_a_question_beside_it_is_said_before_the_question_is_weighed
     play(story, tmp_path)
 
 
+def test_what_needs_no_queue_is_done_beside_a_damaged_one(tmp_path: Path) -> None:
+    """Each question and each order ended the command, and an order that was given was not told."""
+
+    async def story(cluster: Cluster, speaker: CommandSession) -> None:
+        (tmp_path / "queue.json").write_text("{")
+        assert (await speaker.say("where is robot 1")).code == 0
+        told = await speaker.say("stop robot 1 and send the nearest robot to the shelf")
+        assert told.code == 3 and told.question is not None and not told.queued
+        assert told.question.reason is Why.NOT_NOW and "delete it" in told.question.text
+        assert told.lines()[0] == "robot 1: stop; it says: STOPPED"
+
+    play(story, tmp_path)
+
+
 ALARMS = (  # of M13: each was answered by a question while the fleet drove on
     "don't move", "nobody move", "please, for the love of god, stop", "sotp", "stp", "emergency",
     "cut the power", "shut down", "everything off", "stop the one at the gate", "stop robot 2 or 3",

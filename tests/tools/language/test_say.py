@@ -142,6 +142,30 @@ def test_a_queue_that_cannot_be_written_is_told_and_ends_no_conversation(
     assert capfd.readouterr().err.splitlines() == [line] * 2
 
 
+def test_a_damaged_queue_ends_no_conversation(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """It ended after the first phrase, whatever that was."""
+
+    class Speaker:
+        async def say(self, phrase: str) -> Outcome:
+            return Outcome(phrase)
+
+        async def serve(self, tell: object) -> None:
+            len(queue)
+
+    async def typed() -> AsyncIterator[str]:
+        for phrase in ("status", "stop"):
+            yield phrase
+
+    monkeypatch.setattr(conversation, "CommandSession", lambda *_: Speaker())
+    queue = GoalQueue(tmp_path / "queue.json")
+    queue.path.write_text("{")
+    talking = Conversation(Options(NO_BUS, queue=queue.path))
+    asyncio.run(talking._on_bus(cast(Any, None), None, typed(), True))
+    assert talking.code == 0 and capfd.readouterr().out.splitlines() == ["done"] * 2
+
+
 def test_a_recorded_run_answers_and_takes_no_orders(recorded: Path, tmp_path: Path) -> None:
     asked = "".join(
         f"who has S{k}\n" for k in range(14)
