@@ -336,7 +336,7 @@ class ScenarioJudge:
             case kinds.Nonsense(what="claims", for_s=for_s):
                 # Robots that it drove from every address try again after `RETRY_MAX_US`.
                 taken_ends_at_us = at_us + round(for_s * S) + RETRY_MAX_US + 2 * S
-                self._at(at_us, partial(self._nobody_meets, taken_ends_at_us))
+                self._at(at_us, partial(self._no_robots_meet, taken_ends_at_us))
             case kinds.Forger(for_s=for_s, position="inside"):
                 self._lies.append((at_us, at_us + round(for_s * S)))
             case kinds.Foreign(claims=True):
@@ -344,7 +344,7 @@ class ScenarioJudge:
             case kinds.Foreign(claims=False):
                 self._at(at_us, self.witness.words.without_name)
             case kinds.Babble(for_s=for_s):
-                self._at(at_us, partial(self._nobody_meets, at_us + round(for_s * S)))
+                self._at(at_us, partial(self._no_robots_meet, at_us + round(for_s * S)))
                 if _outranks_claims(fault):  # meanwhile no other device can show its NAME
                     self._at(at_us, self.witness.words.without_name)
             case kinds.Box() | kinds.Person() | kinds.PassingVehicle():
@@ -610,7 +610,7 @@ class ScenarioJudge:
         if self._delivering.pop(watch, None) is not None:
             self.delivery.release(watch)
 
-    def _nobody_meets(self, end_at_us: int) -> None:
+    def _no_robots_meet(self, end_at_us: int) -> None:
         """Until then robots that have not met may be unable to: no address is free, or no frame gets
         through."""
         self.cluster.look()

@@ -143,7 +143,7 @@ def _told(heard: dict[str, Any]) -> str:
 
 
 def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
-    """Which stops are latched, which robots stand, which do not, and of which nobody knows it."""
+    """Which stops are latched, which robots stand, which do not, and of which it is not known."""
     here = [robot for robot in watcher.robots.values() if not robot.left]
     live = [robot for robot in here if now_s - robot.last_s <= SILENT_S]
     latched = []

@@ -1,4 +1,4 @@
-"""S6: who has to stand because a member is silent, beside boots of other robots and a full bus."""
+"""S6: which robots have to stand because a member is silent, beside boots of other robots and a full bus."""
 
 from collections.abc import Callable
 from typing import Any
@@ -17,7 +17,7 @@ DEAD, TWICE, STANDS = range(3)  # dead from 10 s on, restarted meanwhile, and ne
 
 
 def _forgives(right: Callable[..., Any]) -> Callable[..., Any]:
-    """Whoever hears a new member forgets who was silent."""
+    """A robot that hears a new member forgets which were silent."""
 
     def members(self: StopController, live: frozenset[int], silent: frozenset[int], t: int) -> Any:
         return right(self, live, frozenset() if live - self._live else silent, t)
@@ -26,7 +26,7 @@ def _forgives(right: Callable[..., Any]) -> Callable[..., Any]:
 
 
 def _remembers_nobody(right: Callable[..., Any]) -> Callable[..., Any]:
-    """A restart forgets who was silent."""
+    """A restart forgets which were silent."""
 
     def init(self: Membership, *args: Any) -> None:
         *first, _, now_us = args
@@ -52,7 +52,7 @@ def _judge(faults: list[Fault], end_at_s: float) -> ScenarioJudge:
     ("planted", "found"), [("", None), ("forgiven", STANDS), ("forgotten", TWICE)]
 )
 def test_a_boot_releases_nobody_else_from_a_silence(planted: str, found: int | None) -> None:
-    """Every boot released all robots, whoever booted and whatever it remembered."""
+    """Every boot released all robots, whichever booted and whatever it remembered."""
     where, name, change = PLANTED[planted]
     faults: list[Fault] = [
         kinds.Crash(at_s=10.0, kind="crash", robot=DEAD),

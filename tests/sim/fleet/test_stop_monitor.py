@@ -101,7 +101,7 @@ def test_who_cannot_hear_is_not_expected_to_obey_where_silence_stops_nobody_for_
 
 @pytest.mark.parametrize("drives", [False, True])
 def test_a_robot_that_is_pushed_by_hand_still_has_to_obey(drives: bool) -> None:
-    """A push freed it from every stop, so nobody saw whether it drove off afterwards."""
+    """A push freed it from every stop, so it was not seen when it drove off afterwards."""
 
     async def story(cluster: Cluster) -> None:
         cluster.press(1)

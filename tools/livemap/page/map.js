@@ -310,7 +310,7 @@ function openRelease(what) {
   $("also-line").hidden = starts;
   $("release-yes").textContent = starts ? "start" : "release";
   $("release-says").textContent = "";
-  $("also").checked = false; // said for each release anew
+  $("also").checked = false; // said again for each release
   $("release").show(); // not modal: STOP stays within reach
   (releases ? $("release-yes") : $("keyless")).focus();
 }
