@@ -1,4 +1,4 @@
-"""S6: which robots have to stand because a member is silent, beside boots of other robots and a full bus."""
+"""S6: which robots have to stand because a member is silent, beside boots and a full bus."""
 
 from collections.abc import Callable
 from typing import Any
