@@ -77,6 +77,16 @@ class DevicePool(NamedTuple):
             element = by_object.get(element.parent)
         return lowest
 
+    def above(self, number: int) -> Sequence[int]:
+        """The elements above the one with this number, the nearest first."""
+        by_object = {each.object_number: each for each in self.elements.values()}
+        element, found = self.elements.get(number), list[int]()
+        while element is not None and len(found) < LEVELS_MAX:  # parents may go round
+            element = by_object.get(element.parent)
+            if element is not None:
+                found.append(element.number)
+        return found
+
     def describes(self, key: tuple[int, int]) -> bool:
         """Whether a value (element, DDI) stands in it."""
         return key in self.properties or key in self.triggers or key in self.fixed

@@ -50,6 +50,13 @@ class SectionedImplement:
         self.on_for_us = self.off_for_us = 0
         self._take_times()
         self.actual = np.zeros(len(self.sections), np.bool_)
+        self._told_on = np.zeros(len(self.sections), np.bool_)  # each by itself
+        # Elements above each section that have a work state; while one of them is off, it is off, too.
+        self._above = [
+            [each for each in pool.above(section.element) if (each, WORK_STATE) in pool.properties]
+            for section in self.sections
+        ]
+        self._off: set[int] = set()  # those that have said to be off
         self.wanted = np.zeros(len(self.sections), np.bool_)
         # Condensed values, and the sections that each is of; None: one whose place is not known.
         order = pool.section_order(told)
@@ -81,11 +88,17 @@ class SectionedImplement:
         element, ddi = key
         for place, k in enumerate(self._state_words.get(key, ())):
             if k is not None:
-                self.actual[k] = number >> 2 * place & 3 == ON
+                self._told_on[k] = number >> 2 * place & 3 == ON
         if ddi == WORK_STATE:
             for k, section in enumerate(self.sections):
                 if section.element == element:
-                    self.actual[k] = number == 1
+                    self._told_on[k] = number == ON
+            if number == OFF and any(element in each for each in self._above):
+                self._off.add(element)
+            else:
+                self._off.discard(element)
+        below_off = [not self._off.isdisjoint(each) for each in self._above]
+        self.actual = self._told_on & ~np.array(below_off, np.bool_)
         if ddi in TIMES and self.pool.describes(key):
             self._known[key] = number
             self._take_times()
@@ -180,9 +193,11 @@ class SectionedImplement:
         return state if older and state in self.pool.properties else (element, SETPOINT_WORK_STATE)
 
     def measured(self) -> Sequence[Key]:
-        """The values that say what its sections do."""
+        """The values that say what its sections do, and what is above them."""
         found = list(self._state_words)
-        return found or [(section.element, WORK_STATE) for section in self.sections]
+        found = found or [(section.element, WORK_STATE) for section in self.sections]
+        above = {element for each in self._above for element in each}
+        return [*found, *((element, WORK_STATE) for element in sorted(above))]
 
     def times(self) -> Sequence[Key]:
         """The values that say how long its sections take; people change them while it works."""
