@@ -111,8 +111,8 @@ class _FrozenPlace(NamedTuple):
     driven_m: float  # its true way until then
     end_at_us: int
     unnoticed_m: frozenset[float]  # the distances that it may drive before each of its faults shows
-    # How often its senses were away meanwhile. Then it knows nothing of the place before, and drives
-    # until the fault shows again.
+    # How often its senses were away meanwhile, or a person started it. Then it knows nothing of the place
+    # before, and drives until the fault shows again.
     again: int = 0
 
 
@@ -310,11 +310,12 @@ class ScenarioJudge:
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._unsure_until, robot, end_at_us))
                 self._at(at_us, partial(self._loses_senses, robot, end_at_us))
-            # Includes a start: a robot with a frozen position tries again.
-            case kinds.Reset() | kinds.Order():
-                self._at(at_us, self._frozen.clear)
-                if isinstance(fault, kinds.Order) and fault.order == "start":
-                    self._at(at_us, partial(self._vouched_for, fault.robot))
+            case kinds.Reset():  # includes a start
+                for robot in range(self.scenario.fleet.robots):
+                    self._at(at_us, partial(self._tries_again, robot))
+            case kinds.Order(robot=robot, order="start"):
+                self._at(at_us, partial(self._tries_again, robot))
+                self._at(at_us, partial(self._vouched_for, robot))
             case kinds.Frozen(robot=robot, for_s=for_s):
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_freezes, robot, end_at_us, STARTING_M))
@@ -477,10 +478,15 @@ class ScenarioJudge:
             if watch in (None, number):
                 self._blind[slot].remove(number)
                 self.senseless.release(number)
-        frozen = self._frozen.get(slot)
         if watch is None:
             self._frozen.pop(slot, None)
-        elif frozen is not None:
+        else:
+            self._tries_again(slot)
+
+    def _tries_again(self, slot: int) -> None:
+        """If its place is frozen, it drives until it has noticed so once more."""
+        frozen = self._frozen.get(slot)
+        if frozen is not None:
             self._frozen[slot] = frozen._replace(again=frozen.again + 1)
 
     def _place_freezes(self, slot: int, end_at_us: int, unnoticed_m: float) -> None:

@@ -9,7 +9,7 @@ from agent.interface.config import CONTROL_PERIOD_US, S
 from sim.chaos.scenario_judge import ScenarioJudge
 from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios import scenario as kinds
-from sim.scenarios.scenario import load
+from sim.scenarios.scenario import Fault, load
 
 BEGIN_S, END_S = 10.0, 14.0
 STEP_RAD = 0.1
@@ -40,16 +40,20 @@ class Carried(ScenarioJudge):
     [[(9.5, 14.0)], [(6.0, 9.8), (9.5, 14.0)], [(6.0, 14.0), (7.0, 8.0)]],
     ids=["one", "overlapping", "one within the other"],
 )
+@pytest.mark.parametrize("ordered", [None, 0, 1])
 def test_a_robot_that_goes_round_with_a_frozen_place_is_found(
     spans_s: list[tuple[float, float]],
+    ordered: int | None,
 ) -> None:
     """It ended where it began, and only the distance between both was judged. Of two faults that
-    overlap, nothing was judged after the end of the first."""
+    overlap, nothing was judged after the end of the first. An order to any robot ended it for all."""
     scenario = load("yard").changed(2, 1)
-    faults = [
+    faults: list[Fault] = [
         kinds.Frozen(at_s=begin_s, kind="frozen", robot=0, for_s=end_s - begin_s)
         for begin_s, end_s in spans_s
     ]
+    if ordered is not None:
+        faults.append(kinds.Order(at_s=11.0, kind="order", robot=ordered, order="start"))
     run = scenario.run.model_copy(update={"time_limit_s": END_S + 1.0})
     judge = Carried(scenario.model_copy(update={"fault": faults, "run": run}))
     found = [each.what for each in judge.run().broken if each.rule == "S19"]
