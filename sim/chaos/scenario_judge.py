@@ -875,12 +875,14 @@ class ScenarioJudge:
     def _contacts(self) -> None:
         for contact in self.cluster.world.contacts:
             slots = {contact.first, contact.second}
-            excused = any(
-                slot in slots and begin_at_us <= contact.t_us < end_at_us
-                for slot, begin_at_us, end_at_us in self._excused
-            )
+            spans = [(begin, end) for slot, begin, end in self._excused if slot in slots]
             if contact.against.startswith(THING):
-                excused |= any(begin <= contact.t_us < end for begin, end in self._comes)
+                spans += self._comes
+            # A contact that goes on after its excuse is over is one like any other.
+            excused = any(
+                begin <= contact.t_us < end and contact.last_at_us < end + LEANS_US
+                for begin, end in spans
+            )
             for_us = contact.last_at_us - contact.t_us
             if (contact.depth_m > TOUCH_M or for_us >= LEANS_US) and not excused:
                 how = f"{contact.depth_m * 100:.0f} cm into"

@@ -1,4 +1,4 @@
-"""S17: a box or a person excuses who meets it, and nobody who meets another robot or a fence."""
+"""S17: what excuses a contact, and for how long."""
 
 import pytest
 
@@ -17,6 +17,7 @@ class Carried(ScenarioJudge):
     """A run in which robot 1 is set into something a second after a person has come into the field."""
 
     meets = "robot"
+    leans_for_s = 0.5
 
     def _attach(self, cluster: Cluster) -> None:
         super()._attach(cluster)
@@ -29,7 +30,8 @@ class Carried(ScenarioJudge):
         x_m, y_m = first.position
         if self.meets == "leans":
             at_us = round(MEETS_S * S)
-            world.contacts.append(Contact(at_us, 0, 1, 0.001, "robot 1", x_m, y_m, at_us + S // 2))
+            last_at_us = at_us + round(self.leans_for_s * S)
+            world.contacts.append(Contact(at_us, 0, 1, 0.001, "robot 1", x_m, y_m, last_at_us))
         elif self.meets == "box":
             world.add_box(x_m + first.radius_m + 1.0 - INTO_M, y_m, 2.0)
         else:
@@ -47,6 +49,19 @@ def test_a_person_elsewhere_excuses_no_robot_that_touches_another(meets: str, br
     run = scenario.run.model_copy(update={"time_limit_s": END_S})
     judge = Carried(scenario.model_copy(update={"fault": [person], "run": run}))
     judge.meets = meets
+    told = [each for each in judge.run().broken if each.rule == "S17"]
+    assert judge.cluster.world.contacts, "nothing was touched"
+    assert bool(told) is broken, told
+
+
+@pytest.mark.parametrize(("for_s", "broken"), [(1.0, False), (4.0, True)])
+def test_a_push_excuses_no_contact_that_goes_on_long_after_it(for_s: float, broken: bool) -> None:
+    """A contact that began within 3 s after a push was excused, however long it lasted."""
+    push = kinds.Pushed(at_s=COMES_S, kind="pushed", robot=0, dx_m=0.1, dy_m=0.0)
+    scenario = load("yard").changed(2, 1)
+    run = scenario.run.model_copy(update={"time_limit_s": END_S})
+    judge = Carried(scenario.model_copy(update={"fault": [push], "run": run}))
+    judge.meets, judge.leans_for_s = "leans", for_s
     told = [each for each in judge.run().broken if each.rule == "S17"]
     assert judge.cluster.world.contacts, "nothing was touched"
     assert bool(told) is broken, told
