@@ -8,6 +8,7 @@ from collections import Counter
 from collections.abc import Callable
 from functools import partial
 from math import dist, hypot
+from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
 import numpy as np
@@ -942,7 +943,14 @@ class ScenarioJudge:
         found = checker.violations(tracks, self._spans_down)
         if self.scenario.fleet.silence == "stop":
             return found
-        return [each for each in found if each.t_us // S in self._all_told_at_s]
+        told = [self._since_told(each) for each in found]
+        return sorted((each for each in told if each is not None), key=attrgetter("t_us"))
+
+    def _since_told(self, both: Violation) -> Violation | None:
+        """From the first second of it on in which all robots had received each other; None: in none."""
+        first, last = both.t_us // S, both.last_at_us // S
+        told = [second for second in range(first, last + 1) if second in self._all_told_at_s]
+        return both._replace(t_us=max(both.t_us, told[0] * S)) if told else None
 
     def _add(self, rule: str, t_s: float, what: str) -> None:
         self.broken.append(RuleViolation(rule, t_s, what))

@@ -34,6 +34,7 @@ class Violation(NamedTuple):
     t_us: int
     slots: tuple[int, ...]
     what: str
+    last_at_us: int = 0  # of exclusive work: when the first of both ended its pass
 
 
 class _Watch(NamedTuple):
@@ -196,7 +197,9 @@ class ExclusiveWorkChecker:
                 open_spans = [span for span in open_spans if span[1] > begin_at_us]
                 for other in sorted({span[2] for span in open_spans} - {slot}):
                     pair, what = tuple(sorted((slot, other))), f"section {section} worked by both"
-                    found.append(Violation("exclusive work", begin_at_us, pair, what))
+                    ends_at_us = max(span[1] for span in open_spans if span[2] == other)
+                    last_at_us = min(end_at_us, ends_at_us)
+                    found.append(Violation("exclusive work", begin_at_us, pair, what, last_at_us))
                 open_spans.append((begin_at_us, end_at_us, slot))
         return sorted(found, key=attrgetter("t_us"))[:VIOLATIONS_MAX]
 

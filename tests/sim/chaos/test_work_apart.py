@@ -6,9 +6,9 @@ from agent.interface.config import S
 from sim.chaos.scenario_judge import ScenarioJudge
 from sim.fleet.outcome import FieldOutcome
 from sim.scenarios import scenario as kinds
-from sim.scenarios.scenario import load
+from sim.scenarios.scenario import Fault, load
 
-BEGIN_S, END_S, CUT_S = 8, 10, 5.0
+BEGIN_S, END_S, CUT_S, HEAL_S = 8, 16, 5.0, 9.0
 
 
 class Together(ScenarioJudge):
@@ -26,13 +26,20 @@ class Together(ScenarioJudge):
         super()._judge(outcome)
 
 
-@pytest.mark.parametrize("cut", [False, True])
-def test_two_robots_in_a_section_under_continue(cut: bool) -> None:
-    """No field under this policy was judged by S7."""
+@pytest.mark.parametrize(
+    ("cut", "healed", "at_s"), [(False, False, 8), (True, False, None), (True, True, 13)]
+)
+def test_two_robots_in_a_section_under_continue(cut: bool, healed: bool, at_s: int | None) -> None:
+    """No field under this policy was judged by S7. Later, who began a pass apart could end it beside
+    another robot, however long all had heard each other again."""
     scenario = load("yard").changed(2, 1)
     fleet = scenario.fleet.model_copy(update={"silence": "continue"})
     run = scenario.run.model_copy(update={"time_limit_s": float(END_S)})
-    parts = kinds.Partition(at_s=CUT_S, kind="partition", islands=[[0], [1]])
-    faults = [parts] if cut else []
+    faults: list[Fault] = []
+    if cut:
+        faults.append(kinds.Partition(at_s=CUT_S, kind="partition", islands=[[0], [1]]))
+    if healed:
+        faults.append(kinds.Heal(at_s=HEAL_S, kind="heal"))
     judge = Together(scenario.model_copy(update={"fleet": fleet, "run": run, "fault": faults}))
-    assert any(each.rule == "S7" for each in judge.run().broken) is not cut
+    found = [int(each.t_s) for each in judge.run().broken if each.rule == "S7"]
+    assert found == ([] if at_s is None else [at_s])
