@@ -36,7 +36,6 @@ from sim.record.mcap_schema import (
 from sim.record.recording import Recording
 from sim.record.scene import FILE, Scene, drawable
 from sim.record.topics import (
-    FIX,
     KINDS,
     LOG_TOPIC,
     ROBOT_TOPICS,
@@ -201,14 +200,14 @@ def _add_notes(recording: Recording, path: Path) -> None:
                 recording.place(t_us, things_of_message(json.loads(data)))
             else:
                 recording.tell(t_us, intent_of_message(dict(json.loads(data))))
-        except (KeyError, TypeError, ValueError, RecursionError):
+        except (KeyError, TypeError, ValueError, OverflowError, RecursionError):
             raise ValueError(f"{topic} is damaged") from None
 
 
 def _is_note(topic: str) -> bool:
     """What a `Recording` keeps beside frames."""
-    intent = topic.startswith(ROBOT_TOPICS) and not topic.endswith(FIX)
-    return intent or topic == THINGS_TOPIC
+    slot = topic.removeprefix(ROBOT_TOPICS)  # others may have more below it, as our places on earth
+    return (slot != topic and slot.isdecimal()) or topic == THINGS_TOPIC
 
 
 def _scene(path: Path) -> Scene | None:

@@ -8,6 +8,7 @@ foxglove schemas are those that Foxglove has published.
 from typing import Any
 
 from agent.interface.geometry import Point
+from protocol.strict_msgpack import U8, finite, unsigned
 from sim.record.foxglove import FRAME_TRANSFORMS, GRID, LOCATION_FIX, LOG, SCENE_UPDATE
 
 INTENT, THINGS, FLEET = "headland.Intent", "headland.Things", "headland.Fleet"
@@ -16,6 +17,7 @@ Schema = dict[str, Any]
 THING = ("shape", "x", "y", "half_x", "half_y", "cos", "sin")
 POINTS = ("path", "strange")  # of an intent: lists of points
 WANTED = "wanted"  # of an intent: a velocity
+NUMBERS = ("x", "y", "heading", "vx", "vy")  # of an intent
 
 
 def _object(title: str, **properties: Schema) -> Schema:
@@ -196,10 +198,18 @@ def intent_message(intent: dict[str, Any]) -> dict[str, Any]:
 
 
 def intent_of_message(message: dict[str, Any]) -> dict[str, Any]:
-    """The inverse; also for files with pairs. KeyError, TypeError, ValueError."""
-    lists = {name: _pairs(message[name]) for name in POINTS if name in message}
-    wanted = {WANTED: _pair(message[WANTED])} if WANTED in message else {}
-    return {**message, **wanted, **lists}
+    """The inverse; also for files with pairs, and without `hears`. Raises KeyError, TypeError,
+    ValueError or OverflowError for a message that is no intent."""
+    points = {name: _pairs(message[name]) for name in POINTS}
+    wanted = _pair(message[WANTED])
+    unsigned((message["slot"],), (U8,))
+    finite([message[name] for name in NUMBERS] + wanted)
+    finite([value for each in points.values() for point in each for value in point])
+    slots = [*message["avoids"], *message.get("hears", ())]
+    unsigned(slots, (U8,) * len(slots))
+    if type(message["holds"]) is not list or type(message["tool"]) is not bool:
+        raise ValueError("no intent")
+    return {**message, WANTED: wanted, **points}
 
 
 def things_message(rows: list[list[float]]) -> dict[str, Any]:
@@ -210,9 +220,9 @@ def things_message(rows: list[list[float]]) -> dict[str, Any]:
 
 def things_of_message(message: dict[str, Any]) -> list[list[float]]:
     """Rows of `sim.world.walls`, metres, from a message, also from older files with rows of
-    numbers. Raises KeyError, TypeError or ValueError for anything else."""
+    numbers. Raises KeyError, TypeError, ValueError or OverflowError for anything else."""
     return [
-        [row[name] for name in THING] if isinstance(row, dict) else list(row)
+        finite([row[name] for name in THING] if isinstance(row, dict) else list(row))
         for row in message["rows"]
     ]
 

@@ -68,7 +68,7 @@ class PageUpdates:
             told["h"], told["near"] = intent["heading"], intent["avoids"]
             told["vx"], told["vy"], told["want"] = intent["vx"], intent["vy"], intent["wanted"]
             told["strange"], told["holds"] = intent["strange"], intent["holds"]
-            told["hears"] = intent["hears"]
+            told["hears"] = intent.get("hears")  # None: a recording from before it was written
         stands = watcher.stands(robot)
         if stands:
             told["stands"] = stands

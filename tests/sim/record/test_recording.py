@@ -10,6 +10,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from protocol.frames.codec import encode
+from protocol.frames.fleet_frames import Member
 from protocol.frames.frame import Frame
 from sim.files.candump import read_candump
 from sim.record import recording as recordings
@@ -19,6 +21,8 @@ from sim.runs.field_run import FieldRun
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tools.livemap.command import recorded
+from tools.livemap.page_updates import PageUpdates
+from tools.livemap.playback import Index, Player
 from tools.run.run_recorder import RunRecorder
 
 SECONDS = 30.0
@@ -239,14 +243,58 @@ def test_a20_a_recording_gives_back_what_the_robots_told(kept: tuple[Path, str, 
     assert all(len(point) == 2 for point in intent["path"]) and intent["path"]
 
 
-def test_a20_files_of_before_are_read_as_well(tmp_path: Path) -> None:
+INTENT = {
+    "slot": 3, "x": 1.0, "y": 2.0, "heading": 0.0, "vx": 0.0, "vy": 0.0, "wanted": [0.0, 1.0],
+    "path": [[1.0, 2.0]], "avoids": [], "strange": [], "holds": [], "tool": False,
+}  # fmt: skip
+
+
+def told(path: Path, message: str, topic: str = "/robots/3") -> Path:
+    """A recording of one message."""
     writing = pytest.importorskip("mcap.writer", reason="the extra `operator` is not installed")
-    old = {"slot": 3, "wanted": [0.0, 1.0], "path": [[1.0, 2.0]], "strange": []}
-    with (tmp_path / "old.mcap").open("wb") as file:
+    with path.open("wb") as file:
         writer = writing.Writer(file)
         writer.start()
         number = writer.register_schema("headland.Intent", "jsonschema", b'{"type": "object"}')
-        channel = writer.register_channel("/robots/3", "json", number)
-        writer.add_message(channel, 0, json.dumps(old).encode(), 0)
+        channel = writer.register_channel(topic, "json", number)
+        writer.add_message(channel, 0, message.encode(), 0)
         writer.finish()
-    assert read_recording(tmp_path / "old.mcap").intents == [(0, old)]
+    return path
+
+
+def test_a20_files_of_before_are_read_as_well(tmp_path: Path) -> None:
+    """They have pairs, and say nothing of the members that a robot hears."""
+    recording = read_recording(told(tmp_path / "old.mcap", json.dumps(INTENT)))
+    assert recording.intents == [(0, INTENT)]
+    recording.write(0, encode(Member(3, 1, 0), 0x80))
+    player = Player(Index(recording), True, 1.0)
+    player.advance(0.0, 1.0)
+    (robot,) = PageUpdates(player).tell()["robots"]
+    assert robot["s"] == 3 and robot["path"] == [[1.0, 2.0]] and robot["hears"] is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"vx": float("nan")}, {"x": float("inf")}, {"x": 10**400}, {"path": [[1.0, float("nan")]]},
+        {"slot": "x"}, {"slot": 1.5}, {"slot": -1}, {"holds": 7}, {"hears": [None]}, {"wanted": 3},
+    ],
+    ids="-".join,
+)  # fmt: skip
+def test_an_intent_that_is_none_is_told_when_the_recording_is_read(
+    tmp_path: Path, change: dict[str, Any]
+) -> None:
+    """The map served a page that never got a picture, and printed tracebacks."""
+    with pytest.raises(ValueError, match="/robots/3 is damaged"):
+        read_recording(told(tmp_path / "bad.mcap", json.dumps({**INTENT, **change})))
+
+
+def test_what_others_tell_below_a_robots_topic_is_no_intent(tmp_path: Path) -> None:
+    for topic in ("/robots/3/odometry", "/robots/tractor", "/robots/"):
+        assert read_recording(told(tmp_path / "other.mcap", '{"a": 1}', topic)).intents == []
+
+
+def test_things_that_are_no_numbers_are_told_when_the_recording_is_read(tmp_path: Path) -> None:
+    row = '{"rows": [[1, 2.0, NaN, 0.5, 0.5, 1.0, 0.0]]}'
+    with pytest.raises(ValueError, match="/things is damaged"):
+        read_recording(told(tmp_path / "things.mcap", row, "/things"))
