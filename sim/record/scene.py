@@ -8,6 +8,7 @@ from math import isfinite
 from pathlib import Path
 from typing import Any
 
+from crdt.progress import UNITS_MAX
 from crdt.sighting import MergeOrder
 
 Scene = dict[str, Any]
@@ -56,6 +57,7 @@ def _is_sound(told: Scene) -> bool:
         and all(map(_is_section, sections))
         and (gate is None or _is_point(gate))
         and all(map(_is_point, told.get("bays", ())))
+        and (not told.get("bays") or grid is not None)  # parcels lie on its cells
         and all(_is_point(at) and isfinite(slot) for slot, *at in told.get("goals", ()))
         and all(len(row) == 3 and all(map(isfinite, row)) for row in told.get("transports", ()))
         and (told.get("earth") is None or _is_point(told["earth"]))
@@ -73,9 +75,10 @@ def _is_point(at: Any) -> bool:
 
 def _is_section(told: Scene) -> bool:
     swaths, units = told["swaths"], told["units"]
-    lines = all(swath and all(map(_is_point, swath)) for swath in swaths)
+    lines = all(len(swath) > 1 and all(map(_is_point, swath)) for swath in swaths)
     counts = all(isinstance(count, int) and count > 0 for count in units)
-    return isinstance(told["id"], int) and len(swaths) == len(units) and lines and counts
+    whole = len(swaths) == len(units) and sum(units) <= UNITS_MAX  # each is drawn
+    return isinstance(told["id"], int) and lines and counts and whole
 
 
 def _is_raster(told: Scene) -> bool:

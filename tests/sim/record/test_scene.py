@@ -9,6 +9,7 @@ import pytest
 
 from agent.mapping.building import Floor
 from crdt.occupancy import SIDE_MAX
+from crdt.progress import UNITS_MAX
 from sim.files.grid_map import Instance
 from sim.record import scene as scenes
 from sim.record.scene import drawable
@@ -99,6 +100,23 @@ def test_a_damaged_scene_is_none(kind: str, value: Any) -> None:
     assert drawable({**scene, "cells": 7}) is None
     assert drawable({**scene, "cells": value} if value is not None else {}) is None
     assert drawable({key: part for key, part in scene.items() if key != "width_m"}) is None
+
+
+@pytest.mark.parametrize(
+    "change",
+    [{"swaths": [[[0.0, 0.0]]], "units": [1]}, {"units": [UNITS_MAX + 1]}],
+    ids=["point", "units"],
+)  # fmt: skip
+def test_a_section_that_no_page_can_draw_is_none(change: dict[str, Any]) -> None:
+    """The page stopped at a swath of one point, and cut one in 10^12 units without an end."""
+    section = {"id": 1, "swaths": [[[0.0, 0.0], [9.0, 0.0]]], "units": [2]}
+    scene = {**SCENES["field"], "sections": [section]}
+    assert drawable(scene) == scene
+    assert drawable({**scene, "sections": [{**section, **change}]}) is None
+
+
+def test_bays_without_a_floor_are_none() -> None:
+    assert drawable({**SCENES["field"], "bays": [[1.0, 2.0]]}) is None
 
 
 @pytest.mark.parametrize("side", ["rows", "columns"])

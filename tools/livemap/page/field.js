@@ -263,7 +263,7 @@ export class Field {
     pen.strokeStyle = paint().fence; pen.lineWidth = 1.6;
     for (const ring of rings) { pen.beginPath(); this.trace(pen, ring, true); pen.stroke(); }
     for (const bay of scene.bays ?? []) charger(pen, ...this.toScreen(...bay));
-    for (const [slot, gx, gy] of scene.goals) {
+    for (const [slot, gx, gy] of scene.goals ?? []) {
       const [x, y] = this.toScreen(gx, gy);
       pen.strokeStyle = colourOf(slot); pen.lineWidth = 2;
       pen.strokeRect(x - 5, y - 5, 10, 10);
