@@ -379,8 +379,8 @@ class TerminalClient:
         self._lose()
         assert self.server is not None
         before = self._refusals.get(self.server)
-        longer_us = 0 if before is None else 2 * before.for_us
-        for_us = min(max(longer_us, REFUSED_US), REFUSED_MAX_US)
+        longer_for_us = 0 if before is None else 2 * before.for_us
+        for_us = min(max(longer_for_us, REFUSED_US), REFUSED_MAX_US)
         self._refusals[self.server] = _Refusal(for_us, now_us + for_us, self._heard_at_us)
 
     def _lose(self) -> None:
