@@ -168,7 +168,7 @@ class _Meaning(Transformer[Any, Any]):
         return (parts[0],)
 
     def slots(self, parts: list[Any]) -> tuple[int, ...]:
-        return tuple(parts)
+        return tuple(dict.fromkeys(parts))  # "robot 1 and robot 1" is one order
 
     def range(self, parts: list[Any]) -> tuple[int, ...]:
         first, last = parts

@@ -163,7 +163,9 @@ class Run:
 
     def report(self, path: str | Path) -> Path:
         """The page of `headland report`, and the folder of its name. Returns where it is."""
-        out = Path(path).with_suffix(".html")
+        out = Path(path)
+        if out.suffix != ".html":  # "field.v2" is a name without one
+            out = out.with_name(f"{out.name}.html")
         write(out, self._evidence, list(self.chapters.values()))
         return out
 

@@ -57,6 +57,8 @@ def test_b9_a_table_has_numbers_where_its_columns_are_numbers(run: Run) -> None:
 
 def test_the_files_of_a_report_have_the_same_numbers(run: Run, tmp_path: Path) -> None:
     run.report(tmp_path / "one.html")
+    named = [run.report(tmp_path / name).name for name in ("field", "field.v1", "field.v2")]
+    assert named == ["field.html", "field.v1.html", "field.v2.html"], "each is another page"
     with (tmp_path / "one" / "tracks.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert [float(row["x_m"]) for row in rows] == [row["x_m"] for row in run.table("tracks")]

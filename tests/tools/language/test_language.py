@@ -76,6 +76,13 @@ def answered(phrase: str, fleet: FleetNow) -> str:
     return answer(query, fleet, Places({}), ()).text
 
 
+def test_a_robot_that_is_named_twice_gets_one_order() -> None:
+    """The order was sent to it twice, and listed twice in the answer."""
+    assert read("robot 1 and robot 1 go home", FILE.places) == (
+        Control(action="go_home", robots=(1,)),
+    )
+
+
 def test_a_robot_that_does_not_know_where_it_is_is_not_at_the_origin() -> None:
     """It was told to be at 0.0, 0.0, was the nearest to what is there, and was sent."""
     heard = Inspector()
