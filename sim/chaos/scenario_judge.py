@@ -152,6 +152,7 @@ class ScenarioJudge:
         # x, y, radius (m) of ground that may be left.
         self._left: list[tuple[float, float, float]] = []
         self._blind: dict[int, list[int]] = {}  # watches of robots that have lost their sensors
+        self._blind_ends_at_us: dict[int, int] = {}  # until when each machine senses nothing
         self._frozen: dict[int, _FrozenPlace] = {}
         self._jumps: dict[int, list[int]] = {}  # of them, those whose place is wrong
         # The newest of these of a robot: its watch, when the jump began and when it ends.
@@ -298,7 +299,7 @@ class ScenarioJudge:
             case kinds.Blind(robot=robot, for_s=for_s):
                 end_at_us = at_us + round(for_s * S)
                 self._at(at_us, partial(self._unsure_until, robot, end_at_us))
-                self._at(at_us, partial(self._loses_senses, robot, end_at_us))
+                self._at(at_us, partial(self._goes_blind, robot, end_at_us))
             case kinds.Drifting(robot=robot, for_s=for_s):
                 self._at(at_us, partial(self._unsure_until, robot, at_us + round(for_s * S)))
             case kinds.NoRays(robot=robot, for_s=for_s):
@@ -412,6 +413,12 @@ class ScenarioJudge:
         self._blind.setdefault(slot, []).append(watch)
         self._at(end_at_us, partial(self._sees_again, slot, watch))
         return watch
+
+    def _goes_blind(self, slot: int, end_at_us: int) -> None:
+        """S19: a robot that is off now stands from its boot on. One that was never on has no fault."""
+        if slot in self.cluster.robots:
+            self._blind_ends_at_us[slot] = max(self._blind_ends_at_us.get(slot, 0), end_at_us)
+        self._loses_senses(slot, end_at_us)
 
     def _shows(self, slot: int, end_at_us: int, call: Callable[[int, int], object]) -> None:
         """S19: `call` as soon as a fault of the senses can show, if it lasts until then. It does not
@@ -739,6 +746,8 @@ class ScenarioJudge:
         now_us = self._now_us()
         self._lost = {address: lost for address, lost in self._lost.items() if lost[2] != slot}
         self._heard_of(slot)
+        if now_us < self._blind_ends_at_us.get(slot, 0):
+            self._at(now_us, partial(self._loses_senses, slot, self._blind_ends_at_us[slot]))
         self._trouble_at_us = now_us
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
         journal = self.cluster.journals[slot]
