@@ -24,7 +24,7 @@ from tools.operate.operator_device import Operator
 from tools.operate.reset import hear_causes, stands
 
 TOLD = (
-    "CONFIG_MISMATCH with address 200: start all with the same fleet and field, or switch "
+    "CONFIG_MISMATCH with address 200: start all with the same release, fleet and field, or switch "
     "that robot off"
 )
 
