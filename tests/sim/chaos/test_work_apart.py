@@ -30,8 +30,8 @@ class Together(ScenarioJudge):
     ("cut", "healed", "at_s"), [(False, False, 8), (True, False, None), (True, True, 13)]
 )
 def test_two_robots_in_a_section_under_continue(cut: bool, healed: bool, at_s: int | None) -> None:
-    """No field under this policy was judged by S7. Later, a robot that began a pass apart could end it beside
-    another robot, however long all had heard each other again."""
+    """No field under this policy was judged by S7. Later, a robot that began a pass
+    apart could end it beside another one, however long all had heard each other again."""
     scenario = load("yard").changed(2, 1)
     fleet = scenario.fleet.model_copy(update={"silence": "continue"})
     run = scenario.run.model_copy(update={"time_limit_s": float(END_S)})
