@@ -60,15 +60,19 @@ def test_a_place_that_falls_back_at_a_corner_leads_nowhere(hangs: bool, periods:
     assert bool(told) is hangs, told
 
 
+@pytest.mark.parametrize("says", [True, False])
 @pytest.mark.parametrize("hangs", [True, False])
-def test_a_place_that_falls_back_before_a_goal_leads_nowhere(hangs: bool) -> None:
+def test_a_place_that_falls_back_before_a_goal_leads_nowhere(hangs: bool, says: bool) -> None:
     """Between two fixes the place passed the goal, and the robot told its body to turn. Each time it
-    forgot what it had seen, and drove 3.4 m at 2 m/s beside its place (fixes 115400116)."""
+    forgot what it had seen, and drove 3.4 m at 2 m/s beside its place (fixes 115400116).
+
+    `says`: whether the body says its velocity."""
     progress, told, x_m = PlaceProgress(), "", 0.0
-    for period in range(40):
+    for period in range(80):
         since_fix = period % 4
         x_m = 2.0 * PERIOD_S * (since_fix if hangs else period)
-        here = Observation(x_m, 0.0, 0.0, 2.0, 0.0, sensed_at_us=period * CONTROL_PERIOD_US)
+        v_m_s = 2.0 if says else 0.0
+        here = Observation(x_m, 0.0, 0.0, v_m_s, 0.0, sensed_at_us=period * CONTROL_PERIOD_US)
         drive = Drive(-0.4 if since_fix == 3 else 2.3, 0.0)
         told = told or progress.look(here, drive, LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US)
     assert bool(told) is hangs, told
