@@ -3,6 +3,10 @@
 ORCA chooses a velocity as if the body could brake towards a fence with half of its acceleration. A
 body with four wheels turns its velocity by one acceleration vector. A large change along the fence
 would leave too little of it for braking, so that change is reduced.
+
+Wheels that slip move a body otherwise than they turn. So a velocity that is kept along a fence is that
+of the wheels, because commands that followed what slip adds would speed the body up. And a body that
+has to brake hard before a fence is told to make up for what slip adds towards it.
 """
 
 from math import hypot, sqrt
@@ -15,17 +19,21 @@ from agent.kernels.kernel import njit
 Floats = NDArray[np.float64]
 
 LINE_2_M2 = 1e-18  # least squared length of a fence; a single echo is a fence without length
+# Of the acceleration: ORCA takes no more than half of it for braking before a fence, so a body that needs
+# more has slipped towards it, or was pushed.
+HARD_SHARE = 0.5
 ROOM_MIN_M = 0.01  # a body this near to a fence, or nearer, uses all of its acceleration to brake
 
 
 @njit(cache=True, error_model="numpy")
 def braking_first(
-    x: float, y: float, vx: float, vy: float, wx: float, wy: float,
+    x: float, y: float, vx: float, vy: float, wx: float, wy: float, tx: float, ty: float,
     fences: Floats, radius_m: float, acceleration_m_s2: float,
 ) -> tuple[float, float]:  # fmt: skip
     """The velocity to command, (x, y) metres a second.
 
-    (x, y): the body, metres. (vx, vy): its velocity, (wx, wy): the chosen one, metres a second.
+    (x, y): the body, metres. (vx, vy): its velocity, (wx, wy): the chosen one, (tx, ty): that of wheels
+    without slip by the commands so far, metres a second.
     `fences` (n, 4): ax, ay, bx, by, metres. `radius_m`: of the body. If the change from the one to
     the other does not brake fast enough towards the fence before which the body has to brake most, its
     part along that fence is reduced. Only that one counts: on a round outline of short edges each
@@ -57,6 +65,13 @@ def braking_first(
     most_m_s = brakes_m_s * sqrt(max(1.0 / (most_share * most_share) - 1.0, 0.0))
     if abs(along_m_s) > most_m_s:
         along_m_s = most_m_s if along_m_s > 0.0 else -most_m_s
+        slips_m_s = -(vx - tx) * ny + (vy - ty) * nx
+        keeps_m_s = -vx * ny + vy * nx + along_m_s
+        if slips_m_s * keeps_m_s > 0.0:
+            along_m_s -= slips_m_s if abs(slips_m_s) < abs(keeps_m_s) else keeps_m_s
         wx = vx - brakes_m_s * nx - along_m_s * ny
         wy = vy - brakes_m_s * ny + along_m_s * nx
+    slips_m_s = (vx - tx) * nx + (vy - ty) * ny
+    if most_share > HARD_SHARE and slips_m_s > 0.0:
+        wx, wy = wx - slips_m_s * nx, wy - slips_m_s * ny
     return wx, wy

@@ -112,6 +112,8 @@ class HolonomicMotion(MotionController):
         self.right = RightOfWay()
         self.implement = Implement(half_bar_m, limits.radius_m)
         self.whole_half_bar_m = half_bar_m + overlap_m  # to its very end
+        self.change_m_s = limits.acceleration_m_s2 * CONTROL_PERIOD_US / S  # in one period
+        self.told_m_s = 0.0, 0.0  # of wheels without slip by the commands so far: x, y
         self.pushed: PushedAhead | None = None
         if self.implement.has:
             self.pushed = PushedAhead(
@@ -167,6 +169,7 @@ class HolonomicMotion(MotionController):
         the robot gives way, and where a lowered one would hit a body.
         """
         if wish.hold:  # others go round a standing robot, so standing still is safe
+            self._tell(0.0, 0.0)
             return HALT._replace(parcel_action=wish.parcel_action)
         rows, others = self._rows(here, neighbours, now_us, not wish.tool_on)
         if self.sensed is not None:
@@ -198,10 +201,18 @@ class HolonomicMotion(MotionController):
             self.pushed.observe(wanted, (vx_m_s, vy_m_s), now_us)
         if hypot(vx_m_s - here.vx_m_s, vy_m_s - here.vy_m_s) > self.sudden_m_s:
             vx_m_s, vy_m_s = braking_first(
-                here.x_m, here.y_m, here.vx_m_s, here.vy_m_s, vx_m_s, vy_m_s,
+                here.x_m, here.y_m, here.vx_m_s, here.vy_m_s, vx_m_s, vy_m_s, *self.told_m_s,
                 self.fences, self.limits.radius_m + FENCE_M / 2 + more_m, self.limits.acceleration_m_s2,
             )  # fmt: skip
+        self._tell(vx_m_s, vy_m_s)
         return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.parcel_action))
+
+    def _tell(self, vx_m_s: float, vy_m_s: float) -> None:
+        """The wheels are told this velocity, and follow as fast as they can."""
+        told_x_m_s, told_y_m_s = self.told_m_s
+        dx_m_s, dy_m_s = vx_m_s - told_x_m_s, vy_m_s - told_y_m_s
+        share = min(1.0, self.change_m_s / max(hypot(dx_m_s, dy_m_s), self.change_m_s))
+        self.told_m_s = told_x_m_s + share * dx_m_s, told_y_m_s + share * dy_m_s
 
     def _rows(
         self, here: Observation, neighbours: Mapping[int, Neighbour], now_us: int,

@@ -138,6 +138,8 @@ MENDED = {
     # A hung place made the robot turn to and fro before its goal. A hung place jumped away and back.
     ("fixes", 115400116): "agent/peer/place_progress.py",
     ("fixes", 115400127): "agent/peer/place_progress.py",
+    # Wheels slipped, and each command beside a fence was the speed at which that moved the body.
+    ("senses", 115900022): "agent/avoidance/fence_braking.py",
 }
 
 

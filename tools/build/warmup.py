@@ -50,7 +50,7 @@ def _avoidance() -> None:
     fences = np.array([[0.0, 0.0, 9.0, 0.0]])
     gap_m(1.0, 1.0, fences)
     way_gap_m(1.0, 1.0, 1.0, 0.0, 0.5, 3, fences)
-    braking_first(1.0, 1.0, 1.0, 0.0, 0.5, 0.0, fences, 0.5, 1.0)
+    braking_first(1.0, 1.0, 1.0, 0.0, 0.5, 0.0, 1.0, 0.0, fences, 0.5, 1.0)
     robot = OrcaSolver(0.5, 2.0, 1.0, 4.0, 0.05, fences)
     rows: list[tuple[float, ...]] = [
         (1.5, 0.1, -1.0, 0.0, 1.0, 0.5),
