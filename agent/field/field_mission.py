@@ -646,7 +646,7 @@ class FieldMission(Mission):
         passed = []
         self.up = self.lifted
         if self.lifted:  # it is lowered here; the part without work may reach into the next unit
-            self.lifted, self.lifted_to_m = False, self.tracker.along_m
+            self.lifted, self.lifted_to_m = False, self.tracker.along_m + self._lags_m()
             self.ends_begun_m = self.course_begun_m = inf, inf
             self.course_from = None
             self.swing.restart()
@@ -659,14 +659,15 @@ class FieldMission(Mission):
             self.swing.observe(self._line.piece, self._line.along_m, view.here.x_m, view.here.y_m)
         if self.tracker.along_m > LEAD_M / 2:  # before that a robot may come from the side
             self.worst_m = max(self.worst_m, self._off_m(view.here))
-        piece_m = (self.tracker.total_m - 2 * LEAD_M) / len(self.leg.units)
+        lead_m = LEAD_M if self.turns_on_the_spot else 0.0
+        piece_m = (self.tracker.total_m - 2 * lead_m) / len(self.leg.units)
         while self.unit < len(self.leg.units):
-            end_m = LEAD_M + (self.unit + 1) * piece_m
+            end_m = lead_m + (self.unit + 1) * piece_m
             is_last = self.unit + 1 == len(self.leg.units)
             past_m = SWUNG_M if self._is_corner(end_m) else self.past_end_m * is_last
             if self.tracker.along_m < end_m + past_m or self._bar_lags(view.here, end_m):
                 break
-            begun_m = LEAD_M + self.unit * piece_m
+            begun_m = lead_m + self.unit * piece_m
             wrongly = self.swing.wrongly and self._has_corner(begun_m, end_m)
             if not wrongly and self.worst_m <= self.tolerance_m and self._down_since(begun_m):
                 passed.append(self.leg.units[self.unit])
@@ -699,9 +700,13 @@ class FieldMission(Mission):
         if self.unit == 0 and self._is_corner(begun_m):
             return self.lifted_to_m < begun_m - STRAIGHT_M
         late_m = max(*self.ends_begun_m, *self.course_begun_m) - begun_m
-        if self.turns_on_the_spot and late_m > LATE_M:
-            return False
-        return self.lifted_to_m <= begun_m
+        if self.turns_on_the_spot:
+            return late_m <= LATE_M and self.lifted_to_m <= begun_m
+        return self.lifted_to_m <= begun_m + (LEAD_M if self.unit == 0 else LATE_M)
+
+    def _lags_m(self) -> float:
+        """How far the end of the bar of a steered body that is further back is behind its middle."""
+        return 0.0
 
     def _is_corner(self, at_m: float) -> bool:
         return self.turns_on_the_spot and self._has_corner(at_m, at_m)

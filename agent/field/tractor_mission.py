@@ -61,7 +61,8 @@ class TractorMission(FieldMission):
 
     beside_m = BLOCKED_M
     turns_on_the_spot = False
-    past_end_m = PAST_END_M  # in a corner the bar is then where it has to be
+    # A stretch has no lead-out. In a corner the bar is then where it has to be.
+    past_end_m = PAST_END_M - LEAD_M
     # `_notice_stuck` watches instead, because a turn is longer than the remaining distance.
     plans_without_headway = False
 
@@ -237,6 +238,9 @@ class TractorMission(FieldMission):
         self.tracker = self.follow
         self.unit, self.worst_m, self.lifted_to_m = 0, 0.0, 0.0
         return True
+
+    def _lags_m(self) -> float:
+        return 0.0 if self.follow is None else self.half_m * abs(sin(self.follow.off_rad))
 
     def _lose(self, view: FleetView) -> None:
         """Too far off the path: plan another one from here."""

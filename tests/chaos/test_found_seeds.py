@@ -140,6 +140,8 @@ MENDED = {
     ("fixes", 115400127): "agent/peer/place_progress.py",
     # Wheels slipped, and each command beside a fence was the speed at which that moved the body.
     ("senses", 115900022): "agent/avoidance/fence_braking.py",
+    # The implement of a body that was turned by 13 degrees came down where a unit begins.
+    ("steered", 115900003): "agent/field/tractor_mission.py",
 }
 
 

@@ -1,7 +1,7 @@
 """What a tractor counts as worked when it is pushed along its row, and after its implement was up."""
 
 from collections.abc import Callable
-from math import cos, hypot, sin
+from math import copysign, cos, hypot, sin
 
 import numpy as np
 import pytest
@@ -21,6 +21,8 @@ ROWS = ((20.0, 20.0), (50.0, 20.0)), ((50.0, 40.0), (20.0, 40.0))
 UNITS = 6  # of each row
 FENCES = ((0.0, 0.0), (70.0, 0.0), (70.0, 60.0), (0.0, 60.0))
 ENDS_AT_US = 300 * S
+STEP_M = 2.5 * PERIOD_S
+ASIDE_M = 0.09  # a row counts up to 0.1 m beside it
 Happens = Callable[[float, float, int], bool]  # at a place, x and y in metres, and a time
 
 
@@ -29,11 +31,14 @@ def never(x_m: float, y_m: float, now_us: int) -> bool:
     return False
 
 
-def worked(pushed: Happens = never, raised: Happens = never) -> list[int]:
+def worked(
+    pushed: Happens = never, raised: Happens = never, turned_rad: float = 0.0
+) -> list[int]:
     """The units of two rows in the order in which a tractor alone counts them.
 
     Its body follows each request exactly. While `pushed`, people push it on at 1 m/s along its course.
-    While `raised`, its implement is up.
+    While `raised`, its implement is up. `turned_rad`: by which it is turned there in the end, a little
+    beside the row, towards which it then drives.
     """
     section = Section(0, ROWS, (UNITS, UNITS))
     field = Field(
@@ -52,6 +57,9 @@ def worked(pushed: Happens = never, raised: Happens = never) -> list[int]:
             work.begin(0, view)
         if raised(x_m, y_m, now_us):
             work.on_implement_raised()
+            if turned_rad and not raised(x_m + STEP_M, y_m, now_us):
+                y_m, heading_rad, turned_rad = y_m - copysign(ASIDE_M, turned_rad), turned_rad, 0.0
+                continue
         wish = work.work(view)
         order += wish.covered
         if wish.finished:
@@ -90,3 +98,28 @@ def test_units_of_the_next_row_count_after_the_implement_was_up_in_this_one() ->
 
     order = worked(raised=raised)
     assert order == [0, 1, 2, 3, 5, *range(UNITS, 2 * UNITS), 4]
+
+
+@pytest.mark.parametrize("turned_rad", [0.2, -0.2])
+def test_l5_a_bar_that_comes_down_aslant_has_not_worked_the_beginning_of_its_unit(
+    turned_rad: float,
+) -> None:
+    """Found by `steered` 115900003: the implement came down on the first centimetre of a unit, 0.4 m of
+    that were left beside one end of the bar, and the unit counted."""
+
+    def raised(x_m: float, y_m: float, now_us: int) -> bool:
+        return now_us < 20 * S and 33.0 <= x_m < 34.9
+
+    order = worked(raised=raised, turned_rad=turned_rad)
+    assert order.index(3) > order.index(2 * UNITS - 1), order
+    assert sorted(order) == list(range(2 * UNITS))
+
+
+def test_the_units_of_a_steered_body_begin_where_those_of_its_section_do() -> None:
+    """They were taken to begin up to 0.3 m further on, as on ways with a lead-in, which it has not."""
+
+    def raised(x_m: float, y_m: float, now_us: int) -> bool:
+        return now_us < 20 * S and 24.0 <= x_m < 25.05
+
+    order = worked(raised=raised)
+    assert order.index(1) > order.index(2 * UNITS - 1), order
