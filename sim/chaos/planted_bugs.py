@@ -164,6 +164,13 @@ def _early(right: Any) -> Any:
     return passed
 
 
+def _all_again(right: Any) -> Any:
+    def stretches(self: FieldMission, section: Any, view: Any, *args: Any) -> Any:
+        return right(self, section, view._replace(progress=Progress(self.section_units)), *args)
+
+    return stretches
+
+
 def _straight_on(right: Any) -> Any:
     def drive(self: HolonomicMotion, here: Any, wish: Any, neighbours: Any, now_us: int) -> Drive:
         return Drive(wish.vx_m_s, wish.vy_m_s, wish.turn_rad_s, wish.tool_on)
@@ -369,6 +376,13 @@ MUTANTS: dict[str, Mutant] = {
         "claims",
     ),
     "covered-too-soon": Mutant("units that were not worked count", FieldMission, "_passed", _early),
+    "units-worked-again": Mutant(
+        "units that others have worked are worked once more",
+        FieldMission,
+        "_stretches",
+        _all_again,
+        "crash",
+    ),
     "avoidance-off": Mutant("no robot avoids another", HolonomicMotion, "drive", _straight_on),
     "commands-never-expire": Mutant(
         "the actuator keeps the last command", SimulatedBody, "drive", _never_expires_body, "crash"

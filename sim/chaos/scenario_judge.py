@@ -22,6 +22,7 @@ from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.place_jumps import AGE_MAX_US
 from agent.peer.sense_freshness import STEADY_US
 from agent.runtime import peer_runner
+from crdt.progress import BLOCK_UNITS
 from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
@@ -48,6 +49,7 @@ from sim.world.contacts import THING, TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import things_under_bars, was_there
 from sim.world.protocol_world import ProtocolWorld
+from sim.world.repeated_work import RepeatedWorkChecker, Unit
 from sim.world.walls import AT_X, AT_Y, HALF_X, HALF_Y
 from sim.world.world import World
 
@@ -57,6 +59,8 @@ SLACK_US = 20 * MS  # a control tick, and a frame that blocks
 RELEASED_S = 12.0
 # Limit for a stop if all robots are on one bus, whatever is lost: 20 copies, and a tick.
 DELIVERED_US = 120 * MS
+# After a trouble of links or members: all robots know what each of them knew before.
+EXCHANGED_US = round(RELEASED_S * S)
 STANDARD_US = 5 * S  # after a press; by then the first frame is forgotten, if it was the only one
 FORGET_US = 3 * S  # of silence, ISO 11783-7
 # After this time without trouble of links and members, all robots receive each other.
@@ -178,6 +182,9 @@ class ScenarioJudge:
         self._sees_wrong: list[
             tuple[int, int, int]
         ] = []  # the same of its senses and its implement
+        self._told_at_us: dict[Unit, int] = {}  # when each unit was told first, to a second
+        # (begin, end) of troubles of links and members, until all robots know again what all know.
+        self._apart: list[tuple[int, int]] = []
 
     def run(self) -> "ScenarioJudge":
         """Play the scenario to its end, or to the first violation with `first_only`, and judge what
@@ -235,9 +242,11 @@ class ScenarioJudge:
         if self.protocol_world is not None:
             stops = self.scenario.fleet.silence == "stop"
             self.protocol_world.counts = self._can_know if stops else self._all_told
-        elif self.scenario.fleet.silence != "stop":
+        else:
             for second in range(round(self.scenario.run.time_limit_s)):
-                self._at(second * S, self._hear_all)
+                self._at(second * S, self._note_units)
+                if self.scenario.fleet.silence != "stop":
+                    self._at(second * S, self._hear_all)
         self.silence, self.delivery = motions(cluster.world), motions(cluster.world)
         self.senseless = motions(cluster.world)
         cluster.on_power = self._power
@@ -363,6 +372,7 @@ class ScenarioJudge:
     def _troubled(self, end_at_us: int) -> None:
         self._trouble_at_us = self.cluster.host.now_us()
         self._cut_ends_at_us = max(self._cut_ends_at_us, end_at_us)
+        self._part(end_at_us)
         if end_at_us:
             self._interrupted()
         for slot in list(self._silences):
@@ -676,6 +686,19 @@ class ScenarioJudge:
         calm = now_us - self._trouble_at_us > SETTLED_US and now_us >= self._cut_ends_at_us
         return calm and self._one_bus and not lossy
 
+    def _note_units(self) -> None:
+        """Once a second in a field: the units that robots have told since."""
+        now_us = self.cluster.host.now_us()
+        for (section, block), bits in self.witness.words.units.items():
+            for k in range(bits.bit_length()):
+                if bits >> k & 1:
+                    self._told_at_us.setdefault((section, block * BLOCK_UNITS + k), now_us)
+
+    def _part(self, end_at_us: int) -> None:
+        """Robots may be unable to hear each other until then, and exchange what they know after it."""
+        now_us = self.cluster.host.now_us()
+        self._apart.append((now_us, max(now_us, end_at_us) + EXCHANGED_US))
+
     def _hear_all(self) -> None:
         """Once a second in a field under another policy than `stop`."""
         now_us = self.cluster.host.now_us()
@@ -750,6 +773,7 @@ class ScenarioJudge:
             self._at(now_us, partial(self._loses_senses, slot, self._blind_ends_at_us[slot]))
         self._trouble_at_us = now_us
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
+        self._part(self._cut_ends_at_us)
         journal = self.cluster.journals[slot]
         recalled = journal.load()
         if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):
@@ -802,6 +826,7 @@ class ScenarioJudge:
         self._moved()
         self._contacts()
         self._implements_over_things()
+        self._repeated_work()
         bodies = self.protocol_world is None
         self._exclusive_work(self._exclusive(world) if bodies else self._together)
         if not outcome.replicas_equal:
@@ -936,6 +961,27 @@ class ScenarioJudge:
             if over.stood and not (excused or at_fence or beside):
                 what = f"the implement of robot {over.slot} is drawn over {at.x:.1f}, {at.y:.1f}"
                 self._add("S23", over.t_us / 1e6, what)
+                return
+
+    def _repeated_work(self) -> None:
+        """S24: by true places, of units that are told and of robots that hear each other."""
+        world = self.cluster.world
+        if self.protocol_world is not None:
+            return
+        tracks = {slot: body.track for slot, body in world.robots.items()}
+        checker = RepeatedWorkChecker(self.setting.field.sections, ON_LINE_M)
+        for each in checker.repeated(tracks, self._told_at_us):
+            astray = any(
+                each.slot == slot
+                and each.begun_at_us < end_at_us
+                and begin_at_us < each.ended_at_us
+                for slot, begin_at_us, end_at_us in (*self._excused, *self._sees_wrong)
+            )
+            apart = any(begin_at_us <= each.begun_at_us < end for begin_at_us, end in self._apart)
+            if not (astray or apart):
+                section, unit = each.unit
+                what = f"robot {each.slot} works unit {unit} of S{section}, which was told before"
+                self._add("S24", each.begun_at_us / 1e6, what)
                 return
 
     @property

@@ -31,6 +31,7 @@ RULES = {
     "S21": "a stop that is sent is of this fleet, of a panel of ours, or of a device without a NAME",
     "S22": "a robot whose implement stays down against its command stands",
     "S23": "no lowered implement is drawn over what stands",
+    "S24": "no robot works again what it must know as worked",
     "L1": "replicas are equal at the end, and no robot goes on asking",
     "L2": "after the resets no robot remains stopped",
     "L5": "the work is finished in time, all of it",

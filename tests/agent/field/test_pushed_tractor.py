@@ -31,9 +31,7 @@ def never(x_m: float, y_m: float, now_us: int) -> bool:
     return False
 
 
-def worked(
-    pushed: Happens = never, raised: Happens = never, turned_rad: float = 0.0
-) -> list[int]:
+def worked(pushed: Happens = never, raised: Happens = never, turned_rad: float = 0.0) -> list[int]:
     """The units of two rows in the order in which a tractor alone counts them.
 
     Its body follows each request exactly. While `pushed`, people push it on at 1 m/s along its course.

@@ -1,0 +1,105 @@
+"""S24: units whose work has been told are not worked once more, judged from true tracks.
+
+A unit is part of a swath, as progress counts it (`agent/field/field_map.py`). It is worked when the
+robot's centre has passed along all of it in one go, with the implement down throughout. Robots tell
+units that they have worked; this checker is told when.
+"""
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from itertools import accumulate
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from agent.field.field_map import Section
+from agent.interface.config import S
+from sim.world.ground_truth import Track
+from sim.world.swath_truth import NEVER_US, LineTruth, Polyline
+
+Unit = tuple[int, int]  # section, and number of the unit in it
+KNOWN_US: Final = 1 * S  # a unit that was told this long ago is known to all that hear each other
+
+
+class Pass(NamedTuple):
+    """A whole unit that a robot has worked in one go."""
+
+    unit: Unit
+    slot: int
+    begun_at_us: int
+    ended_at_us: int
+
+
+class RepeatedWorkChecker:
+    """Which units of some sections robots have worked, and which of them although they were known."""
+
+    def __init__(self, sections: Sequence[Section], tolerance_m: float) -> None:
+        """`tolerance_m`: a robot no further from the line of a swath works it."""
+        lines: list[Polyline] = []
+        parts: list[tuple[int, int, int]] = []  # section, first unit and units of each line
+        for section in sections:
+            firsts = accumulate(section.units_of, initial=0)
+            for swath, first, units in zip(section.swaths, firsts, section.units_of, strict=False):
+                lines.append(swath)
+                parts.append((section.id, first, units))
+        self.truth = LineTruth(lines, tolerance_m)
+        samples, line_of = self.truth.samples[:, :2], self.truth.line_of
+        self.unit_of: list[Unit] = [(0, 0)] * len(line_of)  # of each sample
+        for number, (section_id, first, units) in enumerate(parts):
+            mine = np.flatnonzero(line_of == number)
+            shares = _shares(lines[number], samples[mine])
+            for sample, share in zip(mine.tolist(), shares, strict=True):
+                self.unit_of[sample] = section_id, first + min(int(share * units), units - 1)
+        self.samples_of = Counter(self.unit_of)
+
+    def passes(self, slot: int, track: Track) -> list[Pass]:
+        """The whole units that the robot of this track has worked, each time that it did."""
+        found: list[Pass] = []
+        points = track.to_array()
+        down = points[:, 3] != 0.0
+        edges = np.flatnonzero(np.diff(down, prepend=False, append=False)).tolist()
+        for begin, end in zip(edges[::2], edges[1::2], strict=True):
+            worked_at_us = self.truth.worked_at_us(points[begin : end + 1])
+            times_us: dict[Unit, list[int]] = {}
+            for sample in np.flatnonzero(worked_at_us != NEVER_US).tolist():
+                times_us.setdefault(self.unit_of[sample], []).append(int(worked_at_us[sample]))
+            found += [
+                Pass(unit, slot, min(at_us), max(at_us))
+                for unit, at_us in times_us.items()
+                if len(at_us) == self.samples_of[unit]
+            ]
+        return found
+
+    def repeated(self, tracks: Mapping[int, Track], told_at_us: Mapping[Unit, int]) -> list[Pass]:
+        """The passes over units that some robot had told `KNOWN_US` or more before, in order of time.
+
+        `told_at_us`: when each unit was told for the first time; one that is not in it never was.
+        """
+        return sorted(
+            (
+                each
+                for slot, track in tracks.items()
+                for each in self.passes(slot, track)
+                if each.unit in told_at_us and each.begun_at_us > told_at_us[each.unit] + KNOWN_US
+            ),
+            key=lambda each: each.begun_at_us,
+        )
+
+
+def _shares(line: Polyline, samples: np.ndarray) -> list[float]:
+    """How much of the line lies before each of its samples, (n, 2) in metres: 0 to 1."""
+    points = np.asarray(line, dtype=np.float64)
+    steps = np.diff(points, axis=0)
+    lengths_m = np.hypot(steps[:, 0], steps[:, 1])
+    starts_m = np.concatenate([[0.0], np.cumsum(lengths_m)])
+    shares = []
+    for sample in samples:
+        rel = sample - points[:-1]
+        along_m = (rel * steps).sum(axis=1) / np.maximum(lengths_m, 1e-12)
+        aside_m = np.abs(rel[:, 0] * steps[:, 1] - rel[:, 1] * steps[:, 0]) / np.maximum(
+            lengths_m, 1e-12
+        )
+        outside_m = np.maximum(np.maximum(-along_m, along_m - lengths_m), 0.0)
+        piece = int(np.argmin(aside_m + outside_m))
+        shares.append(float((starts_m[piece] + along_m[piece]) / starts_m[-1]))
+    return shares
