@@ -5,7 +5,7 @@ restart before it has received any frame (S13).
 """
 
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Container, Iterator, Mapping
 from functools import partial
 from math import dist, hypot
 from operator import attrgetter
@@ -105,6 +105,14 @@ DEAD_M = 12.0
 UNNOTICED_M = 0.3  # two control periods at full speed
 
 
+def _units(blocks: Mapping[tuple[int, int], int]) -> Iterator[Unit]:
+    """The units of these blocks, each with the bits of its units."""
+    for (section, block), bits in blocks.items():
+        yield from (
+            (section, block * BLOCK_UNITS + k) for k in range(bits.bit_length()) if bits >> k & 1
+        )
+
+
 def _outranks_claims(babble: kinds.Babble) -> bool:
     number = babble.identifier
     return (babble.priority if number is None else number >> 26) < CLAIM_PRIORITY
@@ -179,10 +187,16 @@ class ScenarioJudge:
         self._excused: list[tuple[int, int, int]] = []
         # (begin, end): something comes into the field, and robots may touch it.
         self._comes: list[tuple[int, int]] = []
+        # For how long robots were told to drive in a contact that went on after its excuse, microseconds;
+        # by its beginning and its first robot.
+        self._pressing_us: Counter[tuple[int, int]] = Counter()
+        self._looks_at_contacts = False
         self._sees_wrong: list[
             tuple[int, int, int]
         ] = []  # the same of its senses and its implement
         self._told_at_us: dict[Unit, int] = {}  # when each unit was told first, to a second
+        # Robots that know each of these units: from frames, or because their own disk has it.
+        self._knowing: dict[Unit, set[int]] = {}
         # (begin, end) of troubles of links and members, until all robots know again what all know.
         self._apart: list[tuple[int, int]] = []
 
@@ -299,6 +313,7 @@ class ScenarioJudge:
                 self._pushes.append((robot, at_us, let_go_at_us))
                 excused_for_us = max(EXCUSED_US, let_go_at_us + ROLLS_ON_US - at_us)
                 self._at(at_us, partial(self._excuse, robot, excused_for_us))
+                self._at(at_us + excused_for_us, self._excuse_ends)
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, at_us + 1))
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
@@ -361,6 +376,7 @@ class ScenarioJudge:
                     self._at(at_us, self.witness.words.without_name)
             case kinds.Box() | kinds.Person() | kinds.PassingVehicle():
                 self._comes.append((at_us, at_us + EXCUSED_US))
+                self._at(at_us + EXCUSED_US, self._excuse_ends)
 
     # ---------------------------------------------------------------- while it runs
 
@@ -587,6 +603,24 @@ class ScenarioJudge:
         now_us = self.cluster.host.now_us()
         self._excused.append((slot, now_us, now_us + for_us))
 
+    def _excuse_ends(self) -> None:
+        """S17: from now on a robot that still touches something must not press on it."""
+        if not self._looks_at_contacts:
+            self._look_at_contacts()
+
+    def _look_at_contacts(self) -> None:
+        """Note which robots are told to drive while they touch something, until nothing touches."""
+        now_us, world = self._now_us(), self.cluster.world
+        touching = [c for c in world.contacts if c.last_at_us >= now_us - CONTROL_PERIOD_US]
+        for contact in touching:
+            slots = (contact.first, contact.second)
+            told = [world.robots[slot].commanded(now_us) for slot in slots if slot is not None]
+            if any(drive.vx_m_s or drive.vy_m_s for drive in told):
+                self._pressing_us[contact.t_us, contact.first] += CONTROL_PERIOD_US
+        self._looks_at_contacts = bool(touching)
+        if touching:
+            self._at(now_us + CONTROL_PERIOD_US, self._look_at_contacts)
+
     def _shoved(self, slot: int, moved_at_us: int) -> None:
         """A person is about to move a robot; by `moved_at_us` it is done."""
         if self.protocol_world is None and self.cluster.is_up(slot):
@@ -688,11 +722,22 @@ class ScenarioJudge:
 
     def _note_units(self) -> None:
         """Once a second in a field: the units that robots have told since."""
-        now_us = self.cluster.host.now_us()
-        for (section, block), bits in self.witness.words.units.items():
-            for k in range(bits.bit_length()):
-                if bits >> k & 1:
-                    self._told_at_us.setdefault((section, block * BLOCK_UNITS + k), now_us)
+        now_us, up = self.cluster.host.now_us(), {robot.slot for robot in self.cluster.running}
+        for unit in _units(self.witness.words.units):
+            if unit not in self._told_at_us:
+                self._told_at_us[unit], self._knowing[unit] = now_us, set(up)
+
+    def _forgets_units(self, slot: int, but: Container[Unit] = ()) -> None:
+        """It is off, or boots with another memory, and knows only the units `but`."""
+        for unit, knowing in self._knowing.items():
+            if unit not in but:
+                knowing.discard(slot)
+
+    def _learns_units(self, slot: int) -> None:
+        """It has heard the others for long enough."""
+        for knowing in self._knowing.values() if self.cluster.is_up(slot) else ():
+            if knowing:
+                knowing.add(slot)
 
     def _part(self, end_at_us: int) -> None:
         """Robots may be unable to hear each other until then, and exchange what they know after it."""
@@ -732,6 +777,8 @@ class ScenarioJudge:
             hung_at_us = cluster.acquaintance.hang_began_at_us(slot, now_us)
             self._off_at_us[slot] = now_us if hung_at_us is None else hung_at_us
         self._trouble_at_us = now_us
+        own = self.witness.words.speakers[slot].own_progress  # units of others are on no disk
+        self._forgets_units(slot, set(_units(own)))
         self._lapses(slot)
 
     def _lapses(self, slot: int) -> None:
@@ -774,12 +821,14 @@ class ScenarioJudge:
         self._trouble_at_us = now_us
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
         self._part(self._cut_ends_at_us)
+        self._at(now_us + EXCHANGED_US, partial(self._learns_units, slot))
         journal = self.cluster.journals[slot]
         recalled = journal.load()
         if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):
             self._add("S13", now_us / 1e6, f"robot {slot} has lost what it had written")
         self._knows_no_silence(slot, remembers(recalled))
         if not remembers(recalled):
+            self._forgets_units(slot)
             self.cluster.stops.forgets(slot)
             self.witness.forget(slot)
             return
@@ -913,9 +962,11 @@ class ScenarioJudge:
             spans = [(begin, end) for slot, begin, end in self._excused if slot in slots]
             if contact.against.startswith(THING):
                 spans += self._comes
-            # A contact that goes on after its excuse is over is one like any other.
+            # A contact that goes on after its excuse is over is one like any other, unless the robots
+            # in it stand.
+            stands = self._pressing_us[contact.t_us, contact.first] < LEANS_US
             excused = any(
-                begin <= contact.t_us < end and contact.last_at_us < end + LEANS_US
+                begin <= contact.t_us < end and (stands or contact.last_at_us < end + LEANS_US)
                 for begin, end in spans
             )
             for_us = contact.last_at_us - contact.t_us
@@ -970,7 +1021,9 @@ class ScenarioJudge:
             return
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = RepeatedWorkChecker(self.setting.field.sections, ON_LINE_M)
-        for each in checker.repeated(tracks, self._told_at_us):
+        # A unit whose robots all forgot it may be worked once more.
+        known = {unit: at_us for unit, at_us in self._told_at_us.items() if self._knowing[unit]}
+        for each in checker.repeated(tracks, known):
             astray = any(
                 each.slot == slot
                 and each.begun_at_us < end_at_us

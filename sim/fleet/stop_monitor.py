@@ -197,7 +197,7 @@ class StopMonitor:
         if isinstance(order, EmergencyReset):
             self.cleared_at_us = self._now_us()
             self._never_said()
-            self._advance(EVERYBODY, Stage.PRESSED)
+            self._advance(EVERYBODY, Stage.PRESSED, order.slot)
         elif isinstance(order, OperatorCommand) and order.command == Command.MANUAL_RESET:
             self._unremembered()
             self._advance(order.target, Stage.CLEARED)
@@ -280,8 +280,11 @@ class StopMonitor:
         if self._stages.get(number, {}).pop(slot, None) is not None:
             self.checker.release(number, (slot,))
 
-    def _advance(self, target: int, at: Stage) -> None:
+    def _advance(self, target: int, at: Stage, by: int = NOBODY) -> None:
+        """`by`: only what this robot was pressed for, and stops of other devices."""
         for number, stages in list(self._stages.items()):
+            if by not in (NOBODY, self._by[number]) and self._by[number] != NOBODY:
+                continue
             for slot, stage in list(stages.items()):
                 if target not in (slot, EVERYBODY) or stage is not at:
                     continue

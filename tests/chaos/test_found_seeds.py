@@ -140,6 +140,10 @@ MENDED = {
     ("fixes", 115400127): "agent/peer/place_progress.py",
     # Wheels slipped, and each command beside a fence was the speed at which that moved the body.
     ("senses", 115900022): "agent/avoidance/fence_braking.py",
+    # A box fell before a robot, which stood at it until it was gone.
+    ("body", 116000005): "sim/chaos/scenario_judge.py",
+    # The robot that had worked units lost its disk, and the other one had been off meanwhile.
+    ("crash", 116000004): "sim/chaos/scenario_judge.py",
     # The implement of a body that was turned by 13 degrees came down where a unit begins.
     ("steered", 115900003): "agent/field/tractor_mission.py",
 }

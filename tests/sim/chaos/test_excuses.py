@@ -9,7 +9,7 @@ from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import load
 from sim.world.ground_truth import Contact
 
-COMES_S, MEETS_S, END_S = 6.0, 7.0, 9.0
+COMES_S, MEETS_S, END_S, LONG_S = 6.0, 7.0, 9.0, 11.5
 INTO_M = 0.3  # of one body into what it meets
 
 
@@ -54,13 +54,21 @@ def test_a_person_elsewhere_excuses_no_robot_that_touches_another(meets: str, br
     assert bool(told) is broken, told
 
 
-@pytest.mark.parametrize(("for_s", "broken"), [(1.0, False), (4.0, True)])
-def test_a_push_excuses_no_contact_that_goes_on_long_after_it(for_s: float, broken: bool) -> None:
-    """A contact that began within 3 s after a push was excused, however long it lasted."""
+@pytest.mark.parametrize(
+    ("for_s", "stands", "broken"), [(1.0, False, False), (4.0, False, True), (4.0, True, False)]
+)
+def test_a_push_excuses_no_robot_that_presses_on_something_long_after_it(
+    for_s: float, stands: bool, broken: bool
+) -> None:
+    """A contact that began within 3 s after a push was excused, however long it lasted. Then none was
+    that lasted longer, not even of a robot that stood at a box that had fallen before it (`body`
+    116000005)."""
     push = kinds.Pushed(at_s=COMES_S, kind="pushed", robot=0, dx_m=0.1, dy_m=0.0)
+    stop = kinds.Estop(at_s=MEETS_S, kind="estop", robot=0, reason="OPERATOR_INTERVENTION")
     scenario = load("yard").changed(2, 1)
-    run = scenario.run.model_copy(update={"time_limit_s": END_S})
-    judge = Carried(scenario.model_copy(update={"fault": [push], "run": run}))
+    run = scenario.run.model_copy(update={"time_limit_s": LONG_S})
+    faults = [push, stop] if stands else [push]
+    judge = Carried(scenario.model_copy(update={"fault": faults, "run": run}))
     judge.meets, judge.leans_for_s = "leans", for_s
     told = [each for each in judge.run().broken if each.rule == "S17"]
     assert judge.cluster.world.contacts, "nothing was touched"
