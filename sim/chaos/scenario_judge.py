@@ -472,13 +472,15 @@ class ScenarioJudge:
     def _place_jumps(self, slot: int, far_m: float, end_at_us: int) -> None:
         """S19: as without senses. A jump no longer than its way to standstill cannot be told from that
         way, if it begins while the robot has no place that it believes, or before it has moved since it
-        told its wheels to drive in vain. It believes none for a while after another jump, too."""
+        told its wheels to drive in vain, or while a person moves it against its wheels. It believes none
+        for a while after another jump, too."""
         now_us = self._now_us()
         self._far_m[slot] = far_m
         at, deaf_at = self.cluster.world.body(slot).position, self._deaf_at.get(slot)
         stands = deaf_at is not None and dist(at, deaf_at) < STOOD_M
         unsure = self._blind.get(slot) or now_us < self._unsure.get(slot, 0)
-        if far_m < UNSEEN_M and (stands or unsure):
+        held = now_us < self._by_hand.get(slot, 0)
+        if far_m < UNSEEN_M and (stands or unsure or held):
             self._vouched_for(slot)  # what it showed before does not show any more
             return
         self._shows(slot, end_at_us, self._sees_jump)

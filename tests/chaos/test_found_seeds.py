@@ -142,6 +142,8 @@ MENDED = {
     ("senses", 115900022): "agent/avoidance/fence_braking.py",
     # A box fell before a robot, which stood at it until it was gone.
     ("body", 116000005): "sim/chaos/scenario_judge.py",
+    # A place jumped on along the way that a robot was told to drive while a person held it back.
+    ("shapes", 116000023): "sim/chaos/scenario_judge.py",
     # The robot that had worked units lost its disk, and the other one had been off meanwhile.
     ("crash", 116000004): "sim/chaos/scenario_judge.py",
     # The implement of a body that was turned by 13 degrees came down where a unit begins.
