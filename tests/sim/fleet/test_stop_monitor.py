@@ -292,3 +292,26 @@ def test_a_second_press_that_sends_no_frame_of_its_own_is_not_waited_for() -> No
     assert not watch.waits
     watch.pressed(STOP_SPACING_US, (0, 1), by=1)
     assert watch.unsent == {1}
+
+
+def test_s1_a_reset_of_one_robots_stop_leaves_that_of_another_in_force() -> None:
+    """It was taken for one of every stop, so a robot that drove on after it was not seen."""
+
+    async def story(cluster: Cluster) -> None:
+        cluster.press(1)
+        cluster.press(2)
+        await elapse(1.0)
+        active = cluster.robots[0].peer.safety.stops.active
+        assert {dot.slot for dot in active} == {1, 2}
+        for dot in active:
+            if dot.slot == 1:
+                cluster.order(EmergencyReset(*dot, OPERATOR))
+        await elapse(0.2)
+        order(cluster, Command.MANUAL_RESET)
+        await elapse(1.0)
+        order(cluster, Command.START)
+        await elapse(1.0)
+        await misdrive(cluster, 0)
+
+    found = play(story).stops.violations
+    assert found and {violation.slots for violation in found} == {(0,)}
