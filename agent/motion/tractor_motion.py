@@ -61,7 +61,10 @@ class TractorMotion(HolonomicMotion):
         ay, bx, by in metres. `half_bar_m`, `overlap_m`: see `HolonomicMotion`. `wheels`: of our
         chassis; they are told here what is commanded. `turns_on_the_spot`: it can.
         """
-        super().__init__(slot, limits, np.empty((0, 4)), half_bar_m=half_bar_m, overlap_m=overlap_m)
+        # A body that cannot swerve stops behind another one that halts in its way.
+        super().__init__(
+            slot, limits, np.empty((0, 4)), stops=True, half_bar_m=half_bar_m, overlap_m=overlap_m
+        )
         self.lookout = ObstacleDetector(
             limits.radius_m, limits.acceleration_m_s2, fences, self.coasting
         )

@@ -140,6 +140,8 @@ MENDED = {
     ("fixes", 115400127): "agent/peer/place_progress.py",
     # Wheels slipped, and each command beside a fence was the speed at which that moved the body.
     ("senses", 115900022): "agent/avoidance/fence_braking.py",
+    # A tractor braked for one that came at full speed, and stood in its way.
+    ("steered", 116000006): "agent/motion/tractor_motion.py",
     # A box fell before a robot, which stood at it until it was gone.
     ("body", 116000005): "sim/chaos/scenario_judge.py",
     # A place jumped on along the way that a robot was told to drive while a person held it back.

@@ -60,6 +60,21 @@ def test_they_never_touch(angle_deg: int, offset_m: float, seed: int) -> None:
     assert closest_m > 2 * RADIUS_M, f"seed {seed}"
 
 
+def test_m26_one_that_may_halt_where_it_crosses_is_braked_for() -> None:
+    """Found by `steered` 116000006: a tractor drove on at 2.5 m/s because the one that crossed its way
+    would have been gone in time. That one braked for it, and stood in its way."""
+    motion = TractorMotion(0, BODY, TURNS, STEERING, np.empty((0, 4)))
+    here = Observation(0.0, 0.0, pi / 2, 0.0, 2.5)
+    for dx_m, dy_m in ((1.08, 2.22), (1.2, 2.6), (1.4, 2.0)):
+        beat = Beat(dx_m, dy_m, atan2(0.54, 1.25), hypot(1.25, 0.54), State.WORKING, False, 0)
+        drive = motion.drive(here, MotionRequest(0.0, 2.5, 0.0, True), {1: Neighbour(beat, 0)}, 0)
+        assert drive.vy_m_s < 1.5, (dx_m, dy_m)
+    # One that is far enough away is not.
+    beat = Beat(3.5, 6.0, 0.0, 1.25, State.WORKING, False, 0)
+    drive = motion.drive(here, MotionRequest(0.0, 2.5, 0.0, True), {1: Neighbour(beat, 0)}, 0)
+    assert drive.vy_m_s == 2.5
+
+
 def test_nose_to_nose_the_higher_slot_gives_way() -> None:
     _, _, motions = meet(pi, 0.0, 1)
     assert motions[1].given >= 1 and motions[0].given == 0
