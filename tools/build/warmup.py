@@ -310,10 +310,8 @@ def main(jobs: int, as_json: bool = False) -> int:
     console, begun_s = Console(stderr=as_json), time.perf_counter()
     spent: dict[str, float] = {}
     numbers = range(len(PARTS))
-    # Those behind it leave Ctrl-C to the one in front, which ends them.
-    leave = signal.signal, (signal.SIGINT, signal.SIG_IGN)
     with (
-        Pool(min(jobs or os.cpu_count() or 1, len(PARTS)), *leave) as pool,
+        Pool(min(jobs or os.cpu_count() or 1, len(PARTS)), _leave_signals) as pool,
         console.status("compiling ..."),
     ):
         for name, spent_s in pool.imap_unordered(_compiled, numbers):
@@ -326,6 +324,15 @@ def main(jobs: int, as_json: bool = False) -> int:
     if as_json:
         print(dumps({"spent_s": spent, "total_s": round(total_s, 1)}))
     return 0
+
+
+def _leave_signals() -> None:
+    """Called in a worker: it leaves Ctrl-C to the process in front, which ends it by SIGTERM.
+
+    The handler of a command is not kept: Python runs it between two instructions, so a worker that had
+    just begun to wait for a lock would not end, and the command neither."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _compiled(number: int) -> tuple[str, float]:

@@ -1,13 +1,16 @@
 """`headland warmup` leaves no kernel for the first minute in the field."""
 
+import signal
 import subprocess
 import sys
 from functools import partial
+from multiprocessing import Pool
 
 import pytest
 
 from tools.build import warmup
 from tools.build.warmup import FIELD_BESIDE, FIELD_HERE, FIELD_LATER, PARTS
+from tools.cli.one_line_errors import terminated_as_interrupted
 
 CHECK = """
 import importlib, pkgutil
@@ -87,3 +90,11 @@ def test_a_launch_compiles_what_it_needs_and_says_how_far_it_is(
         assert set(done[at + 1 :]) == set(beside) and not {*done[:at]} & {*beside}
     warmup.warm(steering=True, delivering=True)
     assert {"turns", "delivery"} <= {*done}
+
+
+def test_workers_that_compile_end_by_the_signal_of_their_pool() -> None:
+    """`headland compile --kernels` hung once: a worker kept the command's own
+    handler, got the signal just as it began to wait for a lock, and waited on."""
+    with terminated_as_interrupted(), Pool(1, warmup._leave_signals) as pool:
+        assert pool.apply(signal.getsignal, (signal.SIGTERM,)) == signal.SIG_DFL
+        assert pool.apply(signal.getsignal, (signal.SIGINT,)) == signal.SIG_IGN
