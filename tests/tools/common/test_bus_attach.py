@@ -259,3 +259,33 @@ def test_the_limit_of_an_attachment_ends_with_it() -> None:
         with pytest.raises(AttachError, match="does not answer"):
             attach("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port)
     assert socket.getdefaulttimeout() is None
+
+
+class Busy(Hanging):
+    """A server whose last answer is read with the first frame, by all clients before this one."""
+
+    together = 3  # the first one is that of the greeting
+
+    def answer(self, client: socket.socket) -> None:
+        last = (
+            b"< ok >< frame 18FF1080 1.000000 00 >"
+            if len(self.taken) <= self.together
+            else b"< ok >"
+        )
+        self.words = b"< hi >", b"< ok >", last
+        super().answer(client)
+
+
+def test_an_answer_that_is_read_with_a_frame_is_asked_for_again() -> None:
+    """`headland release` ended with 2 on a busy machine: python-can expects the answer alone."""
+
+    async def story() -> None:
+        attach("socketcand", CHANNEL, 250_000, "127.0.0.1", hub.port).close()
+
+    with Busy() as hub:
+        asyncio.run(story())
+        assert len(hub.taken) == Busy.together + 1
+    always = Busy()
+    always.together = 100
+    with always as hub, pytest.raises(AttachError, match="Expected '< ok >'"):
+        asyncio.run(story())
