@@ -189,7 +189,7 @@ class ScenarioJudge:
         self._comes: list[tuple[int, int]] = []
         # For how long robots were told to drive in a contact that went on after its excuse, microseconds;
         # by its beginning and its first robot.
-        self._pressing_us: Counter[tuple[int, int]] = Counter()
+        self._pressing_for_us: Counter[tuple[int, int]] = Counter()
         self._looks_at_contacts = False
         self._sees_wrong: list[
             tuple[int, int, int]
@@ -618,7 +618,7 @@ class ScenarioJudge:
             slots = (contact.first, contact.second)
             told = [world.robots[slot].commanded(now_us) for slot in slots if slot is not None]
             if any(drive.vx_m_s or drive.vy_m_s for drive in told):
-                self._pressing_us[contact.t_us, contact.first] += CONTROL_PERIOD_US
+                self._pressing_for_us[contact.t_us, contact.first] += CONTROL_PERIOD_US
         self._looks_at_contacts = bool(touching)
         if touching:
             self._at(now_us + CONTROL_PERIOD_US, self._look_at_contacts)
@@ -966,7 +966,7 @@ class ScenarioJudge:
                 spans += self._comes
             # A contact that goes on after its excuse is over is one like any other, unless the robots
             # in it stand.
-            stands = self._pressing_us[contact.t_us, contact.first] < LEANS_US
+            stands = self._pressing_for_us[contact.t_us, contact.first] < LEANS_US
             excused = any(
                 begin <= contact.t_us < end and (stands or contact.last_at_us < end + LEANS_US)
                 for begin, end in spans

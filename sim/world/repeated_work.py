@@ -60,12 +60,12 @@ class RepeatedWorkChecker:
         edges = np.flatnonzero(np.diff(down, prepend=False, append=False)).tolist()
         for begin, end in zip(edges[::2], edges[1::2], strict=True):
             worked_at_us = self.truth.worked_at_us(points[begin : end + 1])
-            times_us: dict[Unit, list[int]] = {}
+            passed_at_us: dict[Unit, list[int]] = {}
             for sample in np.flatnonzero(worked_at_us != NEVER_US).tolist():
-                times_us.setdefault(self.unit_of[sample], []).append(int(worked_at_us[sample]))
+                passed_at_us.setdefault(self.unit_of[sample], []).append(int(worked_at_us[sample]))
             found += [
                 Pass(unit, slot, min(at_us), max(at_us))
-                for unit, at_us in times_us.items()
+                for unit, at_us in passed_at_us.items()
                 if len(at_us) == self.samples_of[unit]
             ]
         return found

@@ -174,8 +174,6 @@ def test_what_a_person_can_get_wrong_is_one_line(
     assert capsys.readouterr().err.count("\n") == 1
 
 
-@pytest.mark.slow
-@needs_browser
 def test_a_folder_with_brackets_in_its_name_can_be_read() -> None:
     """They were read as marks of a style, and a folder `a[/b]` ended the command with a traceback."""
     with _reading(Path("a[/b]"), True):
@@ -184,6 +182,8 @@ def test_a_folder_with_brackets_in_its_name_can_be_read() -> None:
         _read(Path("nowhere[/b]"))
 
 
+@pytest.mark.slow
+@needs_browser
 def test_a_recording_is_looked_through(shown: str) -> None:
     with browser() as page:
         page.get(shown)
