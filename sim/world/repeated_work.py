@@ -43,13 +43,12 @@ class RepeatedWorkChecker:
                 lines.append(swath)
                 parts.append((section.id, first, units))
         self.truth = LineTruth(lines, tolerance_m)
-        samples, line_of = self.truth.samples[:, :2], self.truth.line_of
-        self.unit_of: list[Unit] = [(0, 0)] * len(line_of)  # of each sample
-        for number, (section_id, first, units) in enumerate(parts):
-            mine = np.flatnonzero(line_of == number)
-            shares = _shares(lines[number], samples[mine])
-            for sample, share in zip(mine.tolist(), shares, strict=True):
-                self.unit_of[sample] = section_id, first + min(int(share * units), units - 1)
+        self.unit_of: list[Unit] = []  # of each sample
+        for line, share in zip(
+            self.truth.line_of.tolist(), self.truth.share_of.tolist(), strict=True
+        ):
+            section_id, first, units = parts[line]
+            self.unit_of.append((section_id, first + min(int(share * units), units - 1)))
         self.samples_of = Counter(self.unit_of)
 
     def passes(self, slot: int, track: Track) -> list[Pass]:
@@ -84,22 +83,3 @@ class RepeatedWorkChecker:
             ),
             key=lambda each: each.begun_at_us,
         )
-
-
-def _shares(line: Polyline, samples: np.ndarray) -> list[float]:
-    """How much of the line lies before each of its samples, (n, 2) in metres: 0 to 1."""
-    points = np.asarray(line, dtype=np.float64)
-    steps = np.diff(points, axis=0)
-    lengths_m = np.hypot(steps[:, 0], steps[:, 1])
-    starts_m = np.concatenate([[0.0], np.cumsum(lengths_m)])
-    shares = []
-    for sample in samples:
-        rel = sample - points[:-1]
-        along_m = (rel * steps).sum(axis=1) / np.maximum(lengths_m, 1e-12)
-        aside_m = np.abs(rel[:, 0] * steps[:, 1] - rel[:, 1] * steps[:, 0]) / np.maximum(
-            lengths_m, 1e-12
-        )
-        outside_m = np.maximum(np.maximum(-along_m, along_m - lengths_m), 0.0)
-        piece = int(np.argmin(aside_m + outside_m))
-        shares.append(float((starts_m[piece] + along_m[piece]) / starts_m[-1]))
-    return shares

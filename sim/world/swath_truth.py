@@ -18,6 +18,7 @@ from sim.world.ground_truth import Track, TrackPoint
 Polyline = Sequence[tuple[float, float]]
 
 SAMPLE_M = 0.25
+COLUMNS = 6  # of a sample
 ALONG_COS = 0.866  # 30 degrees: along the line, not across it
 NEVER_US = np.iinfo(np.int64).max
 
@@ -29,18 +30,21 @@ class LineTruth:
     def __init__(self, lines: Sequence[Polyline], tolerance_m: float) -> None:
         self.tolerance_m = tolerance_m
         pieces = [_samples(number, line) for number, line in enumerate(lines)]
-        table = np.vstack([np.empty((0, 5)), *pieces])
+        table = np.vstack([np.empty((0, COLUMNS)), *pieces])
         low = table[:, :2].min(axis=0, initial=np.inf)
         side_m = max(1.0, 2 * tolerance_m)
         cells = ((table[:, :2] - low) / side_m).astype(np.int64)
         self._shape = (int(cells[:, 1].max(initial=0)) + 1, int(cells[:, 0].max(initial=0)) + 1)
         bucket = cells @ np.array([1, self._shape[1]])
         order = np.argsort(bucket, kind="stable")
-        self._table = table[order]  # x, y, course, line
+        self._table = table[order]  # x, y, course, line, share
         buckets = self._shape[0] * self._shape[1]
         self._begins = np.searchsorted(bucket[order], np.arange(buckets + 1))
         self._place = np.array([*low, side_m])
         self.line_of: NDArray[np.int64] = self._table[:, 4].astype(np.int64)
+        self.share_of: Floats = self._table[
+            :, 5
+        ]  # of its line that lies before each sample, 0 to 1
 
     @property
     def samples(self) -> Floats:
@@ -61,8 +65,9 @@ class LineTruth:
 
 
 def _samples(number: int, line: Polyline) -> Floats:
-    """(n, 5): x, y, unit vector along the line, number of the line."""
-    rows = [np.empty((0, 5))]
+    """(n, 6): x, y, unit vector along the line, number of the line, share of it before the sample."""
+    rows, before_m = [np.empty((0, COLUMNS))], 0.0
+    total_m = sum(hypot(b[0] - a[0], b[1] - a[1]) for a, b in pairwise(line))
     for a, b in pairwise(line):
         dx, dy = b[0] - a[0], b[1] - a[1]
         length_m = hypot(dx, dy)
@@ -70,9 +75,11 @@ def _samples(number: int, line: Polyline) -> Floats:
             continue
         count = ceil(length_m / SAMPLE_M)
         part = (np.arange(count) + 0.5) / count
-        piece = np.empty((count, 5))
+        piece = np.empty((count, COLUMNS))
         piece[:, 0], piece[:, 1] = a[0] + part * dx, a[1] + part * dy
-        piece[:, 2:] = dx / length_m, dy / length_m, number
+        piece[:, 2:5] = dx / length_m, dy / length_m, number
+        piece[:, 5] = (before_m + part * length_m) / total_m
+        before_m += length_m
         rows.append(piece)
     return np.vstack(rows)
 
