@@ -7,8 +7,9 @@ scenario: it can be printed, edited, shrunk and run again.
 
 from math import hypot
 from random import Random
-from typing import NamedTuple
+from typing import NamedTuple, TypeGuard
 
+from agent.peer.place_jumps import POSITION_ACCURACY_M
 from sim.chaos.fault_generators import CLUSTERS, DRAWS, before_revocation
 from sim.fleet.fault_injector import PUSHED_M_S
 from sim.scenarios import scenario as kinds
@@ -368,9 +369,17 @@ def _unseen(jump: kinds.Jumped, drawn: list[Fault]) -> bool:
     return any(
         each.at_s <= at_s <= each.at_s + getattr(each, "for_s", 0.0) + BRAKING_S
         for each in drawn
-        if isinstance(each, UNSEEING) and each.robot == jump.robot and each is not jump
+        if isinstance(each, UNSEEING) or _hides_jumps(each)
+        if each.robot == jump.robot and each is not jump
         for at_s in (jump.at_s, jump.at_s + jump.for_s)
     )
+
+
+def _hides_jumps(fault: Fault) -> TypeGuard[kinds.Drifting]:
+    """Whether a place drifts so far that its robot compares no such place with the one before."""
+    if not isinstance(fault, kinds.Drifting):
+        return False
+    return hypot(fault.vx_m_s, fault.vy_m_s) * fault.for_s > POSITION_ACCURACY_M
 
 
 def _believed(jump: kinds.Jumped, drawn: list[Fault]) -> bool:

@@ -150,6 +150,8 @@ MENDED = {
     ("crash", 116000004): "sim/chaos/scenario_judge.py",
     # The implement of a body that was turned by 13 degrees came down where a unit begins.
     ("steered", 115900003): "agent/field/tractor_mission.py",
+    # A place jumped by less than a body brakes while it drifted by more than its robot compares.
+    ("senses", 116200035): "sim/chaos/fault_profiles.py",
 }
 
 
