@@ -723,7 +723,8 @@ class ScenarioJudge:
         return calm and self._one_bus and not lossy
 
     def _note_units(self) -> None:
-        """Once a second in a field: the units that robots have told since."""
+        """Once a second in a field, and before a robot dies or starts: robots that are up know the units
+        that were told since."""
         now_us, up = self.cluster.host.now_us(), {robot.slot for robot in self.cluster.running}
         for unit in _units(self.witness.words.units):
             if unit not in self._told_at_us:
@@ -779,6 +780,7 @@ class ScenarioJudge:
             hung_at_us = cluster.acquaintance.hang_began_at_us(slot, now_us)
             self._off_at_us[slot] = now_us if hung_at_us is None else hung_at_us
         self._trouble_at_us = now_us
+        self._note_units()
         own = self.witness.words.speakers[slot].own_progress  # units of others are on no disk
         self._forgets_units(slot, set(_units(own)))
         self._lapses(slot)
@@ -824,6 +826,7 @@ class ScenarioJudge:
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
         self._part(self._cut_ends_at_us)
         self._at(now_us + EXCHANGED_US, partial(self._learns_units, slot))
+        self._note_units()
         journal = self.cluster.journals[slot]
         recalled = journal.load()
         if LOST in recalled and not (isinstance(journal, LogJournal) and journal.restored):
@@ -848,6 +851,7 @@ class ScenarioJudge:
     def _reads(self, slot: int) -> None:
         """It has read its disk, and has received no frame yet."""
         peer = self.cluster.robots[slot].peer
+        self._forgets_units(slot, {unit for unit in self._knowing if peer.progress.has(*unit)})
         told = self.witness.told[slot]
         missing = unknown(told, peer.allocation, peer.progress, self._worked)
         if missing:

@@ -152,6 +152,8 @@ MENDED = {
     ("steered", 115900003): "agent/field/tractor_mission.py",
     # A place jumped by less than a body brakes while it drifted by more than its robot compares.
     ("senses", 116200035): "sim/chaos/fault_profiles.py",
+    # A robot told units just before it died, and the only other one that knew them died next.
+    ("crash", 116200154): "sim/chaos/scenario_judge.py",
 }
 
 
