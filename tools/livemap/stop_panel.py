@@ -35,6 +35,7 @@ def not_confirmed(answer: Mapping[str, Any]) -> str:
     """Who has not confirmed, by the answer of a panel to a press or a release; empty if all have."""
     missing = [f"robot {slot}" for slot in answer["late"]]
     missing += [f"address {address}" for address in answer.get("unnamed", ())]
+    missing += [f"robot {slot} (not heard)" for slot in answer.get("silent", ())]
     return ", ".join(missing)
 
 
@@ -115,7 +116,8 @@ class Panel:
 
     async def release(self, keyless: bool, reset: bool, start: bool) -> dict[str, Any]:
         """Clear the stops and reset each machine, and start: both or one of them. `late` of the answer
-        has robots that are still latched; where all are `released`, those that did not start.
+        has robots that are still latched; where all are `released`, those that did not start. `silent`
+        has robots that were there and are not heard: what they do is unknown.
 
         `keyless`: the person says that the fleet has no keys. Raises PanelError.
         """
@@ -140,6 +142,7 @@ class Panel:
         except AttachError as problem:
             raise PanelError(str(problem)) from None
         operator = Operator(self.bus, keyring, self.stopper.device)
+        operator.expect(robot.slot for robot in self.stopper.members)
         operator.shown.ask()
         self._listeners.append(operator)
         try:
@@ -159,6 +162,7 @@ class Panel:
         return {
             "cleared": [".".join(map(str, d)) for d in shown if d not in still] if reset else [],
             "late": latched or unstarted, "heard": bool(operator.live), "signed": keyring is not None,
+            "silent": [robot.slot for robot in operator.silent],
             "released": not latched, "started": starts and not unstarted,
         }  # fmt: skip
 

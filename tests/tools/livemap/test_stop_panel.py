@@ -159,6 +159,23 @@ def test_robots_that_do_not_start_after_a_release_are_not_said_to_be_started() -
     run_virtual(story())
 
 
+def test_a_robot_that_is_not_heard_at_a_release_is_named() -> None:
+    """The page said "released", while a robot that had been there stood behind a broken cable with its
+    stop."""
+
+    async def story() -> None:
+        robots = Robots()
+        robots.panel.stopper.expect([3])
+        await robots.run(1.0)
+        done = asyncio.create_task(robots.panel.release(keyless=True, reset=True, start=True))
+        await robots.run(CONFIRM_S)
+        answer = await done
+        assert answer["released"] and answer["started"] and answer["silent"] == [3]
+        assert not_confirmed(answer) == "robot 3 (not heard)"
+
+    run_virtual(story())
+
+
 @pytest.mark.parametrize("ago_s", [0.5, 60.0])
 def test_a_press_does_not_wait_for_an_address_that_is_long_gone(ago_s: float) -> None:
     """A robot that fell silent before it had said who it is made every later press of that map last ten

@@ -328,7 +328,8 @@ async function release() {
     if (!answer.heard || answer.late.length)
       return say(answer.heard ? `not ${answer.released ? "started" : "released"}: ${answer.late.join(" ")}` : "no robot was heard");
     if (order === what) $("release").close();
-    say(what === "start" ? "started" : answer.started ? "released and started" : "released, not started");
+    const silent = answer.silent.length ? `; NOT HEARD: ${answer.silent.join(" ")}` : "";
+    say((what === "start" ? "started" : answer.started ? "released and started" : "released, not started") + silent);
   } catch {
     say("the map's server does not answer");
   }
