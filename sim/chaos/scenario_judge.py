@@ -5,7 +5,7 @@ restart before it has received any frame (S13).
 """
 
 from collections import Counter
-from collections.abc import Callable, Container, Iterator, Mapping
+from collections.abc import Callable
 from functools import partial
 from math import dist, hypot
 from operator import attrgetter
@@ -22,7 +22,6 @@ from agent.peer.journal_recovery import LOST, remembers
 from agent.peer.place_jumps import AGE_MAX_US
 from agent.peer.sense_freshness import STEADY_US
 from agent.runtime import peer_runner
-from crdt.progress import BLOCK_UNITS
 from protocol.address import RETRY_MAX_US
 from protocol.frames.frame import Frame
 from protocol.frames.messages import GROUP_OF
@@ -31,6 +30,7 @@ from sim.chaos.durability_rules import STANDS, Worked, lost, unknown
 from sim.chaos.effect_observer import EffectObserver
 from sim.chaos.fault_profiles import UNSEEN_M, is_link_trouble, span_of
 from sim.chaos.protocol_rules import NEVER_US, RuleViolation
+from sim.chaos.unit_knowledge import UnitKnowledge, units_of
 from sim.fleet.event_loop import EventLoop
 from sim.fleet.fault_injector import PUSHED_M_S
 from sim.fleet.outcome import FieldOutcome
@@ -49,7 +49,7 @@ from sim.world.contacts import THING, TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
 from sim.world.implement_contacts import things_under_bars, was_there
 from sim.world.protocol_world import ProtocolWorld
-from sim.world.repeated_work import RepeatedWorkChecker, Unit
+from sim.world.repeated_work import RepeatedWorkChecker
 from sim.world.walls import AT_X, AT_Y, HALF_X, HALF_Y
 from sim.world.world import World
 
@@ -103,14 +103,6 @@ ON_LINE_M = 0.2
 # (a stopping distance of 3 m, and two bodies beside it), and half an implement.
 DEAD_M = 12.0
 UNNOTICED_M = 0.3  # two control periods at full speed
-
-
-def _units(blocks: Mapping[tuple[int, int], int]) -> Iterator[Unit]:
-    """The units of these blocks, each with the bits of its units."""
-    for (section, block), bits in blocks.items():
-        yield from (
-            (section, block * BLOCK_UNITS + k) for k in range(bits.bit_length()) if bits >> k & 1
-        )
 
 
 def _outranks_claims(babble: kinds.Babble) -> bool:
@@ -194,11 +186,7 @@ class ScenarioJudge:
         self._sees_wrong: list[
             tuple[int, int, int]
         ] = []  # the same of its senses and its implement
-        self._told_at_us: dict[Unit, int] = {}  # when each unit was told first, to a second
-        # Robots that know each of these units: from frames, or because their own disk has it.
-        self._knowing: dict[Unit, set[int]] = {}
-        # (begin, end) of troubles of links and members, until all robots know again what all know.
-        self._apart: list[tuple[int, int]] = []
+        self._units = UnitKnowledge(EXCHANGED_US)
 
     def run(self) -> "ScenarioJudge":
         """Play the scenario to its end, or to the first violation with `first_only`, and judge what
@@ -388,7 +376,7 @@ class ScenarioJudge:
     def _troubled(self, end_at_us: int) -> None:
         self._trouble_at_us = self.cluster.host.now_us()
         self._cut_ends_at_us = max(self._cut_ends_at_us, end_at_us)
-        self._part(end_at_us)
+        self._units.parts(self.cluster.host.now_us(), end_at_us)
         if end_at_us:
             self._interrupted()
         for slot in list(self._silences):
@@ -725,27 +713,13 @@ class ScenarioJudge:
     def _note_units(self) -> None:
         """Once a second in a field, and before a robot dies or starts: robots that are up know the units
         that were told since."""
-        now_us, up = self.cluster.host.now_us(), {robot.slot for robot in self.cluster.running}
-        for unit in _units(self.witness.words.units):
-            if unit not in self._told_at_us:
-                self._told_at_us[unit], self._knowing[unit] = now_us, set(up)
-
-    def _forgets_units(self, slot: int, but: Container[Unit] = ()) -> None:
-        """It is off, or boots with another memory, and knows only the units `but`."""
-        for unit, knowing in self._knowing.items():
-            if unit not in but:
-                knowing.discard(slot)
+        up = [robot.slot for robot in self.cluster.running]
+        self._units.told(units_of(self.witness.words.units), up, self.cluster.host.now_us())
 
     def _learns_units(self, slot: int) -> None:
-        """It has heard the others for long enough."""
-        for knowing in self._knowing.values() if self.cluster.is_up(slot) else ():
-            if knowing:
-                knowing.add(slot)
-
-    def _part(self, end_at_us: int) -> None:
-        """Robots may be unable to hear each other until then, and exchange what they know after it."""
-        now_us = self.cluster.host.now_us()
-        self._apart.append((now_us, max(now_us, end_at_us) + EXCHANGED_US))
+        """It has heard the others for long enough, if it is still up."""
+        if self.cluster.is_up(slot):
+            self._units.learns(slot)
 
     def _hear_all(self) -> None:
         """Once a second in a field under another policy than `stop`."""
@@ -782,7 +756,7 @@ class ScenarioJudge:
         self._trouble_at_us = now_us
         self._note_units()
         own = self.witness.words.speakers[slot].own_progress  # units of others are on no disk
-        self._forgets_units(slot, set(_units(own)))
+        self._units.forgets(slot, set(units_of(own)))
         self._lapses(slot)
 
     def _lapses(self, slot: int) -> None:
@@ -824,7 +798,7 @@ class ScenarioJudge:
             self._at(now_us, partial(self._loses_senses, slot, self._blind_ends_at_us[slot]))
         self._trouble_at_us = now_us
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
-        self._part(self._cut_ends_at_us)
+        self._units.parts(now_us, self._cut_ends_at_us)
         self._at(now_us + EXCHANGED_US, partial(self._learns_units, slot))
         self._note_units()
         journal = self.cluster.journals[slot]
@@ -833,7 +807,7 @@ class ScenarioJudge:
             self._add("S13", now_us / 1e6, f"robot {slot} has lost what it had written")
         self._knows_no_silence(slot, remembers(recalled))
         if not remembers(recalled):
-            self._forgets_units(slot)
+            self._units.forgets(slot)
             self.cluster.stops.forgets(slot)
             self.witness.forget(slot)
             return
@@ -851,7 +825,8 @@ class ScenarioJudge:
     def _reads(self, slot: int) -> None:
         """It has read its disk, and has received no frame yet."""
         peer = self.cluster.robots[slot].peer
-        self._forgets_units(slot, {unit for unit in self._knowing if peer.progress.has(*unit)})
+        known = self._units.known_at_us
+        self._units.forgets(slot, {unit for unit in known if peer.progress.has(*unit)})
         told = self.witness.told[slot]
         missing = unknown(told, peer.allocation, peer.progress, self._worked)
         if missing:
@@ -1027,17 +1002,14 @@ class ScenarioJudge:
             return
         tracks = {slot: body.track for slot, body in world.robots.items()}
         checker = RepeatedWorkChecker(self.setting.field.sections, ON_LINE_M)
-        # A unit whose robots all forgot it may be worked once more.
-        known = {unit: at_us for unit, at_us in self._told_at_us.items() if self._knowing[unit]}
-        for each in checker.repeated(tracks, known):
+        for each in checker.repeated(tracks, self._units.known_at_us):
             astray = any(
                 each.slot == slot
                 and each.begun_at_us < end_at_us
                 and begin_at_us < each.ended_at_us
                 for slot, begin_at_us, end_at_us in (*self._excused, *self._sees_wrong)
             )
-            apart = any(begin_at_us <= each.begun_at_us < end for begin_at_us, end in self._apart)
-            if not (astray or apart):
+            if not (astray or self._units.is_apart(each.begun_at_us)):
                 section, unit = each.unit
                 what = f"robot {each.slot} works unit {unit} of S{section}, which was told before"
                 self._add("S24", each.begun_at_us / 1e6, what)

@@ -1,0 +1,61 @@
+"""Which robots know of worked units, seen from outside.
+
+A robot knows what was told while it was up, and what its disk has. S24 (`sim/world/repeated_work.py`)
+needs it: a unit that every robot forgot may be worked once more, and so may any unit while robots
+cannot hear each other.
+"""
+
+from collections.abc import Container, Iterable, Iterator, Mapping
+
+from crdt.progress import BLOCK_UNITS
+from sim.world.repeated_work import Unit
+
+
+def units_of(blocks: Mapping[tuple[int, int], int]) -> Iterator[Unit]:
+    """The units of these blocks, (section, block) -> bits of its units."""
+    for (section, block), bits in blocks.items():
+        yield from (
+            (section, block * BLOCK_UNITS + k) for k in range(bits.bit_length()) if bits >> k & 1
+        )
+
+
+class UnitKnowledge:
+    """The units that were told in one run, and the robots that know each of them."""
+
+    def __init__(self, exchanged_for_us: int) -> None:
+        """`exchanged_for_us`: this long after a trouble all robots know again what one of them knows."""
+        self.exchanged_for_us = exchanged_for_us
+        self._told_at_us: dict[Unit, int] = {}  # when each unit was told first, to a second
+        self._knowing: dict[Unit, set[int]] = {}
+        self._apart: list[tuple[int, int]] = []  # begins and ends of troubles of links and members
+
+    def told(self, units: Iterable[Unit], up: Iterable[int], now_us: int) -> None:
+        """These units have been told until now; the robots that are `up` know those that are new."""
+        for unit in units:
+            if unit not in self._told_at_us:
+                self._told_at_us[unit], self._knowing[unit] = now_us, set(up)
+
+    def forgets(self, slot: int, but: Container[Unit] = ()) -> None:
+        """It is off, or boots with another memory, and knows only the units `but`."""
+        for unit, knowing in self._knowing.items():
+            if unit not in but:
+                knowing.discard(slot)
+
+    def learns(self, slot: int) -> None:
+        """It has heard the others for long enough."""
+        for knowing in self._knowing.values():
+            if knowing:
+                knowing.add(slot)
+
+    def parts(self, now_us: int, end_at_us: int) -> None:
+        """Robots may be unable to hear each other until then, and exchange what they know after it."""
+        self._apart.append((now_us, max(now_us, end_at_us) + self.exchanged_for_us))
+
+    @property
+    def known_at_us(self) -> Mapping[Unit, int]:
+        """When each unit was told first that a robot still knows."""
+        return {unit: at_us for unit, at_us in self._told_at_us.items() if self._knowing[unit]}
+
+    def is_apart(self, at_us: int) -> bool:
+        """Whether some robots may not know then what others know."""
+        return any(begin_at_us <= at_us < end_at_us for begin_at_us, end_at_us in self._apart)
