@@ -376,7 +376,7 @@ class ScenarioJudge:
     def _troubled(self, end_at_us: int) -> None:
         self._trouble_at_us = self.cluster.host.now_us()
         self._cut_ends_at_us = max(self._cut_ends_at_us, end_at_us)
-        self._units.parts(self.cluster.host.now_us(), end_at_us)
+        self._part(end_at_us)
         if end_at_us:
             self._interrupted()
         for slot in list(self._silences):
@@ -713,13 +713,18 @@ class ScenarioJudge:
     def _note_units(self) -> None:
         """Once a second in a field, and before a robot dies or starts: robots that are up know the units
         that were told since."""
+        speakers = self.witness.words.speakers
         up = [robot.slot for robot in self.cluster.running]
-        self._units.told(units_of(self.witness.words.units), up, self.cluster.host.now_us())
+        own = {slot: units_of(speakers[slot].own_progress) for slot in up}
+        self._units.told(own, self.cluster.host.now_us())
 
-    def _learns_units(self, slot: int) -> None:
-        """It has heard the others for long enough, if it is still up."""
-        if self.cluster.is_up(slot):
-            self._units.learns(slot)
+    def _part(self, end_at_us: int) -> None:
+        """Robots may be unable to hear each other until then."""
+        self._at(self._units.parts(self.cluster.host.now_us(), end_at_us), self._exchange_units)
+
+    def _exchange_units(self) -> None:
+        up = [robot.slot for robot in self.cluster.running]
+        self._units.exchanged(up, self.cluster.host.now_us())
 
     def _hear_all(self) -> None:
         """Once a second in a field under another policy than `stop`."""
@@ -798,8 +803,7 @@ class ScenarioJudge:
             self._at(now_us, partial(self._loses_senses, slot, self._blind_ends_at_us[slot]))
         self._trouble_at_us = now_us
         self._cut_ends_at_us = max(self._cut_ends_at_us, now_us + SETTLED_US)
-        self._units.parts(now_us, self._cut_ends_at_us)
-        self._at(now_us + EXCHANGED_US, partial(self._learns_units, slot))
+        self._part(self._cut_ends_at_us)
         self._note_units()
         journal = self.cluster.journals[slot]
         recalled = journal.load()

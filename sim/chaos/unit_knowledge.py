@@ -29,11 +29,16 @@ class UnitKnowledge:
         self._knowing: dict[Unit, set[int]] = {}
         self._apart: list[tuple[int, int]] = []  # begins and ends of troubles of links and members
 
-    def told(self, units: Iterable[Unit], up: Iterable[int], now_us: int) -> None:
-        """These units have been told until now; the robots that are `up` know those that are new."""
-        for unit in units:
-            if unit not in self._told_at_us:
-                self._told_at_us[unit], self._knowing[unit] = now_us, set(up)
+    def told(self, by: Mapping[int, Iterable[Unit]], now_us: int) -> None:
+        """Robots that are up, and the units that each of them has told as its own until now.
+
+        All of them know a new one, or those alone that tell it, while some may not hear the others."""
+        apart = self.is_apart(now_us)
+        for slot, units in by.items():
+            for unit in units:
+                if unit not in self._told_at_us:
+                    self._told_at_us[unit], self._knowing[unit] = now_us, set(() if apart else by)
+                    self._knowing[unit].add(slot)
 
     def forgets(self, slot: int, but: Container[Unit] = ()) -> None:
         """It is off, or boots with another memory, and knows only the units `but`."""
@@ -41,15 +46,21 @@ class UnitKnowledge:
             if unit not in but:
                 knowing.discard(slot)
 
-    def learns(self, slot: int) -> None:
-        """It has heard the others for long enough."""
+    def exchanged(self, up: Iterable[int], now_us: int) -> None:
+        """A trouble has been over for long enough: unless there is another one, all robots that are `up`
+        know what one of them knows."""
+        if self.is_apart(now_us):
+            return
         for knowing in self._knowing.values():
             if knowing:
-                knowing.add(slot)
+                knowing.update(up)
 
-    def parts(self, now_us: int, end_at_us: int) -> None:
-        """Robots may be unable to hear each other until then, and exchange what they know after it."""
-        self._apart.append((now_us, max(now_us, end_at_us) + self.exchanged_for_us))
+    def parts(self, now_us: int, end_at_us: int) -> int:
+        """Robots may be unable to hear each other until then. Returns when they have exchanged what they
+        know after it."""
+        exchanged_at_us = max(now_us, end_at_us) + self.exchanged_for_us
+        self._apart.append((now_us, exchanged_at_us))
+        return exchanged_at_us
 
     @property
     def known_at_us(self) -> Mapping[Unit, int]:

@@ -154,6 +154,8 @@ MENDED = {
     ("senses", 116200035): "sim/chaos/fault_profiles.py",
     # A robot told units just before it died, and the only other one that knew them died next.
     ("crash", 116200154): "sim/chaos/scenario_judge.py",
+    # A robot told units behind a cut, and lost its disk before the others heard of them.
+    ("apart", 116200100): "sim/chaos/unit_knowledge.py",
 }
 
 

@@ -8,15 +8,15 @@ EXCHANGED_US = 12_000_000
 
 
 def knowledge() -> UnitKnowledge:
-    """Robots 0 and 1 were up when two units were told."""
+    """Robot 0 has told two units, and robot 1 was up."""
     made = UnitKnowledge(EXCHANGED_US)
-    made.told([FIRST, SECOND], [0, 1], 5)
+    made.told({0: [FIRST, SECOND], 1: []}, 5)
     return made
 
 
 def test_the_first_time_counts() -> None:
     made = knowledge()
-    made.told([FIRST], [0, 1, 2], 9)
+    made.told({0: [], 1: [], 2: [FIRST]}, 9)
     assert made.known_at_us == {FIRST: 5, SECOND: 5}
 
 
@@ -28,20 +28,35 @@ def test_a_unit_is_known_while_one_robot_knows_it() -> None:
     assert set(made.known_at_us) == {FIRST}
 
 
-def test_a_robot_learns_what_another_one_knows_and_nothing_else() -> None:
+def test_robots_learn_what_one_of_them_knows_and_nothing_else() -> None:
     made = knowledge()
     made.forgets(0)
-    made.learns(0)
+    made.exchanged([0, 1], 6)
     made.forgets(1)
     assert set(made.known_at_us) == {FIRST, SECOND}
     made.forgets(0)
-    made.learns(0)
+    made.exchanged([0, 1], 7)
     assert not made.known_at_us
+
+
+def test_what_is_told_behind_a_cut_is_known_to_its_teller_alone() -> None:
+    """A robot told units behind a cut and lost its disk, and the others passed for robots that know
+    them."""
+    made = UnitKnowledge(EXCHANGED_US)
+    exchanged_at_us = made.parts(0, 100)
+    made.told({0: [FIRST], 1: []}, 50)
+    made.exchanged([0, 1], exchanged_at_us - 1)
+    made.forgets(0)
+    assert not made.known_at_us
+    made.told({0: [], 1: [SECOND]}, 60)
+    made.exchanged([0, 1], exchanged_at_us)
+    made.forgets(1)
+    assert set(made.known_at_us) == {SECOND}
 
 
 def test_robots_are_apart_until_they_have_exchanged_what_they_know() -> None:
     made = knowledge()
-    made.parts(100, 200)
+    assert made.parts(100, 200) == 200 + EXCHANGED_US
     assert [made.is_apart(at_us) for at_us in (99, 100, 199 + EXCHANGED_US, 200 + EXCHANGED_US)] == [
         False, True, True, False,
     ]  # fmt: skip
