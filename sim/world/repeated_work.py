@@ -2,7 +2,8 @@
 
 A unit is part of a swath, as progress counts it (`agent/field/field_map.py`). It is worked when the
 robot's centre has passed along all of it in one go, with the implement down throughout. Robots tell
-units that they have worked; this checker is told when.
+units that they have worked; this checker is told when. Nothing is said of a unit that lies beside other
+lines over all of its length, because a robot that follows these passes along it, too.
 """
 
 from collections import Counter
@@ -11,11 +12,12 @@ from itertools import accumulate
 from typing import Final, NamedTuple
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from agent.field.field_map import Section
 from agent.interface.config import S
 from sim.world.ground_truth import Track
-from sim.world.swath_truth import NEVER_US, LineTruth, Polyline
+from sim.world.swath_truth import NEVER_US, SAMPLE_M, LineTruth, Polyline
 
 Unit = tuple[int, int]  # section, and number of the unit in it
 KNOWN_US: Final = 1 * S  # a unit that was told this long ago is known to all that hear each other
@@ -50,6 +52,18 @@ class RepeatedWorkChecker:
             section_id, first, units = parts[line]
             self.unit_of.append((section_id, first + min(int(share * units), units - 1)))
         self.samples_of = Counter(self.unit_of)
+        self._beside_others = self._units_beside_other_lines()
+
+    def _units_beside_other_lines(self) -> frozenset[Unit]:
+        """Those whose samples all lie so near to another line that a robot on it may be on both."""
+        line_of, near = self.truth.line_of, np.zeros(len(self.unit_of), np.bool_)
+        reach_m = 2 * self.truth.tolerance_m + SAMPLE_M
+        pairs = cKDTree(self.truth.samples[:, :2]).query_pairs(reach_m, output_type="ndarray")
+        near[pairs[line_of[pairs[:, 0]] != line_of[pairs[:, 1]]].ravel()] = True
+        alone = {
+            unit for unit, beside in zip(self.unit_of, near.tolist(), strict=True) if not beside
+        }
+        return frozenset(self.samples_of.keys() - alone)
 
     def passes(self, slot: int, track: Track) -> list[Pass]:
         """The whole units that the robot of this track has worked, each time that it did."""
@@ -65,7 +79,7 @@ class RepeatedWorkChecker:
             found += [
                 Pass(unit, slot, min(at_us), max(at_us))
                 for unit, at_us in passed_at_us.items()
-                if len(at_us) == self.samples_of[unit]
+                if len(at_us) == self.samples_of[unit] and unit not in self._beside_others
             ]
         return found
 

@@ -71,3 +71,13 @@ def test_other_ways_are_no_work(
     told_at_us = {(4, unit): 1 for unit in range(8)}
     tracks = {1: driven(*points, from_s=60.0)}
     assert [each for each in checker.repeated(tracks, told_at_us) if each.unit == (4, 0)] == []
+
+
+def test_a_unit_beside_another_line_is_not_judged() -> None:
+    """A robot on the ring worked a short row in the tip of a field, by its track."""
+    beside = Section(5, (((2.0, 10.1), (6.0, 10.3)), ((2.0, 13.8), (6.0, 13.9))), (1, 1))
+    checker = RepeatedWorkChecker([RING, beside], 0.2)
+    tracks = {1: driven((-1.0, 10.1, True), (8.0, 10.1, True), from_s=60.0)}
+    assert checker.repeated(tracks, {(5, 0): 0, (7, 9): 0}) == []
+    other = {1: driven((1.0, 13.8, True), (7.0, 13.9, True), from_s=60.0)}
+    assert [each.unit for each in checker.repeated(other, {(5, 1): 0})] == [(5, 1)]
