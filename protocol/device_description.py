@@ -27,7 +27,7 @@ SETPOINT_WORK_STATE: Final = 289  # of the whole implement: 0 off, 1 on
 SETPOINT_CONDENSED: Final = 290  # of sections 1 to 16, two bits each: 0 off, 1 on
 SPEED: Final = 397  # actual, mm/s
 
-DEVICE, FUNCTION, SECTION = 0, 1, 2  # element numbers
+DEVICE, FUNCTION, SECTION = ELEMENTS = 0, 1, 2  # element numbers
 TYPE_DEVICE, TYPE_FUNCTION, TYPE_SECTION = 1, 2, 4
 NONE: Final = 0xFFFF  # an object that is not there
 # Ways by which a value may be asked for: bits of a process data object.

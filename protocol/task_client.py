@@ -15,6 +15,7 @@ from protocol.device_description import (
     DEFAULT_SET,
     DEVICE,
     EFFECTIVE_DISTANCE,
+    ELEMENTS,
     FUNCTION,
     IN_DEFAULT_SET,
     NO_UNITS,
@@ -404,7 +405,7 @@ class TaskClient:
 
     @staticmethod
     def _unknown(element: int) -> int:
-        return NO_DDI if any(element == value.element for value in VALUES) else NO_ELEMENT
+        return NO_DDI if element in ELEMENTS else NO_ELEMENT
 
     def _measure(self, command: int, key: Key, number: int, values: Values, now_us: int) -> int:
         """Begin or end (0) to tell a value; returns the reason of a refusal, 0 for none."""

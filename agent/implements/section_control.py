@@ -5,7 +5,7 @@ control period is free, and off when none is: rather an overlap than a gap.
 """
 
 from collections.abc import Mapping, Sequence
-from math import ceil, cos, sin
+from math import ceil, cos, hypot, pi, remainder, sin
 from typing import Final
 
 import numpy as np
@@ -16,10 +16,14 @@ from agent.interface.config import MS, S
 from agent.interface.observation import Observation
 from protocol.device_description import (
     CONDENSED_WORK_STATE,
+    OFFSET_X,
+    OFFSET_Y,
+    ON_CHANGE,
     SECTION_CONTROL_STATE,
     SETPOINT_CONDENSED,
     SETPOINT_WORK_STATE,
     SETTABLE,
+    WIDTH,
     WORK_STATE,
 )
 from protocol.device_pool import BoomSection, DevicePool
@@ -27,13 +31,19 @@ from protocol.task_client import Key
 
 LATENCY: Final = 142  # DDI: from a setpoint to its effect, ms
 TURN_ON_TIME, TURN_OFF_TIME = 205, 206  # DDI, of a section, ms
+PLACES: Final = frozenset((OFFSET_X, OFFSET_Y, WIDTH))
 TIMES: Final = frozenset((LATENCY, TURN_ON_TIME, TURN_OFF_TIME))
 TIME_MAX_MS: Final = 60_000  # no section needs so long; a longer time is not believed
 CONTROL_PERIOD_US: Final = 50 * MS
 ACROSS_M: Final = 0.1  # between two places of a section that are looked at
 ALONG_M: Final = 0.05
 TOUCH_M: Final = 0.002  # places are told in millimetres
-STEP_MAX_M: Final = 2.0  # a longer way between two fixes is not painted: the place has jumped
+# A longer way between two fixes is not painted, because the place has jumped. At 10 m/s a receiver with
+# 5 Hz has such ways. With fewer fixes a way may be longer, by `FURTHER` than what the speed and the turn
+# explain.
+STEP_MAX_M: Final = 2.0
+STEP_MAX_US: Final = 1500 * MS  # between two fixes of a receiver with 1 Hz, of which one is late
+FURTHER: Final = 1.5
 SPEED_MIN_M_S: Final = 0.1  # slower, no section is switched
 PER_WORD: Final = 16  # sections in one condensed state
 OFF, ON, ABSENT = 0, 1, 3  # two bits of one section
@@ -57,6 +67,12 @@ class SectionedImplement:
             for section in self.sections
         ]
         self._off: set[int] = set()  # those that have said to be off
+        # Elements above sections that are told a state of their own, and the sections below each.
+        self._told_above: dict[int, list[int]] = {}
+        for k, section in enumerate(self.sections):
+            for each in pool.above(section.element):
+                if pool.properties.get((each, SETPOINT_WORK_STATE), 0) & SETTABLE:
+                    self._told_above.setdefault(each, []).append(k)
         self.wanted = np.zeros(len(self.sections), np.bool_)
         # Condensed values, and the sections that each is of; None: one whose place is not known.
         order = pool.section_order(told)
@@ -68,7 +84,8 @@ class SectionedImplement:
             self._told_words = {
                 key: of for key, of in self._state_words.items() if pool.properties[key] & SETTABLE
             }
-        self._before: tuple[Points, Points] | None = None  # left and right ends at the last fix
+        # The last fix, and the left and right ends of the sections then.
+        self._before: tuple[Observation, Points, Points] | None = None
         self._ahead_m = np.array([s.ahead_mm / 1000 for s in self.sections])
         self._right_m = np.array([s.right_mm / 1000 for s in self.sections])
         self._half_m = np.array([s.width_mm / 2000 for s in self.sections])
@@ -82,6 +99,16 @@ class SectionedImplement:
         share = np.concatenate(shares) if shares else np.empty(0)
         at = self._owner
         self._spots_m = self._ahead_m[at], left[at] + share * 2 * self._half_m[at]
+
+    def recall(self, before: "SectionedImplement") -> None:
+        """Take over the states that it had before its places or widths changed."""
+        at = {section.element: k for k, section in enumerate(before.sections)}
+        for k, section in enumerate(self.sections):
+            was = at.get(section.element)
+            if was is not None:
+                self._told_on[k], self.wanted[k] = before._told_on[was], before.wanted[was]
+        self._off = set(before._off)
+        self._take_states()
 
     def heard(self, key: Key, number: int) -> None:
         """It has told a value: the states of its sections are among them."""
@@ -97,11 +124,21 @@ class SectionedImplement:
                 self._off.add(element)
             else:
                 self._off.discard(element)
-        below_off = [not self._off.isdisjoint(each) for each in self._above]
-        self.actual = self._told_on & ~np.array(below_off, np.bool_)
+        self._take_states()
         if ddi in TIMES and self.pool.describes(key):
             self._known[key] = number
             self._take_times()
+
+    def changes_places(self, key: Key, number: int) -> bool:
+        """Whether this value is a place or a width that it has not told before."""
+        if key[1] not in PLACES or not self.pool.describes(key) or self._known.get(key) == number:
+            return False
+        self._known[key] = number
+        return True
+
+    def _take_states(self) -> None:
+        below_off = [not self._off.isdisjoint(each) for each in self._above]
+        self.actual = self._told_on & ~np.array(below_off, np.bool_)
 
     def _take_times(self) -> None:
         latency_ms = _time_ms(self._known, LATENCY)
@@ -111,28 +148,31 @@ class SectionedImplement:
     # ---------------------------------------------------------------- ground
 
     def worked(
-        self, here: Observation, ahead_m: float, ground: AsAppliedMap
+        self, here: Observation, ahead_m: float, ground: AsAppliedMap, on: NDArray[np.bool_]
     ) -> list[tuple[int, int]]:
         """Paint the ground between the last fix and this one under sections that are on.
 
-        `ahead_m`: of the hitch, from the place. Returns the cells that are whole now."""
+        `ahead_m`: of the hitch, from the place. `on`: (n,), since the last fix. Returns the cells that
+        are whole now."""
         left = _placed(here, ahead_m + self._ahead_m, self._right_m - self._half_m)
         right = _placed(here, ahead_m + self._ahead_m, self._right_m + self._half_m)
-        before, self._before = self._before, (left, right)
+        before, self._before = self._before, (here, left, right)
         cells: list[tuple[int, int]] = []
         if before is None or not self.sections:
             return cells
-        for first, last in self._runs():
-            steps_m = np.hypot(*(left[[first, last]] - before[0][[first, last]]).T)
-            if steps_m.max() <= STEP_MAX_M:
-                corners = np.array((before[0][first], before[1][last], right[last], left[first]))
+        was, was_left, was_right = before
+        for first, last in self._runs(on):
+            steps_m = np.hypot(*(left[[first, last]] - was_left[[first, last]]).T)
+            reach_m = np.abs(self._right_m[[first, last]]).max() + abs(ahead_m)
+            if steps_m.max() <= _step_max_m(was, here, float(reach_m)):
+                corners = np.array((was_left[first], was_right[last], right[last], left[first]))
                 cells += ground.paint(corners)
         return cells
 
-    def _runs(self) -> list[tuple[int, int]]:
+    def _runs(self, on: NDArray[np.bool_]) -> list[tuple[int, int]]:
         """First and last of sections that are on side by side, without a gap between them."""
         runs: list[tuple[int, int]] = []
-        for k in np.flatnonzero(self.actual).tolist():
+        for k in np.flatnonzero(on).tolist():
             if runs and runs[-1][1] == k - 1 and self._touches[k]:
                 runs[-1] = runs[-1][0], k
             else:
@@ -178,10 +218,16 @@ class SectionedImplement:
     def setpoints(self, of: NDArray[np.bool_]) -> list[tuple[Key, int]]:
         """What tells it the wanted states: condensed where it has them.
 
-        `of`: (n,), True for the sections that are said again where each has a state of its own."""
+        `of`: (n,), True for the sections that are said again where each has a state of its own. An
+        element above them that is told a state is on while one of them is to be on."""
+        above = [
+            ((element, SETPOINT_WORK_STATE), int(self.wanted[below].any()))
+            for element, below in self._told_above.items()
+        ]
         if self._told_words:
-            return [(key, self._condensed(of_word)) for key, of_word in self._told_words.items()]
-        return [
+            words = self._told_words.items()
+            return above + [(key, self._condensed(of_word)) for key, of_word in words]
+        return above + [
             (self._setpoint_of(self.sections[k].element), int(self.wanted[k]))
             for k in np.flatnonzero(of).tolist()
         ]
@@ -202,6 +248,11 @@ class SectionedImplement:
     def times(self) -> Sequence[Key]:
         """The values that say how long its sections take; people change them while it works."""
         return [key for key in self.pool.properties if key[1] in TIMES]
+
+    def told_places(self) -> Sequence[Key]:
+        """The places and widths that it tells when they change, as while it unfolds."""
+        triggers = self.pool.triggers
+        return [key for key in triggers if key[1] in PLACES and triggers[key] & ON_CHANGE]
 
     def _condensed(self, of_word: Sequence[int | None]) -> int:
         number = 0
@@ -238,6 +289,16 @@ def _words(
 def _time_ms(known: Mapping[Key, int], ddi: int) -> int:
     number = next((number for (_, each), number in known.items() if each == ddi), 0)
     return number if abs(number) <= TIME_MAX_MS else 0
+
+
+def _step_max_m(was: Observation, here: Observation, reach_m: float) -> float:
+    """How far a section moves at most between two fixes. `reach_m`: from the place to it."""
+    passed_for_us = here.sensed_at_us - was.sensed_at_us
+    if not 0 < passed_for_us <= STEP_MAX_US:
+        return STEP_MAX_M
+    speed_m_s = max(hypot(each.vx_m_s, each.vy_m_s) for each in (was, here))
+    turned_rad = abs(remainder(here.heading_rad - was.heading_rad, 2 * pi))
+    return max(STEP_MAX_M, FURTHER * (speed_m_s * passed_for_us / S + reach_m * turned_rad))
 
 
 def _placed(here: Observation, along: NDArray[np.float64], right: NDArray[np.float64]) -> Points:

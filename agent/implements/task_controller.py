@@ -14,11 +14,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from agent.implements.as_applied_map import AsAppliedMap
-from agent.implements.section_control import CONTROL_PERIOD_US, TIMES, SectionedImplement
+from agent.implements.section_control import (
+    CONTROL_PERIOD_US,
+    PLACES,
+    STEP_MAX_US,
+    TIMES,
+    SectionedImplement,
+)
 from agent.interface.config import MS, S
 from agent.interface.observation import Observation
 from protocol.address import AddressClaim, AddressMessage
-from protocol.device_description import OFFSET_X, OFFSET_Y, ROBOT_LABEL, WIDTH
+from protocol.device_description import ROBOT_LABEL
 from protocol.extended_transport import ExtendedTransport
 from protocol.frames.codec import decode, encode
 from protocol.frames.frame import Frame
@@ -35,6 +41,7 @@ from protocol.frames.network_frames import (
 )
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData
 from protocol.name import Name
+from protocol.task_client import Key
 from protocol.task_server import (
     CLIENT_SILENT_US,
     ClientActivated,
@@ -53,7 +60,11 @@ TOLD_EACH_MS: Final = 1000  # states of sections, beside those on change
 AGAIN_US: Final = 1 * S  # a setpoint that is not obeyed is said again
 SETTLES_US: Final = 500 * MS  # after a log-in its places are known
 ASKS_A_PERIOD: Final = 10  # questions in a control period: an implement has hundreds of values
-FIX_AGE_MAX_US: Final = 500 * MS  # with an older place all sections stay as they are
+# With an older place all sections stay as they are: one fix of a receiver with 5 Hz is missing and the
+# next one late. A receiver with fewer fixes may be half a fix late.
+FIX_AGE_MAX_US: Final = 500 * MS
+LATE: Final = 1.5
+assert LATE * S <= STEP_MAX_US
 
 
 class Fixes(Protocol):
@@ -84,6 +95,7 @@ class TaskController:
         self.server = TaskServer(now_us + quiet_for_us)
         self.implements: dict[int, SectionedImplement] = {}  # by address
         self.here: Observation | None = None
+        self._fix_for_us = 0  # from the fix before to this one
         self._ask_all = True  # for the claims of devices that were there before, as the receiver
         self._transport, self._long = Transport(), ExtendedTransport()
         self._settles_at_us: dict[int, int] = {}  # address -> when its places are known
@@ -206,8 +218,19 @@ class TaskController:
                         if not (isinstance(q, ServerMessage) and q.destination == source)
                     )
                 case ValueTold(source, key, number) if source in self.implements:
-                    self.implements[source].heard(key, number)
+                    self._value(source, key, number, now_us)
         return frames
+
+    def _value(self, source: int, key: Key, number: int, now_us: int) -> None:
+        """It has told a value. A state of a section holds from now on, and not from the last fix on."""
+        implement = self.implements[source]
+        was = implement.actual
+        implement.heard(key, number)
+        here = self._here(now_us)
+        if here is not None and (implement.actual != was).any():
+            self._works(source, _moved_on(here, now_us), was)
+        if implement.changes_places(key, number) and source not in self._settles_at_us:
+            self._settles_at_us[source] = now_us + SETTLES_US
 
     def _is_robot(self, source: int) -> bool:
         """Whether this client is a robot of ours. It is on no hitch, so our place says nothing of its."""
@@ -220,7 +243,7 @@ class TaskController:
         self._settles_at_us[source] = now_us + SETTLES_US
         outputs: list[ServerOutput] = []
         for element, ddi in client.pool.properties if client.pool else ():
-            if ddi in (OFFSET_X, OFFSET_Y, WIDTH) or ddi in TIMES:
+            if ddi in PLACES or ddi in TIMES:
                 outputs += self.server.ask(client, (element, ddi))
         return outputs
 
@@ -228,11 +251,14 @@ class TaskController:
         """Its places are known: switch its section control to automatic, and follow its states."""
         client = self.server.clients[source]
         assert client.pool is not None
-        implement = self.implements[source] = SectionedImplement(client.pool, client.values)
+        implement = SectionedImplement(client.pool, client.values)
+        if (before := self.implements.get(source)) is not None:
+            implement.recall(before)
+        self.implements[source] = implement
         outputs: list[ServerOutput] = []
         for key in implement.measured():
             self._asks += self.server.measure(client, key, TOLD_EACH_MS)
-        for key in implement.times():
+        for key in (*implement.times(), *implement.told_places()):
             self._asks += self.server.measure(client, key, 0)
         for key, number in implement.automatic():
             outputs += self.server.set_value(client, key, number)
@@ -244,10 +270,22 @@ class TaskController:
         """Places without a fix are none: what was worked there is not known."""
         if not isfinite(here.position_accuracy_m):
             return
+        if self.here is not None:
+            self._fix_for_us = here.sensed_at_us - self.here.sensed_at_us
         self.here = here
         for source, implement in self.implements.items():
-            cells = implement.worked(here, self.hitch_ahead_m, self.ground)
-            self._held.setdefault(source, []).extend(cells)
+            self._works(source, here, implement.actual)
+
+    def _works(self, source: int, here: Observation, on: NDArray[np.bool_]) -> None:
+        """Its sections have worked until here. `on`: (n,), since it was at the place before."""
+        cells = self.implements[source].worked(here, self.hitch_ahead_m, self.ground, on)
+        self._held.setdefault(source, []).extend(cells)
+
+    def _here(self, now_us: int) -> Observation | None:
+        """The newest place, if it is not too old to switch sections by."""
+        age_max_us = max(FIX_AGE_MAX_US, LATE * min(self._fix_for_us, S))
+        here = self.here
+        return None if here is None or now_us - here.sensed_at_us > age_max_us else here
 
     def _control(self, now_us: int) -> list[Frame]:
         outputs: list[ServerOutput] = []
@@ -259,8 +297,8 @@ class TaskController:
             elif now_us >= settles_at_us:
                 del self._settles_at_us[source]
                 outputs += self._begin(source)
-        here = self.here
-        if here is None or now_us - here.sensed_at_us > FIX_AGE_MAX_US:
+        here = self._here(now_us)
+        if here is None:
             return self._said(outputs, now_us)
         for source, implement in self.implements.items():
             wanted = implement.decide(here, self.hitch_ahead_m, self.ground, now_us)
@@ -279,6 +317,16 @@ class TaskController:
         for key, number in implement.setpoints(of):
             outputs += self.server.set_value(client, key, number)
         return outputs
+
+
+def _moved_on(here: Observation, now_us: int) -> Observation:
+    """Where it is now, if it has driven straight on since."""
+    passed_for_s = (now_us - here.sensed_at_us) / S
+    return here._replace(
+        x_m=here.x_m + here.vx_m_s * passed_for_s,
+        y_m=here.y_m + here.vy_m_s * passed_for_s,
+        sensed_at_us=now_us,
+    )
 
 
 def _claims(claims: Iterable[AddressMessage]) -> list[Frame]:

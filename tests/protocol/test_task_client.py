@@ -278,6 +278,8 @@ def test_values_are_told_when_asked() -> None:
     [
         ("22 01 8D 00 00000000", 2),  # no such element
         ("12 00 01 00 00000000", 4),  # no such value of it
+        ("02 00 01 00 00000000", 4),
+        ("22 00 01 00 00000000", 4),
         ("13 00 8D 00 00000000", 16),  # nothing is set by a task controller
         ("1A 00 8D 00 00000000", 16),
         ("15 00 A0 00 E8030000", 8),  # not by distance

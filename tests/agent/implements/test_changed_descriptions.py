@@ -9,6 +9,7 @@ from typing import Any, cast
 
 from agent.implements.task_controller import TaskController, controller_name
 from agent.interface.config import MS
+from protocol.device_description import WIDTH
 from protocol.frames.codec import encode
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData
@@ -86,6 +87,34 @@ def test_an_element_that_no_command_has_room_for_is_refused() -> None:
     field.say(ACTIVATE)
     field.wait(2000 * MS)
     assert not field.controller.implements
+
+
+def test_widths_that_change_after_the_log_in_are_followed() -> None:
+    """A boom that was folded when it logged in stayed without a width."""
+    field = Field()
+    field.upload(pool())
+    field.say(ACTIVATE)
+    field.wait(2000 * MS)
+    told = []
+    for width_mm in (0, 3000, 4500):
+        field.say(pack("<BBHi", 3 | 5 << 4, 0, WIDTH, width_mm))
+        field.wait(2000 * MS)
+        (implement,) = field.controller.implements.values()
+        told.append([section.width_mm for section in implement.sections])
+    assert told == [[], [3000], [4500]]
+
+
+def test_a_width_that_is_told_again_changes_nothing() -> None:
+    field = Field()
+    field.upload(pool())
+    field.say(ACTIVATE)
+    field.wait(2000 * MS)
+    before = []
+    for _ in range(2):
+        field.say(pack("<BBHi", 3 | 5 << 4, 0, WIDTH, 3000))
+        field.wait(2000 * MS)
+        before.append(field.controller.implements[IMPLEMENT])
+    assert before[0] is before[1]
 
 
 def test_a_description_that_is_replaced_at_once_ends_nothing() -> None:

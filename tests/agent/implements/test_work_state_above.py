@@ -1,28 +1,43 @@
-"""An implement whose boom is off works nothing, whatever its sections say by themselves."""
+"""States of elements above sections: a boom that is off works nothing, and some booms are told theirs."""
 
 from struct import pack
 
+import numpy as np
 import pytest
 
 from agent.implements.section_control import SectionedImplement
-from protocol.device_description import CONDENSED_WORK_STATE, WIDTH, WORK_STATE
+from protocol.device_description import (
+    CONDENSED_WORK_STATE,
+    SETPOINT_WORK_STATE,
+    SETTABLE,
+    WIDTH,
+    WORK_STATE,
+)
 from protocol.device_pool import read_pool
 from tests.agent.implements.test_several_booms import element, text
 
 WHOLE, FRONT, REAR = 1, 2, 3  # elements; the first is above the other two
-STATES, STATE, BREADTH = 1, 2, 3  # object numbers
+STATES, STATE, BREADTH, SETPOINT = 1, 2, 3, 4  # object numbers
 
 
 @pytest.fixture
 def implement() -> SectionedImplement:
-    """Two booms with two sections each, all of which have said that they are on."""
+    return made([STATES, STATE])
+
+
+def made(front: list[int]) -> SectionedImplement:
+    """Two booms with two sections each, all of which have said that they are on.
+
+    `front`: objects of the front boom."""
     out = b"DVC" + pack("<H", 0) + text("d") + text("1") + pack("<Q", 7) + text("s")
     out += b"l" * 7 + b"e" * 7 + b"\x00"
     for number, ddi in ((STATES, CONDENSED_WORK_STATE), (STATE, WORK_STATE)):
         out += b"DPD" + pack("<HHBB", number, ddi, 0, 8) + text("v") + pack("<H", 0xFFFF)
+    out += b"DPD" + pack("<HHBB", SETPOINT, SETPOINT_WORK_STATE, SETTABLE, 8) + text("s")
+    out += pack("<H", 0xFFFF)
     out += b"DPT" + pack("<HHi", BREADTH, WIDTH, 1000) + text("w") + pack("<H", 0xFFFF)
     out += element(100, 1, WHOLE, 0, [STATE])
-    out += element(101, 2, FRONT, 100, [STATES, STATE]) + element(102, 2, REAR, 100, [STATES])
+    out += element(101, 2, FRONT, 100, front) + element(102, 2, REAR, 100, [STATES])
     for k, boom in ((10, 101), (11, 101), (12, 102), (13, 102)):
         out += element(200 + k, 4, k, boom, [BREADTH])
     pool = read_pool(out, 4)
@@ -55,3 +70,17 @@ def test_a_state_that_is_told_while_the_boom_is_off_is_kept(implement: Sectioned
     implement.heard((FRONT, CONDENSED_WORK_STATE), 0b0100 | ~0xF)
     implement.heard((FRONT, WORK_STATE), 1)
     assert implement.actual.tolist() == [False, True, True, True]
+
+
+def test_a_boom_with_a_setpoint_is_on_while_one_of_its_sections_is_to_be_on() -> None:
+    """Nobody told it, so it stayed off, and its sections with it."""
+    implement = made([STATES, STATE, SETPOINT])
+    every = np.ones(4, np.bool_)
+    for wanted, on in (([False, True, False, False], 1), ([False, False, True, True], 0)):
+        implement.wanted = np.array(wanted)
+        assert dict(implement.setpoints(every))[FRONT, SETPOINT_WORK_STATE] == on
+
+
+def test_a_boom_without_a_setpoint_is_told_none(implement: SectionedImplement) -> None:
+    keys = [key for key, _ in implement.setpoints(np.ones(4, np.bool_))]
+    assert (FRONT, SETPOINT_WORK_STATE) not in keys
