@@ -86,10 +86,12 @@ def divide(
             cut_at_corners(ring, turn_radius_m, width_m / 2, free, room, asked, inside, beside)
             for (ring,) in bundles
         ]
-    if not deep.is_empty:
-        bundles += _strip_bundles(
-            deep, _best_angle(polygon, deep, strip_m), strip_m, section_length_m
-        )
+    # Parts beyond a neck have rows of their own, at their own angle: with common ones a part may need one
+    # more, which lies on its ring.
+    for part in sorted(shapely.get_parts(deep), key=lambda part: part.bounds):
+        if not part.is_empty:
+            angle_deg = _best_angle(polygon, part, strip_m)
+            bundles += _strip_bundles(part, angle_deg, strip_m, section_length_m)
     if turn_radius_m > 0.0:
         # Sections of their own: a ring with its strokes would be the work of one robot, and it drives
         # pieces of a ring less exactly where it comes to them out of the corner.

@@ -324,3 +324,15 @@ def test_the_angle_is_that_of_all_angles_cut(
 @pytest.mark.parametrize("name", sorted(OUTLINES))
 def test_the_angle_of_a_real_field_is_that_of_all_angles_cut(name: str) -> None:
     check_angle(OUTLINES[name], 6.8)
+
+
+def test_parts_beyond_a_neck_have_rows_of_their_own() -> None:
+    """With common rows a part had one more than it needs, which lay on its ring all along."""
+    one, other = box(0.0, 0.0, 20.0, 40.0), affinity.rotate(box(26.0, 3.0, 49.3, 38.0), 20.0)
+    neck = box(19.0, 19.0, 30.0, 21.0)
+
+    def rows(polygon: Polygon) -> int:
+        field = divide("field", polygon, (0.0, 0.0), (0.0, 0.0), 4.0)
+        return sum(len(swath) == 2 for section in field.sections for swath in section.swaths)
+
+    assert rows(unary_union([one, neck, other])) == rows(one) + rows(other)
