@@ -573,11 +573,11 @@ class SharedField(NamedTuple):
 
 def two_sprayers(
     seed: int = 1, shared: bool = True, length_m: float = 200.0, passes: int = 5, overlap: float = 0.3,
-    speed_m_s: float = 3.0, fix_each_us: int = STEP_US,
+    speed_m_s: float = 3.0, fix_for_us: int = STEP_US,
 ) -> SharedField:  # fmt: skip
     """Drive two sprayers of two makers over a field whose middle both are sent to.
 
-    `fix_each_us`: between two places of a receiver.
+    `fix_for_us`: between two places of a receiver.
     `shared`: whether the two task controllers hear each other's map.
     """
     from sim.can.frame_timing import frame_bits
@@ -638,7 +638,7 @@ def two_sprayers(
     while not all(tractor.done for tractor in tractors) and now_us < 3600 * S:
         for tractor, receiver in zip(tractors, receivers, strict=True):
             fix = tractor.moves(now_us)
-            receiver.frames += [] if now_us % fix_each_us else fix
+            receiver.frames += [] if now_us % fix_for_us else fix
         for bus in buses:
             bus.run(now_us, now_us + STEP_US)
         one_m, other_m = tractors

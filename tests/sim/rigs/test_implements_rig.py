@@ -20,10 +20,10 @@ def test_a_field(passes: int, speed_m_s: float) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fix_each_us", [200_000, 1_000_000])
-def test_a_slow_receiver(fix_each_us: int) -> None:
+@pytest.mark.parametrize("fix_for_us", [200_000, 1_000_000])
+def test_a_slow_receiver(fix_for_us: int) -> None:
     """With 1 Hz nothing was painted above 2 m/s, and no section switched for half of each second."""
-    found = two_sprayers(passes=2, speed_m_s=3.0, fix_each_us=fix_each_us)
+    found = two_sprayers(passes=2, speed_m_s=3.0, fix_for_us=fix_for_us)
     assert found.left_out < 1e-6 and found.twice <= 0.01, found
 
 
