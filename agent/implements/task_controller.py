@@ -64,6 +64,7 @@ ASKS_A_PERIOD: Final = 10  # questions in a control period: an implement has hun
 # next one late. A receiver with fewer fixes may be half a fix late.
 FIX_AGE_MAX_US: Final = 500 * MS
 LATE: Final = 1.5
+TOLD_LATE_US: Final = 100 * MS  # from a change of a state to its word; implements have such cycles
 assert LATE * S <= STEP_MAX_US
 
 
@@ -222,13 +223,16 @@ class TaskController:
         return frames
 
     def _value(self, source: int, key: Key, number: int, now_us: int) -> None:
-        """It has told a value. A state of a section holds from now on, and not from the last fix on."""
+        """It has told a value. A section is on from the time at which it says so, and off from
+        `TOLD_LATE_US` before that: rather an overlap than a gap."""
         implement = self.implements[source]
         was = implement.actual
         implement.heard(key, number)
         here = self._here(now_us)
         if here is not None and (implement.actual != was).any():
-            self._works(source, _moved_on(here, now_us), was)
+            off_at_us = max(here.sensed_at_us, now_us - TOLD_LATE_US)
+            self._works(source, _moved_on(here, off_at_us), was)
+            self._works(source, _moved_on(here, now_us), was & implement.actual)
         if implement.changes_places(key, number) and source not in self._settles_at_us:
             self._settles_at_us[source] = now_us + SETTLES_US
 
@@ -320,7 +324,7 @@ class TaskController:
 
 
 def _moved_on(here: Observation, now_us: int) -> Observation:
-    """Where it is now, if it has driven straight on since."""
+    """Where it is at this time, if it has driven straight on since."""
     passed_for_s = (now_us - here.sensed_at_us) / S
     return here._replace(
         x_m=here.x_m + here.vx_m_s * passed_for_s,

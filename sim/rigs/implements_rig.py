@@ -39,6 +39,9 @@ CONNECTOR_MM, BOOM_MM = 1500, -2500  # ahead of the reference point of a sprayer
 BOOM_AHEAD_M: Final = HITCH_AHEAD_M + (BOOM_MM - CONNECTOR_MM) / 1000
 
 
+Ends = tuple[tuple[float, float], tuple[float, float]]  # left and right, of a section, metres
+
+
 class RigDevice(Protocol):
     """What the bus of a rig calls: it takes frames, and has a turn from time to time."""
 
@@ -110,6 +113,7 @@ class Sprayer:
         self.name = pack("<Q", name)
         self.told = [False] * maker.sections  # by the task controller
         self.valves = [False] * maker.sections
+        self.moved_at_us = [0] * maker.sections  # when each valve moved last
         self.automatic = False
         self.phase = "wait"
         self.log_ins = 0
@@ -298,7 +302,7 @@ class Sprayer:
         moved = [each for each in self._due if each[0] <= now_us]
         self._due = [each for each in self._due if each[0] > now_us]
         for _, section, wanted in moved:
-            self.valves[section] = wanted
+            self.valves[section], self.moved_at_us[section] = wanted, now_us
         if moved and self._measured:
             frames += self._states()
         if self.phase != "wait" and now_us >= self._heard_at_us + 6 * S:
@@ -367,8 +371,8 @@ class Tractor:
         self.path = list(self._path(begin_m, end_x_m, passes, 1 if upwards else -1))
         self.driven_m = 0.0
         self.worked: list[Polygon] = []
-        self._begun: dict[int, tuple[tuple[float, float], tuple[float, float]]] = {}
-        self._before: list[tuple[tuple[float, float], tuple[float, float]]] = []
+        self._begun: dict[int, Ends] = {}
+        self._before: list[Ends] = []
         self._straight = True
 
     @property
@@ -408,11 +412,13 @@ class Tractor:
             else:
                 self.x_m, self.y_m = x_m + cos(heading) * left_m, y_m
             break
-        self._works(curved)
+        self._works(curved, now_us)
         return self._fixes(now_us)
 
-    def _works(self, curved: bool) -> None:
-        """The ground under open valves, as polygons: one for each run of a section on a line."""
+    def _works(self, curved: bool, now_us: int) -> None:
+        """The ground under open valves, as polygons: one for each run of a section on a line.
+
+        A valve that moved since the step before begins or ends its run where the boom was then."""
         maker, c, s = self.sprayer.maker, cos(self.heading_rad), sin(self.heading_rad)
         ends = []
         for k in range(maker.sections):
@@ -427,16 +433,18 @@ class Tractor:
         whole_run = not curved and self._straight
         for k, valve in enumerate(self.sprayer.valves):
             begun = self._begun.get(k)
-            if begun is not None and self._before and not (valve and whole_run):
-                self._close(begun, self._before[k])
+            if not self._before:
+                continue
+            since = (self.sprayer.moved_at_us[k] - (now_us - STEP_US)) / STEP_US
+            at = self._before[k] if since <= 0.0 else _between(self._before[k], ends[k], since)
+            if begun is not None and not (valve and whole_run):
+                self._close(begun, at if not valve else self._before[k])
                 del self._begun[k]
-            if valve and k not in self._begun and self._before:
-                self._begun[k] = self._before[k]
+            if valve and k not in self._begun:
+                self._begun[k] = at
         self._before, self._straight = ends, not curved
 
-    def _close(
-        self, a: tuple[tuple[float, float], ...], b: tuple[tuple[float, float], ...]
-    ) -> None:
+    def _close(self, a: Ends, b: Ends) -> None:
         shape = Polygon((a[0], a[1], b[1], b[0]))
         if shape.area > 1e-9:
             self.worked.append(shape.buffer(0))
@@ -454,6 +462,15 @@ class Tractor:
         data = pack("<iiHH", round(1e4 * self.x_m), round(1e4 * self.y_m),
                     round(self.heading_rad * 1e4) % 62_832, speed)  # fmt: skip
         return [Frame(0x09F80100 | RECEIVER, data[:8]), Frame(0x09F80200 | RECEIVER, data[8:])]
+
+
+def _between(before: Ends, now: Ends, share: float) -> Ends:
+    """The ends of a section at this share of a step."""
+    (one, other) = (
+        (ax + share * (bx - ax), ay + share * (by - ay))
+        for (ax, ay), (bx, by) in zip(before, now, strict=True)
+    )
+    return one, other
 
 
 class RigFixes:
