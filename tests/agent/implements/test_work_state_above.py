@@ -73,7 +73,7 @@ def test_a_state_that_is_told_while_the_boom_is_off_is_kept(implement: Sectioned
 
 
 def test_a_boom_with_a_setpoint_is_on_while_one_of_its_sections_is_to_be_on() -> None:
-    """Nobody told it, so it stayed off, and its sections with it."""
+    """It was never told, so it stayed off, and its sections with it."""
     implement = made([STATES, STATE, SETPOINT])
     every = np.ones(4, np.bool_)
     for wanted, on in (([False, True, False, False], 1), ([False, False, True, True], 0)):
