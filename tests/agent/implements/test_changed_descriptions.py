@@ -9,7 +9,7 @@ from typing import Any, cast
 
 from agent.implements.task_controller import TaskController, controller_name
 from agent.interface.config import MS
-from protocol.device_description import WIDTH
+from protocol.device_description import WIDTH, WORK_STATE
 from protocol.frames.codec import encode
 from protocol.frames.network_frames import AddressClaimed
 from protocol.frames.task_frames import PROCESS_DATA, ProcessData
@@ -102,6 +102,21 @@ def test_widths_that_change_after_the_log_in_are_followed() -> None:
         (implement,) = field.controller.implements.values()
         told.append([section.width_mm for section in implement.sections])
     assert told == [[], [3000], [4500]]
+
+
+def test_a_section_that_is_on_stays_on_when_its_boom_unfolds() -> None:
+    field = Field()
+    field.upload(pool())
+    field.say(ACTIVATE)
+    field.wait(2000 * MS)
+    on: list[list[bool]] = []
+    for width_mm in (3000, 4500):
+        field.say(pack("<BBHi", 3 | 5 << 4, 0, WIDTH, width_mm))
+        field.wait(2000 * MS)
+        if not on:
+            field.say(pack("<BBHi", 3 | 5 << 4, 0, WORK_STATE, 1))
+        on.append(field.controller.implements[IMPLEMENT].actual.tolist())
+    assert on == [[True], [True]]
 
 
 def test_a_width_that_is_told_again_changes_nothing() -> None:
