@@ -194,3 +194,10 @@ def test_i24_an_injected_fault_of_a_disk_is_not_printed(capfd: pytest.CaptureFix
         assert not RUNNER_LOG.disabled, "a robot outside a campaign logs it"
     finally:
         RUNNER_LOG.removeHandler(handler)
+
+
+def test_results_name_reproductions_without_the_folders_of_a_machine() -> None:
+    """A campaign notes where it left a reproduction, and that folder is on no other machine."""
+    named = re.compile(r'"reproduction": "([^"]*)"')
+    for file in (DOCS / "chaos_runs").glob("*.json"):
+        assert not [name for name in named.findall(file.read_text()) if "/" in name], file.name
