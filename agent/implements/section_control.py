@@ -153,7 +153,9 @@ class SectionedImplement:
         """Paint the ground between the last fix and this one under sections that are on.
 
         `ahead_m`: of the hitch, from the place. `on`: (n,), since the last fix. Returns the cells that
-        are whole now."""
+        are whole now: none for a fix from before the last one, as a late one that comes after a word."""
+        if self._before is not None and here.sensed_at_us <= self._before[0].sensed_at_us:
+            return []
         left = _placed(here, ahead_m + self._ahead_m, self._right_m - self._half_m)
         right = _placed(here, ahead_m + self._ahead_m, self._right_m + self._half_m)
         before, self._before = self._before, (here, left, right)

@@ -74,6 +74,19 @@ def test_a_section_is_on_from_when_it_says_so(tractor: tuple[TaskController, Pai
     assert np.allclose(ground.spans_m[-1], (1.5, 3.0)) and ground.length_m == pytest.approx(1.5)
 
 
+def test_a_late_place_paints_nothing_under_a_section_that_was_still_off(
+    tractor: tuple[TaskController, Painted],
+) -> None:
+    """A receiver's place arrives 0.2 s after it was sensed, and a word in between."""
+    controller, ground = tractor
+    controller._move(place(BEGIN_US))
+    controller._value(IMPLEMENT, (SECTION, WORK_STATE), 1, BEGIN_US + S // 10)
+    controller._move(place(BEGIN_US + S // 20))
+    assert not ground.spans_m
+    controller._move(place(BEGIN_US + S // 5))
+    assert np.allclose(ground.spans_m, [(0.3, 0.6)])
+
+
 def test_a_second_between_two_places_is_painted_and_a_jump_is_not(
     tractor: tuple[TaskController, Painted],
 ) -> None:
