@@ -13,9 +13,11 @@ from agent.peer.place_jumps import POSITION_ACCURACY_M
 from sim.chaos.fault_generators import CLUSTERS, DRAWS, before_revocation
 from sim.fleet.fault_injector import PUSHED_M_S
 from sim.scenarios import scenario as kinds
+from sim.scenarios.drawn_field import drawn_boundary
+from sim.scenarios.field_setup import is_met_within
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import drill
-from sim.scenarios.scenario import Fault, Scenario, load
+from sim.scenarios.scenario import DRAWN_FIELD, Fault, Scenario, is_drawn, load
 
 
 class Span(NamedTuple):
@@ -50,6 +52,7 @@ SLOW = Span(40.0, 450.0)  # by tractors 160 s without faults, in one of these sh
 # Under the policy continue, others work on beside a silent robot. Cuts and deaths last until they have
 # worked what is left beside it.
 APART = Span(80.0, 350.0)
+DRAWN_LIMIT_S = 900.0  # a drawn field may have three times the area of a yard, and narrow parts
 
 CLOSE_S = 3.0  # links stay bad for seconds: a fault within this time falls into the trouble
 
@@ -222,12 +225,24 @@ PROFILES = {
 
 # Added to the name of any profile: the same faults in a fleet with keys, and an attacker without one.
 FORGER = "+forger"
+# Added to the name of a profile of fields: the same faults on a field that the seed draws.
+DRAWN_SHAPE = "+drawn"
 FORGERS_MAX = 2  # of a run
 
 
+def is_profile(name: str) -> bool:
+    """Whether `draw` knows this profile: one of `PROFILES`, or with `DRAWN_SHAPE`, `FORGER` or both."""
+    name = name.removesuffix(FORGER)
+    plain = name.removesuffix(DRAWN_SHAPE)
+    return plain in PROFILES and (plain == name or PROFILES[plain].mission == "field")
+
+
 def draw(seed: int, profile: str = "all") -> Scenario:
-    """The scenario of a seed; KeyError for an unknown profile. It may have `FORGER` at its end."""
+    """The scenario of a seed; KeyError for what is no profile."""
+    if not is_profile(profile):
+        raise KeyError(profile)
     attacked, profile = profile.endswith(FORGER), profile.removesuffix(FORGER)
+    on_drawn, profile = profile.endswith(DRAWN_SHAPE), profile.removesuffix(DRAWN_SHAPE)
     kind, rng = PROFILES[profile], Random(f"{seed}/trouble/{profile}")
     robots, span = rng.randint(*kind.robots), SPANS[kind.mission]
     if kind.mission == "field" and kind.silence == "continue":
@@ -256,8 +271,20 @@ def draw(seed: int, profile: str = "all") -> Scenario:
         drive = Random(f"{seed}/drive/{profile}").choice(kind.drives)
         policy = {"silence": kind.silence}
         fleet = field.fleet.model_copy(update={"keys": keys, "drive": drive, **policy})
-        return with_faults(field.model_copy(update={"fleet": fleet}), faults)
+        field = field.model_copy(update={"fleet": fleet})
+        if on_drawn:
+            field = _on_drawn_field(field, seed)
+            bounds = drawn_boundary(field.field.file).polygon.bounds
+            faults = [fault for fault in faults if is_met_within(fault, bounds)]
+        return with_faults(field, faults)
     return with_faults(drill(robots, seed, kind.mission, kind.silence, keys), faults)
+
+
+def _on_drawn_field(scenario: Scenario, seed: int) -> Scenario:
+    """The same bodies and implements on the field of this seed."""
+    file = f"{DRAWN_FIELD}{seed}"
+    field = scenario.field.model_copy(update={"file": file})
+    return scenario.model_copy(update={"name": file, "field": field})
 
 
 def forgers(seed: int, profile: str, robots: int, span: Span) -> list[Fault]:
@@ -318,6 +345,12 @@ def _starts_from(fault: Fault) -> float | None:
 
 def span_of(scenario: Scenario) -> Span:
     """When calm begins and the run ends, by the mission of the scenario, its field and its bodies."""
+    if is_drawn(scenario.field.file):
+        return _span_of_file(scenario)._replace(limit_at_s=DRAWN_LIMIT_S)
+    return _span_of_file(scenario)
+
+
+def _span_of_file(scenario: Scenario) -> Span:
     if scenario.mission == "field" and scenario.fleet.silence == "continue":
         return APART
     is_slow = scenario.fleet.drive != "mecanum" or scenario.name in SHAPES

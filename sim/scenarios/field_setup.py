@@ -21,6 +21,7 @@ from agent.runtime.files.field_file import read_boundary
 from agent.runtime.files.given_file import GivenFileError, read_bytes
 from agent.runtime.mission_parts import field_parts, values_of
 from agent.runtime.peer_factory import NO_MEMORY, MissionParts
+from sim.scenarios.drawn_field import drawn_boundary
 from sim.scenarios.fleet_setup import FleetSetup
 from sim.scenarios.scenario import (
     Box,
@@ -32,6 +33,7 @@ from sim.scenarios.scenario import (
     Person,
     Scenario,
     ScenarioError,
+    is_drawn,
 )
 from sim.scenarios.time_limit import time_limit_s
 from sim.world.drive_trains import Chassis
@@ -81,16 +83,11 @@ class FieldSetup(FleetSetup):
 
     def _check_places(self) -> None:
         """ScenarioError for an obstacle or a goal where no robot of this field could ever meet it."""
-        west, south, east, north = self.field.polygon.bounds
+        bounds = west, south, east, north = self.field.polygon.bounds
         for number, fault in enumerate(self.scenario.fault):
-            reach_m, places = _met_at(fault)
-            xs, ys = [x_m for x_m, _ in places], [y_m for _, y_m in places]
-            if not places or (
-                max(xs) >= west - reach_m and min(xs) <= east + reach_m
-                and max(ys) >= south - reach_m and min(ys) <= north + reach_m
-            ):  # fmt: skip
+            if is_met_within(fault, bounds):
                 continue
-            x_m, y_m = places[0]
+            x_m, y_m = _met_at(fault)[1][0]
             raise ScenarioError(
                 f"{self.scenario.name}: fault.{number}: {x_m:g}, {y_m:g} is outside of the field, "
                 f"which reaches from {west:.0f} to {east:.0f} m east and from {south:.0f} to "
@@ -101,7 +98,7 @@ class FieldSetup(FleetSetup):
         table = self.scenario.field
         path = self.scenario.path_of(table.file)
         try:
-            content = read_bytes(path, FILE_BYTES_MAX)
+            content = b"" if is_drawn(table.file) else read_bytes(path, FILE_BYTES_MAX)
         except GivenFileError:
             return self._divided(path)  # this raises the error with its reason
         key = (
@@ -122,7 +119,11 @@ class FieldSetup(FleetSetup):
     def _divided(self, path: Path) -> Field:
         table = self.scenario.field
         try:
-            boundary = read_boundary(path, table.feature)
+            boundary = (
+                drawn_boundary(table.file)
+                if is_drawn(table.file)
+                else read_boundary(path, table.feature)
+            )
             return divided(*boundary, values_of(table, self.scenario.fleet.robots), self.vehicle)
         except FieldFileError as problem:
             raise ScenarioError(f"{self.scenario.name}: field.file: {problem}") from None
@@ -198,6 +199,18 @@ class FieldSetup(FleetSetup):
         rings, run = [self.field.exterior, *self.field.holes], self.scenario.run
         lidar = Lidar(self.scenario.fleet.rays)
         return self.populated(World(rings, run.seed, lidar, engine=run.engine))
+
+
+def is_met_within(fault: Fault, bounds: tuple[float, float, float, float]) -> bool:
+    """Whether robots of a field with these bounds (west, south, east, north, metres) could ever meet it,
+    or it has no place."""
+    west, south, east, north = bounds
+    reach_m, places = _met_at(fault)
+    xs, ys = [x_m for x_m, _ in places], [y_m for _, y_m in places]
+    return not places or (
+        max(xs) >= west - reach_m and min(xs) <= east + reach_m
+        and max(ys) >= south - reach_m and min(ys) <= north + reach_m
+    )  # fmt: skip
 
 
 def _met_at(fault: Fault) -> tuple[float, list[tuple[float, float]]]:

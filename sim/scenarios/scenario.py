@@ -26,6 +26,7 @@ ARENAS, WAREHOUSES = SHIPPED.parent / "arenas", SHIPPED.parent / "warehouses"
 SEED_MAX = 2**63 - 1  # the largest value that every format with a seed can hold
 AT_MAX_S = 1e6  # of a fault: longer than any run
 LINE_MAX = 1000  # characters of a message
+DRAWN_FIELD = "drawn:"  # and a seed, in place of a field's file
 # A field file alone is a scenario of defaults. Those that are not read are told so.
 FIELD_FILES = (".geojson", ".json", ".xml", ".zip", *NOT_READ)
 
@@ -523,13 +524,20 @@ def shipped(folder: Path = SHIPPED) -> list[str]:
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
+def is_drawn(file: str) -> bool:
+    """Whether this is the name of a drawn field (`sim/scenarios/drawn_field.py`) and not of a file."""
+    return file.startswith(DRAWN_FIELD)
+
+
 def is_field_source(name: str) -> bool:
-    """Whether a name is that of a field file or of a folder of task data.
+    """Whether a name is that of a field file, of a folder of task data, or of a drawn field.
 
     A folder without task data does not hide a scenario of its name that ships: the page `small.html` of
     a report has its pictures in a folder `small`.
     """
     path = Path(name)
+    if is_drawn(name):
+        return True
     if path.suffix.lower() in FIELD_FILES or not path.is_dir():
         return path.suffix.lower() in FIELD_FILES
     if not any(name in shipped(folder) for folder in (SHIPPED, ARENAS, WAREHOUSES)):

@@ -4,13 +4,15 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from sim.scenarios.scenario import Scenario
+from sim.scenarios.scenario import Scenario, is_drawn
 
 
 def to_toml(scenario: Scenario) -> str:
     """Write only given values; omitted ones have their defaults."""
     document = scenario.model_dump(mode="json", exclude_unset=True)
-    document["field"]["file"] = str(scenario.path_of(document["field"]["file"]).resolve())
+    file = document["field"]["file"]
+    if not is_drawn(file):
+        document["field"]["file"] = str(scenario.path_of(file).resolve())
     faults = document.pop("fault", [])
     plain = {key: value for key, value in document.items() if not isinstance(value, Mapping)}
     lines = [f"{key} = {_value(value)}" for key, value in plain.items()]

@@ -38,7 +38,9 @@ def workers(jobs: int = 0, cluster: str = "") -> Iterator[Executor]:
             except BaseException:  # Ctrl-C too: what they compute is of no use any more
                 for worker in list((pool._processes or {}).values()):
                     worker.terminate()
-                pool.shutdown(wait=False, cancel_futures=True)
+                # Waits for the thread of the pool: it closes a pipe that the interpreter writes to when
+                # it ends, and printed a traceback where both came together.
+                pool.shutdown(wait=True, cancel_futures=True)
                 raise
         return
     try:

@@ -16,7 +16,7 @@ from rich.progress import Progress, TextColumn, TimeElapsedColumn
 from rich.table import Table
 
 from agent.runtime.gc_tuning import freeze_gc
-from sim.chaos.fault_profiles import FORGER, PROFILES, draw
+from sim.chaos.fault_profiles import DRAWN_SHAPE, FORGER, PROFILES, draw, is_profile
 from sim.chaos.golden_story import difference, golden_path, tell
 from sim.chaos.planted_bugs import MUTANTS
 from sim.chaos.shrink import shrink
@@ -50,10 +50,11 @@ def chaos(
         for name in only:
             if name not in MUTANTS:
                 raise ValueError(f"no planted bug {name}: choose of {', '.join(MUTANTS)}")
-        if profile.removesuffix(FORGER) not in PROFILES:
+        if not is_profile(profile):
             names = ", ".join(PROFILES)
             raise ValueError(
-                f"no profile {profile}: choose one of {names}; each also with {FORGER}"
+                f"no profile {profile}: choose one of {names}; each also with {FORGER}, "
+                f"and those with bodies with {DRAWN_SHAPE}"
             )
         out.mkdir(parents=True, exist_ok=True)
     except (ValueError, OSError) as problem:

@@ -14,6 +14,7 @@ HOURS_WANTED, BUGS_WANTED = 20_000, 20  # robot-hours of DRILLS, planted bugs
 DRILLS = ("protocol",)
 KEYED = ("forged", "forged_field", "stolen")  # fleets with keys, and attackers on the bus
 ATTACKED = "+forger"  # at the end of the name of any profile: the same with keys and an attacker
+DRAWN_SHAPE = "+drawn"  # at the end of the name of a profile of fields: the same on drawn fields
 KEYED_HOURS_WANTED = 5_000
 RUNS_WANTED = 10_000_000  # of decoders
 PLACED = {"profile", "seeds"}  # of a campaign; `headland chaos --scenario --json` prints no seeds
@@ -68,7 +69,7 @@ def figures(folder: Path) -> dict[str, Any]:
 
 def is_keyed(profile: str) -> bool:
     """Whether the fleets of a profile have keys, and there is an attacker on the bus."""
-    return profile in KEYED or profile.endswith(ATTACKED)
+    return profile.removesuffix(DRAWN_SHAPE) in KEYED or profile.endswith(ATTACKED)
 
 
 class Survived(NamedTuple):

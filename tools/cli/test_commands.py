@@ -17,7 +17,10 @@ PROFILES = (
     "apart, protocol, press, devices, strangers, claims, split, flood, traffic, forged, forged_field or "
     "stolen."
 )
-ATTACKED = "With +forger at its end: in a fleet with keys, with an attacker on the bus."
+ENDINGS = (
+    "With +forger at its end: in a fleet with keys, with an attacker on the bus. With +drawn, where "
+    "there are bodies: on fields that the seeds draw."
+)
 JOBS_MAX = 1024  # more than one machine has cores
 app = typer.Typer()
 
@@ -28,7 +31,7 @@ def chaos(
     seeds: Annotated[
         str, typer.Option(help="FIRST:END, or one seed. Hunts for planted bugs begin at FIRST.")
     ] = "0:20",
-    profile: Annotated[str, typer.Option(help=f"{PROFILES} {ATTACKED}")] = "all",
+    profile: Annotated[str, typer.Option(help=f"{PROFILES} {ENDINGS}")] = "all",
     jobs: Annotated[
         int, typer.Option(min=0, max=JOBS_MAX, help="Processes at a time (0: one a core).")
     ] = 0,

@@ -8,7 +8,7 @@ from agent.runtime.declared_values import FieldTable, FleetTable, WarehouseTable
 from sim.scenarios.delivery_scenario import is_warehouse, load_warehouse
 from sim.scenarios.delivery_setup import DeliverySetup
 from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.scenario import ScenarioError, load
+from sim.scenarios.scenario import ScenarioError, is_drawn, load
 from sim.scenarios.scenario_kind import Kind, named
 from tools.language.places import Places, PlacesError
 
@@ -34,7 +34,13 @@ def setting_of(
     if is_warehouse(scenario):
         setting = DeliverySetup(load_warehouse(scenario).changed(robots, seed, keys))
     else:
-        setting = FieldSetup(load(scenario).changed(robots, seed, keys))
+        declared = load(scenario).changed(robots, seed, keys)
+        if is_drawn(declared.field.file):
+            raise ScenarioError(
+                f"{scenario}: a drawn field has no file, which each robot of a launch reads; "
+                f"it is played by: headland run {found}"
+            )
+        setting = FieldSetup(declared)
     places_of(setting)  # said before robots start
     return setting
 

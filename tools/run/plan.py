@@ -19,7 +19,7 @@ from sim.runs.work_plan import WorkPlan, plan_work
 from sim.runs.work_plan_files import write_plan_geojson, write_plan_isoxml, write_plan_kml
 from sim.runs.work_record import WorkRecord
 from sim.scenarios.field_setup import FieldSetup
-from sim.scenarios.scenario import Scenario, ScenarioError, load
+from sim.scenarios.scenario import Scenario, ScenarioError, is_drawn, load
 from sim.scenarios.scenario_kind import Kind, named
 from tools.common.counted import counted
 from tools.common.exit_codes import WRONG, code_of, wrong
@@ -84,6 +84,9 @@ def _field_scenario(name: str) -> Scenario:
 
 def _fields(scenario: Scenario) -> Iterator[Scenario]:
     """The scenario once for each field of its file, if it names none."""
+    if is_drawn(scenario.field.file):
+        yield scenario
+        return
     path = scenario.path_of(scenario.field.file)
     try:
         outlines, broken = fields_of(path)

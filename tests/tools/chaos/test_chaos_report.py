@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 from typer.testing import CliRunner
 
-from sim.chaos.fault_profiles import FORGER, PROFILES, with_faults
+from sim.chaos.fault_profiles import DRAWN_SHAPE, FORGER, PROFILES, with_faults
 from sim.chaos.scenario_judge import RUNNER_LOG
 from sim.chaos.verdict import Verdict, judge
 from sim.scenarios.protocol_setup import drill
@@ -143,6 +143,8 @@ def test_hours_of_fleets_with_keys_are_counted_apart(tmp_path: Path) -> None:
     assert "(wanted: 5000, **missed**); 1 rules broken in them." in report(tmp_path)
     assert judged_hours(tmp_path, "same", is_keyed) == (5_001.0, 1)
     assert {name for name, profile in PROFILES.items() if profile.keyed} == set(KEYED)
+    assert is_keyed("forged_field" + DRAWN_SHAPE) and is_keyed("body" + DRAWN_SHAPE + FORGER)
+    assert not is_keyed("body" + DRAWN_SHAPE)
     (tmp_path / "a.json").write_text(json.dumps(row | {"profile": "bus" + FORGER}))
     assert judged_hours(tmp_path, "same", is_keyed) == (5_001.0, 0), "any profile with an attacker"
 

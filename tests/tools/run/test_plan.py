@@ -27,6 +27,7 @@ from sim.runs.field_run import FieldRun
 from sim.runs.work_geojson import write_geojson
 from sim.runs.work_plan import EQUAL_RUNS, FLEET_PLAN, covered_units, left_of, plan_work
 from sim.runs.work_record import record_of
+from sim.scenarios.drawn_field import drawn_boundary
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import load
 from tests.agent.field.test_fleet_plan import drawn_problem
@@ -311,3 +312,13 @@ def test_ground_that_no_robot_can_reach_is_told(tmp_path: Path) -> None:
     (apart_m2,) = [part["area_m2"] for part in told["unreached"] if "passages" in part["why"]]
     assert 400.0 < apart_m2 < 650.0
     assert "m2 behind passages that are too narrow" in call(tmp_path / "neck.toml").stdout
+
+
+def test_a_drawn_field_is_planned_and_not_launched(tmp_path: Path) -> None:
+    said = CliRunner().invoke(app, ["plan", "drawn:7", "--robots", "2", "--out", str(tmp_path)])
+    assert said.exit_code == 0 and " 7: 0.09 ha" in said.stdout, said.output
+    boundary = read_boundary(tmp_path / "plan.geojson")
+    assert boundary.polygon.area == pytest.approx(drawn_boundary("drawn:7").polygon.area, rel=1e-3)
+    refused = CliRunner().invoke(app, ["launch", "drawn:7", "--out", str(tmp_path / "launch")])
+    assert refused.exit_code == 2 and "a drawn field has no file" in refused.stderr, refused.output
+    assert not (tmp_path / "launch").exists()
