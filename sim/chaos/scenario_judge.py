@@ -95,6 +95,15 @@ HUNG_M = 0.5 + 1.1
 STOOD_M = 0.01  # a body that is less far away than this has not moved
 # Copies are lost, but no robot is cut off.
 LOSSY = (kinds.Loss, kinds.Omission, kinds.Duplicate, kinds.Errors)
+# Frames in the name of a robot that is dead, or a clock that shows a time at which it was alive.
+HEARD_AGAIN = (
+    kinds.Clone,
+    kinds.Twin,
+    kinds.Foreign,
+    kinds.Nonsense,
+    kinds.Forger,
+    kinds.ClockJump,
+)
 CLAIM_PRIORITY = GROUP_OF[AddressClaimed].priority
 CLAIM_PF = 0xEE  # of an identifier: ADDRESS_CLAIMED
 # A robot closer than this to a line is on it; a robot on another line passes at a greater distance.
@@ -282,7 +291,7 @@ class ScenarioJudge:
         if is_link_trouble(fault):
             lossy = isinstance(fault, LOSSY)
             end_at_us = 0 if lossy else at_us + round(getattr(fault, "for_s", 0.0) * S) + SETTLED_US
-            self._at(at_us, partial(self._troubled, end_at_us))
+            self._at(at_us, partial(self._troubled, end_at_us, isinstance(fault, HEARD_AGAIN)))
             if end_at_us:  # a press at the same time is not sent completely either
                 self._at(at_us + 1, self._interrupted)
         match fault:
@@ -373,14 +382,15 @@ class ScenarioJudge:
         self.cluster.world.advance(now_us)
         return now_us
 
-    def _troubled(self, end_at_us: int) -> None:
+    def _troubled(self, end_at_us: int, heard: bool) -> None:
+        """`heard`: robots may hear again of one that is dead."""
         self._trouble_at_us = self.cluster.host.now_us()
         self._cut_ends_at_us = max(self._cut_ends_at_us, end_at_us)
         self._part(end_at_us)
         if end_at_us:
             self._interrupted()
         for slot in list(self._silences):
-            self._heard_of(slot)
+            self._unsure_of_silence(slot, heard)
 
     def _loses_address(self, slot: int) -> None:
         """S18: if it must have received the better claim, it sends nothing more from that
@@ -775,9 +785,18 @@ class ScenarioJudge:
             checker.lapses(slot, self.cluster.host.now_us())
 
     def _heard_of(self, slot: int) -> None:
-        """It is back, or it can no longer be determined which robots receive each other."""
-        for number in self._silences.pop(slot, {}):
+        """It is back, and all may go on."""
+        self._unsure_of_silence(slot, heard=True)
+
+    def _unsure_of_silence(self, slot: int, heard: bool) -> None:
+        """S6: it can no longer be determined when robots notice its death. Those that had to know it by
+        now stand on, if no one speaks in its name."""
+        watches, now_us = self._silences.pop(slot, {}), self.cluster.host.now_us()
+        noticed = {number: due for number, due in watches.items() if due <= now_us and not heard}
+        for number in watches.keys() - noticed.keys():
             self.silence.release(number)
+        if noticed:
+            self._silences[slot] = noticed
 
     def _knows_no_silence(self, slot: int, remembers: bool) -> None:
         """It boots, and has never received those that are dead. If it has kept its memory, it stands on

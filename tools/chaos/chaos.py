@@ -74,7 +74,7 @@ def chaos(
     def keep(verdicts: list[Verdict], cpu_s: float) -> dict[str, Any]:
         told = _report(verdicts, profile)
         told |= {
-            "seeds": _played(verdicts),
+            "seeds": _played(verdicts, numbers.start),
             "code": fingerprint(),
             "robots": fingerprint(ROBOTS),
             "cpu_s": round(cpu_s, 1),
@@ -110,10 +110,9 @@ def _in_a_row(verdicts: list[Verdict], first: int) -> list[Verdict]:
     return [done[seed] for seed in itertools.takewhile(done.__contains__, itertools.count(first))]
 
 
-def _played(verdicts: list[Verdict]) -> tuple[int, int]:
-    """Seeds are handed out in order: first, and one after the last."""
-    seeds = [verdict.seed for verdict in verdicts]
-    return min(seeds, default=0), max(seeds, default=-1) + 1
+def _played(verdicts: list[Verdict], first: int) -> tuple[int, int]:
+    """Seeds are handed out in order, from the first: it, and one after the last."""
+    return first, max((verdict.seed + 1 for verdict in verdicts), default=first)
 
 
 def tell_report(folder: Path, as_json: bool = False) -> int:

@@ -86,3 +86,37 @@ def test_who_met_before_a_device_babbles_has_met() -> None:
     judge.run()
     judge.cluster.look()
     assert all(judge.cluster.acquaintance.met(slot, 2 - slot) for slot in (0, 2))
+
+
+TROUBLE: dict[str, Fault] = {
+    "loss": kinds.Loss(at_s=12.0, kind="loss", rate=0.01),
+    "heal": kinds.Heal(at_s=12.0, kind="heal"),
+    "freeze": kinds.Freeze(at_s=12.0, kind="freeze", robot=TWICE, for_s=0.05),
+    "partition": kinds.Partition(at_s=12.0, kind="partition", islands=[[DEAD, TWICE], [STANDS]]),
+}
+
+
+@pytest.mark.parametrize("trouble", TROUBLE)
+@pytest.mark.parametrize("holds", [True, False], ids=["stands", "goes on"])
+def test_trouble_of_links_releases_nobody_from_a_silence_that_is_known(
+    trouble: str, holds: bool
+) -> None:
+    """Every fault of links released all robots, although nothing of the dead one could be heard."""
+    died: list[Fault] = [kinds.Crash(at_s=10.0, kind="crash", robot=DEAD), TROUBLE[trouble]]
+    judge = _judge(died, 18.0)
+    ends_by_itself = property(lambda controller: bool(controller._silent))
+    with patch.object(
+        StopController, "_settles", StopController._settles if holds else ends_by_itself
+    ):
+        told = [each.what for each in judge.run().broken if each.rule == "S6"]
+    assert bool(told) is not holds, told
+
+
+def test_a_frame_in_the_name_of_the_dead_releases_those_that_hear_it() -> None:
+    died: list[Fault] = [
+        kinds.Crash(at_s=10.0, kind="crash", robot=DEAD),
+        kinds.Twin(at_s=12.0, kind="twin", robot=DEAD, for_s=2.0),
+    ]
+    judge = _judge(died, 18.0)
+    judge.run()
+    assert DEAD not in judge._silences

@@ -175,6 +175,8 @@ def test_what_was_shown_so_far_is_kept_in_a_row(tmp_path: Path, monkeypatch: Any
     assert [verdict.seed for verdict in verdicts] == [*seeds]
     assert all(row == [*seeds][: len(row)] for row, _ in kept)
     assert kept[-1] == ([*seeds], cpu_s) and cpu_s > 0.0
+    assert campaign._played(verdicts, 3) == (3, 6)
+    assert campaign._played([], 3) == (3, 3), "no run is over yet: it said 0 to 0"
 
 
 def test_i24_help_and_documents_name_every_profile() -> None:
