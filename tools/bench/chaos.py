@@ -26,7 +26,7 @@ from tools.chaos.chaos_report import (
 )
 from tools.chaos.fuzz import every
 from tools.chaos.planted_bug_hunt import warm_up
-from tools.common.fingerprint import ROBOTS, ROOT, fingerprint
+from tools.common.fingerprint import ROOT, robots_fingerprint
 
 SIZES = ((5, 1000.0), (20, 100.0), (50, 20.0), (100, 5.0))  # robots, simulated s per CPU s wanted
 SHARE_S = 1.5  # CPU time given to each size, --quick
@@ -75,7 +75,7 @@ def _campaign(profile: str, runs: int, seed: int) -> Iterator[Figure]:
 
 def _committed() -> Iterator[Figure]:
     """What the committed results say of the robots as they are now; of others they say nothing."""
-    robots = fingerprint(ROBOTS)
+    robots = robots_fingerprint()
     scope = (
         f"read from {RESULTS.relative_to(ROOT)}, not played in this run; today's robots {robots}"
     )

@@ -28,7 +28,7 @@ from tools.chaos.chaos_report import (
     is_keyed,
     judged_hours,
 )
-from tools.common.fingerprint import ROBOTS, fingerprint
+from tools.common.fingerprint import robots_fingerprint
 
 ROOT = Path(__file__).parents[2]
 # The attacks of the findings, each a test that names it; the threat model names those that remain.
@@ -145,7 +145,7 @@ def campaigns(quick: bool, seed: int) -> Iterator[Figure]:
         + "".join(f"; {each}" for each in broken[:3]),
     )  # fmt: skip
     try:
-        hours, failed = judged_hours(RESULTS, fingerprint(ROBOTS), is_keyed)
+        hours, failed = judged_hours(RESULTS, robots_fingerprint(), is_keyed)
     except ReportError:  # installed without its documents
         return
     yield Figure(

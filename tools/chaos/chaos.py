@@ -29,7 +29,7 @@ from tools.chaos.campaign import ClusterError, room, workers
 from tools.chaos.chaos_report import ReportError, figures, report
 from tools.chaos.planted_bug_hunt import hunt_all
 from tools.common.exit_codes import code_of, wrong
-from tools.common.fingerprint import ROBOTS, fingerprint
+from tools.common.fingerprint import fingerprint, robots_fingerprint
 from tools.common.gc_collector import patient
 from tools.common.progress import shows_progress
 
@@ -76,7 +76,7 @@ def chaos(
         told |= {
             "seeds": _played(verdicts, numbers.start),
             "code": fingerprint(),
-            "robots": fingerprint(ROBOTS),
+            "robots": robots_fingerprint(),
             "cpu_s": round(cpu_s, 1),
         }
         _write(out, told)
