@@ -122,6 +122,28 @@ class ValueTold(NamedTuple):
 ServerOutput = ServerMessage | ClientActivated | ClientLost | ValueTold
 
 
+class PoolUpload:
+    """A description that arrives in one message, or in parts that follow each other."""
+
+    def __init__(self, announced_bytes: int) -> None:
+        """`announced_bytes`: how long its maker says it is; 0: nothing was announced."""
+        self.announced_bytes = announced_bytes
+        self.received = b""
+        self.is_read = True  # all that has arrived
+
+    @property
+    def is_whole(self) -> bool:
+        """Whether nothing that was announced is missing."""
+        return len(self.received) >= self.announced_bytes
+
+    def add(self, part: bytes) -> None:
+        """A frame carries eight bytes at least, so a short last part is padded with 0xFF."""
+        self.received = part if self.is_whole else self.received + part
+        surplus = self.received[self.announced_bytes :]
+        if self.announced_bytes and not surplus.strip(b"\xff"):
+            self.received = self.received[: self.announced_bytes]
+
+
 class ImplementSession:
     """What is known of one device that has spoken to the task controller: its description, its values."""
 
@@ -129,6 +151,7 @@ class ImplementSession:
         self.source, self.name = source, name
         self.version = VERSION_4  # that both speak
         self.pool: DevicePool | None = None
+        self.upload = PoolUpload(0)
         self.values: dict[Key, int] = {}  # as it has told them
         self.heard_at_us = now_us
         self.machine = StateMachine("implement", CLIENT_TABLE, GREETED)
@@ -300,6 +323,7 @@ class TaskServer:
             case _ if kind == ASK_UPLOAD:
                 size = int.from_bytes(data[1:5], "little")
                 fits = 0 < size <= POOL_BYTES_MAX
+                client.upload = PoolUpload(size if fits else 0)
                 return [_said(source, bytes((MAY_UPLOAD, 0 if fits else REFUSED)))]
             case _ if kind == ACTIVATE:
                 return self._activate(client, bool(data[1]))
@@ -312,21 +336,30 @@ class TaskServer:
 
     def _take(self, client: ImplementSession, data: bytes) -> bytes:
         """Store a description; returns the answer."""
-        other = VERSION_3 if client.version >= VERSION_4 else VERSION_4
-        pool = read_pool(data, client.version) or read_pool(data, other)
-        if pool is None or len(data) > POOL_BYTES_MAX:
+        upload, size = client.upload, len(data).to_bytes(4, "little")
+        if len(upload.received) + len(data) <= POOL_BYTES_MAX:
+            upload.add(data)
+        pool = _read(client, upload.received) or _read(client, data)
+        upload.is_read = pool is not None
+        if pool is None and not upload.is_whole:
+            return bytes((POOL_TAKEN, 0)) + size  # the rest follows
+        if pool is None:
+            client.upload = PoolUpload(0)
             self.counts["unreadable description"] += 1
-            return bytes((POOL_TAKEN, REFUSED)) + len(data).to_bytes(4, "little")
+            return bytes((POOL_TAKEN, REFUSED)) + size
         self.stored.pop(client.name, None)
         client.pool = self.stored[client.name] = pool
         client.values.clear()
         if len(self.stored) > STORED_MAX:  # a device that comes back is asked again
             del self.stored[next(iter(self.stored))]
         client.machine.fire(ClientEvent.TAKEN)
-        return bytes((POOL_TAKEN, 0)) + len(data).to_bytes(4, "little")
+        return bytes((POOL_TAKEN, 0)) + size
 
     def _activate(self, client: ImplementSession, wanted: bool) -> list[ServerOutput]:
         event = ClientEvent.ACTIVATED if wanted else ClientEvent.DEACTIVATED
+        if wanted and not client.upload.is_read:
+            self.counts["activated in the middle of a description"] += 1
+            return [_said(client.source, bytes((ACTIVATED, REFUSED, *b"\xff" * 4, REFUSED)))]
         before, after = client.machine.fire(event)
         right = (after is ACTIVE) is wanted
         answer = bytes((ACTIVATED, 0 if right else REFUSED, *b"\xff" * 4, 0 if right else REFUSED))
@@ -343,10 +376,16 @@ class TaskServer:
 
     def _delete(self, client: ImplementSession) -> list[ServerOutput]:
         self.stored.pop(client.name, None)
-        client.pool = None
+        client.pool, client.upload = None, PoolUpload(0)
         before, _ = client.machine.fire(ClientEvent.DELETED)
         lost: Sequence[ServerOutput] = [ClientLost(client.source)] if before is ACTIVE else []
         return [_said(client.source, bytes((DELETED, 0))), *lost]
+
+
+def _read(client: ImplementSession, data: bytes) -> DevicePool | None:
+    """A description in the version that both speak, or in the other one."""
+    other = VERSION_3 if client.version >= VERSION_4 else VERSION_4
+    return read_pool(data, client.version) or read_pool(data, other)
 
 
 def _said(destination: int, data: bytes) -> ServerMessage:

@@ -160,6 +160,47 @@ def test_no_part_of_a_description_is_believed(maker: Maker) -> None:
     assert said(tell(server, b"\x81\xff"))[0][1] == 1, "nothing can be activated"
 
 
+@pytest.mark.parametrize("size", [7, 8, 100, 250])
+@pytest.mark.parametrize("maker", [CONDENSED_MAKER, PLAIN_MAKER])
+def test_a_description_may_come_in_parts(maker: Maker, size: int) -> None:
+    """Each part but a whole description was refused, and such an implement never logged in."""
+    server, pool = logged_in(maker)
+    whole = server.clients[SOURCE].pool
+    assert said(tell(server, b"\xa1"))[0][:2] == b"\xb1\x00"
+    assert said(tell(server, b"\x41" + len(pool).to_bytes(4, "little")))[0][:2] == b"\x51\x00"
+    parts = [pool[at : at + size] for at in range(0, len(pool), size)]
+    for number, part in enumerate(parts):
+        assert said(tell(server, b"\x61" + part))[0][:2] == b"\x71\x00"
+        if read_pool(pool[: size * (number + 1)], maker.version) is None:
+            assert said(tell(server, b"\x81\xff"))[0][1] == 1, "it is not whole yet"
+    assert server.clients[SOURCE].pool == whole
+    assert ClientActivated(SOURCE) in tell(server, b"\x81\xff")
+    assert said(tell(server, b"\x61" + pool))[0][:2] == b"\x71\x00", "a new one is no further part"
+    assert server.clients[SOURCE].pool == whole
+
+
+def test_a_description_that_is_shorter_than_announced_is_used() -> None:
+    server, pool = logged_in(CONDENSED_MAKER)
+    whole = server.clients[SOURCE].pool
+    tell(server, b"\xa1")
+    tell(server, b"\x41" + (len(pool) + 50).to_bytes(4, "little"))
+    assert said(tell(server, b"\x61" + pool))[0][:2] == b"\x71\x00"
+    assert server.clients[SOURCE].pool == whole
+    assert ClientActivated(SOURCE) in tell(server, b"\x81\xff")
+
+
+def test_parts_that_make_no_description_are_refused_at_the_last_one() -> None:
+    server, pool = logged_in(CONDENSED_MAKER)
+    tell(server, b"\x41" + (300).to_bytes(4, "little"))
+    assert said(tell(server, b"\x61" + bytes(200)))[0][:2] == b"\x71\x00"
+    assert said(tell(server, b"\x61" + bytes(200)))[0][:2] == b"\x71\x01"
+    tell(server, b"\x41" + len(pool).to_bytes(4, "little"))
+    tell(server, b"\x61" + pool[:100])
+    tell(server, b"\x41" + len(pool).to_bytes(4, "little"))
+    assert said(tell(server, b"\x61" + pool))[0][:2] == b"\x71\x00", "it began again"
+    assert ClientActivated(SOURCE) in tell(server, b"\x81\xff")
+
+
 def test_any_bytes_raise_nothing() -> None:
     server, _ = logged_in(CONDENSED_MAKER)
     rng = Random(4)
