@@ -79,8 +79,10 @@ def fleet_folder(
         until_left(folder, told)
         known = _known(folder)
         same = known is not None and known["fleet"] == identity
-        going_on = same and not known["over"] and not fresh if known is not None else False
-        if any(folder.glob(JOURNALS)) and not fresh and not going_on and not _over(known):
+        remembers = any(folder.glob(JOURNALS))
+        begun = known is not None and (known["begun"] or remembers)
+        going_on = known is not None and same and begun and not known["over"] and not fresh
+        if remembers and not fresh and not going_on and not _over(known):
             raise FolderError(
                 f"{folder} holds another fleet that is not done; begin a new one there with --fresh, "
                 "or choose another folder with --out"
@@ -94,12 +96,18 @@ def fleet_folder(
         if out is None:
             link(RUNS / LAUNCH, folder)
             link(RUNS / LATEST, folder)
-        _write(folder, identity, over=False)
+        _write(folder, identity, over=False, begun=going_on)
     except BaseException:
         for lock in locks:
             lock.close()
         raise
     return FleetFolder(folder, launches, going_on, said, tuple(locks))
+
+
+def begin_fleet(fleet: FleetFolder, setting: AnySetting) -> None:
+    """Its robots are about to start. A launch that is refused before, as where its port is taken, leaves
+    no fleet that could be continued."""
+    _write(fleet.folder, identity_of(setting), over=False)
 
 
 def end_fleet(fleet: FleetFolder, setting: AnySetting) -> None:
@@ -137,7 +145,8 @@ def _known(folder: Path) -> dict[str, Any] | None:
     with contextlib.suppress(OSError, ValueError, RecursionError, KeyError, TypeError):
         with (folder / FLEET).open("rb") as file:
             said = json.loads(file.read(FLEET_BYTES_MAX))
-        return {"fleet": str(said["fleet"]), "over": said["over"] is True}
+        begun = said.get("begun") is not False  # older launches do not say it
+        return {"fleet": str(said["fleet"]), "over": said["over"] is True, "begun": begun}
     return None
 
 
@@ -145,8 +154,9 @@ def _over(known: dict[str, Any] | None) -> bool:
     return known is not None and bool(known["over"])
 
 
-def _write(folder: Path, identity: str, over: bool) -> None:
-    write_whole(folder / FLEET, json.dumps({"fleet": identity, "over": over}) + "\n")
+def _write(folder: Path, identity: str, over: bool, begun: bool = True) -> None:
+    told = {"fleet": identity, "over": over, "begun": begun}
+    write_whole(folder / FLEET, json.dumps(told) + "\n")
 
 
 def _put_away(folder: Path, journals: bool) -> int:

@@ -42,7 +42,7 @@ from tools.common.process_identity import identity
 from tools.inspect.inspector import NO_KEYS, Inspector
 from tools.inspect.measured_inspector import MeasuredInspector
 from tools.inspect.metrics_address import MetricsAddress
-from tools.run.fleet_folder import TRUTH, FleetFolder, end_fleet
+from tools.run.fleet_folder import TRUTH, FleetFolder, begin_fleet, end_fleet
 from tools.run.launch_bus import LaunchBus, OutsideHub, OwnHub, viewer_command
 from tools.run.launch_setup import AnySetting, places_of, robot_document
 from tools.run.launch_status import LaunchStatus
@@ -166,6 +166,7 @@ class Launch:
         try:
             if self.page_port is not None:
                 await self._start_map()
+            begin_fleet(self.fleet, self.setting)
             await self._start_all(bus.port, path)
             freeze_gc()
             finished = await self._watch(end, seconds)

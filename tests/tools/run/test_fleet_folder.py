@@ -9,6 +9,7 @@ import sys
 from math import cos, sin
 from pathlib import Path
 from random import Random
+from socket import socket
 
 import can
 import pytest
@@ -29,7 +30,7 @@ from tools.common.bus_address import CHANNEL
 from tools.common.bus_attach import attach
 from tools.common.run_folder import QUEUE, FolderError, folder_for
 from tools.run import robot_lock
-from tools.run.fleet_folder import FleetFolder, _put_away, end_fleet, fleet_folder
+from tools.run.fleet_folder import FleetFolder, _put_away, begin_fleet, end_fleet, fleet_folder
 from tools.run.launch import STRAIGHT_M
 
 EPOCH_2020_S = 1_577_836_800
@@ -216,9 +217,32 @@ def test_f5_a_fleet_whose_file_is_lost_is_not_replaced_in_silence(
     begun = fleet_folder(None, _setting(), True)
     _close(begun)
     assert begun.folder == Path("runs/small-2") and not begun.continues
+    begin_fleet(begun, _setting())
     again = fleet_folder(None, _setting(), False)
     _close(again)
-    assert again.folder == begun.folder and again.continues
+    assert again.folder == begun.folder and again.continues, "its robots may have moved"
+
+
+def test_a_launch_that_was_refused_leaves_no_fleet_to_continue(folder: Path) -> None:
+    """A port was taken. The next launch said that it continued a fleet, and robots that had never run
+    waited for a person, because they had lost what they never wrote."""
+    with socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        words = ["launch", "small", "--robots", "2", "--port", str(taken.getsockname()[1])]
+        refused = subprocess.run(
+            [sys.executable, "-m", "tools.cli.headland", *words],
+            cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, timeout=WAIT_S,
+        )  # fmt: skip
+    assert refused.returncode not in (0, 1) and "in use" in refused.stderr, refused
+    assert Path("runs/small-1/fleet.json").exists()
+    first = fleet_folder(None, _setting(), False)
+    assert first.folder == Path("runs/small-1") and not first.continues and not first.said
+    begin_fleet(first, _setting())
+    _close(first)
+    again = fleet_folder(None, _setting(), False)
+    _close(again)
+    assert again.continues
 
 
 def test_a_fleet_is_continued_when_its_old_robots_have_ended(folder: Path) -> None:
