@@ -313,6 +313,7 @@ class ScenarioJudge:
                 self._at(at_us + excused_for_us, self._excuse_ends)
                 self._at(at_us, partial(self._sees_again, robot))
                 self._at(at_us, partial(self._shoved, robot, at_us + 1))
+                self._at(let_go_at_us + ROLLS_ON_US, partial(self._is_let_go, robot))
             case kinds.Jumped(robot=robot, for_s=for_s, dx_m=dx_m, dy_m=dy_m):
                 far_m, end_at_us = hypot(dx_m, dy_m), at_us + round(for_s * S)
                 self._at(at_us, partial(self._place_jumps, robot, far_m, end_at_us))
@@ -443,6 +444,11 @@ class ScenarioJudge:
         if slot in self.cluster.robots:
             self._blind_ends_at_us[slot] = max(self._blind_ends_at_us.get(slot, 0), end_at_us)
         self._loses_senses(slot, end_at_us)
+
+    def _is_let_go(self, slot: int) -> None:
+        """S19: no person moves it any more. One that still senses nothing stands."""
+        if self._now_us() < self._blind_ends_at_us.get(slot, 0):
+            self._loses_senses(slot, self._blind_ends_at_us[slot])
 
     def _shows(self, slot: int, end_at_us: int, call: Callable[[int, int], object]) -> None:
         """S19: `call` as soon as a fault of the senses can show, if it lasts until then. It does not

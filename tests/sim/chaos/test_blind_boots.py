@@ -40,3 +40,18 @@ def test_a_robot_that_boots_blind_is_watched(drives: bool) -> None:
     judge.drives = drives
     found = [each.what for each in judge.run().broken if each.rule == "S19"]
     assert bool(found) is drives, found
+
+
+@pytest.mark.parametrize("drives", [False, True])
+def test_a_robot_that_was_pushed_while_it_senses_nothing_is_watched_on(drives: bool) -> None:
+    """A push ended the watch for the rest of the fault."""
+    faults: list[Fault] = [
+        kinds.Blind(at_s=5.0, kind="blind", robot=0, for_s=8.0),
+        kinds.Pushed(at_s=6.0, kind="pushed", robot=0, dx_m=0.4, dy_m=0.0),
+    ]
+    scenario = load("yard").changed(2, 1)
+    run = scenario.run.model_copy(update={"time_limit_s": 14.0})
+    judge = Misdriven(scenario.model_copy(update={"fault": faults, "run": run}))
+    judge.drives = drives
+    found = [each.what for each in judge.run().broken if each.rule == "S19"]
+    assert bool(found) is drives, found
