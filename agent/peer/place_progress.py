@@ -29,7 +29,14 @@ from agent.interface.config import ACTUATOR_TTL_US, S
 from agent.interface.effects import Drive
 from agent.interface.motion_controller import BodyLimits
 from agent.interface.observation import Observation
-from agent.peer.place_jumps import FASTER, JUMP_M, NOTHING_UNSEEN, STANDS_M_S, Unseen
+from agent.peer.place_jumps import (
+    FASTER,
+    JUMP_M,
+    NOTHING_UNSEEN,
+    POSITION_ACCURACY_M,
+    STANDS_M_S,
+    Unseen,
+)
 
 # The way that wheels are told to drive, and the share of it that the place follows at least. A place that
 # fell back once by `JUMP_M` may be right, if the body follows by `FOLLOWS_BACK`. To the way comes the
@@ -46,6 +53,10 @@ FALLS: Final = 2
 # receiver that hangs repeats one place, or drifts; `agent/peer/sense_freshness.py` finds these.
 WANDERS: Final = 3.0
 STEP_M: Final = 0.02  # of the expected way, between two places that are kept
+# Places kept of each kind, twice as many as a straight way of `NOWHERE_WAY_M` has. A body that moves to
+# and fro gets no further, and would keep more and more.
+KEPT_MAX: Final = 128
+assert KEPT_MAX * STEP_M >= 2 * (NOWHERE_WAY_M + ACCURACIES * POSITION_ACCURACY_M)
 SETTLES_US: Final = 1 * S  # five fixes of a slow receiver
 # Share of the wheels' acceleration: allows for slip and drive lag. Brakes are assumed to act instantly.
 # Where the most counts, wheels may have as much more.
@@ -108,9 +119,10 @@ class PlaceProgress:
 
     def __init__(self) -> None:
         self._before: Observation | None = None
-        self._kept: deque[_Kept] = deque()  # oldest first: the last `NOWHERE_WAY_M`
+        # Oldest first: the last `NOWHERE_WAY_M`, and of the way that the body says.
+        self._kept: deque[_Kept] = deque(maxlen=KEPT_MAX)
         self._now = _Kept(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0)
-        self._said: deque[_Sensed] = deque()  # oldest first: the last `NOWHERE_WAY_M` of them
+        self._said: deque[_Sensed] = deque(maxlen=KEPT_MAX)
         self._sensed = _Sensed()
         self._falls_back = False  # against the velocity, in this period
         self._goes_on = True  # in the direction of the command
