@@ -31,3 +31,10 @@ def test_item_2_the_fault_is_seen_when_robots_go_on_unheard() -> None:
 def test_item_2_drawn_floods(seed: int) -> None:
     result = Trial(draw(seed, 3, longest_for_s=15.0)).run()
     assert not result.broken, result
+
+
+@pytest.mark.slow
+def test_a_fleet_that_finishes_its_work_in_a_flood_has_recovered() -> None:
+    """Nothing was left to drive for, and the trial waited for a robot that drives."""
+    result = Trial(draw(102904, longest_for_s=120.0)).run()
+    assert not result.broken and result.moved_m > 50.0, result
