@@ -15,7 +15,7 @@ from sim.chaos.fault_profiles import (
     span_of,
 )
 from sim.chaos.verdict import judge
-from sim.scenarios.drawn_field import AREA_M2, SHAPES, drawn_boundary
+from sim.scenarios.drawn_field import AREA_M2, ROOM_M, ROOM_SHARE, SHAPES, drawn_boundary
 from sim.scenarios.field_setup import FieldSetup, is_met_within
 from sim.scenarios.scenario import Box, Pushed, ScenarioError, load
 from sim.scenarios.toml_writer import to_toml
@@ -31,6 +31,7 @@ def test_a_drawn_field_follows_from_its_seed_and_every_shape_is_drawn() -> None:
         assert field.is_valid and AREA_M2[0] * 0.99 < field.area < AREA_M2[1] * 1.01, name
         west, south, east, north = field.bounds
         assert abs(west + east) < 1e-6 and abs(south + north) < 1e-6, name
+        assert field.buffer(-ROOM_M).area >= ROOM_SHARE * field.area, f"{name}: no room for bodies"
         seen.add(name.split()[0])
     assert seen == {shape.__name__ for shape in SHAPES}
 

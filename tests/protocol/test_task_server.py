@@ -177,6 +177,7 @@ def test_a_description_may_come_in_parts(maker: Maker, size: int) -> None:
     assert ClientActivated(SOURCE) in tell(server, b"\x81\xff")
     assert said(tell(server, b"\x61" + pool))[0][:2] == b"\x71\x00", "a new one is no further part"
     assert server.clients[SOURCE].pool == whole
+    assert len(server.clients[SOURCE].upload.received) == len(pool)
 
 
 def test_a_description_that_is_shorter_than_announced_is_used() -> None:
@@ -199,6 +200,10 @@ def test_parts_that_make_no_description_are_refused_at_the_last_one() -> None:
     tell(server, b"\x41" + len(pool).to_bytes(4, "little"))
     assert said(tell(server, b"\x61" + pool))[0][:2] == b"\x71\x00", "it began again"
     assert ClientActivated(SOURCE) in tell(server, b"\x81\xff")
+    tell(server, b"\x41" + len(pool).to_bytes(4, "little"))
+    tell(server, b"\x61" + pool[:100])
+    tell(server, b"\xa1")
+    assert said(tell(server, b"\x61" + pool[100:]))[0][:2] == b"\x71\x01", "the rest of none"
 
 
 def test_any_bytes_raise_nothing() -> None:

@@ -48,6 +48,8 @@ def test_e2_a_latched_fleet_stays_latched_after_kill_9_and_the_same_command(tmp_
         launch = await start(tmp_path, "launch", "small", "--robots", "2")
         try:
             await robots_up(launch, 2)
+            fleet = json.loads((tmp_path / "runs/launch/fleet.json").read_text())
+            assert fleet["begun"] is True, "before any robot has a journal, too"
             code, text = await call(tmp_path, "estop", "--json")
             assert code == 0, text
         finally:
