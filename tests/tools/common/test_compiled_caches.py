@@ -81,8 +81,9 @@ def test_kernels_beside_the_sources_count(tmp_path: Path) -> None:
 
 @pytest.mark.skipif(foreign_writer(ROOT) is not None, reason="others can write these sources")
 def test_a_core_that_others_can_write_is_not_used(
-    tmp_path: Path, capfd: pytest.CaptureFixture[str]
+    tmp_path: Path, capfd: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    monkeypatch.delenv(compiled_core.OFF, raising=False)
     folder = tmp_path / "core"
     folder.mkdir()
     (folder / f"nothing{compiled_core.SUFFIX}").touch()
