@@ -43,10 +43,10 @@ GROUP = {
     "field.field_obstructions field.fleet_plan field.parking field.section_choice "
     "field.section_shares field.steered_travel_times field.tractor_mission field.travel_times "
     "field.work_leg interface.effects interface.instants "
-    "mapf.agreement_phase motion.deadlock_yield motion.holonomic_motion "
+    "mapf.agreement_phase motion.bar_guard motion.deadlock_yield motion.holonomic_motion "
     "motion.implement_clearance motion.in_place_rotation motion.obstacle_detector "
     "motion.obstacle_stop motion.path_tracker motion.pushed_ahead motion.right_of_way "
-    "motion.stopping_zone motion.tractor_motion pathfinding.goal_agreement "
+    "motion.stopping_zone motion.swept_ground motion.tractor_motion pathfinding.goal_agreement "
     "pathfinding.goal_course pathfinding.pathfinding_mission peer.announcements "
     "peer.control_cycle peer.departure peer.diagnostic_broadcasts peer.diagnostics "
     "peer.durable_records peer.fleet_clock peer.fleet_summary peer.fleet_views "
@@ -63,10 +63,10 @@ GROUP = {
     "safety.command_authentication safety.standard_stop safety.stop_controller "
     "segments.fleet_stops segments.remote_segments segments.segment_area",
     "sim": "can.can_wire can.frame_counter can.frame_timing can.simulated_bus "
-    "chaos.durability_rules chaos.effect_observer chaos.protocol_rules fleet.batched_runner "
-    "fleet.contact_history fleet.event_loop fleet.sensor_faults fleet.simulated_disk "
-    "fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder runs.delivery_fleet "
-    "runs.exploration_fleet runs.grid_fleet world.checkers "
+    "chaos.durability_rules chaos.effect_observer chaos.protocol_rules chaos.unit_knowledge "
+    "fleet.batched_runner fleet.contact_history fleet.event_loop fleet.sensor_faults "
+    "fleet.simulated_disk fleet.simulated_fleet fleet.stop_monitor fleet.trace_recorder "
+    "runs.delivery_fleet runs.exploration_fleet runs.grid_fleet world.checkers "
     "world.grid_world world.ground_truth world.protocol_world world.pymunk_engine world.robot_body "
     "world.world",
 }  # fmt: skip
