@@ -5,7 +5,7 @@ does not know how a journal works.
 """
 
 import asyncio
-from collections.abc import Container, Iterable, Mapping
+from collections.abc import Container, Iterable, Iterator, Mapping
 from random import Random
 
 from agent.interface.effects import Effect, Persist, Send
@@ -92,7 +92,14 @@ def record(seed: int, simulated_s: float = 180.0) -> dict[int, Tape]:
 def lost(
     revealed: Iterable[Message], recalled: Mapping[str, bytes], worked: Worked | None = None
 ) -> str:
-    """Data that this robot has sent but would have lost; empty if nothing.
+    """The first of `losses`; empty if there is none."""
+    return next(losses(revealed, recalled, worked), "")
+
+
+def losses(
+    revealed: Iterable[Message], recalled: Mapping[str, bytes], worked: Worked | None = None
+) -> Iterator[str]:
+    """Each thing that this robot has sent but would have lost, in words.
 
     `worked`: the units that some robot has worked in truth, as section and unit; None: all. What a
     thief told may be repeated, and is nobody's work."""
@@ -102,22 +109,22 @@ def lost(
     stopped, sent, told_stops = False, set[StopDot](), set[StopDot]()
     for m in revealed:
         if isinstance(m, Member) and m.incarnation != _number(recalled, INCARNATION, U16.size):
-            return f"incarnation {m.incarnation}"
+            yield f"incarnation {m.incarnation}"
         if isinstance(m, LeaderElectionVote):
             raw = recalled.get(ELECTION, b"")
             if len(raw) != VOTE.size or VOTE.unpack(raw)[0] < m.term:
-                return f"the vote of term {m.term}"
+                yield f"the vote of term {m.term}"
         if isinstance(m, TaskClaim):
             claims += 1
             if m.phase in BEGUN:
                 owned.add(m.section)
             told = pack(m.epoch, Phase(m.phase), m.bid, m.lamport, m.owner)
             if key_of(recalled.get(f"{REGISTER}{m.section}", b"")) < told or operations < claims:
-                return f"own operation {claims}: S{m.section} {Phase(m.phase).name}"
+                yield f"own operation {claims}: S{m.section} {Phase(m.phase).name}"
         if isinstance(m, WorkProgress) and m.section in owned:
             known = units_of(recalled.get(f"{PROGRESS}{m.section}/{m.block}", b""))
             if true_units(m, worked) & ~known:
-                return f"units of S{m.section}"
+                yield f"units of S{m.section}"
         if isinstance(m, EmergencyStop):
             sent.add(StopDot(m.slot, m.incarnation, m.counter))
         # The next frame after a stop: by then the stop must be on the disk.
@@ -127,13 +134,13 @@ def lost(
     try:
         stops = StopSet.deserialize(recalled.get(STOPS_KEY, b"\0\0"))
     except ValueError:
-        return "every stop: the record on the disk is no stop set"
+        yield "every stop: the record on the disk is no stop set"
+        return
     forgotten = {dot for dot in told_stops - stops.active if not stops.is_cleared(dot)}
     if forgotten:
-        return f"stops {sorted(forgotten)}"
+        yield f"stops {sorted(forgotten)}"
     if stopped and recalled.get(HOLD_KEY) != LATCHED:
-        return STANDS
-    return ""
+        yield STANDS
 
 
 def unknown(

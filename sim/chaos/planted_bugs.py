@@ -22,6 +22,7 @@ from agent.peer.frame_origin import Origin, Origins
 from agent.peer.implement_check import ImplementCheck
 from agent.peer.member_discovery import MemberDiscovery
 from agent.peer.membership import Membership
+from agent.peer.peer import Peer
 from agent.peer.place_jumps import NO_REACH, PlaceJumps
 from agent.peer.place_progress import PlaceProgress
 from agent.peer.progress_announcements import ProgressAnnouncements
@@ -33,11 +34,15 @@ from agent.peer.work_admission import Admission
 from agent.runtime.peer_runner import PeerRunner
 from agent.safety.standard_stop import OwnButton, ShortcutButtons
 from agent.safety.stop_controller import StopController
+from crdt import Phase
 from crdt.allocation import FieldAllocationCRDT
 from crdt.progress import Progress
 from crdt.stops import StopSet
 from protocol.address import AddressClaim
+from protocol.frames.fleet_frames import LeaderElectionVote
+from protocol.frames.messages import Message
 from protocol.frames.safety_frames import EmergencyStop, Switch
+from protocol.frames.work_frames import TaskClaim
 from protocol.sync.digest_comparison import Divergence
 from protocol.sync.synchronizer import Synchronizer
 from sim.fleet.simulated_disk import LogJournal
@@ -250,6 +255,24 @@ def _no_progress_kept(right: Any) -> Any:
     return restore
 
 
+def _unsent(is_kept: Callable[[Message], bool]) -> Callable[[Any], Any]:
+    def without(right: Any) -> Any:
+        def step(self: Peer, *args: Any) -> Sequence[Effect]:
+            return [e for e in right(self, *args) if not isinstance(e, Send) or is_kept(e.message)]
+
+        return step
+
+    return without
+
+
+def _is_no_vote(message: Message) -> bool:
+    return not isinstance(message, LeaderElectionVote)
+
+
+def _is_no_bid(message: Message) -> bool:
+    return not isinstance(message, TaskClaim) or message.phase is not Phase.CLAIMED
+
+
 MUTANTS: dict[str, Mutant] = {
     "stop-without-brake": Mutant(
         "a heard stop does not brake", StopController, "receive_stop", _without_halt, "press"
@@ -355,6 +378,12 @@ MUTANTS: dict[str, Mutant] = {
     ),
     "claims-uncontested": Mutant(
         "a claim is work at once", claims, "CONTENTION_US", _value(0), "claims"
+    ),
+    "claims-unsent": Mutant(
+        "a robot starts sections without a claim", Peer, "step", _unsent(_is_no_bid), "claims"
+    ),
+    "votes-unsent": Mutant(
+        "no robot votes for a leader", Peer, "step", _unsent(_is_no_vote), "claims"
     ),
     "never-asks": Mutant(
         "differences are not noticed", Divergence, "on_digest", _constant(False), "split"

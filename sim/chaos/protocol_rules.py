@@ -59,6 +59,9 @@ class RobotStatements:
         # sent. Units relayed for other robots are not on this robot's disk.
         self.own_progress: dict[tuple[int, int], int] = {}
         self.claimed_at_us: dict[int, int] = {}  # section -> when it sent its claim
+        self.claims_unknown = (
+            False  # its clock was set, or it may have claimed before it lost its memory
+        )
         self.dots: set[StopDot] = set()  # every stop that it has pressed or echoed
         self.stopped = False
         self.stopped_at_us = NEVER_US  # since when it reports it, in a stop frame or a beat
@@ -124,6 +127,7 @@ class ProtocolRules:
     def leaps(self, slot: int) -> None:
         """Its clock is set, so its waiting time after a claim cannot be measured from outside."""
         self.speakers[slot].claimed_at_us.clear()
+        self.speakers[slot].claims_unknown = True
 
     def restarts(self, slot: int, worked: Worked | None = None) -> None:
         """A restart with its memory kept. Entries of other robots that it relayed were never on
@@ -137,7 +141,9 @@ class ProtocolRules:
 
     def forgets(self, slot: int) -> None:
         """Its memory is lost; from now on it counts as another robot of the same slot."""
+        has_sent = self.speakers[slot].incarnation >= 0
         self.speakers[slot] = RobotStatements()
+        self.speakers[slot].claims_unknown = has_sent
         for key in [key for key in self._votes if key[0] == slot]:
             del self._votes[key]
         for voters in self._voters.values():
@@ -258,8 +264,11 @@ class ProtocolRules:
             speaker.claimed_at_us[section] = now_us
             return
         claimed_at_us = speaker.claimed_at_us.pop(section, None)
-        waited = claimed_at_us is None or now_us - claimed_at_us >= CONTESTED_US
-        if phase is Phase.STARTED and not waited:
+        if phase is not Phase.STARTED:
+            return
+        if claimed_at_us is None and not speaker.claims_unknown:
+            self._add("S7", now_us, f"robot {slot} starts S{section}, which it has not claimed")
+        elif claimed_at_us is not None and now_us - claimed_at_us < CONTESTED_US:
             self._add("S7", now_us, f"robot {slot} starts S{section}, which is still contested")
 
     def _vote(

@@ -266,7 +266,7 @@ class TimedMission(Mission):
             self._lifted, self._unit_ends_at_us = False, now_us + self._unit_for_us
         elif down:
             self.parade.works(self.slot, section, now_us)
-        if now_us < self._unit_ends_at_us:
+        if now_us < self._unit_ends_at_us or not down:
             return WORKING
         return self._next(section, view)
 

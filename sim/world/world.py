@@ -216,6 +216,11 @@ class World:
         self._standing = self._obstacles[: max(k for k, _ in self._shapes.values()) + 1]
         return self._numbers
 
+    @property
+    def newest_thing(self) -> int:
+        """The number of the box or disc that came last; 0 before the first. Numbers grow."""
+        return self._numbers
+
     def remove_box(self, number: int) -> None:
         """Remove a box or a disc; removing one that is already gone is allowed."""
         if number in self._shapes:

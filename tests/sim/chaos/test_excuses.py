@@ -10,6 +10,7 @@ from sim.scenarios.scenario import load
 from sim.world.ground_truth import Contact
 
 COMES_S, MEETS_S, END_S, LONG_S = 6.0, 7.0, 9.0, 11.5
+OLD_X_M, OLD_Y_M = 10.0, 5.0  # a box that is there from the beginning
 INTO_M = 0.3  # of one body into what it meets
 
 
@@ -32,22 +33,29 @@ class Carried(ScenarioJudge):
             at_us = round(MEETS_S * S)
             last_at_us = at_us + round(self.leans_for_s * S)
             world.contacts.append(Contact(at_us, 0, 1, 0.001, "robot 1", x_m, y_m, last_at_us))
+        elif self.meets == "old box":
+            world.place(first, OLD_X_M - 1.0 - first.radius_m + INTO_M, OLD_Y_M, 0.0)
         elif self.meets == "box":
             world.add_box(x_m + first.radius_m + 1.0 - INTO_M, y_m, 2.0)
         else:
             world.place(second, x_m + 2 * first.radius_m - INTO_M, y_m, 0.0)
 
 
-@pytest.mark.parametrize(("meets", "broken"), [("robot", True), ("box", False), ("leans", True)])
+@pytest.mark.parametrize(
+    ("meets", "broken"), [("robot", True), ("box", False), ("leans", True), ("old box", True)]
+)
 def test_a_person_elsewhere_excuses_no_robot_that_touches_another(meets: str, broken: bool) -> None:
     """S17 was not judged between robots, nor at fences, for 3 s after anything came into the field.
-    A robot that leans on another is a millimetre deep in it. That was never judged."""
+    A robot that leans on another is a millimetre deep in it. That was never judged. Then any box was
+    excused, also one that was there long before."""
     person = kinds.Person(
         at_s=COMES_S, kind="person", route=[(-19.0, -13.0), (-18.0, -13.0)], speed_m_s=0.5
     )
+    box = kinds.Box(at_s=1.0, kind="box", x_m=OLD_X_M, y_m=OLD_Y_M, size_m=2.0, for_s=60.0)
     scenario = load("yard").changed(2, 1)
     run = scenario.run.model_copy(update={"time_limit_s": END_S})
-    judge = Carried(scenario.model_copy(update={"fault": [person], "run": run}))
+    faults = [box, person] if meets == "old box" else [person]
+    judge = Carried(scenario.model_copy(update={"fault": faults, "run": run}))
     judge.meets = meets
     told = [each for each in judge.run().broken if each.rule == "S17"]
     assert judge.cluster.world.contacts, "nothing was touched"

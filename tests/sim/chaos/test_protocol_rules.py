@@ -1,11 +1,15 @@
 """What is wrong to say and what is not: memory kept, memory lost, work handed over."""
 
+from unittest.mock import patch
+
 import pytest
 
 from agent.interface.config import MS, STOP_SPACING_US, S
 from agent.interface.lifecycle import State
+from agent.peer.durable_records import OPERATIONS, REGISTER, U32, U64
 from crdt import Phase
-from protocol.frames.fleet_frames import Pose
+from crdt.claim_register import pack
+from protocol.frames.fleet_frames import LeaderElectionVote, Pose
 from protocol.frames.safety_frames import (
     Command,
     EmergencyReset,
@@ -13,9 +17,11 @@ from protocol.frames.safety_frames import (
     OperatorCommand,
 )
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
-from sim.chaos.durability_rules import lost
+from sim.chaos.durability_rules import losses, lost
+from sim.chaos.fault_profiles import draw
 from sim.chaos.protocol_rules import ProtocolRules
-from sim.world.protocol_world import BOTH_US, ProtocolWorld
+from sim.chaos.verdict import judge
+from sim.world.protocol_world import BOTH_US, ProtocolWorld, StationaryBody
 
 OWN, OTHER = 1, 2  # sections
 
@@ -23,6 +29,7 @@ OWN, OTHER = 1, 2  # sections
 def _spoken() -> ProtocolRules:
     """Robot 0 has claimed a section, and told again what it had of another's."""
     rules = ProtocolRules(2)
+    rules.said(0, 0, TaskClaim(OWN, 2, Phase.CLAIMED, 3, 8, 0))
     rules.said(0, 1 * S, TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0))
     rules.said(0, 1 * S, StateSyncResponse(OTHER, 2, Phase.STARTED, 3, 9, 1))
     rules.said(0, 1 * S, WorkProgress(OTHER, 0, 0b111))
@@ -142,3 +149,34 @@ def test_two_sides_of_a_split_are_asked_only_once_they_are_one() -> None:
 
 def test_a_disk_on_which_no_stops_can_be_read_has_lost_them() -> None:
     assert "stop" in lost([], {"stops": b""})
+
+
+@pytest.mark.parametrize("leaps", [False, True])
+def test_a_section_is_not_started_without_a_claim(leaps: bool) -> None:
+    """A start without any claim counted as one that had waited. When a robot claimed is unknown only
+    after its clock was set."""
+    rules = ProtocolRules(2)
+    if leaps:
+        rules.leaps(0)
+    rules.said(0, 1 * S, TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0))
+    assert [broken.rule for broken in rules.broken] == ([] if leaps else ["S7"])
+
+
+def test_each_loss_is_found_beside_one_that_is_allowed() -> None:
+    """On a full disk units may be missing. Then no loss after them was seen."""
+    told = [
+        TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0),
+        WorkProgress(OWN, 0, 0b1),
+        LeaderElectionVote(0, 3, 1),
+    ]
+    register = pack(2, Phase.STARTED, 3, 9, 0).to_bytes(U64.size, "little")
+    kept = {f"{REGISTER}{OWN}": register, OPERATIONS: (1).to_bytes(U32.size, "little")}
+    assert list(losses(told, kept)) == [f"units of S{OWN}", "the vote of term 3"]
+
+
+def test_a_drill_counts_no_unit_while_the_implement_is_up() -> None:
+    """Units were counted by the clock, although no implement was ever down."""
+    scenario = draw(1, "claims")
+    with patch.object(StationaryBody, "tool_on", property(lambda body: False)):
+        broken = judge(scenario).broken
+    assert "L5" in {each.rule for each in broken}
