@@ -138,10 +138,17 @@ class PlaceProgress:
         # receiver that answers again says where the body has driven meanwhile.
         self.made_up: Unseen = NOTHING_UNSEEN
 
-    def forget(self) -> None:
-        """Begin again: the next place is right, or nothing is known of how the body came there."""
+    def forget(self, drives_on: bool = False) -> None:
+        """Begin again: the next place is right, or nothing is known of how the body came there.
+
+        `drives_on`: the body follows its commands meanwhile. How fast it is stays known then, because
+        one that turns back drives on for a while against its commands."""
+        velocity_m_s = self._velocity_m_s
+        keeps = drives_on and not self.hangs
         self._tried = False
         self._look_again()
+        if keeps:
+            self._velocity_m_s = velocity_m_s
 
     def recall(self, hung: Nowhere) -> None:
         """The place led nowhere before a restart, and nobody has started the robot since."""

@@ -230,7 +230,7 @@ class Senses(Part):
         if frozen_at_us is None or ctx.now_us - frozen_at_us >= SEEN_STANDING_US:
             self._expected_m_s, self._expected, self._expected_rad = 0.0, (0.0, 0.0), 0.0
             self._periods, self._turn_frozen = 0, False
-            self.progress.forget()
+            self.progress.forget(drives_on=True)
         self._was_frozen = None
         if notice.named:
             self.jumps.forget()

@@ -162,3 +162,26 @@ def test_a_body_that_moves_to_and_fro_for_hours_keeps_no_more_places() -> None:
         assert max(len(progress._kept), len(progress._said)) <= KEPT_MAX
         ways_m.append(progress.unseen(0.0).way_m)
     assert max(ways_m[20_000:]) <= 1.1 * max(ways_m[:1_000])
+
+
+@pytest.mark.parametrize("starts", [False, True])
+def test_a_robot_that_is_started_while_it_drives_may_turn_back(starts: bool) -> None:
+    """After a start its body was taken for one that stands. So one that was told to turn back at full
+    speed, and went on by 1.2 m while it braked, was found with a frozen place. It stood until a person
+    started it again, and its section was never finished (stop 116420111)."""
+    progress, x_m, v_m_s, draw = PlaceProgress(), 0.0, -2.4, Random(2)
+    for period in range(120):
+        if starts and period == 60:
+            progress.forget(drives_on=True)
+        turns_for_s = max(period - 67, 0) * PERIOD_S
+        told_m_s = -2.4 if turns_for_s == 0.0 else min(-0.2 + 1.8 * turns_for_s, SPEED_M_S)
+        v_m_s = min(max(told_m_s, v_m_s - 2.1 * PERIOD_S), v_m_s + 2.1 * PERIOD_S)
+        x_m += v_m_s * PERIOD_S
+        here = Observation(
+            x_m + draw.gauss(0.0, 0.008), 0.0, 0.0, v_m_s, 0.0,
+            sensed_at_us=period * CONTROL_PERIOD_US,
+        )  # fmt: skip
+        found = progress.look(
+            here, Drive(told_m_s, 0.0), LIMITS, ACCELERATION_M_S2 / 2, CONTROL_PERIOD_US
+        )
+        assert not found, (period, found)
