@@ -48,6 +48,7 @@ from sim.scenarios.scenario import DRILLS, Fault, Scenario, is_drawn
 from sim.world.checkers import MOVES, ExclusiveWorkChecker, Violation
 from sim.world.contacts import THING, TOUCH_M
 from sim.world.coverage_truth import coverage, sample_points
+from sim.world.drive_trains import VX, VY
 from sim.world.implement_contacts import things_under_bars, was_there
 from sim.world.protocol_world import ProtocolWorld
 from sim.world.repeated_work import RepeatedWorkChecker
@@ -549,10 +550,21 @@ class ScenarioJudge:
             self._frozen[slot] = _FrozenPlace(
                 before.driven_m,
                 max(before.end_at_us, end_at_us),
-                before.unnoticed_m | {unnoticed_m},
+                before.unnoticed_m | {unnoticed_m, self._brakes_m(slot, now_us)},
                 before.again,
             )
             self._at(end_at_us, partial(self._thaws, slot))
+
+    def _brakes_m(self, slot: int, now_us: int) -> float:
+        """What a robot that was told to turn back drives on before it does."""
+        world = self.cluster.world
+        body, told = world.robots[slot], world.robots[slot].commanded(now_us)
+        if body.speed_m_s == 0.0:
+            return 0.0
+        vx_m_s, vy_m_s = world.motion[body.index, VX : VY + 1].tolist()
+        if vx_m_s * told.vx_m_s + vy_m_s * told.vy_m_s >= 0.0:
+            return 0.0
+        return body.speed_m_s**2 / (2 * self.scenario.fleet.acceleration_m_s2)
 
     def _thaws(self, slot: int) -> None:
         """A fault of its place ends; the way is judged when the last of those that overlap does."""

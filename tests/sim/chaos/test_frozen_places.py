@@ -1,15 +1,17 @@
 """S19: how far a robot really drives while its place is frozen."""
 
 from functools import partial
-from math import cos, pi, sin
+from math import cos, hypot, pi, sin
 
 import pytest
 
 from agent.interface.config import CONTROL_PERIOD_US, S
+from agent.interface.effects import Drive
 from sim.chaos.scenario_judge import ScenarioJudge
 from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios import scenario as kinds
 from sim.scenarios.scenario import Fault, load
+from sim.world.drive_trains import VX, VY
 
 BEGIN_S, END_S = 10.0, 14.0
 STEP_RAD = 0.1
@@ -58,3 +60,36 @@ def test_a_robot_that_goes_round_with_a_frozen_place_is_found(
     judge = Carried(scenario.model_copy(update={"fault": faults, "run": run}))
     found = [each.what for each in judge.run().broken if each.rule == "S19"]
     assert len(found) == 1 and "while its place is frozen" in found[0]
+
+
+class TurnedBack(ScenarioJudge):
+    """A run in which robot 0 is told to drive at full speed, on or back, at `BEGIN_S`."""
+
+    forth = -1.0
+    speed_m_s = brakes_m = 0.0
+
+    def _attach(self, cluster: Cluster) -> None:
+        super()._attach(cluster)
+        self._at(round(BEGIN_S * S), self._turn)
+
+    def _turn(self) -> None:
+        now_us, world = self.cluster.host.now_us(), self.cluster.world
+        world.advance(now_us)
+        body = world.robots[0]
+        vx_m_s, vy_m_s = world.motion[body.index, VX : VY + 1].tolist()
+        self.speed_m_s = hypot(vx_m_s, vy_m_s)
+        body.drive(Drive(self.forth * vx_m_s, self.forth * vy_m_s), now_us)
+        self.brakes_m = self._brakes_m(0, now_us)
+
+
+@pytest.mark.parametrize("forth", [1.0, -1.0])
+def test_a_robot_that_turns_back_when_its_place_freezes_brakes_first(forth: float) -> None:
+    """One that was told to turn back at full speed drove 1 m more than S19 allows (fixes 116420116)."""
+    scenario = load("yard").changed(2, 1)
+    run = scenario.run.model_copy(update={"time_limit_s": BEGIN_S + 1.0})
+    judge = TurnedBack(scenario.model_copy(update={"fault": [], "run": run}))
+    judge.forth = forth
+    judge.run()
+    braking_m = judge.speed_m_s**2 / (2 * scenario.fleet.acceleration_m_s2)
+    assert judge.speed_m_s > 0.5
+    assert judge.brakes_m == (pytest.approx(braking_m) if forth < 0.0 else 0.0)
