@@ -8,7 +8,7 @@ and its own address, which says on which bus it can be heard (S1, S18).
 from collections import Counter
 from collections.abc import Callable
 from functools import partial
-from math import dist, hypot, radians
+from math import dist, hypot
 from operator import attrgetter
 from typing import Any, Final, NamedTuple
 
@@ -114,11 +114,10 @@ ON_LINE_M = 0.2
 # (a stopping distance of 3 m, and two bodies beside it), and half an implement.
 DEAD_M = 12.0
 WHOLE: Final = 0.9999  # of the ground that can be reached: a field of 10,000 samples may lack one
-# A body that steers leaves samples where a ring of a drawn field bends sharply (docs/measured/fields.md):
-# five of 7,300 were most in 160 such fields. The second ring bends within 1.5 widths of the corner.
+# A body that steers leaves samples where rings of a drawn field bend (docs/measured/fields.md): five of
+# 7,300 were most in 80 such runs. The two rings end two widths from the fence.
 BENT: Final = 0.999
-BEND_WIDTHS: Final = 1.5
-SHARP_RAD: Final = radians(100.0)
+RINGS_WIDTHS: Final = 2.0
 UNNOTICED_M = 0.3  # two control periods at full speed
 
 
@@ -943,15 +942,14 @@ class ScenarioJudge:
 
     def _accounted_for(self, world: World, reached: float) -> bool:
         """Whether all unworked ground lies around machines that stayed switched off, where a person has
-        moved one a little, or in sharp corners of a drawn field that bodies that steer leave."""
+        moved one a little, or on rings of a drawn field where bodies that steer leave some."""
         if self.protocol_world is not None:
             return False
         slots, left = range(self.scenario.fleet.robots), [*self._left]
         for body in (world.robots[slot] for slot in slots if not self.cluster.is_up(slot)):
             left.append((*body.position, DEAD_M))
-        if reached >= BENT:
-            left += self._bends()
-        if not left:
+        bent = reached >= BENT
+        if not (left or bent):
             return False
         field = self.setting.field
         raster = sample_points(field.polygon, field.implement_width_m, field.overlap_m)
@@ -960,26 +958,17 @@ class ScenarioJudge:
         missed = coverage(raster, tracks, field.implement_width_m, can).missed
         return all(
             any(hypot(x_m - at_x_m, y_m - at_y_m) < reach_m for at_x_m, at_y_m, reach_m in left)
+            or (bent and self._is_on_rings(x_m, y_m))
             for x_m, y_m in missed
         )
 
-    def _bends(self) -> list[tuple[float, float, float]]:
-        """Where rings bend more than a body that steers drives exactly: sharp corners of the field, and
-        from which distance on nothing may be left."""
+    def _is_on_rings(self, x_m: float, y_m: float) -> bool:
+        """Whether rings of a drawn field, which bend, are driven there by bodies that steer."""
         field = self.setting.field
         if self.scenario.fleet.drive == "mecanum" or not is_drawn(self.scenario.field.file):
-            return []
-        bends = []
-        for ring in (field.polygon.exterior, *field.polygon.interiors):
-            corners = np.asarray(ring.coords)[:-1]
-            edges = np.roll(corners, -1, axis=0) - corners
-            course_rad = np.arctan2(edges[:, 1], edges[:, 0])
-            turn_rad = np.abs(np.angle(np.exp(1j * (course_rad - np.roll(course_rad, 1)))))
-            bends += [
-                (float(x_m), float(y_m), BEND_WIDTHS * field.implement_width_m)
-                for x_m, y_m in corners[turn_rad > SHARP_RAD]
-            ]
-        return bends
+            return False
+        away_m = field.polygon.boundary.distance(Spot(x_m, y_m))
+        return bool(away_m < RINGS_WIDTHS * field.implement_width_m)
 
     @property
     def _moving(self) -> list[tuple[str, Any]]:
