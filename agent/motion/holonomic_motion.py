@@ -17,8 +17,6 @@ from agent.avoidance.fence_braking import braking_first
 from agent.avoidance.orca import OrcaSolver
 from agent.interface.config import CONTROL_PERIOD_US, NEIGHBOURS_MAX, S
 from agent.interface.effects import HALT, Drive
-from agent.interface.geometry import Point
-from agent.interface.instants import NEVER_US
 from agent.interface.lifecycle import State
 from agent.interface.mission import MotionRequest
 from agent.interface.motion_controller import BodyLimits, MotionController
@@ -32,7 +30,6 @@ from agent.motion.right_of_way import RightOfWay
 from agent.motion.sensed_walls import fences_of
 from agent.motion.stopping_zone import StoppingZone
 from agent.motion.unexplained_echoes import UnexplainedEchoes, thinned
-from agent.motion.wheel_slip import WheelSlip
 
 # The margins grow with the accuracy of our own place: 19 of 20 places are within two deviations. Walls
 # that the range sensors see are where they are seen, whatever the place is.
@@ -44,9 +41,6 @@ MARGIN_M: Final = 0.15  # POSE rounds to 0.05 m, a drive takes a period to act, 
 HORIZON_S: Final = 4.0  # how far ahead two moving robots avoid a collision
 STANDING_M_S: Final = 0.05  # slower than this a neighbour cannot be relied on to give way
 AGE_MAX_US: Final = 1 * S  # an older pose is not extrapolated, because the robot may have stopped
-GAP_US: Final = (
-    2 * CONTROL_PERIOD_US
-)  # between two periods: another one decided in between, or none
 UNHEARD_US: Final = 5 * S  # a neighbour not received for this long may be anywhere
 # Nearest possible places of a silent member: 1.5 m of its way, which we can meet before stopping.
 PLACES_MAX: Final = 4
@@ -120,9 +114,6 @@ class HolonomicMotion(MotionController):
         self.whole_half_bar_m = half_bar_m + overlap_m  # to its very end
         self.change_m_s = limits.acceleration_m_s2 * CONTROL_PERIOD_US / S  # in one period
         self.told_m_s = 0.0, 0.0  # of wheels without slip by the commands so far: x, y
-        self.slip = WheelSlip(limits.speed_m_s)
-        self._last_m_s = 0.0, 0.0  # the newest command
-        self._drove_at_us = NEVER_US
         self.pushed: PushedAhead | None = None
         if self.implement.has:
             self.pushed = PushedAhead(
@@ -177,7 +168,6 @@ class HolonomicMotion(MotionController):
         Called once each control period. A request to hold gives a halt. The implement is up while
         the robot gives way, and where a lowered one would hit a body.
         """
-        self._observe_slip(here, now_us)
         if wish.hold:  # others go round a standing robot, so standing still is safe
             self._tell(0.0, 0.0)
             return HALT._replace(parcel_action=wish.parcel_action)
@@ -190,8 +180,7 @@ class HolonomicMotion(MotionController):
             self.avoidance.fence(seen)
             if self.giving_way is not None:
                 self.giving_way.fences = seen
-        wanted = self._within((wish.vx_m_s, wish.vy_m_s), self.limits.speed_m_s)
-        tool_on = wish.tool_on
+        wanted, tool_on = self._limited(wish), wish.tool_on
         other = None
         if self.giving_way is not None:
             other = self.giving_way.wish((here.x_m, here.y_m), wanted, others, now_us)
@@ -203,7 +192,6 @@ class HolonomicMotion(MotionController):
             wanted, tool_on = other, False
         if tool_on and self.implement.must_be_up(here, wanted, others, self.slot):
             tool_on = False
-        wanted = self._within(wanted, self.slip.limit_m_s)
         more_m = 0.0 if self.sensing else min(self.spare_m, _place_error_m(here))
         self.avoidance.keep_more_from_fences(more_m)
         vx_m_s, vy_m_s = self.avoidance.velocity(
@@ -219,18 +207,8 @@ class HolonomicMotion(MotionController):
         self._tell(vx_m_s, vy_m_s)
         return _tuple(Drive, (vx_m_s, vy_m_s, wish.turn_rad_s, tool_on, wish.parcel_action))
 
-    def _observe_slip(self, here: Observation, now_us: int) -> None:
-        """Compare the body with its commands, if there was one in the last period."""
-        moves_m_s = here.vx_m_s, here.vy_m_s
-        if now_us - self._drove_at_us > GAP_US:
-            self.told_m_s = moves_m_s  # other commands, or none, moved the body meanwhile
-        else:
-            self.slip.observe(moves_m_s, self.told_m_s, self._last_m_s, now_us)
-        self._drove_at_us = now_us
-
     def _tell(self, vx_m_s: float, vy_m_s: float) -> None:
         """The wheels are told this velocity, and follow as fast as they can."""
-        self._last_m_s = vx_m_s, vy_m_s
         told_x_m_s, told_y_m_s = self.told_m_s
         dx_m_s, dy_m_s = vx_m_s - told_x_m_s, vy_m_s - told_y_m_s
         share = min(1.0, self.change_m_s / max(hypot(dx_m_s, dy_m_s), self.change_m_s))
@@ -305,12 +283,9 @@ class HolonomicMotion(MotionController):
         both = sorted(rows + seen, key=lambda row: hypot(row[0], row[1]) - row[4])
         return both[:NEIGHBOURS_MAX]
 
-    @staticmethod
-    def _within(velocity_m_s: Point, most_m_s: float) -> Point:
-        """The velocity, no faster than that."""
-        vx_m_s, vy_m_s = velocity_m_s
-        speed_m_s = hypot(vx_m_s, vy_m_s)
-        if speed_m_s <= most_m_s:
-            return velocity_m_s
-        scale = most_m_s / speed_m_s
-        return vx_m_s * scale, vy_m_s * scale
+    def _limited(self, wish: MotionRequest) -> tuple[float, float]:
+        speed_m_s = hypot(wish.vx_m_s, wish.vy_m_s)
+        if speed_m_s <= self.limits.speed_m_s:
+            return wish.vx_m_s, wish.vy_m_s
+        scale = self.limits.speed_m_s / speed_m_s
+        return wish.vx_m_s * scale, wish.vy_m_s * scale
