@@ -8,7 +8,6 @@ import asyncio
 import os
 import socket
 import sys
-from ipaddress import ip_address
 
 from rich.console import Console
 
@@ -20,6 +19,7 @@ from sim.can.socketcand_server import Hub
 from sim.files.strict_json import dumps
 from tools.common.bus_address import CHANNEL
 from tools.common.exit_codes import INTERRUPTED, wrong
+from tools.common.loopback_host import is_loopback
 
 OPEN = (
     "headland: WARNING: everybody who reaches this address over the network can drive and stop the "
@@ -49,7 +49,7 @@ async def _serve(
             f"headland launch --hub {served.port}"
         )
         sys.stdout.flush()
-    if not loopback(host):
+    if not is_loopback(host):
         print(OPEN, file=sys.stderr)
     freeze_gc()
     saying = asyncio.create_task(announce(host, served.port, CHANNEL)) if announced else None
@@ -57,14 +57,6 @@ async def _serve(
     if saying is not None:
         saying.cancel()
     await served.stop()
-
-
-def loopback(host: str) -> bool:
-    """Only this machine reaches it."""
-    try:
-        return ip_address(host).is_loopback
-    except ValueError:
-        return host == "localhost"
 
 
 def hub(
@@ -86,7 +78,7 @@ def hub(
             f"--bitrate {bitrate}: the simulated bus has bits of whole microseconds, as at 125000, "
             "250000, 500000 and 1000000 bit/s"
         )
-    says = loopback(host) if announced is None else announced
+    says = is_loopback(host) if announced is None else announced
     try:
         asyncio.run(_serve(host, port, bitrate, seed, as_json, says, errors))
     except socket.gaierror as problem:

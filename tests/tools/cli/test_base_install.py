@@ -10,10 +10,10 @@ from pathlib import Path
 import pytest
 
 from tests.tools.launching import ENVIRONMENT, ROOT
-from tools.cli.hub import loopback
 from tools.common import bus_address
 from tools.common.bus_address import AttachError, address_of_launch
 from tools.common.extras import EXTRA_OF
+from tools.common.loopback_host import is_loopback
 from tools.common.process_identity import identity, lives
 
 BLOCK = """
@@ -145,8 +145,8 @@ def test_g_a_launch_that_was_killed_is_noticed(
 
 
 def test_g_a_hub_that_the_network_reaches_warns() -> None:
-    assert [loopback(h) for h in ("127.0.0.1", "127.9.9.9", "::1", "localhost")] == [True] * 4
-    assert [loopback(h) for h in ("0.0.0.0", "192.168.1.2", "::", "farm.example")] == [False] * 4
+    assert [is_loopback(h) for h in ("127.0.0.1", "127.9.9.9", "::1", "localhost")] == [True] * 4
+    assert [is_loopback(h) for h in ("0.0.0.0", "192.168.1.2", "::", "farm.example")] == [False] * 4
 
 
 def test_a_list_of_scenarios_loads_no_simulator(tmp_path: Path) -> None:
