@@ -21,15 +21,14 @@ from protocol.frames.frame import Frame
 from protocol.links.bus import CanBus
 from protocol.links.socketcand_link import SocketcandLink
 from sim.files.strict_json import dumps
-from sim.record.intent_stream import IntentListener
 from sim.record.live_recording import LiveRecording
 from sim.record.mcap_log import MCAP, McapMissing, add_notes, read_recording
 from sim.record.recording import Recording
 from sim.record.scene import Scene, drawable, in_folder
-from tools.common.bus_address import LAUNCH, AttachError, robots_of_launch, said_by
+from tools.common.bus_address import LAUNCH, AttachError, robots_of_launch
 from tools.common.bus_attach import stay_attached, while_attached
 from tools.common.exit_codes import wrong
-from tools.common.launch_keys import KEYS, keys_in
+from tools.common.running_launch import RunningLaunch, running_launch, watch_intents
 from tools.inspect.bus_load import BIT_RATE
 from tools.inspect.log_frames import NO_LOG, SourceError, columns_of
 from tools.inspect.measured_inspector import MeasuredInspector
@@ -63,8 +62,10 @@ def show_map(
     `foxglove`: a port for viewers.
     """
     try:
-        scene = None if scenario is None else _scene_of(scenario)
-        launch = _launch_of(source, interface, port)
+        scene = None if scenario is None else scene_named_by(scenario)
+        launch = None
+        if interface == "socketcand" and port == 0:
+            launch = running_launch(LAUNCH if source is None else source / LAUNCH.name)
         with contextlib.closing(listen(page_port)) as listener:
             if source is None or launch is not None:
                 where = (interface, channel, bitrate, host, port)
@@ -210,7 +211,7 @@ def recorded(source: Path, scene: Scene | None, notes: bool = True) -> Recording
         if path.suffix == ".mcap":
             recording = read_recording(path, notes)
         else:
-            recording = Recording(_scene_beside(source))
+            recording = Recording(scene_beside(source))
             for columns in columns_of(source):
                 recording.extend(columns)
             if notes:
@@ -251,8 +252,8 @@ def _one_line(source: Path) -> Iterator[None]:
         raise SourceError(f"{source}: cannot be read: {problem.strerror}") from None
 
 
-def _scene_of(scenario: str) -> Scene:
-    """Raises SourceError. Only here the map needs the simulator's packages."""
+def scene_named_by(scenario: str) -> Scene:
+    """Raises SourceError. Only here the map and the node of ROS 2 need the simulator's packages."""
     from sim.record.scene_builder import scene_named
     from sim.scenarios.scenario import ScenarioError
 
@@ -262,7 +263,8 @@ def _scene_of(scenario: str) -> Scene:
         raise SourceError(str(problem)) from None
 
 
-def _scene_beside(source: Path) -> Scene | None:
+def scene_beside(source: Path) -> Scene | None:
+    """The scene that a run has left in its folder, or beside its log; None: none that can be drawn."""
     try:
         return drawable(read_json(in_folder(source), REPORT_BYTES_MAX))
     except GivenFileError:
@@ -270,20 +272,6 @@ def _scene_beside(source: Path) -> Scene | None:
 
 
 # -------------------------------------------------------------------- live
-
-
-def _launch_of(source: Path | None, interface: str, port: int) -> dict[str, Any] | None:
-    """Where the bus of a running launch is: the one in that folder, or the newest. Its keys are in it
-    only if this user may have them. Raises AttachError for another user's."""
-    if interface != "socketcand" or port != 0:
-        return None
-    path = LAUNCH if source is None else source / LAUNCH.name
-    try:
-        where: dict[str, Any] = dict(said_by(path))
-        where[KEYS] = keys_in(path, where)
-        return where
-    except (GivenFileError, TypeError, ValueError):
-        return None
 
 
 class KeyFiles(NamedTuple):
@@ -294,18 +282,18 @@ class KeyFiles(NamedTuple):
 
 
 def _live(
-    scene: Scene | None, launch: dict[str, Any] | None, where: tuple[str, str, int, str, int],
+    scene: Scene | None, launch: RunningLaunch | None, where: tuple[str, str, int, str, int],
     keys: KeyFiles, listener: socket.socket, as_json: bool,
     served: MetricsAddress | None, foxglove: int | None,
 ) -> int:  # fmt: skip
     if launch is not None and keys == KeyFiles(None, None):
-        keys = KeyFiles(launch[KEYS], launch[KEYS])
+        keys = KeyFiles(launch.keys, launch.keys)
     stopping = stop_keys(keys.panel)
     check_operator_key(keys.operator)
     interface, channel, bitrate, host, port = where
     if launch is not None:
-        host, port, channel = str(launch["host"]), int(launch["port"]), str(launch["channel"])
-        scene = scene or _scene_beside(Path(str(launch.get("folder", "."))))
+        host, port, channel = launch.host, launch.port, launch.channel
+        scene = scene or scene_beside(launch.folder)
     title = f"launch {host}:{port}" if interface == "socketcand" else f"{interface} {channel}"
 
     async def run() -> None:
@@ -320,17 +308,18 @@ def _live(
             _viewers(foxglove, scene, panel, server.token) as feed,
             _hearing(bus, recording, panel, [h for h in (count, feed and feed.hear) if h]),
         ):
-            bodies = None if launch is None else launch.get("bodies")
-            watching = asyncio.create_task(_watch(recording, bodies, feed))
-            asking = asyncio.create_task(panel.keep_asking())
+            beside = [asyncio.create_task(panel.keep_asking())]
+            if launch is not None and launch.bodies is not None:
+                intend = _intents_to(recording, feed)
+                beside.append(asyncio.create_task(watch_intents(launch.bodies, intend)))
             seen_at = None if feed is None else feed.url
             own = url_of(listener, server)
             _announce(as_json, own, metrics=metrics, foxglove=seen_at)
             try:
                 await while_attached(serve(server, listener), bus)
             finally:
-                watching.cancel()
-                asking.cancel()
+                for task in beside:
+                    task.cancel()
 
     asyncio.run(run())
     return 0
@@ -401,10 +390,10 @@ def _hearing(
         bus.close()
 
 
-async def _watch(recording: Recording, bodies: str | None, feed: "FoxgloveFeed | None") -> None:
-    """What the robots of a launch intend; not available on another bus, nor to another user."""
-    if bodies is None:
-        return
+def _intents_to(
+    recording: Recording, feed: "FoxgloveFeed | None"
+) -> Callable[[dict[str, Any]], None]:
+    """What takes the intents of robots: the recording, and viewers."""
     loop = asyncio.get_running_loop()
 
     def intend(intent: dict[str, Any]) -> None:
@@ -412,11 +401,4 @@ async def _watch(recording: Recording, bodies: str | None, feed: "FoxgloveFeed |
         if feed is not None:
             feed.intend(loop.time(), intent)
 
-    watching = IntentListener(intend)
-    try:
-        await watching.connect(Path(bodies))
-        await watching.run()
-    except OSError:
-        return  # the launch has ended, or is another user's: frames are heard all the same
-    finally:
-        watching.end()
+    return intend

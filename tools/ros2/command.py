@@ -4,37 +4,27 @@ import asyncio
 import re
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 from agent.delivery.warehouse import Warehouse
 from agent.runtime.end_signals import on_end
-from agent.runtime.files.given_file import (
-    REPORT_BYTES_MAX,
-    GivenFileError,
-    read_json,
-)
 from agent.runtime.files.key_file import KeyFileError
 from agent.runtime.files.printable_text import printable
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.frame import Frame
-from sim.record.intent_stream import IntentListener
-from sim.record.scene import Scene, drawable, in_folder
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import (
-    LAUNCH,
     Attached,
     AttachError,
     robots_of_launch,
-    said_by,
     scenario_of_launch,
 )
 from tools.common.bus_attach import stay_attached, while_attached
 from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
-from tools.common.launch_keys import keys_in
+from tools.common.running_launch import running_launch, watch_intents
 from tools.inspect.log_frames import SourceError
 from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
-from tools.livemap.command import check_operator_key
+from tools.livemap.command import check_operator_key, scene_beside, scene_named_by
 from tools.livemap.stop_panel import Panel, PanelError, not_confirmed
 from tools.operate.estop import stop_keys
 from tools.operate.order_proofs import proofs_of
@@ -115,30 +105,6 @@ async def _joined(namespace: str, domain: int | None, zenoh: str | None) -> Grap
         raise GraphError(str(problem)) from None
 
 
-def _launch() -> dict[str, Any]:
-    """Of the newest launch; empty if there is none, or it is another user's."""
-    try:
-        return dict(said_by(LAUNCH))
-    except (AttachError, GivenFileError, TypeError, ValueError):
-        return {}
-
-
-def _scene(scenario: str | None, launch: dict[str, Any]) -> Scene | None:
-    if scenario is not None:
-        from sim.record.scene_builder import scene_named
-
-        try:
-            return scene_named(scenario)
-        except ScenarioError as problem:
-            raise SourceError(str(problem)) from None
-    try:
-        return drawable(
-            read_json(in_folder(Path(str(launch.get("folder", ".")))), REPORT_BYTES_MAX)
-        )
-    except GivenFileError:
-        return None
-
-
 def _proofs(operator_key: Path | None, lines: EventLines) -> ToolProofs | None:
     """None also for a key that allows no transports: it may still release."""
     try:
@@ -166,12 +132,13 @@ async def _serve(
     from tools.ros2.transport_desk import TransportDesk
 
     interface, channel, bitrate, host, port = where
-    launch = _launch() if interface == "socketcand" and port == 0 else {}
-    if launch:
-        host, port, channel = str(launch["host"]), int(launch["port"]), str(launch["channel"])
+    launch = running_launch() if interface == "socketcand" and port == 0 else None
+    if launch is not None:
+        host, port, channel = launch.host, launch.port, launch.channel
         if keys is None and operator_key is None:
-            keys = operator_key = keys_in(LAUNCH, launch)
-    scene = _scene(scenario, launch)
+            keys = operator_key = launch.keys
+    folder = Path() if launch is None else launch.folder
+    scene = scene_beside(folder) if scenario is None else scene_named_by(scenario)
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     on_end(loop, end.set)
     if seconds is not None:
@@ -231,8 +198,9 @@ async def _serve(
         beside.append(loop.create_task(_ask(proven, device)))
     if carriers is not None:
         beside.append(loop.create_task(carriers.run()))
-    if launch.get("bodies"):
-        beside.append(loop.create_task(_watch(feed, Path(str(launch["bodies"])))))
+    if launch is not None and launch.bodies is not None:
+        watching = watch_intents(launch.bodies, lambda intent: feed.intend(loop.time(), intent))
+        beside.append(loop.create_task(watching))
     node = f"/{namespace.strip('/')}/{NODE}"
     lines.say("ready", f"ROS 2: node {node}   (Ctrl-C ends it)", node=node)
     try:
@@ -251,16 +219,3 @@ async def _ask(proven: ProvenWork, device: DeviceAddress) -> None:
         for question in proven.questions(round(loop.time() * 1e6)):
             device.send(question)
         await asyncio.sleep(ASK_S)
-
-
-async def _watch(feed: Any, bodies: Path) -> None:
-    """What the robots of a launch intend."""
-    loop = asyncio.get_running_loop()
-    watching = IntentListener(lambda intent: feed.intend(loop.time(), intent))
-    try:
-        await watching.connect(bodies)
-        await watching.run()
-    except OSError:
-        return  # the launch has ended, or is another user's: frames are heard all the same
-    finally:
-        watching.end()
