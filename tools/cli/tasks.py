@@ -51,12 +51,13 @@ def add(
 
 
 def _house(scenario: str | None, interface: str, host: str, port: int) -> "Warehouse | None":
+    from sim.scenarios.delivery_scenario import load_warehouse
     from sim.scenarios.scenario import ScenarioError
     from tools.operate.transport_order import house_of, launched_warehouse
 
     try:
         scenario = scenario or launched_warehouse(interface, host, port)
-        return None if scenario is None else house_of(scenario)
+        return None if scenario is None else house_of(load_warehouse(scenario))
     except ScenarioError as problem:
         raise SystemExit(wrong(problem)) from None
 

@@ -20,8 +20,8 @@ from tools.common.exit_codes import wrong
 from tools.common.told_wait import told_wait
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
+from tools.operate.task_numbers import LISTEN_S
 
-LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 ASK_S = 0.5  # between questions for orders; robots answer two a beat
 LEARN_S = 60.0  # for all orders: 500 of them take 13 s
 BUCKETS_ASKED = 16  # at once, of those that nobody has told: a share of 2 % of a slow bus

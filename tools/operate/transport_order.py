@@ -5,7 +5,7 @@ from math import isfinite
 from pathlib import Path
 
 from agent.delivery.cost_matrix import Carrier
-from agent.delivery.task_registry import HIGHEST_ASKED, TransportTask
+from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.runtime.files.key_file import KeyFileError
 from protocol.frame_proofs import ToolProofs
@@ -13,7 +13,12 @@ from protocol.frames.codec import Malformed, decode
 from protocol.frames.frame import Frame
 from sim.files.strict_json import dumps
 from sim.fleet.transport_orders import NumbersSpentError, TransportClient
-from sim.scenarios.delivery_scenario import TaskRow, load_warehouse, read_tasks
+from sim.scenarios.delivery_scenario import (
+    DeliveryScenario,
+    TaskRow,
+    load_warehouse,
+    read_tasks,
+)
 from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from sim.scenarios.scenario_kind import Kind, named
@@ -24,10 +29,9 @@ from tools.common.kind_words import KIND_WORDS
 from tools.common.launch_keys import own_keys
 from tools.common.told_wait import told_wait
 from tools.operate.order_proofs import proofs_of
+from tools.operate.task_numbers import LISTEN_S, learn_numbers
 from tools.operate.tool_address import CROWDED_OUT, DeviceAddress
 
-LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
-ASKED = 6  # times in it, as frames may be lost, for the highest number that is used
 CONFIRM_S = 5.0
 SHIPPED = "warehouse"  # whose map is taken where nothing says which
 REFUSED = 1
@@ -44,7 +48,7 @@ def order(
     try:
         rows = _rows(pickup, dropoff, file)
         scenario = scenario or launched_warehouse(interface, host, port) or SHIPPED
-        house = house_of(scenario)
+        house = house_of(load_warehouse(scenario))
         orders = [
             TransportTask(_cell(house, row.pickup, scenario), _cell(house, row.dropoff, scenario))
             for row in rows
@@ -103,9 +107,9 @@ def launched_warehouse(interface: str, host: str, port: int) -> str | None:
     return name
 
 
-def house_of(name: str) -> Warehouse:
+def house_of(scenario: DeliveryScenario) -> Warehouse:
     """The floor of a scenario, on which places are cells. Raises ScenarioError."""
-    return Warehouse(floor_of(load_warehouse(name)), Carrier(1.0, 0.0))
+    return Warehouse(floor_of(scenario), Carrier(1.0, 0.0))
 
 
 def _cell(house: Warehouse, at: tuple[float, float], scenario: str) -> int:
@@ -134,9 +138,7 @@ async def _order(
 
     bus.subscribe(hear)
     try:
-        for _ in range(ASKED):
-            device.send(HIGHEST_ASKED)
-            await asyncio.sleep(LISTEN_S / ASKED)
+        await learn_numbers(device)
         if device.crowded_out:
             raise AttachError(CROWDED_OUT)
         if not desk.robots:

@@ -11,6 +11,7 @@ from agent.runtime.files.key_file import KeyFileError
 from agent.runtime.files.printable_text import printable
 from protocol.frame_proofs import ToolProofs
 from protocol.frames.frame import Frame
+from sim.scenarios.delivery_scenario import load_warehouse
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import (
     Attached,
@@ -117,7 +118,7 @@ def _proofs(operator_key: Path | None, lines: EventLines) -> ToolProofs | None:
 def _house(scenario: str | None) -> Warehouse | None:
     """The floor on which a fleet delivers; None: it does not."""
     try:
-        return None if scenario is None else house_of(scenario)
+        return None if scenario is None else house_of(load_warehouse(scenario))
     except ScenarioError:
         return None
 

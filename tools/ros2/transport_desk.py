@@ -8,7 +8,7 @@ import asyncio
 from typing import Final
 
 from agent.delivery.task_outcome import TaskPhase, outcome_of
-from agent.delivery.task_registry import HIGHEST_ASKED, TransportTask
+from agent.delivery.task_registry import TransportTask
 from agent.delivery.warehouse import Warehouse
 from agent.interface.ports import Bus
 from protocol.frames.codec import Malformed, decode
@@ -17,14 +17,13 @@ from sim.fleet.transport_orders import NumbersSpentError, TransportClient
 from tools.common.event_lines import EventLines
 from tools.inspect.inspector import Inspector
 from tools.operate.operator_device import Operator
+from tools.operate.task_numbers import LISTEN_S, learn_numbers
 from tools.operate.tool_address import DeviceAddress
 from tools.ros2.action_tasks import TELL_S, ActionTasks, in_field, tell
 from tools.ros2.graph import ActionGoal, Ended, GoalPlace, Graph
 
 CARRY: Final = "NavigateThroughPoses"
 NAME: Final = "transport"
-LISTEN_S: Final = 3.0  # robots tell which tasks they know, a bucket a second each
-ASKED: Final = 6  # times in it, as frames may be lost, for the highest number that is used
 SAY_S: Final = 0.5  # between repetitions of an order that two robots have not confirmed
 ASK_S: Final = 5.0  # between questions for the fleet's registers, while transports are open
 
@@ -59,9 +58,7 @@ class TransportDesk:
         """Offer the action, until it is cancelled."""
         self.graph.act(NAME, CARRY, self._may_carry, self._tasks.taken(self._carry))
         try:
-            for _ in range(ASKED):
-                self.device.send(HIGHEST_ASKED)
-                await asyncio.sleep(LISTEN_S / ASKED)
+            await learn_numbers(self.device)
             await self._loop.create_future()
         finally:
             self._tasks.cancel()

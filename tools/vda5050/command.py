@@ -3,13 +3,10 @@
 import asyncio
 from pathlib import Path
 
-from agent.delivery.cost_matrix import Carrier
-from agent.delivery.warehouse import Warehouse
 from agent.runtime.end_signals import on_end
 from agent.runtime.files.printable_text import printable
 from agent.runtime.vda5050.broker_link import Broker, BrokerError, is_level
 from sim.scenarios.delivery_scenario import load_warehouse
-from sim.scenarios.delivery_setup import floor_of
 from sim.scenarios.scenario import ScenarioError
 from tools.common.bus_address import Attached, AttachError
 from tools.common.bus_attach import stay_attached, while_attached
@@ -17,10 +14,10 @@ from tools.common.event_lines import EventLines
 from tools.common.exit_codes import wrong
 from tools.common.launch_keys import own_keys
 from tools.inspect.proven_work import UNPROVEN, proven_work_of
+from tools.operate.task_numbers import LISTEN_S
+from tools.operate.transport_order import house_of
 from tools.vda5050.master_gateway import FleetNames, MasterGateway
 from tools.vda5050.order_book import BookError, OrderBook
-
-LISTEN_S = 3.0  # robots tell which tasks they know, a bucket a second each
 
 
 def serve(
@@ -67,7 +64,7 @@ async def _serve(
     manufacturer: str, version: str, seconds: float | None, lines: EventLines,
 ) -> None:  # fmt: skip
     warehouse = load_warehouse(scenario)
-    house = Warehouse(floor_of(warehouse), Carrier(1.0, 0.0))
+    house = house_of(warehouse)
     end, loop = asyncio.Event(), asyncio.get_running_loop()
     on_end(loop, end.set)
     if seconds is not None:
