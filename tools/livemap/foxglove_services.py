@@ -14,7 +14,7 @@ from typing import Any
 from foxglove import Schema
 from foxglove.websocket import MessageSchema, Service, ServiceRequest, ServiceSchema
 
-from tools.livemap.stop_panel import Panel, PanelError, not_confirmed
+from tools.livemap.stop_panel import Panel, PanelError, told_result
 
 STOP, RELEASE = "/emergency_stop", "/release"
 ANSWER_S = 30.0  # as long as the panel itself may take
@@ -46,12 +46,7 @@ def services_of(panel: Panel, key: str) -> Sequence[Service]:
                 found = running.result(ANSWER_S)
             except (PanelError, TimeoutError) as problem:
                 return _told(False, str(problem) or f"no answer in {ANSWER_S:.0f} s")
-            missing = not_confirmed(found)
-            if missing:
-                return _told(False, f"not confirmed: {missing}")
-            if not found["heard"]:
-                return _told(False, "no robot is heard")
-            return _told(True, "all robots confirmed")
+            return _told(*told_result(found))
 
         return answer
 

@@ -39,6 +39,20 @@ def not_confirmed(answer: Mapping[str, Any]) -> str:
     return ", ".join(missing)
 
 
+def told_result(answer: Mapping[str, Any]) -> tuple[bool, str]:
+    """Whether a press or a release has done all that it is for, by the answer of a panel, and a line
+    that says so."""
+    missing, is_release = not_confirmed(answer), "released" in answer
+    if missing:
+        failed = "not confirmed"
+        if is_release:
+            failed = "not started" if answer["released"] else "not released"
+        return False, f"{failed}: {missing}"
+    if not answer["heard"]:
+        return False, "no robot is heard"
+    return True, "released" if is_release else f"stopped: {answer['stopped']}"
+
+
 class Panel:
     """Stops robots for any page, and releases them with the operator's key that was named when the
     map started."""

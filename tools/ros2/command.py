@@ -26,7 +26,7 @@ from tools.common.running_launch import running_launch, watch_intents
 from tools.inspect.log_frames import SourceError
 from tools.inspect.proven_work import UNPROVEN, ProvenWork, proven_work_of
 from tools.livemap.command import check_operator_key, scene_beside, scene_named_by
-from tools.livemap.stop_panel import Panel, PanelError, not_confirmed
+from tools.livemap.stop_panel import Panel, PanelError, told_result
 from tools.operate.estop import stop_keys
 from tools.operate.order_proofs import proofs_of
 from tools.operate.tool_address import DeviceAddress
@@ -152,25 +152,15 @@ async def _serve(
         lines.note(UNPROVEN.format(trusted))
 
     async def stop() -> tuple[bool, str]:
-        found = await panel.stop()
-        missing = not_confirmed(found)
-        if missing:
-            return False, f"not confirmed: {missing}"
-        return bool(found["heard"]), (
-            f"stopped: {found['stopped']}" if found["heard"] else "no robot is heard"
-        )
+        return told_result(await panel.stop())
 
     async def release() -> tuple[bool, str]:
         if not panel.releases:
             return False, NO_RELEASE
         try:
-            found = await panel.release(keyless=False, reset=True, start=True)
+            return told_result(await panel.release(keyless=False, reset=True, start=True))
         except PanelError as problem:
             return False, str(problem)
-        missing = not_confirmed(found)
-        failed = "not started" if found["released"] else "not released"
-        told = f"{failed}: {missing}" if missing else "released"
-        return bool(found["heard"]) and not missing, told
 
     graph = await _joined(namespace, domain, zenoh)
     feed = Ros2Feed(graph, scene, stop, release)

@@ -499,12 +499,12 @@ class SlowPanel:
         self.released, self.releasing = asyncio.Event(), asyncio.Event()
 
     async def stop(self) -> dict[str, Any]:
-        return {"heard": True, "late": []}
+        return {"heard": True, "late": [], "stopped": [0]}
 
     async def release(self, **_: bool) -> dict[str, Any]:
         self.releasing.set()
         await self.released.wait()
-        return {"heard": True, "late": []}
+        return {"heard": True, "late": [0], "released": True}
 
 
 def test_a_stop_is_answered_while_a_release_waits_for_the_bus() -> None:
@@ -523,6 +523,8 @@ def test_a_stop_is_answered_while_a_release_waits_for_the_bus() -> None:
                     assert each.answers.pop()["success"] and not panel.released.is_set()
                 panel.released.set()
                 await viewer.look({"release": partial(bool, viewer.answers)})
+                told = {"success": False, "message": "not started: robot 0"}
+                assert viewer.answers.pop() == told
         finally:
             feed.close()
 

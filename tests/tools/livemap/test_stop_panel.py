@@ -3,6 +3,7 @@
 import asyncio
 from collections.abc import Callable
 from random import Random
+from typing import Any
 
 import pytest
 
@@ -14,7 +15,7 @@ from protocol.frames.safety_frames import EmergencyStop, Reason
 from protocol.frames.work_frames import StateSyncRequest
 from protocol.links.socketcand_link import SocketcandLink
 from sim.fleet.virtual_clock import elapse, run_virtual
-from tools.livemap.stop_panel import ASK_S, CONFIRM_S, Panel, PanelError, not_confirmed
+from tools.livemap.stop_panel import ASK_S, CONFIRM_S, Panel, PanelError, not_confirmed, told_result
 
 PERIOD_S = 0.05
 
@@ -244,3 +245,22 @@ def test_a_map_asks_again_what_was_said_while_its_bus_was_away() -> None:
         assert asked == [1, 2]
 
     run_virtual(story())
+
+
+@pytest.mark.parametrize(
+    ("answer", "told"),
+    [
+        ({"stopped": [0, 1]}, (True, "stopped: [0, 1]")),
+        ({"stopped": [0], "late": [1]}, (False, "not confirmed: robot 1")),
+        ({"stopped": [], "heard": False}, (False, "no robot is heard")),
+        ({"released": True}, (True, "released")),
+        ({"released": True, "late": [1]}, (False, "not started: robot 1")),
+        ({"released": False, "late": [1]}, (False, "not released: robot 1")),
+        ({"released": True, "heard": False}, (False, "no robot is heard")),
+    ],
+)
+def test_viewers_and_ros_2_are_told_what_came_of_it(
+    answer: dict[str, Any], told: tuple[bool, str]
+) -> None:
+    """Foxglove said "not confirmed" of robots that were released and did not start."""
+    assert told_result({"late": [], "heard": True, **answer}) == told
