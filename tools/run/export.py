@@ -4,7 +4,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from rich.console import Console
-from rich.progress import Progress
 
 from agent.runtime.files.field_error import FieldFileError
 from agent.runtime.files.field_file import load_json
@@ -16,11 +15,10 @@ from sim.runs.work_geojson import read_work_geojson, run_of, write_geojson
 from sim.runs.work_record import WorkRecord
 from tools.common.counted import counted
 from tools.common.exit_codes import code_of, wrong
-from tools.common.progress import shows_progress
 from tools.inspect.log_frames import SourceError
 from tools.livemap.command import recorded
 from tools.report.run_data import REPORT
-from tools.run.film import FILM_S, FilmError, write_film
+from tools.run.film import FILM_S, FilmError, write_told_film
 
 Say = Callable[[str], object]  # of a line for people
 RECORD = "work.geojson"  # what `headland run` of a field leaves
@@ -108,16 +106,7 @@ def _film(folder: Path, film: Path, say: Say) -> int:
         return wrong(f"--film {film}: {film.parent} is not a folder")
     try:
         recording = recorded(folder, None)
-        console = Console(stderr=True)
-        with Progress(
-            console=console, transient=True, disable=not shows_progress(console)
-        ) as progress:
-            drawn = progress.add_task("drawing the film", total=None)
-
-            def on_picture(done: int, count: int) -> None:
-                progress.update(drawn, completed=done, total=count)
-
-            count = write_film(recording, film, on_picture=on_picture)
+        count = write_told_film(Console(stderr=True), recording, film)
     except (FilmError, SourceError, McapMissing) as problem:
         return wrong(problem)
     except OSError as problem:

@@ -12,10 +12,14 @@ from math import dist
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+from rich.console import Console
+from rich.progress import Progress
+
 from crdt.progress import BLOCK_UNITS
 from sim.files.palette import ROBOTS
 from sim.files.whole_file import whole_file
 from sim.record.recording import Recording
+from tools.common.progress import shows_progress
 from tools.inspect.inspector import SILENT_S
 from tools.livemap.event_notes import NotedEvent
 from tools.livemap.map_state import Watcher
@@ -99,6 +103,17 @@ def write_film(
     with whole_file(out) as part:
         plain[0].save(part, append_images=plain[1:], optimize=False, **shared)
     return count
+
+
+def write_told_film(console: Console, recording: Recording, out: Path) -> int:
+    """The same, and tell at a console how far it is."""
+    with Progress(console=console, transient=True, disable=not shows_progress(console)) as progress:
+        drawing = progress.add_task("drawing the film", total=None)
+
+        def on_picture(done: int, count: int) -> None:
+            progress.update(drawing, completed=done, total=count)
+
+        return write_film(recording, out, on_picture=on_picture)
 
 
 def _palette(pictures: Sequence["Image"]) -> "Image":

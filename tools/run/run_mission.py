@@ -30,7 +30,7 @@ from tools.common.result_table import Fact, run_table
 from tools.common.run_folder import RUNS, FolderError, folder_for
 from tools.common.verbosity import Verbosity
 from tools.livemap.command import MapThread, ServerError
-from tools.run.film import write_film
+from tools.run.film import write_told_film
 from tools.run.run_recorder import RunRecorder
 
 FILM = "film.gif"  # of `--film`
@@ -126,7 +126,8 @@ def _run_mission(
     write_whole(folder / "report.json", dumps(report, indent=1) + "\n")
     drawn = command.draw(outcome, folder, recorder.log_hash)
     if film and recording is not None:
-        drawn.append(_filmed(console, recording, folder))
+        write_told_film(console, recording, folder / FILM)
+        drawn.append(FILM)
     if as_json:
         print(dumps(report), flush=True)
     else:
@@ -139,18 +140,6 @@ def _run_mission(
         held.close()  # all is written, and another run may have the folder
         shown.join()
     return command.exit_code(outcome)
-
-
-def _filmed(console: Console, recording: Recording, folder: Path) -> str:
-    """Write the film of a run, and tell how far it is; the name of the file."""
-    with Progress(console=console, transient=True, disable=not shows_progress(console)) as progress:
-        drawing = progress.add_task("drawing the film", total=None)
-
-        def on_picture(done: int, count: int) -> None:
-            progress.update(drawing, completed=done, total=count)
-
-        write_film(recording, folder / FILM, on_picture=on_picture)
-    return FILM
 
 
 def _compile(console: Console, warm: Callable[[], None] | None) -> None:
