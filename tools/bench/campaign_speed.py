@@ -4,16 +4,12 @@ Example: python -m tools.bench.campaign_speed all --seed 1 --runs 20
 """
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
 from sim.files.strict_json import dumps
-from tools.build.compiled_core import OFF, use
-from tools.common.child_process import ROOT
+from tools.bench.fresh_process import in_fresh_process
+from tools.build.compiled_core import use
 
 if TYPE_CHECKING:
     from sim.scenarios.scenario import Scenario
@@ -35,12 +31,8 @@ class Campaign(NamedTuple):
 
 def measured(profile: str, runs: int, seed: int, interpreted: bool = False) -> Campaign:
     """In a fresh process."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **({OFF: "1"} if interpreted else {})}
-    done = subprocess.run(
-        [sys.executable, "-m", __spec__.name, profile, "--seed", f"{seed}", "--runs", f"{runs}"],
-        env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return Campaign(**json.loads(done.stdout))
+    words = (profile, "--seed", f"{seed}", "--runs", f"{runs}")
+    return Campaign(**in_fresh_process(__spec__.name, *words, interpreted=interpreted))
 
 
 def campaign(profile: str, runs: int, seed: int) -> Campaign:

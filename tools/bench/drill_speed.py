@@ -4,16 +4,12 @@ Example: python -m tools.bench.drill_speed 5 --seed 1 --cpu-s 4
 """
 
 import argparse
-import json
-import os
-import subprocess
-import sys
 import time
 from typing import TYPE_CHECKING, NamedTuple
 
 from sim.files.strict_json import dumps
-from tools.build.compiled_core import OFF, use
-from tools.common.child_process import ROOT
+from tools.bench.fresh_process import in_fresh_process
+from tools.build.compiled_core import use
 from tools.common.gc_collector import patient
 
 if TYPE_CHECKING:
@@ -35,13 +31,8 @@ class Speed(NamedTuple):
 
 def measured(robots: int, seed: int, cpu_s: float, interpreted: bool = False) -> Speed:
     """In a fresh process."""
-    environment = {**os.environ, "PYTHONPATH": str(ROOT), **({OFF: "1"} if interpreted else {})}
-    done = subprocess.run(
-        [sys.executable, "-m", __spec__.name, f"{robots}", "--seed", f"{seed}",
-         "--cpu-s", f"{cpu_s}"],
-        env=environment, capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return Speed(**json.loads(done.stdout))
+    words = (f"{robots}", "--seed", f"{seed}", "--cpu-s", f"{cpu_s}")
+    return Speed(**in_fresh_process(__spec__.name, *words, interpreted=interpreted))
 
 
 def speed(robots: int, seed: int, cpu_s: float) -> Speed:

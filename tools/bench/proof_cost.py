@@ -6,9 +6,6 @@ which the largest fleet sends, without the cache of tags that serves simulations
 """
 
 import argparse
-import os
-import subprocess
-import sys
 import time
 from collections.abc import Iterator
 from random import Random
@@ -27,8 +24,7 @@ from sim.fleet.simulated_fleet import Cluster
 from sim.scenarios.fleet_setup import DRAWN
 from sim.scenarios.protocol_setup import ProtocolSetup, drill
 from tools.bench.figure import Figure
-from tools.build.compiled_core import OFF
-from tools.common.child_process import ROOT
+from tools.bench.fresh_process import in_fresh_process
 
 # Robots -> points of bus load that proofs may add, and the load in all, in percent.
 TARGETS = {20: (4.0, 38.0), 50: (5.0, 45.0), 108: (6.0, 50.0)}
@@ -104,12 +100,7 @@ def proof_s(rounds: int = ROUNDS) -> float:
 
 def _robots_proof_s(rounds: int) -> float:
     """The same in a fresh process without a compiled core, as robots run."""
-    done = subprocess.run(
-        [sys.executable, "-m", __spec__.name, "--rounds", f"{rounds}"],
-        env={**os.environ, "PYTHONPATH": str(ROOT), OFF: "1"}, cwd=ROOT,
-        capture_output=True, text=True, check=True,
-    )  # fmt: skip
-    return float(done.stdout)
+    return float(in_fresh_process(__spec__.name, "--rounds", f"{rounds}", interpreted=True))
 
 
 def figures(quick: bool, seed: int = 1) -> Iterator[Figure]:
