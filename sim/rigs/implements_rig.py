@@ -6,7 +6,7 @@ its places when it is asked, and has a state for each section. What is worked is
 the booms and from what the valves do, as exact polygons.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from math import cos, hypot, inf, pi, sin
 from random import Random
 from struct import pack, unpack
@@ -18,7 +18,7 @@ from shapely.geometry import Polygon, box
 from agent.implements.as_applied_map import AsAppliedMap, by_row
 from agent.implements.task_controller import TaskController, controller_name
 from agent.interface.config import MS, S
-from agent.interface.effects import Send
+from agent.interface.effects import Effect, Send
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.observation import Observation
 from agent.peer.inputs import BusState, Cover, Received, Timer
@@ -534,29 +534,30 @@ class PeerNode:
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
         """Take a frame; returns the answers."""
-        return self._frames(self.peer.step(Received(frame), now_us))
+        return frames_of(self.peer, self.peer.step(Received(frame), now_us))
 
     def turns(self, now_us: int) -> list[Frame]:
         """Send what is due."""
         frames: list[Frame] = []
         covered, self._covered = self._covered, []
         for call in covered:
-            frames += self._frames(self.peer.step(call, now_us))
+            frames += frames_of(self.peer, self.peer.step(call, now_us))
         if now_us >= self.peer.due_at_us:
             self.peer.step(BusState(Health.ACTIVE, True, now_us), now_us)
-            frames += self._frames(self.peer.step(Timer(), now_us))
+            frames += frames_of(self.peer, self.peer.step(Timer(), now_us))
         return frames
 
-    def _frames(self, effects: object) -> list[Frame]:
-        assert isinstance(effects, list | tuple)
-        frames = []
-        for effect in effects:
-            if not isinstance(effect, Send):
-                continue
-            source = self.peer.address if effect.source is None else effect.source
-            if source is not None:
-                frames.append(encode(effect.message, source, effect.destination))
-        return frames
+
+def frames_of(peer: Peer, effects: Sequence[Effect]) -> list[Frame]:
+    """What a peer sends by these effects; nothing while it has no address."""
+    frames = []
+    for effect in effects:
+        if not isinstance(effect, Send):
+            continue
+        source = peer.address if effect.source is None else effect.source
+        if source is not None:
+            frames.append(encode(effect.message, source, effect.destination))
+    return frames
 
 
 class ReceiverNode:

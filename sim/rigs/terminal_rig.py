@@ -5,13 +5,13 @@ client: it reads the pool, checks every reference in it, keeps working sets whil
 sends keys.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from random import Random
 from struct import pack, unpack_from
 from typing import NamedTuple
 
 from agent.interface.config import MS, S
-from agent.interface.effects import Persist, Send
+from agent.interface.effects import Effect, Persist
 from agent.interface.identity import Identity, SilencePolicy
 from agent.interface.observation import Observation
 from agent.peer.inputs import BusState, Received, Sensed, Timer
@@ -19,11 +19,10 @@ from agent.runtime.peer_factory import NO_MISSION, MissionParts, keyring_of, mak
 from agent.safety.stop_cause import StopCause
 from protocol.authentication import KEY_SIZE, Keys
 from protocol.controller_health import Health
-from protocol.frames.codec import encode
 from protocol.frames.frame import Frame
 from protocol.name import fleet_name
 from sim.can.frame_timing import frame_bits
-from sim.rigs.implements_rig import RigBus
+from sim.rigs.implements_rig import RigBus, frames_of
 
 TERMINAL = 38  # address (ISO 11783-1: virtual terminal)
 GLOBAL = 255
@@ -319,7 +318,7 @@ class RobotNode:
 
     def hears(self, frame: Frame, now_us: int) -> list[Frame]:
         """Take a frame, if it has power."""
-        return self._frames(self.peer.step(Received(frame), now_us), now_us) if self.alive else []
+        return self._perform(self.peer.step(Received(frame), now_us), now_us) if self.alive else []
 
     def turns(self, now_us: int) -> list[Frame]:
         """Its timer."""
@@ -329,24 +328,19 @@ class RobotNode:
         if self.place_m is not None and self.peer.wants_observation(now_us):
             here = Observation(*self.place_m, 0.0, 0.0, 0.0, sensed_at_us=now_us)
             self.peer.step(Sensed(here), now_us)
-        return self._frames(self.peer.step(Timer(), now_us), now_us)
+        return self._perform(self.peer.step(Timer(), now_us), now_us)
 
-    def _frames(self, effects: object, now_us: int) -> list[Frame]:
-        assert isinstance(effects, list | tuple)
-        frames = []
+    def _perform(self, effects: Sequence[Effect], now_us: int) -> list[Frame]:
+        """Keep what is to be kept; returns what it sends."""
         for effect in effects:
             if isinstance(effect, Persist):
                 self.memory[effect.key] = effect.value
-            if isinstance(effect, Send):
-                source = self.peer.address if effect.source is None else effect.source
-                if source is not None:
-                    frames.append(encode(effect.message, source, effect.destination))
         latched = self.peer.safety.holds(StopCause.STOP_DOT)
         if latched and self.stopped_at_us is None:
             self.stopped_at_us = now_us
         elif not latched:
             self.stopped_at_us = None
-        return frames
+        return frames_of(self.peer, effects)
 
 
 class KilledScreens(NamedTuple):
