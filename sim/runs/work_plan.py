@@ -5,7 +5,7 @@ plan of the fleet (`agent/field/fleet_plan.py`). It is the plan that the peers o
 Later they plan again, with what has happened.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import dist
 from typing import NamedTuple
 
@@ -14,7 +14,6 @@ import shapely
 from pyproj import Transformer
 from shapely.geometry import LineString, Polygon
 from shapely.geometry.base import BaseGeometry
-from shapely.geometry.polygon import orient
 
 from agent.field.field_map import Field, Section
 from agent.field.fleet_plan import JOBS_MAX, FleetPlan, FreedRobot, Rows
@@ -27,7 +26,7 @@ from agent.runtime.files.field_error import LonLat
 from agent.runtime.files.field_file import plane
 from protocol.frames.codec import decode, encode
 from protocol.frames.fleet_frames import NOBODY, Pose
-from sim.runs.work_record import OUTLINE_DIGITS, Rings, WorkRecord
+from sim.runs.work_record import Rings, ToDegrees, WorkRecord
 from sim.scenarios.field_setup import FieldSetup
 from sim.scenarios.scenario import ScenarioError
 from sim.world.coverage_truth import sample_points
@@ -143,7 +142,8 @@ def plan_work(setup: FieldSetup, done: WorkRecord | None = None, seed: int = 0) 
             )
     return WorkPlan(
         field.name, field.polygon.area / 1e4, round(field.implement_width_m * 1000),
-        drawn.rings(field.polygon), method, len(field.sections), len(field.sections) - len(left),
+        drawn.to_degrees.rings(field.polygon), method,
+        len(field.sections), len(field.sections) - len(left),
         len(setup.unreachable & left.keys()),
         tuple(sorted(planned, key=lambda robot: robot.robot)),
         setup.ground(sample_points(field.polygon, field.implement_width_m, field.overlap_m)).unreached,
@@ -224,20 +224,7 @@ class _Drawing:
 
     def __init__(self, setup: FieldSetup, covered: Mapping[int, frozenset[int]]) -> None:
         self.setup, self.covered = setup, covered
-        back = Transformer.from_crs(plane(setup.field.origin), "EPSG:4326", always_xy=True)
-        self._back = back.transform
-
-    def degrees(self, points: Iterable[Sequence[float]]) -> tuple[LonLat, ...]:
-        rows = list(points)
-        if not rows:
-            return ()
-        lon, lat = self._back([p[0] for p in rows], [p[1] for p in rows])
-        digits = OUTLINE_DIGITS
-        return tuple((round(x, digits), round(y, digits)) for x, y in zip(lon, lat, strict=True))
-
-    def rings(self, shape: Polygon) -> Rings:
-        shape = orient(shape)  # RFC 7946 wants exteriors to turn left
-        return tuple(self.degrees(ring.coords) for ring in (shape.exterior, *shape.interiors))
+        self.to_degrees = ToDegrees(setup.field.origin)
 
     def robot(self, slot: int, row: Sequence[Visit], jobs: Sequence[int]) -> RobotPlan:
         at, planned = self.setup.starts[slot], []
@@ -248,13 +235,13 @@ class _Drawing:
             way = () if dist(at, goal) < HERE_M else self.setup.plan.route.path(at, goal)
             planned.append(
                 PlannedSection(
-                    section.id, self.degrees(way), visit.leaves_at_ms / 1000,
+                    section.id, self.to_degrees.points(way), visit.leaves_at_ms / 1000,
                     visit.begins_at_ms / 1000, visit.ends_at_ms / 1000,
                     self._swaths(lines, visit.begins_at_ms, visit.ends_at_ms), self._ground(lines),
                 )
             )  # fmt: skip
             at = lines[-1][-1]
-        return RobotPlan(slot, self.degrees([self.setup.starts[slot]])[0], tuple(planned))
+        return RobotPlan(slot, self.to_degrees.points([self.setup.starts[slot]])[0], tuple(planned))
 
     def _lines(self, section: Section, entry: int) -> list[Polyline]:
         """What is left of a section, as it is driven from one of its ends."""
@@ -275,7 +262,9 @@ class _Drawing:
             end_at_ms = ends_at_ms if k + 1 == len(lines) else now_ms
             found.append(
                 PlannedSwath(
-                    self.degrees(line), round(starts_at_ms / 1000, 3), round(end_at_ms / 1000, 3)
+                    self.to_degrees.points(line),
+                    round(starts_at_ms / 1000, 3),
+                    round(end_at_ms / 1000, 3),
                 )
             )
         return tuple(found)
@@ -288,4 +277,6 @@ class _Drawing:
         ]
         ground: BaseGeometry = shapely.unary_union(stripes).intersection(field.polygon)
         parts = getattr(ground, "geoms", [ground])
-        return tuple(self.rings(p) for p in parts if isinstance(p, Polygon) and p.area > 0.0)
+        return tuple(
+            self.to_degrees.rings(p) for p in parts if isinstance(p, Polygon) and p.area > 0.0
+        )

@@ -7,7 +7,7 @@ Positions are longitude and latitude in degrees (WGS 84), rounded to what ISO 11
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from datetime import datetime, timedelta
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import shapely
@@ -76,27 +76,41 @@ class WorkRecord(NamedTuple):
         return self.started + timedelta(milliseconds=self.duration_ms)
 
 
+class ToDegrees:
+    """Metres east and north of an origin, as longitudes and latitudes in degrees (WGS 84)."""
+
+    def __init__(self, origin: tuple[float, float]) -> None:
+        """`origin`: latitude and longitude in degrees."""
+        back = Transformer.from_crs(plane(origin), "EPSG:4326", always_xy=True)
+        self._back = back.transform
+
+    def points(
+        self, points: Iterable[Sequence[float]], digits: int = OUTLINE_DIGITS
+    ) -> tuple[LonLat, ...]:
+        """Points, rounded to so many decimal places."""
+        rows = list(points)
+        if not rows:
+            return ()
+        lon, lat = self._back([p[0] for p in rows], [p[1] for p in rows])
+        return tuple((round(x, digits), round(y, digits)) for x, y in zip(lon, lat, strict=True))
+
+    def rings(self, shape: Polygon) -> Rings:
+        """The outlines of a polygon."""
+        shape = orient(shape)  # RFC 7946 wants exteriors to turn left
+        return tuple(self.points(ring.coords) for ring in (shape.exterior, *shape.interiors))
+
+
 def record_of(
     field: Field, tracks: Mapping[int, Sequence[TrackPoint]], finished: bool, started: datetime
 ) -> WorkRecord:
     """Make a record from a field in metres and the tracks of its robots."""
-    back = Transformer.from_crs(plane(field.origin), "EPSG:4326", always_xy=True).transform
-
-    def degrees(points: Iterable[Sequence[float]], digits: int = OUTLINE_DIGITS) -> Any:
-        rows = list(points)
-        lon, lat = back([p[0] for p in rows], [p[1] for p in rows])
-        return tuple((round(x, digits), round(y, digits)) for x, y in zip(lon, lat, strict=True))
-
-    def rings(shape: Polygon) -> Rings:
-        shape = orient(shape)  # RFC 7946 wants exteriors to turn left
-        return tuple(degrees(ring.coords) for ring in (shape.exterior, *shape.interiors))
-
+    to_degrees = ToDegrees(field.origin)
     logs = {}
     for slot, track in sorted(tracks.items()):
         kept = list(_thinned(track))
         if not kept:
             continue
-        places = degrees([(x, y) for _, x, y, _ in kept], LOG_DIGITS)
+        places = to_degrees.points([(x, y) for _, x, y, _ in kept], LOG_DIGITS)
         logs[slot] = tuple(
             LogPoint(t_us // 1000, lon, lat, bool(tool))
             for (t_us, _, _, tool), (lon, lat) in zip(kept, places, strict=True)
@@ -106,9 +120,13 @@ def record_of(
         started=started.replace(microsecond=0),
         finished=finished,
         width_mm=round(field.implement_width_m * 1000),
-        boundary=rings(field.polygon),
-        swaths=tuple(Swath(s.id, degrees(line)) for s in field.sections for line in s.swaths),
-        covered=tuple(rings(part) for part in covered_area(field, tracks)),
+        boundary=to_degrees.rings(field.polygon),
+        swaths=tuple(
+            Swath(section.id, to_degrees.points(line))
+            for section in field.sections
+            for line in section.swaths
+        ),
+        covered=tuple(to_degrees.rings(part) for part in covered_area(field, tracks)),
         logs=logs,
     )
 
