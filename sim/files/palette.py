@@ -1,4 +1,4 @@
-"""The colours of robots, by slot: the same in the map, in every picture and in the report.
+"""The colours of robots, by slot: the same in the map, in every picture, in the report and in plans.
 
 Ten hues that can be distinguished on black and on white, then the same hues lighter. Text also
 names every robot, because not everyone can distinguish ten colours.

@@ -18,6 +18,7 @@ from xml.etree import ElementTree
 from agent.runtime.files.isoxml_reader import NAME
 from agent.runtime.files.printable_text import printable
 from protocol.name import fleet_name
+from sim.files.palette import colour_of
 from sim.files.whole_file import whole_file, write_whole
 from sim.runs.isoxml_writer import device, guidance_pattern, polygon_of, refuse_others, task_file
 from sim.runs.work_geojson import feature
@@ -25,11 +26,6 @@ from sim.runs.work_plan import PlannedSection, RobotPlan, WorkPlan
 from sim.runs.work_record import NAME_MAX, Rings, area_m2
 
 KML = "http://www.opengis.net/kml/2.2"
-# Colours of robots, one after another (Tableau 10); KML writes them as alpha, blue, green, red.
-COLOURS = (
-    "4e79a7", "f28e2b", "e15759", "76b7b2", "59a14f", "edc948", "b07aa1", "ff9da7", "9c755f",
-    "bab0ac",
-)  # fmt: skip
 DIGITS_S = 3
 
 
@@ -74,10 +70,10 @@ def write_plan_kml(plans: Sequence[WorkPlan], path: Path) -> None:
     document = _child(root, "Document")
     _child(document, "name", "Headland plan")
     for robot in range(max((len(plan.robots) for plan in plans), default=0)):
-        colour = COLOURS[robot % len(COLOURS)]
+        red, green, blue = (colour_of(robot)[k : k + 2] for k in (1, 3, 5))
         style = _child(document, "Style", id=f"robot{robot}")
         line = _child(style, "LineStyle")
-        _child(line, "color", "ff" + colour[4:6] + colour[2:4] + colour[0:2])
+        _child(line, "color", "ff" + blue + green + red)  # with alpha
         _child(line, "width", "2")
     for plan in plans:
         _field_folder(document, plan)

@@ -23,6 +23,7 @@ from agent.field.plan_kernels import finish
 from agent.field.plan_schedule import visits
 from agent.field.travel_times import Remainder
 from agent.runtime.files.field_file import plane, read_boundary
+from sim.files.palette import colour_of
 from sim.runs.field_run import FieldRun
 from sim.runs.work_geojson import write_geojson
 from sim.runs.work_plan import EQUAL_RUNS, FLEET_PLAN, covered_units, left_of, plan_work
@@ -159,6 +160,8 @@ def test_kml_has_the_same_lines(folder: Path) -> None:
     root = ElementTree.parse(folder / "plan.kml").getroot()
     assert root.tag == f"{KML}kml"
     styles = {f"#{style.get('id')}" for style in root.iter(f"{KML}Style")}
+    blue_green_red = next(root.iter(f"{KML}color")).text
+    assert blue_green_red == "ffde8e3b" and colour_of(0) == "#3b8ede", "that of the map"
     lines = []
     for mark in root.iter(f"{KML}Placemark"):
         line = mark.find(f"{KML}LineString/{KML}coordinates")
