@@ -25,7 +25,7 @@ BATCH = 64
 
 
 class RunRecorder:
-    """Given to an expedition or a survey as `attach`, or fed by a launch; close it after the run."""
+    """Given to a `MissionRun` as `attach`, or fed by a launch; close it after the run."""
 
     def __init__(
         self, setting: FleetSetup, out: Path, recording: Recording | None = None,
