@@ -222,11 +222,11 @@ async def _ask_traces(
     loop = asyncio.get_running_loop()
     try:
         operator = Operator(bus, None)
-        letters = PgnClient(bus, operator.device)
+        pgn_client = PgnClient(bus, operator.device)
 
         def heard(frame: Frame) -> None:
             operator.hear(loop.time(), frame)
-            letters.hear(loop.time(), frame)
+            pgn_client.hear(loop.time(), frame)
 
         bus.subscribe(heard)
         await operator.listen(HEARD_S)
@@ -234,7 +234,7 @@ async def _ask_traces(
         if robot is None:
             known = " ".join(map(str, sorted(operator.robots))) or "none"
             raise SourceError(f"no robot {slot} on this bus; heard: {known}")
-        return await letters.ask(LOG_PGN, robot.address, seconds)
+        return await pgn_client.ask(LOG_PGN, robot.address, seconds)
     finally:
         bus.close()
 

@@ -32,7 +32,8 @@ NO_KEY = (
 
 
 def not_confirmed(answer: Mapping[str, Any]) -> str:
-    """Who has not confirmed, by the answer of a panel to a press or a release; empty if all have."""
+    """Robots and addresses that have not confirmed, by the answer of a panel to a press or a release;
+    empty if all have."""
     missing = [f"robot {slot}" for slot in answer["late"]]
     missing += [f"address {address}" for address in answer.get("unnamed", ())]
     missing += [f"robot {slot} (not heard)" for slot in answer.get("silent", ())]

@@ -43,7 +43,7 @@ def estop(
     """The exit code of `headland stop`: 0 if every robot that is or was there has confirmed within
     `timeout` seconds, 1 if some have not, 2 if there is no bus or the reason is unknown.
 
-    `hold`: after `timeout` it says who has not confirmed, and presses on until all have.
+    `hold`: after `timeout` it says which robots have not confirmed, and presses on until all have.
     """
     if reason not in Reason.__members__:
         known = ", ".join(Reason.__members__)
@@ -117,7 +117,7 @@ async def press(
 ) -> list[KnownRobot]:
     """Repeat until every member has confirmed; returns those that have not, silent ones among them.
 
-    `hold`: after `timeout_s` a line says who has not confirmed, and the press goes on without an end.
+    `hold`: after `timeout_s` a line says which have not confirmed, and the press goes on without an end.
     """
     loop = asyncio.get_running_loop()
     operator.begin_press()
@@ -145,7 +145,7 @@ async def press(
         if now_s - begun_s >= timeout_s:
             if not hold:
                 return late
-            tell_meanwhile(f"headland: {_who(operator, late)}; pressing on, Ctrl-C ends it")
+            tell_meanwhile(f"headland: {_unconfirmed(operator, late)}; pressing on, Ctrl-C ends it")
             timeout_s = inf
         none_stopped = not any(r.stopped or r.echoed for r in operator.live)
         unsigned = operator.signs and any(not r.signed for r in operator.live)
@@ -164,15 +164,15 @@ def _all_stopped(operator: Operator, late: list[KnownRobot]) -> bool:
     return bool(operator.live) and not late and not operator.unknown
 
 
-def _who(operator: Operator, late: list[KnownRobot]) -> str:
-    """Who has not confirmed, for one line."""
+def _unconfirmed(operator: Operator, late: list[KnownRobot]) -> str:
+    """Robots and addresses that have not confirmed, for one line."""
     names = [f"robot {robot.slot}" for robot in late]
     names += [f"address {address}" for address in sorted(operator.unknown)]
     return f"not confirmed by {', '.join(names)}" if names else "no robot was heard"
 
 
 def tell(operator: Operator, late: list[KnownRobot], as_json: bool, signed: bool) -> int:
-    """Print who has confirmed and who has not, `late`; returns the exit code of a press."""
+    """Print which robots have confirmed and which have not, `late`; returns the exit code of a press."""
     live = operator.live
     confirmed = [r for r in operator.members if r not in late]
     if as_json:
@@ -209,7 +209,7 @@ def _word(operator: Operator, robot: KnownRobot, late: list[KnownRobot]) -> str:
     return "NOT STOPPED"
 
 
-class Lamp(NamedTuple):
+class StopStatus(NamedTuple):
     """Whether all robots that are heard stand stopped, and which do; by their numbers."""
 
     says: str
@@ -225,30 +225,30 @@ class Lamp(NamedTuple):
         return f"{self.says}  live {self.live}  stopped {self.stopped}{missed}"
 
 
-def lamp(operator: Operator) -> Lamp:
+def stop_status(operator: Operator) -> StopStatus:
     """What the robots say now."""
     live, silent = operator.live, [r.slot for r in operator.silent]
     stopped = [r.slot for r in live if r.stopped]
     # An address from which nobody has spoken lately is no robot that could move.
     unnamed = operator.unnamed(operator.now_s - LIVE_S)
-    colour = "ALL STOPPED"
+    says = "ALL STOPPED"
     if len(stopped) < len(live):
-        colour = "MOVING"
+        says = "MOVING"
     elif not live:
-        colour = "NOBODY"
+        says = "NOBODY"
     elif silent or unnamed:
-        colour = "NOT ALL HEARD"
-    return Lamp(colour, [r.slot for r in live], stopped, silent)
+        says = "NOT ALL HEARD"
+    return StopStatus(says, [r.slot for r in live], stopped, silent)
 
 
 async def _watch(operator: Operator, as_json: bool) -> int:
-    """A lamp: one line whenever it changes."""
+    """The status of the stop: one line whenever it changes."""
     shown = ""
     operator.ask_who()
     while True:
         await asyncio.sleep(0.2)
         operator.now_s = asyncio.get_running_loop().time()
-        line = lamp(operator).told(as_json)
+        line = stop_status(operator).told(as_json)
         if line != shown:
             shown = line
             print(line, flush=True)

@@ -87,10 +87,10 @@ def _faults(evidence: RunEvidence) -> list[TimelineEvent]:
     found = []
     for fault in evidence.faults or []:
         rest = {k: v for k, v in fault.items() if k not in ("t_s", "kind", "robot")}
-        who = f"robot {fault['robot']}" if "robot" in fault else ""
+        robot = f"robot {fault['robot']}" if "robot" in fault else ""
         what = ", ".join(f"{key} {value}" for key, value in rest.items())
         found.append(
-            TimelineEvent(float(fault["t_s"]), f"fault: {fault.get('kind', '?')}", who, what)
+            TimelineEvent(float(fault["t_s"]), f"fault: {fault.get('kind', '?')}", robot, what)
         )
     return found
 
@@ -175,11 +175,11 @@ def _sections(history: History, events: Sequence[TimelineEvent]) -> Chapter:
     )
     if not history.held:
         return Chapter("sections", title, about, missing="No section was claimed.")
-    shown = len({span.who for span in history.held})
+    shown = len({span.subject for span in history.held})
     if shown > drawing.ROWS_MAX:
         about += f" The first {drawing.ROWS_MAX} of {shown} are drawn."
     rows = [
-        (f"S{s.who}", s.what, s.owner, round(s.from_s, 3), round(s.until_s, 3))
+        (f"S{s.subject}", s.what, s.owner, round(s.from_s, 3), round(s.until_s, 3))
         for s in history.held
     ]  # fmt: skip
     owners: dict[int, list[float]] = {}
@@ -216,14 +216,14 @@ def _states(history: History, marks: Sequence[TimelineEvent]) -> Chapter:
     if not history.states:
         return Chapter("states", "States", about, missing="No robot has said its state.")
     rows = [
-        (s.who, s.what, round(s.from_s, 3), round(s.until_s, 3)) for s in history.states
+        (s.subject, s.what, round(s.from_s, 3), round(s.until_s, 3)) for s in history.states
     ]  # fmt: skip
     names = [n for n in drawing.STATES if any(s.what == n for s in history.states)]
     table = []
-    for slot in sorted({s.who for s in history.states}):
+    for slot in sorted({s.subject for s in history.states}):
         sums = dict.fromkeys(names, 0.0)
         for span in history.states:
-            if span.who == slot:
+            if span.subject == slot:
                 sums[span.what] = sums.get(span.what, 0.0) + span.until_s - span.from_s
         table.append((slot, *(f"{sums[name]:.1f}" for name in names)))
     head = ("robot", *(f"{name.lower()}, s" for name in names))
@@ -297,7 +297,7 @@ def _events(evidence: RunEvidence, faults: Sequence[TimelineEvent], history: His
         )
     elif not faults:
         about += " Nothing was done to it."
-    silent = {s.who for s in history.states if s.what == SILENT}
+    silent = {s.subject for s in history.states if s.what == SILENT}
     if silent:
         about += f" Silent for a while: robots {', '.join(map(str, sorted(silent)))}."
     if not rows:

@@ -234,7 +234,7 @@ def _runs(robot: "Following") -> list[list[Any]]:
 def gantt(held: Sequence[TimelineSpan], until_s: float, events: Sequence[TimelineEvent]) -> Drawn:
     """What happened, a row for each kind, and below it on the same axis a row for each section, in the
     order in which they were first claimed."""
-    order = list(dict.fromkeys(span.who for span in held))[:ROWS_MAX]
+    order = list(dict.fromkeys(span.subject for span in held))[:ROWS_MAX]
     row_of = {section: row for row, section in enumerate(order)}
     kinds = list(dict.fromkeys(event.kind for event in events))[:EVENT_ROWS_MAX]
     owners = sorted({span.owner for span in held if span.owner is not None})
@@ -253,10 +253,10 @@ def gantt(held: Sequence[TimelineSpan], until_s: float, events: Sequence[Timelin
         strip = Axes(PlotBox(left, TOP_PX, box.width, strip_px), time, row_span(len(kinds)))
         parts.append(_strip(strip, kinds, events, until_s) + strip.frame())
     for s in held:
-        if s.who in row_of:
-            who = "nobody" if s.owner is None else f"robot {s.owner}"
-            title = f"S{s.who} {s.what.lower()}, {who}, {s.from_s:.1f} to {s.until_s:.1f} s"
-            parts.append(axes.bar(s.from_s, s.until_s, row_of[s.who], colour_of(s.owner),
+        if s.subject in row_of:
+            owner = "nobody" if s.owner is None else f"robot {s.owner}"
+            title = f"S{s.subject} {s.what.lower()}, {owner}, {s.from_s:.1f} to {s.until_s:.1f} s"
+            parts.append(axes.bar(s.from_s, s.until_s, row_of[s.subject], colour_of(s.owner),
                                   PHASES.get(s.what, 0.5), title))  # fmt: skip
     parts += [axes.rows(names, SMALL_PX), axes.x_ticks("s"), key]
     parts.append(_marks(axes, [e for e in events if is_mark(e)], labelled=not kinds))
@@ -291,7 +291,7 @@ def _strip(
 
 def states(spans: Sequence[TimelineSpan], until_s: float, marks: Sequence[TimelineEvent]) -> Drawn:
     """For each robot a bar of its states over time, with lines for stops and resets."""
-    robots = sorted({span.who for span in spans})
+    robots = sorted({span.subject for span in spans})
     row_of = {slot: row for row, slot in enumerate(robots)}
     seen = {span.what for span in spans}
     entries = [(colour, name.lower()) for name, colour in STATES.items() if name in seen]
@@ -299,8 +299,8 @@ def states(spans: Sequence[TimelineSpan], until_s: float, marks: Sequence[Timeli
     box, key = _box(LEFT_PX, _above(marks), rows_px, entries)
     axes = Axes(box, AxisSpan(0.0, max(until_s, 1e-3)), row_span(len(robots)))
     parts = [
-        axes.bar(s.from_s, s.until_s, row_of[s.who], STATES.get(s.what, "#777777"), 1.0,
-                 f"robot {s.who} {s.what.lower()}, {s.from_s:.1f} to {s.until_s:.1f} s")
+        axes.bar(s.from_s, s.until_s, row_of[s.subject], STATES.get(s.what, "#777777"), 1.0,
+                 f"robot {s.subject} {s.what.lower()}, {s.from_s:.1f} to {s.until_s:.1f} s")
         for s in spans
     ]  # fmt: skip
     parts += [axes.rows([f"robot {slot}" for slot in robots]), axes.x_ticks("s"), key]

@@ -32,7 +32,7 @@ STANDS_M_S = 0.05  # one step of a POSE; a speed of 0.0 there is at most half of
 class TimelineSpan(NamedTuple):
     """A robot in a state, or a section in the hands of an owner."""
 
-    who: int  # robot or section
+    subject: int  # robot or section
     what: str  # state or phase
     owner: int | None  # of a section
     from_s: float
@@ -163,8 +163,8 @@ class History(Inspector):
             self._end_state(slot, self.now_s)
         for section in list(self._holding):
             self._end_section(section, self.now_s)
-        self.states.sort(key=lambda span: (span.who, span.from_s))
-        self.held.sort(key=lambda span: (span.from_s, span.who))
+        self.states.sort(key=lambda span: (span.subject, span.from_s))
+        self.held.sort(key=lambda span: (span.from_s, span.subject))
         self.seen.sort(key=lambda event: event.t_s)
         return self
 

@@ -34,13 +34,13 @@ def solved(
         plan = work(instance, turn_cost, deaths, arrivals)
     cpu_s = time.process_time() - begun_s
     write_plan(out, plan)
-    court = PlanJudge(plan)
-    while not court.over:
-        court.advance()
-    court.end()
-    verdict = court.verdict()
+    plan_judge = PlanJudge(plan)
+    while not plan_judge.over:
+        plan_judge.advance()
+    plan_judge.end()
+    verdict = plan_judge.verdict()
     # With robots that joined, and without what only dead ones could reach.
-    bound = lower_bound(plan.walls, plan.starts, plan.joined, court.wanted())
+    bound = lower_bound(plan.walls, plan.starts, plan.joined, plan_judge.wanted())
     report = figures(plan, verdict, turn_cost) | {
         "lower_bound": bound,
         "ratio": round(verdict.makespan / bound, 4) if bound else 1.0,
@@ -75,18 +75,18 @@ def replayed(
 ) -> int:
     """Play a plan, drawn step by step at a terminal, and print its score. The exit code is 0 for a
     plan without faults. `turn_cost`: steps a quarter turn."""
-    court = PlanJudge(plan)
-    wanted = court.wanted()
+    plan_judge = PlanJudge(plan)
+    wanted = plan_judge.wanted()
     show = sys.stdout.isatty() and not as_json
-    while not court.over and not (stop_on_done and wanted <= court.covered.keys()):
+    while not plan_judge.over and not (stop_on_done and wanted <= plan_judge.covered.keys()):
         if show:
-            print("\x1b[H\x1b[2J" + drawing(court, wanted, True), flush=True)
+            print("\x1b[H\x1b[2J" + drawing(plan_judge, wanted, True), flush=True)
             time.sleep(delay_s)
-        court.advance()
-        if court.step in (*plan.died, *plan.joined):
-            wanted = court.wanted()
+        plan_judge.advance()
+        if plan_judge.step in (*plan.died, *plan.joined):
+            wanted = plan_judge.wanted()
     if not as_json:
-        print(drawing(court, wanted, show))
+        print(drawing(plan_judge, wanted, show))
     verdict = judge(plan)
     _print("replay", figures(plan, verdict, turn_cost), as_json)
     return 0 if verdict.ok else 1
@@ -106,25 +106,25 @@ def figures(plan: Plan, verdict: PlanScore, turn_cost: float) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def drawing(court: PlanJudge, wanted: set[Cell], screen: bool) -> str:
+def drawing(plan_judge: PlanJudge, wanted: set[Cell], screen: bool) -> str:
     """The map as text, with the last digit of each robot's number. On a screen it is in colour, each
     robot in its own, and coarser where it would not fit; cells are square where there is room.
 
     A coarse mark is what matters most in its block: a wreck, a robot, dirt, clean ground, walls.
     """
-    rows, columns = court.plan.walls.shape
+    rows, columns = plan_judge.plan.walls.shape
     coarse, wide = 1, False
     if screen:
         room = shutil.get_terminal_size()
         coarse = max(1, -(-columns // room.columns), -(-rows // max(1, room.lines - 2)))
         wide = 2 * -(-columns // coarse) <= room.columns
     robots: dict[Cell, int] = {}  # by block, the lowest number
-    marks = [[WALL if wall else DIRT for wall in row] for row in court.walls]
-    for row, column in court.covered:
+    marks = [[WALL if wall else DIRT for wall in row] for row in plan_judge.walls]
+    for row, column in plan_judge.covered:
         marks[row][column] = CLEAN
-    for robot, (row, column) in court.at.items():
-        marks[row][column] = WRECK if robot in court.wrecks else ROBOT
-        if robot not in court.wrecks:
+    for robot, (row, column) in plan_judge.at.items():
+        marks[row][column] = WRECK if robot in plan_judge.wrecks else ROBOT
+        if robot not in plan_judge.wrecks:
             block_of = (row // coarse, column // coarse)
             robots[block_of] = min(robot, robots.get(block_of, robot))
     lines = []
@@ -138,8 +138,10 @@ def drawing(court: PlanJudge, wanted: set[Cell], screen: bool) -> str:
             else:
                 line += COLORS.get(mark, mark) * (2 if wide else 1) if screen else mark
         lines.append(line)
-    left_over = len(wanted - court.covered.keys())
-    return "\n".join([*lines, f"step {court.step} of {court.plan.makespan}, {left_over} to cover"])
+    left_over = len(wanted - plan_judge.covered.keys())
+    return "\n".join(
+        [*lines, f"step {plan_judge.step} of {plan_judge.plan.makespan}, {left_over} to cover"]
+    )
 
 
 def _robot(number: int, screen: bool, wide: bool) -> str:

@@ -58,10 +58,12 @@ class LaunchStatus:
         latched = State.EMERGENCY_STOP.name
         now = {slot for slot, seen in self.inspector.robots.items() if seen.state == latched}
         if now - self._stopped:
-            who = " ".join(map(str, sorted(now)))
-            who = f"robots {who} stand" if len(now) > 1 else f"robot {who} stands"
-            self.console.print(f"[bold red]EMERGENCY STOP[/bold red]: {who}; headland inspect says why, "
-                               "headland release --start clears stops")  # fmt: skip
+            slots = " ".join(map(str, sorted(now)))
+            robots = f"robots {slots} stand" if len(now) > 1 else f"robot {slots} stands"
+            self.console.print(
+                f"[bold red]EMERGENCY STOP[/bold red]: {robots}; headland inspect says why, "
+                "headland release --start clears stops"
+            )
         elif self._stopped - now and not now:
             self.console.print("the stop is released")
         self._stopped = now

@@ -39,7 +39,7 @@ from tools.common.bus_address import AttachError, robots_of_launch
 from tools.livemap import command
 from tools.livemap.stop_panel import Panel
 from tools.operate import rekey
-from tools.operate.estop import AGAIN, lamp, press, tell
+from tools.operate.estop import AGAIN, press, stop_status, tell
 from tools.operate.operator_device import ECHOES_TRIED, KnownRobot, Operator
 from tools.operate.order import convey
 from tools.operate.reset import release, word
@@ -297,26 +297,26 @@ def test_t12_the_lamp_is_not_green_for_robots_that_are_not_heard() -> None:
     """It said ALL STOPPED of a launch with a dead robot, or one that had not said which it is."""
     tool = operator()
     tool.expect((1, 2))
-    assert lamp(tool).told(False).startswith("NOBODY ")
+    assert stop_status(tool).told(False).startswith("NOBODY ")
     say(tool, 0.0, 1, Member(1, 1, 7), beat(stopped=True))
-    assert lamp(tool).told(False) == "NOT ALL HEARD  live [1]  stopped [1]  not heard [2]"
+    assert stop_status(tool).told(False) == "NOT ALL HEARD  live [1]  stopped [1]  not heard [2]"
     say(tool, 0.1, 2, beat(stopped=False))
     say(tool, 0.2, 2, Member(2, 1, 7))
-    assert lamp(tool).told(False) == "MOVING  live [1, 2]  stopped [1]"
-    assert json.loads(lamp(tool).told(True)) == {
+    assert stop_status(tool).told(False) == "MOVING  live [1, 2]  stopped [1]"
+    assert json.loads(stop_status(tool).told(True)) == {
         "says": "MOVING", "live": [1, 2], "stopped": [1], "not_heard": [],
     }  # fmt: skip
     say(tool, 0.3, 2, beat(stopped=True))
-    assert lamp(tool).told(False) == "ALL STOPPED  live [1, 2]  stopped [1, 2]"
+    assert stop_status(tool).told(False) == "ALL STOPPED  live [1, 2]  stopped [1, 2]"
     say(tool, 0.4, 3, beat(stopped=True))
-    assert lamp(tool).told(False).startswith("NOT ALL HEARD "), (
+    assert stop_status(tool).told(False).startswith("NOT ALL HEARD "), (
         "a robot that has not said which it is"
     )
     say(tool, 2.0, 1, beat(stopped=True))
     say(tool, 2.0, 2, beat(stopped=True))
-    assert lamp(tool).told(False).startswith("ALL STOPPED "), "nobody speaks there any more"
+    assert stop_status(tool).told(False).startswith("ALL STOPPED "), "nobody speaks there any more"
     say(tool, 9.0, 1, beat(stopped=True))
-    assert lamp(tool).told(False) == "NOT ALL HEARD  live [1]  stopped [1]  not heard [2]"
+    assert stop_status(tool).told(False) == "NOT ALL HEARD  live [1]  stopped [1]  not heard [2]"
 
 
 @pytest.fixture
