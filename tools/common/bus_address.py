@@ -105,24 +105,24 @@ def robots_of_launch(interface: str, host: str, port: int, keys: Path | None = N
 
 def scenario_of_launch(interface: str, host: str, port: int) -> str | None:
     """The scenario of the newest launch in this folder, as a tool here can load it; None: another bus."""
-    try:
-        where = _believed(LAUNCH)
-        same = port == 0 or is_at(where, host, port)
-        scenario = str(where["scenario"])
-    except (ValueError, KeyError, TypeError):  # of them GivenFileError
-        return None
-    return scenario if interface == "socketcand" and same else None
+    return _said_of_bus("scenario", interface, host, port)
 
 
 def folder_of_launch(interface: str, host: str, port: int) -> Path | None:
     """The folder of the newest launch here, where the bus is that launch's; None: another bus."""
+    folder = _said_of_bus("folder", interface, host, port)
+    return None if folder is None else Path(folder)
+
+
+def _said_of_bus(key: str, interface: str, host: str, port: int) -> str | None:
+    """What the newest launch here says under this key, where the bus is that launch's."""
     try:
         where = _believed(LAUNCH)
         same = port == 0 or is_at(where, host, port)
-        folder = Path(str(where["folder"]))
+        said = str(where[key])
     except (ValueError, KeyError, TypeError):  # of them GivenFileError
         return None
-    return folder if interface == "socketcand" and same else None
+    return said if interface == "socketcand" and same else None
 
 
 def absolute(scenario: str) -> str:
