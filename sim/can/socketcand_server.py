@@ -222,16 +222,18 @@ class Client(asyncio.BufferedProtocol):
     def connection_lost(self, problem: Exception | None) -> None:
         """Deliver what arrived before the connection broke, give up the seat, and let the bus of
         this client go."""
-        if problem is not None:
-            self._take_what_is_left()
-        if self._twin is not None:
-            self._twin.close()
-            self._twin = None
-        self.hub.clients.discard(self)
-        self._end_timers()
-        if self.bus is not None:
-            self.hub.retire(self.bus)
-            self.bus = None
+        try:
+            if problem is not None:
+                self._take_what_is_left()
+        finally:  # whatever a command of it raises, its seat and its descriptor are free
+            if self._twin is not None:
+                self._twin.close()
+                self._twin = None
+            self.hub.clients.discard(self)
+            self._end_timers()
+            if self.bus is not None:
+                self.hub.retire(self.bus)
+                self.bus = None
 
     # ---------------------------------------------------------------- commands
 
@@ -331,7 +333,8 @@ class Client(asyncio.BufferedProtocol):
                 masks: tuple[bytes, ...] = ()
             case "filter", [seconds, microseconds, identifier, length, *data]:
                 octets = _octets(data)
-                if len(octets) > 8 or not length.isdecimal() or int(length) != len(octets):
+                count = int(length) if length.isdecimal() and len(length) <= 2 else -1
+                if len(octets) > 8 or count != len(octets):
                     raise CommandError(NO_FRAME)
                 masks = (octets,)
             case "muxfilter", [seconds, microseconds, identifier, number, *data]:

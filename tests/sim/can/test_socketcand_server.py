@@ -269,6 +269,58 @@ def test_l4_odd_commands_cost_nobody_a_frame() -> None:
     assert complaints == []
 
 
+# A filter whose length has more digits than Python's `int` reads. The word at the front lets a line be so
+# long.
+LONG_FILTER = b"< filter muxfilter 0 123 " + b"9" * 5_000 + b" >"
+
+
+def left_at_the_hub(name: str, sent: bytes) -> tuple[tuple[int, int], list[dict[str, Any]]]:
+    """What a client that sends `sent` and goes leaves: seats taken, and nodes on the wire beyond those of
+    before. And complaints of asyncio."""
+    complaints: list[dict[str, Any]] = []
+    left: list[tuple[int, int]] = []
+
+    def attack(port: int) -> None:
+        with contextlib.suppress(OSError), greeted(port) as sock:
+            told(sock, b"< rawmode >", b"< ok >")
+            sock.sendall(sent)
+            sock.shutdown(socket.SHUT_WR)
+            while sock.recv(4096):
+                pass
+
+    async def story(served: Served) -> None:
+        asyncio.get_running_loop().set_exception_handler(lambda _, what: complaints.append(what))
+        nodes = len(served.segment.wire.nodes)
+        await asyncio.to_thread(attack, served.hub.port)
+        with contextlib.suppress(TimeoutError):
+            async with asyncio.timeout(5.0):
+                await served.until(
+                    lambda: not served.hub.clients and len(served.segment.wire.nodes) == nodes
+                )
+        left.append((len(served.hub.clients), len(served.segment.wire.nodes) - nodes))
+
+    on_a_hub(name, story)
+    return left[0], complaints
+
+
+def test_a_filter_with_a_length_of_thousands_of_digits_keeps_no_seat() -> None:
+    """`int` raised, and again where the rest was read, so that seat, descriptor and node stayed."""
+    assert left_at_the_hub("digits", b"< bcmmode >" + 4 * LONG_FILTER) == ((0, 0), [])
+
+
+def test_a_command_that_raises_keeps_no_seat(monkeypatch: pytest.MonkeyPatch) -> None:
+    def handle(client: hub_module.Client, command: str) -> str | None:
+        if command.startswith("filter"):
+            raise ValueError(command[:20])
+        return real(client, command)
+
+    real = hub_module.Client.handle
+    monkeypatch.setattr(hub_module.Client, "handle", handle)
+    seats_and_nodes, complaints = left_at_the_hub("raises", b"< bcmmode >" + 4 * LONG_FILTER)
+    assert seats_and_nodes == (0, 0)
+    assert complaints, "what is wrong is still told"
+
+
 def test_a18_the_eff_flag_and_sign_extended_bytes_are_taken_as_socketcand_does() -> None:
     """The bytes that SavvyCAN sends."""
     sent = frame_of("98eafffe", "3", ["0", "ffffffffffffffee", "0"])
