@@ -7,12 +7,16 @@ own number, which robots that know it take for the same.
 
 import json
 import os
+from errno import ENOSPC
 from pathlib import Path
 from typing import Any, NamedTuple
 
 from agent.delivery.task_registry import TransportTask
 from agent.runtime.files.file_lock import lock as take_lock
 from agent.runtime.vda5050.messages import MasterOrder
+
+# An order comes in 256 KiB at most, and in the book a character of it may be an escape of six.
+LINE_BYTES_MAX = 16 * 1024 * 1024
 
 
 class BookError(ValueError):
@@ -53,11 +57,14 @@ class OrderBook:
     def _open(self) -> None:
         path, whole = self.path, 0
         if path.exists():
-            for line in path.read_bytes().splitlines(keepends=True):
-                if not line.endswith(b"\n"):
-                    break  # the last write was cut off by a crash; nothing followed from it
-                self._read(line)
-                whole += len(line)
+            with path.open("rb") as file:
+                while line := file.readline(LINE_BYTES_MAX):
+                    if not line.endswith(b"\n"):
+                        if len(line) == LINE_BYTES_MAX:
+                            raise BookError(f"{path}: a line is no record of an order: too long")
+                        break  # the last write was cut off by a crash; nothing followed from it
+                    self._read(line)
+                    whole += len(line)
         self._file = path.open("ab", buffering=0)
         self._file.truncate(whole)
         self._whole = whole  # bytes of whole records
@@ -69,7 +76,7 @@ class OrderBook:
             task = None if said["task"] is None else TransportTask(*map(int, said["task"]))
             number = None if said["number"] is None else int(said["number"])
             self._take(BookedOrder(int(said["slot"]), order, number, task, bool(said["cancelled"])))
-        except (ValueError, TypeError, KeyError) as problem:
+        except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as problem:
             raise BookError(f"{self.path}: a line is no record of an order: {problem}") from None
 
     def _take(self, booked: BookedOrder) -> None:
@@ -90,8 +97,10 @@ class OrderBook:
         """Make a record durable. Raises OSError; then the book is as it was."""
         plain = booked.order.model_dump(mode="json", by_alias=True, exclude_none=True)
         said: dict[str, Any] = {**booked._asdict(), "order": plain}
+        line = json.dumps(said).encode() + b"\n"
         try:
-            self._file.write(json.dumps(said).encode() + b"\n")
+            if self._file.write(line) != len(line):  # what fitted on the disk; there is no error
+                raise OSError(ENOSPC, os.strerror(ENOSPC))
             os.fsync(self._file.fileno())
         except OSError:  # a part of it may be there, and the next record would follow on its line
             self._file.truncate(self._whole)

@@ -1,6 +1,8 @@
 """One vehicle as a master sees it: what each message says, judged by the official schemas."""
 
 import json
+import signal
+from errno import ENOSPC
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -27,6 +29,7 @@ from agent.runtime.vda5050.messages import (
     Topic,
 )
 from tools.bench.vda5050.official_schemas import flaws
+from tools.vda5050 import order_book
 from tools.vda5050.factsheet import factsheet_of
 from tools.vda5050.fleet_vehicle import UNHEARD, FleetVehicle, HeardRobot
 from tools.vda5050.order_book import BookedOrder, BookError, OrderBook
@@ -247,4 +250,53 @@ def test_a_book_is_read_again_and_a_torn_last_line_is_forgotten(tmp_path: Path) 
     assert again.orders[2].number == 6
     path.write_bytes(b"{}\n")
     with pytest.raises(BookError):
+        OrderBook(path)
+
+
+def test_a_record_that_a_full_disk_cut_short_is_refused_and_the_book_stays_readable(
+    tmp_path: Path,
+) -> None:
+    """A write without a buffer tells by its result alone that a part fitted. The record was acknowledged,
+    and the next one came onto its line."""
+    resource = pytest.importorskip("resource", reason="Windows has no limit of a file's size")
+    path = tmp_path / "book.jsonl"
+    booked = BookedOrder(2, order(FETCH, BRING | {"sequenceId": 2}), None, None)
+    book = OrderBook(path)
+    book.write(booked)
+    size = path.stat().st_size
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    before = signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (size + size // 2, limits[1]))
+    try:
+        with pytest.raises(OSError) as told:
+            book.write(booked._replace(slot=3))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+        signal.signal(signal.SIGXFSZ, before)
+    assert told.value.errno == ENOSPC and path.stat().st_size == size
+    book.write(booked._replace(slot=4))
+    book.close()
+    again = OrderBook(path)
+    again.close()
+    assert again.orders.keys() == book.orders.keys() == {2, 4}
+
+
+@pytest.mark.parametrize("number", ["1e999", "[" * 100_000])
+def test_a_book_with_a_number_that_is_none_is_one_line(tmp_path: Path, number: str) -> None:
+    """It ended the gateway with a traceback."""
+    path = tmp_path / "book.jsonl"
+    plain = order(FETCH).model_dump_json(by_alias=True, exclude_none=True)
+    said = f'"order": {plain}, "task": null, "slot": 0, "cancelled": false, "number": {number}'
+    path.write_text(f"{{{said}}}\n")
+    with pytest.raises(BookError, match="a line is no record of an order"):
+        OrderBook(path)
+
+
+def test_a_line_that_is_longer_than_any_record_is_not_read_whole(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(order_book, "LINE_BYTES_MAX", 1_000)
+    path = tmp_path / "book.jsonl"
+    path.write_bytes(b"x" * 2_000)
+    with pytest.raises(BookError, match="too long"):
         OrderBook(path)
