@@ -21,7 +21,7 @@ from agent.safety.stop_cause import StopCause
 from crdt import FieldAllocationCRDT, Phase, Progress
 from crdt.claim_register import epoch_of, pack
 from protocol.frames.codec import UNKNOWN, Malformed, decode_once
-from protocol.frames.delivery_frames import NO_TASK, Itinerary, TaskOrder
+from protocol.frames.delivery_frames import NO_TASK, TASK_NUMBERS, Itinerary, TaskOrder
 from protocol.frames.fleet_frames import (
     NOWHERE_M,
     Heartbeat,
@@ -47,9 +47,15 @@ from tools.common.frame_makers import Makers
 from tools.inspect.bus_load import BIT_RATE, BusLoad, bits_of
 from tools.inspect.causality import Causality
 from tools.inspect.proven_work import ProvenWork
+from tools.inspect.unnamed_stops import UnnamedStops
 from tools.operate.foreign_groups import group_name
 
 BUTTON_S = HOLD_US / 1e6  # a shortcut button that is silent this long is forgotten
+# Stops kept by name, twice as many as a robot holds by name; with forged names there are millions.
+STOPS_MAX = 512
+CLEARED_MAX = 1024  # names that were cleared, also of stops that were not heard
+LATCHED_TOLD = 16  # names in a line for people; the others are counted
+TERMS_MAX = 64  # of elections; a fleet holds one or two elections, and only the newest term counts
 TRANSITIONS_MAX = 64  # newest transitions kept of a robot; no person reads a longer list
 NO_KEYS = "NO KEYS: any device on the bus can stop and release this fleet"
 SILENT_S = 1.0  # a robot not heard for longer is shown as silent
@@ -133,6 +139,9 @@ class Inspector:
         self.others = 0  # frames with an 11-bit identifier, remote and error frames
         self.stops: dict[tuple[int, int, int], float] = {}
         self.cleared: dict[tuple[int, int, int], float] = {}
+        self.unnamed = UnnamedStops()  # beyond `STOPS_MAX`
+        # How often a stop got its name, a reset cleared some, and robots refused a reset.
+        self.presses = self.resets = self.refusals = 0
         self._reset_s = NEVER_S  # when the newest reset was heard
         self._by_reset: set[tuple[int, int, int]] = (
             set()
@@ -186,7 +195,7 @@ class Inspector:
         self._explain(t_s, frame, slot, message)
         if isinstance(message, EmergencyStop):
             if not message.spent:
-                self.stops.setdefault(message[:3], t_s)
+                self._press_heard(t_s, message[:3])
         elif isinstance(message, HeldReset | EmergencyReset):
             self._reset(t_s, message)
         elif isinstance(message, FleetStop):
@@ -194,7 +203,7 @@ class Inspector:
         elif isinstance(message, AllImplementsStop):
             self._button(t_s, source, message)
         elif isinstance(message, TaskOrder):  # of a tool, or of a robot that says it again
-            self.transports[message.task] = (message.pickup, message.dropoff)
+            self._ordered(message)
         if slot is None:
             return
         robot = self.robots[slot]
@@ -290,6 +299,8 @@ class Inspector:
             case LeaderElectionVote():
                 votes = self.votes.setdefault((message.election, message.term), {})
                 votes.setdefault(robot.slot, message.candidate)
+                if len(self.votes) > TERMS_MAX:
+                    self._forget_a_term()
             case Itinerary():
                 _itinerary(robot, message)
             case OperatorReport():
@@ -313,6 +324,31 @@ class Inspector:
             robot.transitions.append(Transition(t_s, robot.state, name, kind))
             robot.state = name
 
+    def _ordered(self, m: TaskOrder) -> None:
+        if m.task < TASK_NUMBERS:  # no fleet has other tasks
+            self.transports[m.task] = (m.pickup, m.dropoff)
+
+    def _forget_a_term(self) -> None:
+        """The earliest one of the election with most terms, so that no flood ends another election."""
+        (most, _), *_ = Counter(election for election, _ in self.votes).most_common(1)
+        del self.votes[min(key for key in self.votes if key[0] == most)]
+
+    def _press_heard(self, t_s: float, dot: tuple[int, int, int]) -> None:
+        """A stop that is held keeps its name: a flood of forged stops pushes none out, and is counted."""
+        if dot in self.stops:
+            return
+        if len(self.stops) >= STOPS_MAX:  # without half of those that were cleared, oldest first
+            cleared = [old for old in self.cleared if old in self.stops]
+            for old in cleared[: (len(cleared) + 1) // 2]:
+                del self.stops[old], self.cleared[old]
+        if len(self.stops) >= STOPS_MAX:
+            if dot not in self.cleared:
+                self.unnamed.press(dot, t_s)
+            return
+        self.unnamed.clear(dot)
+        self.stops[dot] = t_s
+        self.presses += 1
+
     def _reset(self, t_s: float, m: HeldReset | EmergencyReset) -> None:
         """Robots of a fleet with keys clear nothing by a reset without a tag. Whether a tag is right a
         listener cannot tell: see `_refused`."""
@@ -325,7 +361,19 @@ class Inspector:
         named = {m[:3]} if isinstance(m, EmergencyReset) else self.stops.keys()
         new = named - self.cleared.keys()
         self._by_reset |= new
+        self.resets += bool(new)
         self.cleared |= dict.fromkeys(sorted(new), t_s)
+        # A refused reset brings no count back: robots say again what they hold.
+        if isinstance(m, EmergencyReset):
+            self.unnamed.clear(m[:3])
+        else:
+            self.unnamed.clear_all()
+        if len(self.cleared) > CLEARED_MAX:
+            # Those of stops that were heard stay: without them these would hold the fleet again.
+            unheard = [old for old in self.cleared if old not in self.stops]
+            for old in unheard[: len(self.cleared) - CLEARED_MAX // 2]:
+                del self.cleared[old]
+                self._by_reset.discard(old)
 
     def _refused(self, t_s: float, m: Standstill) -> None:
         """A robot that stops still hold, although each was named by a reset, has refused that reset: its
@@ -333,8 +381,9 @@ class Inspector:
         told = m.cause == StopCause.STOP_DOT.number and m.number > 0
         due = RESET_TAKEN_S < t_s - self._reset_s < RESET_REFUSED_S
         if told and due and not (self._segments or self.latched):
+            self.refusals += bool(self._by_reset)
             for dot in self._by_reset:
-                del self.cleared[dot]
+                self.cleared.pop(dot, None)
             self._by_reset.clear()
 
     def _button(self, t_s: float, source: int, m: AllImplementsStop) -> None:
@@ -355,16 +404,27 @@ class Inspector:
 
     @property
     def latched(self) -> list[tuple[int, int, int]]:
-        """Dots of the stops that were heard and hold robots: slot, incarnation, counter.
+        """Dots of the stops that were heard and hold robots: slot, incarnation, counter. The one that was
+        heard first is the first; `latched_more` more are not kept by name.
 
         A reset may not have been heard. So a stop holds none either if every robot that is heard has said
         for `FREE_S` that no stop holds it, and each of them was there before."""
-        left = set(self.stops) - set(self.cleared)
+        left = self.stops.keys() - self.cleared.keys()
+        if self._all_free:
+            left = {dot for dot in left if self.now_s - self.stops[dot] < FREE_S}
+        return sorted(left, key=lambda dot: (self.stops[dot], dot))
+
+    @property
+    def latched_more(self) -> int:
+        """How many stops hold robots beyond those of `latched`."""
+        past = self._all_free and self.now_s - self.unnamed.heard_s >= FREE_S
+        return 0 if past else self.unnamed.count
+
+    @property
+    def _all_free(self) -> bool:
         live = [r for r in self.robots.values() if not r.left and self.now_s - r.last_s <= SILENT_S]
         free_s = max((r.free_s for r in live), default=inf)
-        if self.now_s - free_s >= FREE_S:
-            left = {dot for dot in left if self.now_s - self.stops[dot] < FREE_S}
-        return sorted(left)
+        return self.now_s - free_s >= FREE_S
 
     @property
     def keyed(self) -> bool | None:
@@ -418,6 +478,7 @@ class Inspector:
             "beyond_the_field": self.beyond,
             "suspects": [] if self.limits is None else self.limits.named,
             "latched": [".".join(map(str, dot)) for dot in self.latched],
+            "latched_more": self.latched_more,
             "leader": self.leader,
             "keyed": self.keyed,
             "leaders": {
@@ -490,6 +551,14 @@ class Inspector:
                 for t in robot.transitions
             ],
         }  # fmt: skip
+
+
+def latched_words(seen: dict[str, Any]) -> str:
+    """The stops of `to_dict` in a line for people, empty where there is none: the first few, and how many
+    there are beyond these."""
+    names = seen["latched"]
+    more = len(names[LATCHED_TOLD:]) + seen["latched_more"]
+    return ", ".join(names[:LATCHED_TOLD]) + (f" and {more:,} more" if more else "")
 
 
 def _itinerary(robot: Seen, m: Itinerary) -> None:

@@ -24,6 +24,9 @@ MOVING_M_S = (
 )
 # A robot that has not answered by then never will: a press is repeated for 2 s.
 ANSWER_MAX_S = 10.0
+PRESSES_MAX = (
+    64  # measured at the same time: persons do not press more often; a flood of forged stops does
+)
 Dot = tuple[int, int, int]
 
 
@@ -70,6 +73,8 @@ class MeasuredInspector(Inspector):
         }
         dot = message[:3]
         if not message.echo and dot not in self.stops:  # an echo does not tell when it was pressed
+            if len(self._presses) >= PRESSES_MAX:
+                return
             live = [r for r in self.robots.values() if not r.left and t_s - r.last_s <= SILENT_S]
             presser = self.slot_of.get(source)
             self._presses[dot] = _Press(

@@ -148,7 +148,11 @@ class FleetCollector(Collector):
         yield _gauge(
             "headland_worked_units", "Units of work that are covered.", seen.worked_units()
         )
-        yield _gauge("headland_stops_latched", "Stops that are not cleared.", len(seen.latched))
+        yield _gauge(
+            "headland_stops_latched",
+            "Stops that are not cleared.",
+            len(seen.latched) + seen.latched_more,
+        )
         yield _gauge(
             "headland_implements_stop", "1: an ISO 11783-7 button stops all implements.",
             seen.implements_stop is not None,

@@ -4,7 +4,7 @@ from typing import TYPE_CHECKING, Any
 
 from agent.peer.self_health import POOR
 from tools.common.counted import counted
-from tools.inspect.inspector import NO_KEYS
+from tools.inspect.inspector import NO_KEYS, latched_words
 
 if TYPE_CHECKING:  # slow to import, and `--json` does without
     from rich.console import Console
@@ -88,8 +88,8 @@ def show(seen: dict[str, Any], console: "Console | None" = None) -> None:
         console.print(f"[bold red]{NO_KEYS}")
     for suspect in seen["suspects"]:
         console.print(f"[bold red]{suspect}: {SUSPECT}")
-    if seen["latched"]:
-        console.print(f"[bold red]EMERGENCY STOP latched: {', '.join(seen['latched'])}")
+    if words := latched_words(seen):
+        console.print(f"[bold red]EMERGENCY STOP latched: {words}")
     for key, whose in (
         ("unknown", "not of Headland"),
         ("other_makers", "of other makers, not read"),

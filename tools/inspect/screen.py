@@ -18,7 +18,7 @@ from textual.containers import Horizontal, Vertical
 from textual.widgets import Footer, Sparkline, Static
 
 from sim.files.whole_file import write_whole
-from tools.inspect.inspector import NO_KEYS, Inspector, Seen
+from tools.inspect.inspector import NO_KEYS, Inspector, Seen, latched_words
 from tools.inspect.lifecycle_picture import LIT, picture
 from tools.inspect.table_widget import Cell, Rows
 
@@ -127,10 +127,10 @@ class InspectScreen(App[None]):
             self._robot(chosen)
             self._load(seen)
             stops = self.query_one("#stops", Static)
-            stops.display = bool(seen["latched"])
+            stops.display = bool(latched_words(seen))
             self.query_one("#keys", Static).display = seen["keyed"] is False
             self._text("keys", f" {NO_KEYS}")
-            self._text("stops", f" EMERGENCY STOP latched: {', '.join(seen['latched'])}")
+            self._text("stops", f" EMERGENCY STOP latched: {latched_words(seen)}")
 
     def _rows(self, name: str, rows: list[tuple[str, ...]]) -> None:
         self.query_one(f"#{name}", Rows).show(sorted(rows, key=lambda row: _in_order(row[0])))

@@ -52,7 +52,7 @@ class EventNotes:
             found.append(
                 NotedEvent(min(watcher.cleared[dot] for dot in cleared), "reset", "stop released")
             )
-        if self._cleared - set(watcher.cleared):
+        if (self._cleared & watcher.stops.keys()) - watcher.cleared.keys():  # others are forgotten
             found.append(NotedEvent(now_s, "stop", "the release was refused: robots hold the stop"))
         self._stops, self._cleared = set(watcher.stops), set(watcher.cleared)
         return found

@@ -112,7 +112,7 @@ class FleetTopics(Watcher):
         latched = set(self.latched)
         for dot in sorted(latched - self._latched):
             self.say(t_s, "fleet", ERROR, _stop_named(dot))
-        if self._latched and not latched:
+        if self._latched and not latched and not self.latched_more:
             self.say(t_s, "fleet", INFO, "all stops are cleared")
         self._latched = latched
 

@@ -21,7 +21,7 @@ from protocol.frames.safety_frames import EmergencyStop
 from protocol.frames.work_frames import StateSyncResponse, TaskClaim, WorkProgress
 from sim.can.frame_timing import worst_bits
 from sim.record.scene import Scene
-from tools.inspect.inspector import Inspector, Seen
+from tools.inspect.inspector import STOPS_MAX, Inspector, Seen
 
 if TYPE_CHECKING:
     import numpy as np
@@ -134,7 +134,10 @@ class Watcher(Inspector):
             case OperatorReport():
                 self.asking.pop(robot.slot, None)
             case EmergencyStop():
-                self.reasons.setdefault(message[:3], (message.reason, robot.slot))
+                if message[:3] in self.stops:
+                    self.reasons.setdefault(message[:3], (message.reason, robot.slot))
+                if len(self.reasons) > 2 * STOPS_MAX:
+                    self.reasons = {d: r for d, r in self.reasons.items() if d in self.stops}
         super()._robot(t_s, robot, kind, message)
 
     def _patch(self, m: MapPatch) -> None:

@@ -9,6 +9,9 @@ from tools.livemap.playback import Player
 
 KINDS_MAX = 8  # frames of the last second are listed by kind, most first
 TRANSITIONS_TOLD = 12
+# Stops that a picture names: the first ones, which a flood of forged stops does not push out, and the
+# newest ones. The others are counted, because a picture of thousands of stops takes longer than its time.
+FIRST_STOPS_TOLD, NEWEST_STOPS_TOLD = 8, 8
 
 
 class PageUpdates:
@@ -146,8 +149,10 @@ def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
     """Which stops are latched, which robots stand, which do not, and of which it is not known."""
     here = [robot for robot in watcher.robots.values() if not robot.left]
     live = [robot for robot in here if now_s - robot.last_s <= SILENT_S]
-    latched = []
-    for dot in watcher.latched:
+    latched, held = [], watcher.latched
+    first, others = held[:FIRST_STOPS_TOLD], held[FIRST_STOPS_TOLD:]
+    named = first + others[-NEWEST_STOPS_TOLD:]
+    for dot in named:
         reason, said_by = watcher.reasons.get(dot, (None, None))
         name = (
             "" if reason is None or reason not in Reason._value2member_map_ else Reason(reason).name
@@ -158,7 +163,8 @@ def _stop(watcher: Watcher, now_s: float) -> dict[str, Any]:
         )  # fmt: skip
     standing = sorted(r.slot for r in live if r.stopped)
     return {
-        "latched": latched, "stopped": standing,
+        "latched": latched, "more": len(held) - len(named) + watcher.latched_more,
+        "stopped": standing,
         "moving": sorted(r.slot for r in live if not r.stopped),
         "silent": sorted(r.slot for r in here if now_s - r.last_s > SILENT_S),
         "implements": watcher.implements_stop is not None,

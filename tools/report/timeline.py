@@ -118,13 +118,13 @@ class History(Inspector):
         if group.pgn == POSE_PGN:
             self._pose(t_s, slot, frame)
             return
-        stops, cleared = len(self.stops), len(self.cleared)
+        presses, resets, refusals = self.presses, self.resets, self.refusals
         self._read(t_s, frame)
-        if len(self.stops) > stops:
+        if self.presses > presses:
             self._press(t_s, frame)
-        if len(self.cleared) > cleared:
+        if self.resets > resets:
             self._clear(t_s)
-        elif len(self.cleared) < cleared:
+        elif self.refusals > refusals:
             self._refuse(t_s)
         if group.pgn == OPERATOR_PGN:
             self._command(t_s, frame)
@@ -278,7 +278,8 @@ class History(Inspector):
 
     def _refuse(self, t_s: float) -> None:
         for stop in self.pressed:
-            if stop.cleared_s is not None and stop.dot not in self.cleared:
+            held = stop.dot in self.stops and stop.dot not in self.cleared
+            if stop.cleared_s is not None and held:
                 stop.cleared_s = None
                 self.seen.append(
                     TimelineEvent(t_s, "reset", "robots", f"refuse to clear {_dotted(stop.dot)}")

@@ -214,9 +214,11 @@ export class Side {
     const not = [["NOT STOPPED", stop.moving], ["NOT HEARD", stop.silent]].filter(([, slots]) => slots.length);
     const who = not.map(([what, slots]) => `${what}: ${slots.join(" ")}`).join(" · ");
     set($("stopped-who"), who || `all ${stop.stopped.length} robots stand`);
-    const last = stop.latched[stop.latched.length - 1];
-    const by = !last ? "" : last.slot >= 128 ? "by an operator's device" : `by robot ${last.slot}`;
-    set($("stopped-why"), last ? `pressed ${by}${last.reason ? `: ${words(last.reason)}` : ""}` : "");
+    // The first stop that holds: a flood of forged ones, which come later, does not change what is said.
+    const first = stop.latched[0], more = stop.latched.length - 1 + stop.more;
+    const by = !first ? "" : first.slot >= 128 ? "by an operator's device" : `by robot ${first.slot}`;
+    const others = more > 0 ? `, and ${more} more` : "";
+    set($("stopped-why"), first ? `pressed ${by}${first.reason ? `: ${words(first.reason)}` : ""}${others}` : "");
   }
 
   showSplit(islands) {
