@@ -113,18 +113,19 @@ def parse_plan(text: str, name: str = "plan") -> Plan:
         extra = [document.get(key, []) for key in ("joined", "died")]
         if not all(_integers(line) and len(line) in (0, robots) for line in extra):
             raise GridFileError("joined and died need one number a robot")
-        cells = [(start[0], start[1]) for start in starts]
-        check_starts(
-            "starts",
-            walls,
-            [c for c, j in zip(cells, extra[0] or [0] * robots, strict=True) if j == 0],
-        )
+        cells, joined = [(start[0], start[1]) for start in starts], extra[0] or [0] * robots
+        makespan = max(map(len, actions), default=0)
+        if not all(0 <= step <= makespan for step in joined):  # its robot would never be there
+            raise GridFileError(f"joined holds a step that is not 0 to {makespan}, the plan's end")
+        check_starts("starts", walls, [c for c, j in zip(cells, joined, strict=True) if j == 0])
+        for robot, cell in enumerate(cells):  # a late one may start where another was before
+            check_starts(f"start {robot}", walls, [cell])
         return Plan(walls, cells, actions, dirt, extra[0], extra[1])
     except GridFileError as error:
         raise GridFileError(f"{name}: {error}") from None
     except GivenFileError as problem:
         raise GridFileError(f"{name}: not a plan file ({problem})") from None
-    except (ValueError, TypeError, KeyError, RecursionError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError, RecursionError) as error:
         raise GridFileError(f"{name}: not a plan file ({type(error).__name__})") from error
 
 

@@ -116,3 +116,32 @@ def test_a_bad_plan_is_one_line(change: dict[str, object]) -> None:
     with pytest.raises(GridFileError) as caught:
         parse_plan(json.dumps(GOOD | change))
     assert "\n" not in str(caught.value)
+
+
+def late_plan(**told: object) -> Plan:
+    plain = {
+        "H": 1, "W": 3, "walls": [[0, 0, 0]], "starts": [[0, 0], [0, 1]],
+        "per_agent_actions": [[0, 0, 0], [RIGHT]],
+    }  # fmt: skip
+    return parse_plan(json.dumps({**plain, **told}))
+
+
+@pytest.mark.parametrize("joined", [[0, 4], [0, 99], [0, -5], [0, 10**30]])
+def test_a_plan_whose_robot_never_arrives_is_refused(joined: list[int]) -> None:
+    """It was judged as a good plan: a robot that is not there can reach nothing."""
+    with pytest.raises(GridFileError, match="not 0 to 3"):
+        late_plan(joined=joined)
+    assert late_plan(joined=[0, 3]).joined == [0, 3], "with the last step"
+
+
+@pytest.mark.parametrize("start", [[5, 99], [-1, -1]])
+def test_a_late_robot_that_starts_outside_of_the_map_is_refused(start: list[int]) -> None:
+    """The judge ended with an IndexError."""
+    with pytest.raises(GridFileError, match="outside of 1 x 3"):
+        late_plan(joined=[0, 1], starts=[[0, 0], start])
+    assert late_plan(joined=[0, 1], starts=[[0, 0], [0, 0]]), "where another one was before"
+
+
+def test_a_wall_with_a_number_beyond_64_bits_is_no_plan() -> None:
+    with pytest.raises(GridFileError, match="not a plan file"):
+        late_plan(walls=[[0, 0, 10**30]])
