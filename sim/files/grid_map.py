@@ -197,19 +197,22 @@ def rack_walls(rows: int, columns: int) -> Walls:
 
 
 def largest_room(walls: Walls) -> list[Cell]:
-    """The cells of the largest 4-connected free region, row by row."""
-    unseen = {(int(r), int(c)) for r, c in np.argwhere(~walls)}
-    best: set[Cell] = set()
-    while len(unseen) > len(best):
-        stack = [unseen.pop()]
-        room = set(stack)
-        while stack:
-            r, c = stack.pop()
+    """The cells of the largest 4-connected free region, row by row; of several, the one with the first
+    cell."""
+    free = [(int(r), int(c)) for r, c in np.argwhere(~walls)]  # row by row
+    unseen, best = set(free), list[Cell]()
+    for first in free:
+        if first not in unseen:
+            continue
+        if len(unseen) <= len(best):
+            break  # no region of those that are left is larger
+        unseen.remove(first)
+        room = [first]
+        for r, c in room:
             for cell in ((r - 1, c), (r + 1, c), (r, c - 1), (r, c + 1)):
                 if cell in unseen:
                     unseen.remove(cell)
-                    room.add(cell)
-                    stack.append(cell)
+                    room.append(cell)
         best = max(best, room, key=len)
     return sorted(best)
 

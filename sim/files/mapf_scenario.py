@@ -10,11 +10,9 @@ from pathlib import Path
 from random import Random
 from typing import NamedTuple
 
-import numpy as np
-
 from agent.interface.geometry import Cell
 from agent.runtime.files.given_file import GivenFileError, read_text
-from sim.files.grid_map import FILE_BYTES_MAX, GridFileError, Walls, check_starts
+from sim.files.grid_map import FILE_BYTES_MAX, GridFileError, Walls, check_starts, largest_room
 
 FIELDS = 9  # of a line
 
@@ -78,35 +76,10 @@ def read_scenario(path: Path, walls: Walls, agents: int) -> MapfInstance:
 def drawn_scenario(name: str, walls: Walls, agents: int, seed: int) -> MapfInstance:
     """Starts and goals drawn from the largest connected part of a map, as the benchmark's `random`
     scenarios are. Raises GridFileError if there are too few free cells."""
-    part = largest_part(walls)
+    part = largest_room(walls)
     if len(part) < agents:
         raise GridFileError(f"{name}: {len(part)} connected free cells for {agents} agents")
     rng = Random(f"{seed}/mapf/{name}")
     return MapfInstance(
         f"{name}-seed-{seed}", walls, rng.sample(part, agents), rng.sample(part, agents)
     )
-
-
-def largest_part(walls: Walls) -> list[Cell]:
-    """The cells of the largest connected free part, in the order of rows and columns."""
-    left = {(int(r), int(c)) for r, c in np.argwhere(~walls)}
-    best: list[Cell] = []
-    while left:
-        first = min(left)
-        left.discard(first)
-        part, stack = [first], [first]
-        while stack:
-            row, column = stack.pop()
-            for cell in (
-                (row - 1, column),
-                (row + 1, column),
-                (row, column - 1),
-                (row, column + 1),
-            ):
-                if cell in left:
-                    left.discard(cell)
-                    part.append(cell)
-                    stack.append(cell)
-        if len(part) > len(best):
-            best = sorted(part)
-    return best

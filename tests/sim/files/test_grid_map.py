@@ -24,6 +24,7 @@ from sim.files.grid_map import (
     room_walls,
     write_instance,
 )
+from sim.files.mapf_scenario import drawn_scenario
 from tests.examples import examples
 
 HEAD = "type octile\nheight 2\nwidth 3\nmap\n"
@@ -107,3 +108,17 @@ def test_buildings_are_one_room_with_walls(walls: Walls) -> None:
     """Every door is open on both sides, and aisles are joined."""
     free = int((~walls).sum())
     assert len(largest_room(walls)) == free < walls.size
+
+
+@pytest.mark.parametrize("side", range(2, 12))
+def test_of_rooms_of_one_size_the_first_one_is_the_largest(side: int) -> None:
+    """It was the one that a set gave first, and the twin of this function for drawn agents, which had a
+    rule, looked for the first cell among all that are left: minutes for a large map."""
+    walls = np.zeros((2 * side + 1, 2 * side + 1), dtype=np.bool_)
+    walls[side] = walls[:, side] = True
+    assert largest_room(walls) == [(row, column) for row in range(side) for column in range(side)]
+    walls[0, 0] = True
+    assert largest_room(walls)[0] == (0, side + 1)
+    many = random_walls(32, 32, 0.45, side)
+    room = drawn_scenario("many", many, 20, 1).starts
+    assert set(room) <= set(largest_room(many))
