@@ -10,6 +10,7 @@ from agent.peer.durable_records import OPERATIONS, REGISTER, U32, U64
 from crdt import Phase
 from crdt.claim_register import pack
 from protocol.frames.fleet_frames import LeaderElectionVote, Pose
+from protocol.frames.messages import Message
 from protocol.frames.safety_frames import (
     Command,
     EmergencyReset,
@@ -164,7 +165,7 @@ def test_a_section_is_not_started_without_a_claim(leaps: bool) -> None:
 
 def test_each_loss_is_found_beside_one_that_is_allowed() -> None:
     """On a full disk units may be missing. Then no loss after them was seen."""
-    told = [
+    told: list[Message] = [
         TaskClaim(OWN, 2, Phase.STARTED, 3, 9, 0),
         WorkProgress(OWN, 0, 0b1),
         LeaderElectionVote(0, 3, 1),
