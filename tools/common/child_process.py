@@ -7,11 +7,16 @@ own. `-P` excludes that folder.
 import os
 import signal
 import sys
+import time
 from collections.abc import Callable
 from pathlib import Path
 from threading import Thread
+from typing import Final
 
 PREFIX = __name__.removesuffix("tools.common.child_process")  # in a wheel: `headland.`
+AGAIN_S: Final = (
+    5.0  # from one signal to end to the next; a process that ends takes a second or two
+)
 ROOT = Path(__file__).resolve().parents[__name__.count(".")]  # the folder that imports begin at
 
 
@@ -36,6 +41,8 @@ def end_with_input() -> None:
 
     def wait() -> None:
         os.read(sys.stdin.fileno(), 1)
-        os.kill(os.getpid(), signal.SIGTERM)
+        while True:  # a signal that comes while its handlers change may end nothing
+            os.kill(os.getpid(), signal.SIGTERM)
+            time.sleep(AGAIN_S)
 
     Thread(target=wait, daemon=True).start()
